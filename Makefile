@@ -1,0 +1,39 @@
+# Two commands do everything: `make book` and `make test`. The rest are their parts.
+PYTHON ?= python3
+VENV   := .venv
+PY     := $(VENV)/bin/python
+export OPENBLAS_NUM_THREADS := 1
+export JUPYTER_PLATFORM_DIRS := 1
+
+.PHONY: book test lab sweep execute lint clean setup
+
+book: setup execute
+	@$(PY) -m seedslib claims --page book/claims.md
+	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
+	@$(PY) -m seedslib check-html _build/html
+	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
+
+test: setup lint
+	@$(PY) -m pytest -q -n 2 --dist=loadscope
+
+lab: setup
+	@$(VENV)/bin/jupyter lab notebooks
+
+sweep: setup
+	@test -n "$(NB)" -a -n "$(GRID)" || { echo "usage: make sweep NB=notebooks/x.ipynb GRID=sweeps/x.yaml"; exit 2; }
+	@$(PY) -m seedslib sweep $(NB) $(GRID) --out runs/$(basename $(notdir $(GRID)))
+
+execute: setup
+	@$(PY) -m seedslib execute
+
+lint: setup
+	@$(VENV)/bin/ruff check .
+	@$(VENV)/bin/ruff format --check .
+
+clean:
+	rm -rf $(VENV) _build runs book/claims.md .pytest_cache .ruff_cache
+
+setup: $(VENV)/.installed
+
+$(VENV)/.installed: requirements.lock pyproject.toml setup.sh
+	@sh setup.sh "$(PYTHON)" "$(VENV)"

@@ -1,0 +1,106 @@
+"""Sums of squared errors over blocks of paths, for several filters at once."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Tally(NamedTuple):
+    """Sums over paths of one block; F filters, J times and their average, c components."""
+
+    simulated: int  # paths whose truth is finite
+    count: int  # of them those on which no filter diverged
+    mean: np.ndarray  # (F, J + 1, c) of the squared errors
+    products: np.ndarray  # (F, F, J + 1, c), centred
+    error: np.ndarray  # (F, J, c) sums of the errors
+    everything: np.ndarray  # (F, J, c) sums of the squares of all paths
+    diverged: np.ndarray  # (F,)
+    normalised: list  # for each filter sums and counts of NEES and NIS
+    seconds: np.ndarray  # (F,) per block
+    steps: int  # measurements times paths
+
+
+def tally(error, good, truth, astray, normalised, seconds, steps) -> Tally:
+    """Sums of one block.
+
+    Parameters
+    ----------
+    error : ndarray, shape (F, J, c, N)
+    good, truth : ndarray of bool, shape (N,)
+        Paths without a divergence of any filter; paths whose truth is finite.
+    astray : ndarray of bool, shape (F, N)
+    normalised : list
+        For each filter None or its squares of errors and innovations, see `consistency`.
+    seconds : ndarray, shape (F,)
+    steps : int
+    """
+    everything = None
+    if not good.all():
+        with np.errstate(over="ignore", invalid="ignore"):
+            everything = np.where(np.isnan(error), np.inf, error)[..., truth] ** 2
+            everything = everything.sum(axis=-1)
+        error = error[..., good]
+    squares = np.empty((error.shape[0], error.shape[1] + 1, *error.shape[2:]))
+    np.square(error, out=squares[:, :-1])
+    squares[:, -1] = squares[:, :-1].mean(axis=1)
+    count = squares.shape[-1]
+    total = squares.sum(axis=-1)
+    everything = total[:, :-1] if everything is None else everything
+    mean = total / max(count, 1)
+    centred = squares
+    centred -= mean[..., None]
+    products = np.empty((len(mean), *mean.shape))
+    for a, b in zip(*np.tril_indices(len(mean)), strict=True):
+        products[a, b] = products[b, a] = np.einsum("jcN,jcN->jc", centred[a], centred[b])
+    sums = [None if pair is None else [_sum(part, good) for part in pair] for pair in normalised]
+    return Tally(
+        simulated=int(truth.sum()),
+        count=count,
+        mean=mean,
+        products=products,
+        error=error.sum(axis=-1),
+        everything=everything,
+        diverged=(astray & truth).sum(axis=1),
+        normalised=sums,
+        seconds=seconds,
+        steps=steps,
+    )
+
+
+def _sum(values, good):
+    """Sum over the good paths, their number, and the degrees of freedom."""
+    if values is None:
+        return None
+    squares, freedom = values
+    return squares[:, good].sum(axis=1), int(np.count_nonzero(good)), freedom
+
+
+def merged(a, b) -> Tally:
+    """Sums of two sets of blocks (Chan's update of means and products)."""
+    count = a.count + b.count
+    share = b.count / max(count, 1)
+    shift = b.mean - a.mean
+    products = a.products + b.products + a.count * share * shift[:, None] * shift[None, :]
+    normalised = [
+        None
+        if one is None
+        else [
+            None if s is None else (s[0] + t[0], s[1] + t[1], s[2])
+            for s, t in zip(one, two, strict=True)
+        ]
+        for one, two in zip(a.normalised, b.normalised, strict=True)
+    ]
+    return Tally(
+        simulated=a.simulated + b.simulated,
+        count=count,
+        mean=a.mean + share * shift,
+        products=products,
+        error=a.error + b.error,
+        everything=a.everything + b.everything,
+        diverged=a.diverged + b.diverged,
+        normalised=normalised,
+        seconds=a.seconds + b.seconds,
+        steps=a.steps + b.steps,
+    )

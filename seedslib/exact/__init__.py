@@ -1,0 +1,16 @@
+"""Exact synthesis of finite-order filters: densities on grids, regressions on paths."""
+
+from seedslib._lazy import lazy_names
+
+_HOMES = {
+    "Axis": ".axes",
+    "interpolate": ".axes",
+    "FellerChain": ".feller",
+    "grid_synthesis": ".grid",
+    "affine_synthesis": ".grid",
+    "grid_risk": ".grid",
+    "GridRisk": ".joint",
+    "simulated_synthesis": ".simulated",
+}
+__getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
+__all__ = [*_HOMES]

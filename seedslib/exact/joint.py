@@ -1,0 +1,263 @@
+"""Joint law of a scalar state and a filter's memory, carried from measurement to measurement."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib._validate import as_times
+from seedslib.correction import correct
+from seedslib.exact.axes import Axis, as_axes
+from seedslib.exact.feller import FellerChain
+from seedslib.exact.recursion import Seen, conditional, push_forward, seen
+from seedslib.filters.finite_order_rules import Prediction, Start
+from seedslib.filters.table import TableFit
+from seedslib.linearization import Moments
+from seedslib.memory import Memory
+
+SPREADS = 6.5
+"""Default axes of measurements reach this many deviations of the sensor beyond its means."""
+
+FINENESS = 0.25
+"""Default step of these axes, in the smallest deviation of the sensor."""
+
+LOST = 1e-6
+"""Probability of measurements beyond the axes that is worth a warning."""
+
+LARGEST = 1 << 27
+"""Numbers in the joint law, or in a table, beyond which a grid is refused."""
+
+CLAMPED = 1e-4
+"""Probability of estimates beyond the axis that is worth a warning."""
+
+
+class GridRisk(NamedTuple):
+    """Accuracy of a filter without random numbers.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+    mse : ndarray, shape (K+1,)
+        M(X - Z_k)² of the filter whose memory is rounded to the grid at random.
+    bias : ndarray, shape (K+1,)
+        M(Z_k - X).
+    clamped : ndarray, shape (K+1,)
+        Probability that the estimate falls outside of the axis of the memory.
+    """
+
+    times: np.ndarray
+    mse: np.ndarray
+    bias: np.ndarray
+    clamped: np.ndarray
+
+
+class JointLaw:
+    """Joint law of state and memory on a grid, and what was found on the way.
+
+    Parameters
+    ----------
+    system, memory, times, x, z, y
+        As `seedslib.exact.grid_synthesis`.
+
+    Attributes
+    ----------
+    joint : ndarray, shape (cells, S)
+        Probabilities of the cells of the memory, newest block first, and the state's nodes.
+    values : ndarray, shape (1, S)
+        The nodes of the state.
+    shown : ndarray, shape (m, Y)
+        The grid of measurements.
+    measurement_axes, letter_axes : tuple of Axis
+        Of a measurement, and of one block of the memory.
+    """
+
+    def __init__(self, system, memory, times, x, z, y):
+        if not isinstance(memory, Memory):
+            raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+        if bool(memory.estimates) == bool(memory.measurements) or memory.indicators:
+            raise ValueError(
+                f"memory: wanted estimates or measurements alone for a grid, got {memory}"
+            )
+        self.system, self.memory = system, memory
+        self.times = as_times("times", times)
+        x = Axis.of("x", x)
+        self.chain = FellerChain(system, x)
+        self.values = self.chain.values
+        self.measurement_axes = self._measurement_axes(y)
+        self.shown, self.weights = _product(self.measurement_axes)
+        if memory.estimates:
+            z = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
+            self.letter_axes = (z,)
+        else:
+            self.letter_axes = self.measurement_axes
+        self.letters = int(np.prod([axis.count for axis in self.letter_axes]))
+        self.depth, self.held = memory.depth, 0
+        entries = float(self.letters) ** self.depth * max(x.count, self.shown.shape[1])
+        if entries > LARGEST:
+            raise ValueError(
+                f"memory: wanted at most {LARGEST} numbers on the grid, got {entries:.3g}: fewer "
+                "nodes or a shorter memory"
+            )
+        self.joint = self.chain.start()[None]
+        self.found, self.scores = [], []
+
+    @property
+    def clamped(self) -> float:
+        """Largest probability, so far, of an estimate outside of its axis."""
+        return max(outside for _, _, outside in self.found)
+
+    @property
+    def memory_axes(self) -> tuple[Axis, ...]:
+        """Axes of the memory as it is now."""
+        return self.letter_axes * self.held
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Nodes along each axis of the memory."""
+        return tuple(axis.count for axis in self.memory_axes)
+
+    @property
+    def memory_points(self) -> np.ndarray:
+        """The memory at each cell, (d, cells)."""
+        return _product(self.memory_axes)[0]
+
+    def look(self, t) -> Seen:
+        """Likelihood of the measurements on the grid."""
+        sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
+        law = self.joint.sum(axis=0)
+        self.chain.look_at_ends(law)
+        missed = float(law @ sight.defect)
+        if missed > LOST:
+            warnings.warn(
+                f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
+                f"{t:g}; they are too short or too coarse",
+                stacklevel=3,
+            )
+        return sight
+
+    def take(self, k, means, sight):
+        """Score estimates (1, Y, cells) and put them, or the measurements, in the memory."""
+        estimate, x = means[0], self.values[0]
+        mass = sight.mass @ self.joint.T
+        first = sight.mass @ (self.joint * x).T
+        law = self.joint.sum(axis=0)
+        mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
+        bias = np.vdot(estimate, mass) - law @ x
+        outside = 0.0
+        if self.memory.estimates:
+            (axis,) = self.letter_axes
+            lower, share = axis.place(estimate)
+            outside = mass[(estimate < axis.low) | (estimate > axis.high)].sum()
+        else:
+            number = np.arange(self.letters)[:, None]
+            lower, share = np.broadcast_arrays(number, np.zeros((1, mass.shape[1])))
+        self.found.append((mse, bias, outside))
+        self.scores.append((self.times[k], mse))
+        full = self.held == self.depth
+        self.joint = push_forward(
+            self.joint, sight.mass, lower, share, self.letters, self.letters if full else 1
+        )
+        self.held = min(self.held + 1, self.depth)
+
+    def move(self, start, stop):
+        """Let the state move while the memory stays: (4.8)."""
+        self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
+
+    def forecast(self, t, *, last) -> TableFit:
+        """g(u) = M[X | u], (4.3), as a table."""
+        law = conditional(self.joint)
+        means = law @ self.values[0]
+        if not last:
+            mass = self.joint.sum(axis=1)
+            square = self.joint.sum(axis=0) @ self.values[0] ** 2
+            self.scores.append((t, square - mass @ means**2))
+        return TableFit(self.memory_axes, means.reshape(1, *self.shape))
+
+    def moments(self):
+        """Mean and covariance of state and memory together."""
+        points = self.memory_points
+        mass, law = self.joint.sum(axis=1), self.joint.sum(axis=0)
+        x = self.values[0]
+        centre = np.concatenate([[law @ x], points @ mass])
+        apart, within = points - centre[1:, None], x - centre[0]
+        cov = np.empty((len(centre), len(centre)))
+        cov[0, 0] = law @ within**2
+        cov[0, 1:] = cov[1:, 0] = apart @ (self.joint @ within)
+        cov[1:, 1:] = (apart * mass) @ apart.T
+        return centre, cov
+
+    def sensed(self, t) -> Start:
+        """Moments of the state and the measurement before anything is remembered."""
+        law, x = self.joint.sum(axis=0), self.values
+        shown, noise = self.system.sensor.conditional_moments(float(t), x)
+        shown = np.broadcast_to(shown, (len(shown), x.shape[1]))
+        noise = np.broadcast_to(
+            noise if noise.ndim == 3 else noise[..., None], (*noise.shape[:2], x.shape[1])
+        )
+        mean, expected = x @ law, shown @ law
+        apart, around = shown - expected[:, None], x - mean[:, None]
+        return Start(
+            mean,
+            (around * law) @ around.T,
+            Moments(expected, (around * law) @ apart.T, noise @ law + (apart * law) @ apart.T),
+        )
+
+    def corrected(self, mean, cov, moments):
+        """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
+        moments = Moments(moments.mean[:, None], _apart(moments.cross, 2), _apart(moments.cov, 2))
+        return correct(mean[:, None], None, self.shown[:, :, None], moments)[0]
+
+    def prediction(self) -> Prediction:
+        """Root-mean-square errors at measurements and nodes, without sampling error."""
+        times, squares = (np.array(part) for part in zip(*self.scores, strict=True))
+        rms = np.sqrt(np.maximum(squares, 0.0))[:, None]
+        return Prediction(times, rms, np.zeros_like(rms), False)
+
+    def errors(self) -> np.ndarray:
+        """Error covariances (K+1, 1, 1) after each measurement."""
+        return np.array([mse for mse, _, _ in self.found])[:, None, None]
+
+    def risk(self) -> GridRisk:
+        """What was found at the measurements."""
+        return GridRisk(self.times, *map(np.array, zip(*self.found, strict=True)))
+
+    def look_at_memory(self) -> None:
+        """Warn where the axis of the estimates is too short to remember them."""
+        if self.clamped > CLAMPED:
+            warnings.warn(
+                f"z: probability {self.clamped:.2g} of an estimate outside of the axis, where it "
+                "is remembered as the end",
+                stacklevel=3,
+            )
+
+    def _measurement_axes(self, given):
+        if given is None:
+            return self._default_axes()
+        return as_axes("y", given, self.system.sensor.size)
+
+    def _default_axes(self):
+        mean, cov = self.system.sensor.conditional_moments(float(self.times[0]), self.values)
+        axes = []
+        for i in range(self.system.sensor.size):
+            deviation = np.sqrt(np.broadcast_to(cov[i, i], mean[i].shape))
+            low = (mean[i] - SPREADS * deviation).min()
+            high = (mean[i] + SPREADS * deviation).max()
+            axes.append(Axis(low, high, int((high - low) / (FINENESS * deviation.min())) + 2))
+        return tuple(axes)
+
+
+def _product(axes):
+    """Points (d, N) and trapezoid weights (N,) of a product of axes; one point for none."""
+    points, weights = np.empty((0, 1)), np.ones(1)
+    for axis in axes:
+        old = np.repeat(points, axis.count, axis=1)
+        points = np.concatenate([old, np.tile(axis.nodes, points.shape[1])[None]])
+        weights = np.outer(weights, axis.weights).ravel()
+    return points, weights
+
+
+def _apart(array, lead):
+    """The same array with an axis for measurements before the one for cells, if it has that."""
+    return array if array.ndim == lead else np.expand_dims(array, lead)

@@ -1,0 +1,135 @@
+"""One step of the joint law of the state and the filter's memory, (4.5) and (4.10)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+NEGLIGIBLE = 1e-290
+"""Probabilities below this are set to zero: they cannot be divided by."""
+
+CHUNK = 1 << 18
+"""Numbers formed at a time in the push-forward: they stay in the processor's cache."""
+
+
+class Seen(NamedTuple):
+    """Likelihood of a grid of measurements.
+
+    Attributes
+    ----------
+    relative : ndarray, shape (Y, S)
+        Likelihood up to a factor that depends on the measurement.
+    mass : ndarray, shape (Y, S)
+        Likelihood times quadrature weight; columns sum to one.
+    defect : ndarray, shape (S,)
+        By how much the quadrature had missed one.
+    """
+
+    relative: np.ndarray
+    mass: np.ndarray
+    defect: np.ndarray
+
+
+def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:
+    """Likelihoods from their logarithms (Y, S) and the quadrature weights (Y,).
+
+    Raises
+    ------
+    ValueError
+        A state of which no measurement on the grid is likely.
+    """
+    peak = log_likelihood.max(axis=1, keepdims=True)
+    relative = np.exp(log_likelihood - peak)
+    mass = relative * (np.exp(peak) * weights[:, None])
+    total = mass.sum(axis=0)
+    if not (total > NEGLIGIBLE).all():
+        raise ValueError("y: wanted axes that hold the measurements of every state on the grid")
+    return Seen(relative / total, mass / total, np.abs(total - 1.0))
+
+
+def conditional(joint: np.ndarray) -> np.ndarray:
+    """Law of the state in each cell of the memory, (C, S), from joint probabilities (C, S).
+
+    Where a cell has no probability the optimal function is arbitrary: the unconditional law is
+    taken there, so that the estimate uses the measurement alone.
+    """
+    mass = joint.sum(axis=1, keepdims=True)
+    everywhere = joint.sum(axis=0)
+    law = np.divide(joint, mass, out=np.zeros_like(joint), where=mass > NEGLIGIBLE)
+    law[mass[:, 0] <= NEGLIGIBLE] = everywhere / everywhere.sum()
+    return law
+
+
+def posterior_means(values: np.ndarray, law: np.ndarray, relative: np.ndarray) -> np.ndarray:
+    """f(y, u) = M[value | y, u] of theorem 1, (p, Y, C).
+
+    Parameters
+    ----------
+    values : ndarray, shape (p, S)
+    law : ndarray, shape (C, S)
+    relative : ndarray, shape (Y, S)
+        Likelihood up to a factor that may depend on y.
+    """
+    mass = relative @ law.T
+    known = mass > NEGLIGIBLE
+    found = np.empty((len(values), *mass.shape))
+    for row, value in zip(found, values, strict=True):
+        row[:] = law @ value
+        np.divide(relative @ (law * value).T, mass, out=row, where=known)
+    return found
+
+
+def push_forward(
+    joint: np.ndarray, likelihood: np.ndarray, lower: np.ndarray, share: np.ndarray,
+    letters: int, dropped: int,
+) -> np.ndarray:  # fmt: skip
+    """Joint law of the state and the new memory: (4.10).
+
+    The probability of a measurement y in a cell of the old memory goes to the letter `lower`
+    and the next one, in the proportion that keeps the mean of the estimate. Cells are numbered
+    with the newest letter first.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (C, S)
+        Old memory and state.
+    likelihood : ndarray, shape (Y, S)
+        With the quadrature weights; columns sum to one.
+    lower : ndarray of int, shape (Y, C)
+    share : ndarray, shape (Y, C)
+        Part of the probability that goes to the letter after `lower`.
+    letters : int
+        Number of values that a block of the memory can take.
+    dropped : int
+        How many cells of the old memory become one when its oldest block drops out; 1 while
+        the memory fills.
+
+    Returns
+    -------
+    ndarray, shape (letters * C / dropped, S)
+    """
+    from scipy.sparse import csc_array
+
+    cells, size = joint.shape
+    tails = cells // dropped
+    result = np.zeros((letters, tails, size))
+    per = max(1, CHUNK // size)
+    for tail in range(tails):
+        block = slice(tail * dropped, (tail + 1) * dropped)
+        used = np.flatnonzero(joint[block].any(axis=1)) + tail * dropped
+        if used.size == 0:
+            continue
+        law = joint[used]
+        step = max(1, per // used.size)
+        for a in range(0, len(likelihood), step):
+            part = slice(a, a + step)
+            mass = (likelihood[part, None, :] * law).reshape(-1, size)
+            below, up = lower[part][:, used].ravel(), share[part][:, used].ravel()
+            targets = np.stack([below, np.minimum(below + 1, letters - 1)], axis=1).ravel()
+            weights = np.stack([1.0 - up, up], axis=1).ravel()
+            starts = np.arange(0, targets.size + 1, 2)
+            move = csc_array((weights, targets, starts), shape=(letters, len(below)))
+            result[:, tail] += move @ mass
+    result[result < NEGLIGIBLE] = 0.0
+    return result.reshape(letters * tails, size)

@@ -1,0 +1,274 @@
+"""Filters that carry a mean and a full covariance: extended, assumed-density, sigma-point."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib._validate import as_times
+from seedslib.correction import correct
+from seedslib.filters.estimates import Estimates, as_record
+from seedslib.filters.integration import adaptive, euler, rk4
+from seedslib.linearization import Linearization, Moments, symmetric
+from seedslib.systems.simulation import BLOCK, as_count, in_blocks
+
+INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
+
+
+class FilterState(NamedTuple):
+    """What the filter remembers: time (None before the first), mean, covariance.
+
+    ``mean`` has shape (n, *batch); ``cov`` has shape (n, n) while it is common to all paths,
+    (n, n, *batch) otherwise; ``loglik`` is that of the last correction.
+    """
+
+    time: float | None
+    mean: np.ndarray
+    cov: np.ndarray
+    loglik: np.ndarray | float = 0.0
+
+
+class CovarianceFilter:
+    """Approximate posterior mean and covariance, N(m, P) between and at the measurements.
+
+    Forecast: the moment equations (8.1) of the jump-diffusion paper, with the jumps, or for a
+    system in discrete time the moments of its dynamics map. Correction: (8.2). With Taylor
+    expansion it is the extended Kalman filter (EKF; the paper's OFK), with exact Gaussian means
+    the assumed-density filter (the paper's FNA). For a linear system with Gaussian noise every
+    linearization gives the Kalman filter.
+
+    Parameters
+    ----------
+    system : JumpDiffusion or DiscreteSystem
+        Anything with `mean0`, `cov0`, a `sensor` map, and either `drift_map` and `spread_map`
+        or a `dynamics` map.
+    linearization : Linearization
+    step : float, optional
+        Largest integration step; the system's own by default.
+    integrator : {"rk4", "euler", "adaptive"}
+        Fixed Runge-Kutta or Euler steps, or Dormand-Prince 5(4) steps common to the paths of a
+        block. Euler may diverge on rare paths where the others do not.
+    bound : float, optional
+        A path counts as diverged when any component of its mean is beyond `bound` in absolute
+        value, or not a number; by default only the latter.
+    rtol, atol : float
+        Tolerances of the adaptive integrator.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Something that is no linearization; an unknown integrator; a step or bound that is not
+        positive.
+    NoClosedForm
+        The linearization has no formulas for this system; the message offers one that works.
+    """
+
+    def __init__(
+        self, system, linearization, *, step=None, integrator="rk4", bound=None, rtol=1e-6,
+        atol=1e-9,
+    ):  # fmt: skip
+        if not isinstance(linearization, Linearization):
+            raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+        if integrator not in INTEGRATORS:
+            raise ValueError(
+                f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
+            )
+        self.system, self.linearization, self.integrator = system, linearization, integrator
+        self.continuous = hasattr(system, "drift_map")
+        self.integration_step = float(getattr(system, "step", 1.0) if step is None else step)
+        self.bound = np.inf if bound is None else float(bound)
+        for name, value in (("step", self.integration_step), ("bound", self.bound)):
+            if not value > 0:
+                raise ValueError(f"{name}: wanted a positive number, got {value}")
+        self.n = len(system.mean0)
+        self._sensor = linearization.moments(system.sensor)
+        if self.continuous:
+            self._rate = linearization.rate(system)
+            advance = INTEGRATORS[integrator]
+            self._integrate = (
+                partial(advance, rtol=rtol, atol=atol) if integrator == "adaptive" else advance
+            )
+        else:
+            self._dynamics = linearization.transition(system.dynamics)
+
+    def initial(self, batch=(), seed=None) -> FilterState:
+        """State before any measurement: the moments of the initial law.
+
+        Parameters
+        ----------
+        batch : tuple of int
+            Batch axes, for example (paths,).
+        seed : object
+            Not used; every filter has the same verbs.
+        """
+        mean = np.asarray(self.system.mean0, dtype=float)
+        mean = np.broadcast_to(mean.reshape(-1, *(1,) * len(batch)), (self.n, *batch)).copy()
+        return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
+
+    def predict(self, state: FilterState, t: float) -> FilterState:
+        """Forecast to time t; a state without a time is only given one.
+
+        Raises
+        ------
+        ValueError
+            A time before that of the state.
+        """
+        if state.time is None or t == state.time:
+            return state._replace(time=float(t))
+        if not t > state.time:
+            raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if not self.continuous:
+                mean, cov = self._dynamics(t, state.mean, state.cov)
+                return state._replace(time=float(t), mean=mean, cov=cov)
+            rows, columns = np.tril_indices(self.n)
+            lower = state.cov[rows, columns]
+            if state.mean.ndim == 1:
+                components = [*state.mean.tolist(), *lower.tolist()]
+            else:
+                components = [*state.mean, *lower]
+            moved = self._integrate(self._rate, components, state.time, t, self.integration_step)
+        mean = np.empty_like(state.mean)
+        for k in range(self.n):
+            mean[k] = moved[k]
+        batch = np.broadcast_shapes(*(np.shape(c) for c in moved[self.n :]))
+        change = np.empty((len(rows), *batch))
+        for k, component in enumerate(moved[self.n :]):
+            change[k] = component
+        return FilterState(float(t), mean, symmetric(change, self.n), state.loglik)
+
+    def correct(self, state: FilterState, y) -> FilterState:
+        """Correct by the measurement y, shape (m, *batch), at the time of the state.
+
+        Raises
+        ------
+        ValueError
+            A state without a time: `predict` gives it one.
+        """
+        if state.time is None:
+            raise ValueError("state: wanted a state with a time, got None; predict to it first")
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            moments = Moments(*self._sensor(state.time, state.mean, state.cov))
+            return FilterState(state.time, *correct(state.mean, state.cov, y, moments))
+
+    def expect(self, state: FilterState) -> Moments:
+        """Moments of the measurement that the filter expects at the time of the state."""
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            return Moments(*self._sensor(state.time, state.mean, state.cov))
+
+    def step(self, state: FilterState, t: float, y) -> FilterState:
+        """Forecast to time t and correct there."""
+        return self.correct(self.predict(state, t), y)
+
+    def forecast(self, state: FilterState, t: float) -> Estimates:
+        """Mean (n, *batch) and covariance that the filter expects at a later time."""
+        later = self.predict(state, t)
+        return Estimates(later.mean, later.cov)
+
+    def run(self, times, measurements, *, workers=1) -> Estimates:
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+            Times of the measurements; the first is that of the initial law and has no forecast.
+        measurements : array_like, shape (K+1, m, *batch)
+            NaN marks a missing component; a time without any measurement gives a forecast.
+        workers : int
+            Threads over blocks of paths.
+
+        Returns
+        -------
+        Estimates
+            ``mean`` (K+1, n, *batch), ``cov`` (K+1, n, n, *batch), or (K+1, n, n) where it is
+            common to all paths, ``loglik`` (K+1, *batch), ``diverged`` (*batch).
+
+        Raises
+        ------
+        TypeError, ValueError
+            Times that do not increase, infinite measurements, shapes that do not fit.
+        """
+        times = as_times("times", times)
+        y = as_record(measurements, len(times), self.system.sensor.size)
+        flat = y.reshape(*y.shape[:2], -1)
+        paths, batch = flat.shape[2], y.shape[2:]
+        mean = np.empty((len(times), self.n, paths))
+        cov = np.empty((len(times), self.n, self.n, paths))
+        loglik = np.empty((len(times), paths))
+        diverged = np.zeros(paths, dtype=bool)
+
+        def work(start, stop, _):
+            own, common = slice(start, stop), []
+            state = self.initial((stop - start,) if batch else ())
+            for k, t in enumerate(times):
+                state = self.step(state, t, flat[k, :, own] if batch else y[k])
+                mean[k, :, own].T[...] = state.mean.T
+                loglik[k, own] = state.loglik
+                if state.cov.ndim == 3:
+                    cov[k, :, :, own] = state.cov
+                common.append(state.cov if state.cov.ndim == 2 else None)
+                if np.isfinite(self.bound):
+                    diverged[own] |= (np.abs(state.mean) > self.bound).any(axis=0)
+            # what is no number at some time is no number at the end
+            lost = ~np.isfinite(state.mean).all(axis=0) | ~np.isfinite(state.cov).all(axis=(0, 1))
+            diverged[own] |= lost
+            return own, common
+
+        # Paths do not meet, so the size of a block is free, but for the common adaptive step
+        block = BLOCK
+        if self.integrator != "adaptive":
+            block = max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
+        blocks = in_blocks(work, paths, 0, workers=workers, block=block)
+        shared = _shared(blocks)
+        if shared is None:
+            for own, common in blocks:
+                for k, part in enumerate(common):
+                    if part is not None:
+                        cov[k, :, :, own] = part[..., None]
+            cov = cov.reshape(*cov.shape[:3], *batch)
+        return Estimates(
+            mean.reshape(*mean.shape[:2], *batch),
+            cov if shared is None else shared,
+            loglik=loglik.reshape(len(times), *batch),
+            diverged=diverged.reshape(batch),
+        )
+
+
+def _shared(blocks) -> np.ndarray | None:
+    """Covariances (K+1, n, n) common to all paths, or None where they are not."""
+    first = blocks[0][1]
+    for _, common in blocks:
+        for part, wanted in zip(common, first, strict=True):
+            if part is None or wanted is None or not np.array_equal(part, wanted, equal_nan=True):
+                return None
+    return np.stack(first)
+
+
+def extended_kalman(system, **options) -> CovarianceFilter:
+    """Extended Kalman filter (the paper's OFK, or L-AOF): `CovarianceFilter` with `Taylor`."""
+    from seedslib.linearization import Taylor
+
+    return CovarianceFilter(system, Taylor(), **options)
+
+
+def assumed_density(system, **options) -> CovarianceFilter:
+    """Gaussian assumed-density filter (the paper's FNA): `CovarianceFilter` with exact means."""
+    from seedslib.linearization import ExactGaussian
+
+    return CovarianceFilter(system, ExactGaussian(), **options)
+
+
+def unscented_kalman(system, *, alpha=1.0, beta=0.0, kappa=None, **options) -> CovarianceFilter:
+    """Unscented Kalman filter: `CovarianceFilter` with `Unscented(alpha, beta, kappa)`."""
+    from seedslib.linearization import Unscented
+
+    return CovarianceFilter(system, Unscented(alpha, beta, kappa), **options)
+
+
+def cubature_kalman(system, **options) -> CovarianceFilter:
+    """Cubature Kalman filter: `CovarianceFilter` with `Cubature`."""
+    from seedslib.linearization import Cubature
+
+    return CovarianceFilter(system, Cubature(), **options)

@@ -1,0 +1,189 @@
+"""Gaussian means of polynomials: the Stein-Isserlis recursion and the heat operator.
+
+A polynomial map of n variables with p values is a dictionary ``{alpha: c}`` from multi-indices
+(tuples of n exponents) to coefficients, arrays of shape (p,). Both algorithms use only sums and
+products of the components of the mean and of the covariance, so the same lines serve single
+numbers, batches (batch axes last), complex shifts of the mean and SymPy symbols.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+Index = tuple[int, ...]
+Coefficients = dict[Index, np.ndarray]
+
+
+class _Step(NamedTuple):
+    """``M[target] = x[axis] M[source] + sum_j count_j P[axis, j] M[below_j] (+ boundary)``."""
+
+    target: Index
+    axis: int
+    source: Index
+    below: tuple[tuple[int, int, Index], ...]
+
+
+def _lowered(index: Index, axis: int) -> Index:
+    return (*index[:axis], index[axis] - 1, *index[axis + 1 :])
+
+
+@lru_cache(maxsize=1024)
+def _plan(indices: tuple[Index, ...]) -> tuple[_Step, ...]:
+    """Order in which the recursion reaches the wanted monomials, lowest degree first.
+
+    The axis with the smallest positive exponent is lowered: the other monomials then share one
+    another's predecessors, and few superfluous ones are visited.
+    """
+    steps: dict[Index, _Step] = {}
+    waiting = list(indices)
+    while waiting:
+        target = waiting.pop()
+        if target in steps or not any(target):
+            continue
+        axis = min((i for i, k in enumerate(target) if k), key=lambda i: target[i])
+        source = _lowered(target, axis)
+        below = tuple((j, k, _lowered(source, j)) for j, k in enumerate(source) if k)
+        steps[target] = _Step(target, axis, source, below)
+        waiting += [source, *(lower for _, _, lower in below)]
+    return tuple(sorted(steps.values(), key=lambda step: sum(step.target)))
+
+
+def monomial_means(
+    indices: Iterable[Index],
+    mean: Sequence,
+    cov: Sequence,
+    *,
+    zeroth: object = 1.0,
+    boundary: tuple[Sequence, Mapping[Index, object]] | None = None,
+    tidy: Callable = lambda value: value,
+) -> dict[Index, object]:
+    """E x^alpha for the wanted multi-indices by the Stein-Isserlis recursion.
+
+    ``M_{beta + e_i} = m_i M_beta + sum_j P_ij beta_j M_{beta - e_j}``, ``M_0 = 1``.
+
+    Parameters
+    ----------
+    indices : iterable of tuple of int
+        Multi-indices alpha.
+    mean : sequence of n components
+        Numbers, arrays of one batch shape, or SymPy expressions; may be complex.
+    cov : n by n nested sequence or array (n, n) or (n, n, ...)
+        Components of the same kind.
+    zeroth : component
+        ``M_0``; the mass of a half-space, when the mean is taken over one.
+    boundary : (direction, means), optional
+        For a mean over a half-space {u > 0}: ``direction[i] = cov(x_i, u)`` and ``means[beta]``
+        the boundary values ``E x^beta delta(u)``; the recursion gains ``direction_i means_beta``.
+    tidy : callable
+        Applied to each mean; ``sympy.expand`` keeps symbolic ones short.
+
+    Returns
+    -------
+    dict
+        From every visited multi-index (the wanted ones and their predecessors) to its mean.
+    """
+    indices = tuple(indices)
+    means: dict[Index, object] = {}
+    if indices:
+        means[(0,) * len(indices[0])] = zeroth
+    for target, axis, source, below in _plan(indices):
+        value = mean[axis] * means[source]
+        for j, count, lower in below:
+            value = value + (count * cov[axis][j]) * means[lower]
+        if boundary is not None:
+            value = value + boundary[0][axis] * boundary[1][source]
+        means[target] = tidy(value)
+    return means
+
+
+def predecessors(indices: Iterable[Index]) -> tuple[Index, ...]:
+    """Every multi-index that the recursion for `indices` visits."""
+    indices = tuple(indices)
+    zero = ((0,) * len(indices[0]),) if indices else ()
+    return (*zero, *(step.target for step in _plan(indices)))
+
+
+def polynomial_mean(
+    polynomial: Mapping[Index, np.ndarray], means: Mapping[Index, object], batch: tuple[int, ...]
+) -> np.ndarray:
+    """Linear combination ``sum_alpha c_alpha M_alpha``, shape (p, *batch)."""
+    size = len(next(iter(polynomial.values())))
+    kind = np.result_type(*polynomial.values(), *(means[alpha] for alpha in polynomial))
+    total = np.zeros((size, *batch), dtype=kind)
+    for alpha, coefficient in polynomial.items():
+        for row in np.flatnonzero(coefficient):
+            total[row] += coefficient[row] * means[alpha]
+    return total
+
+
+def _laplacian(polynomial: Mapping[Index, object], cov: Sequence) -> dict[Index, object]:
+    """``(1/2) P : grad grad`` applied to the coefficients."""
+    image: dict[Index, object] = {}
+    for alpha, coefficient in polynomial.items():
+        for i, k in enumerate(alpha):
+            if k == 0:
+                continue
+            once = _lowered(alpha, i)
+            for j in range(i, len(alpha)):
+                if once[j] == 0:
+                    continue
+                # the diagonal carries the factor 1/2, a pair i < j occurs twice
+                weight = k * once[j] * cov[i][j]
+                weight = weight / 2 if i == j else weight
+                twice = _lowered(once, j)
+                image[twice] = image.get(twice, 0) + weight * coefficient
+    return image
+
+
+def heat(
+    polynomial: Mapping[Index, object], cov: Sequence, *, first: int = 0
+) -> dict[Index, object]:
+    """Heat operator ``exp(P : grad grad / 2)`` on the coefficients of a polynomial.
+
+    The value of the image at m is the mean of the polynomial under N(m, P), for every positive
+    semidefinite P. With `first` = 1 the identity is left out, which gives ``E f(x) - f(m)``
+    without a subtraction.
+
+    Parameters
+    ----------
+    polynomial : dict from multi-index to coefficient
+        Coefficients may be arrays (p,) or SymPy expressions.
+    cov : array_like (n, n) or nested sequence of expressions
+        P.
+    first : int
+        First power of ``P : grad grad / 2`` that is kept.
+
+    Returns
+    -------
+    dict
+        Coefficients of the image; empty for the zero polynomial.
+    """
+    total: dict[Index, object] = {}
+    power, order = dict(polynomial), 0
+    while power:
+        if order >= first:
+            for alpha, coefficient in power.items():
+                total[alpha] = total.get(alpha, 0) + coefficient
+        order += 1
+        power = {a: c / order for a, c in _laplacian(power, cov).items()}
+    return total
+
+
+def derivative(polynomial: Mapping[Index, np.ndarray], axis: int) -> Coefficients:
+    """Coefficients of the partial derivative along one variable."""
+    return {_lowered(a, axis): a[axis] * c for a, c in polynomial.items() if a[axis]}
+
+
+def evaluate(polynomial: Mapping[Index, np.ndarray], point: np.ndarray, size: int) -> np.ndarray:
+    """Values of a polynomial map, shape (p, *batch), at points of shape (n, *batch)."""
+    batch = point.shape[1:]
+    if not polynomial:
+        return np.zeros((size, *batch))
+    powers: dict[Index, object] = {(0,) * len(point): 1.0}
+    for step in _plan(tuple(polynomial)):
+        powers[step.target] = point[step.axis] * powers[step.source]
+    return polynomial_mean(polynomial, powers, batch)

@@ -1,0 +1,205 @@
+"""Linearizations that evaluate the map at points: unscented, cubature, Gauss-Hermite."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from seedslib.gaussian.quadrature import cubature
+from seedslib.linearization import (
+    Gaussian,
+    Linearization,
+    Moments,
+    Weighted,
+    refuse_weight,
+    symmetric,
+)
+from seedslib.singular import factor
+from seedslib.systems.noise import hermite_nodes
+from seedslib.systems.simulation import as_count
+
+
+class PointRule(Linearization):
+    """Means as weighted sums over points of a standard normal vector, moved to N(m, D).
+
+    Remark 3 of the jump-diffusion paper. Where the map knows its mean and covariance given x,
+    points are laid in the space of x; otherwise in the joint space of x and the noise. A new
+    rule has to write `rule` only.
+    """
+
+    @abstractmethod
+    def rule(self, size: int):
+        """Points (size, S), weights (S,) of means and weights (S,) of centred squares."""
+
+    def _points(self, mean, cov, size, noise=None):
+        """Standard points, states and noises at them, and the two weights.
+
+        States have shape (n, S, *batch); noise is None where it is averaged otherwise.
+        """
+        mean = np.asarray(mean, dtype=float)
+        root = factor(cov)
+        n, depth = len(mean), max(mean.ndim - 1, root.ndim - 2)
+        mean = mean.reshape(n, *(1,) * (depth + 1 - mean.ndim), *mean.shape[1:])
+        root = root.reshape(n, n, *(1,) * (depth + 2 - root.ndim), *root.shape[2:])
+        unit, weights, centred = _rule(self, size)
+        x = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n])
+        if noise is None:
+            return unit, root, x, None, weights, centred
+        v = noise.mean[:, None] + noise.root @ unit[n:]
+        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
+        return unit, root, x, v, weights, centred
+
+    def moments(self, map, spread=True):
+        """See `Linearization.moments`."""
+        refuse_weight(map)
+        given = _conditional(map)
+        n = map.state_size
+        size = n if given is not None else n + map.noise.size
+
+        def f(t, mean, cov):
+            noise = map.noise if given is None else None
+            unit, root, x, v, weights, centred = self._points(mean, cov, size, noise)
+            y = map.value(t, x, v) if given is None else given.mean(t, x)
+            h = np.einsum("is...,s->i...", y, weights)
+            apart = y - h[:, None]
+            slope = np.einsum("js,is...,s->ji...", unit[:n], apart, centred)
+            cross = np.einsum("kj...,ji...->ki...", root, slope)
+            if not spread:
+                return Moments(h, cross, None)
+            square = np.einsum("is...,js...,s->ij...", apart, apart, centred)
+            if given is not None:
+                square = square + np.einsum("ijs...,s->ij...", given.cov(t, x), weights)
+            return Moments(h, cross, square)
+
+        return f
+
+    def flow(self, system):
+        """See `Linearization.flow`; both means are taken at the same points."""
+        n = system.state_size
+        none = np.empty((0, 1))
+
+        def rates(t, mean, cov):
+            unit, root, x, _, weights, centred = self._points(mean, cov, n)
+            b = system.drift_map.value(t, x, none)
+            velocity = np.einsum("is...,s->i...", b, weights)
+            slope = np.einsum("js,is...,s->ji...", unit, b - velocity[:, None], centred)
+            spread = np.einsum("ks...,s->k...", system.spread_map.value(t, x, none), weights)
+            return Moments(
+                velocity, np.einsum("kj...,ji...->ki...", root, slope), symmetric(spread, n)
+            )
+
+        return rates
+
+    def weighted(self, map):
+        """See `Linearization.weighted`; the weights of the points are those of means."""
+        given = _conditional(map)
+        n = map.state_size
+        size = n if given is not None else n + map.noise.size
+
+        def branch(t, mean, cov):
+            noise = map.noise if given is None else None
+            _, _, x, v, weights, _ = self._points(mean, cov, size, noise)
+            if given is None:
+                y, share = map.value(t, x, v), map.weight(t, x, v)
+            else:
+                y, share = given.mean(t, x), given.weight(t, x)
+            share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
+            mass = share.sum(axis=0)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                share = share / mass
+            middle, h = ((share * part).sum(axis=1) for part in (x, y))
+            dx, dy = x - middle[:, None], y - h[:, None]
+            squares = "is...,js...,s...->ij..."
+            square = np.einsum(squares, dy, dy, share)
+            if given is not None:
+                square = square + (share * given.cov(t, x)).sum(axis=2)
+            return Weighted(
+                mass,
+                Gaussian(middle, np.einsum(squares, dx, dx, share)),
+                Moments(h, np.einsum(squares, dx, dy, share), square),
+            )
+
+        return branch
+
+
+@lru_cache(maxsize=64)
+def _rule(rule, size):
+    return rule.rule(size)
+
+
+def _conditional(map):
+    """Conditional moments of a map as functions, or None where points must cover the noise."""
+    if not map.symbolic and map.weighted:
+        return None
+    try:
+        return map.conditional
+    except ValueError:
+        return None
+
+
+@dataclass(frozen=True)
+class Cubature(PointRule):
+    """Third-degree spherical rule: 2n points m ± sqrt(n) L e_i of equal weight."""
+
+    def rule(self, size):
+        """See `PointRule.rule`."""
+        rule = cubature(size)
+        return rule.points, rule.weights, rule.weights
+
+
+@dataclass(frozen=True)
+class Unscented(PointRule):
+    """Unscented transform: 2n + 1 points m and m ± sqrt(alpha² (n + kappa)) L e_i.
+
+    Parameters
+    ----------
+    alpha, beta : float
+        Spread of the points and correction of the central weight of squares.
+    kappa : float, optional
+        3 - n by default, which with alpha = 1 and beta = 0 makes fourth moments right along
+        each axis.
+    """
+
+    alpha: float = 1.0
+    beta: float = 0.0
+    kappa: float | None = None
+
+    def rule(self, size):
+        """See `PointRule.rule`.
+
+        Raises
+        ------
+        ValueError
+            alpha² (n + kappa) is not positive.
+        """
+        kappa = 3.0 - size if self.kappa is None else self.kappa
+        reach = self.alpha**2 * (size + kappa)
+        if not reach > 0:
+            raise ValueError(f"alpha, kappa: wanted alpha² (n + kappa) > 0, got {reach:g}")
+        points = np.sqrt(reach) * np.hstack([np.zeros((size, 1)), np.eye(size), -np.eye(size)])
+        weights = np.full(2 * size + 1, 0.5 / reach)
+        weights[0] = 1.0 - size / reach
+        centred = weights.copy()
+        centred[0] += 1.0 - self.alpha**2 + self.beta
+        return points, weights, centred
+
+
+@dataclass(frozen=True)
+class GaussHermite(PointRule):
+    """Product rule with `order` Gauss-Hermite nodes in each direction, order**n points.
+
+    Exact for polynomials of degree below 2 `order` in each variable.
+    """
+
+    order: int = 5
+
+    def __post_init__(self):
+        as_count("order", self.order)
+
+    def rule(self, size):
+        """See `PointRule.rule`."""
+        points, weights = hermite_nodes(size, self.order)
+        return points, weights, weights

@@ -1,0 +1,194 @@
+"""What a finite-order filter remembers between measurements: U_k, newest block first.
+
+One description covers the filters of the papers: small order (the last estimate), large order
+(the last l estimates), finite memory (the last l measurements), mixtures of them, and for
+switching systems the decided modes, the indicators and soft decisions (log-odds). The memory
+grows at the start: after step k it holds min(k + 1, l) blocks and is never padded with zeros.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Past(NamedTuple):
+    """The remembered blocks, newest first; each block is (size, *batch).
+
+    Attributes
+    ----------
+    estimates : tuple of ndarray
+        Past estimates, with the log-odds of the modes below them where the memory keeps those.
+    measurements : tuple of ndarray
+        Past measurements.
+    modes, indicators : tuple of ndarray of int
+        Decided modes (one with each estimate) and past indicators, shape (*batch) each.
+    """
+
+    estimates: tuple = ()
+    measurements: tuple = ()
+    modes: tuple = ()
+    indicators: tuple = ()
+
+    @property
+    def vector(self) -> np.ndarray:
+        """U_k: estimates newest first, then measurements newest first, shape (dim, *batch)."""
+        blocks = self.estimates + self.measurements
+        return blocks[0] if len(blocks) == 1 else np.concatenate(blocks)
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Memory of a finite-order filter.
+
+    Parameters
+    ----------
+    estimates : int
+        How many past estimates are remembered: the order l of the large-order filter.
+    measurements : int
+        How many past measurements are remembered.
+    indicators : int
+        How many past indicators are remembered (switching systems).
+    log_odds : bool
+        Whether the log-odds of the modes are remembered with each estimate (switching systems).
+
+    Raises
+    ------
+    TypeError
+        Counts that are not whole numbers, or a flag that is not a bool.
+    ValueError
+        Negative counts, a memory of nothing, or log-odds without estimates.
+
+    Notes
+    -----
+    State equations (3.1), (3.2) of the jump-diffusion paper and (2.1)-(2.4) of the switching
+    paper: U_0 = Z_0, U_k = [Z_k; U_{k-1}] while the memory fills, then the oldest block drops
+    out. The matrix C that cuts it off is a slice here.
+    """
+
+    estimates: int = 1
+    measurements: int = 0
+    indicators: int = 0
+    log_odds: bool = False
+
+    def __post_init__(self):
+        for name in ("estimates", "measurements", "indicators"):
+            value = getattr(self, name)
+            if isinstance(value, bool) or not isinstance(value, int | np.integer):
+                raise TypeError(f"{name}: wanted a whole number, got {value!r}")
+            if value < 0:
+                raise ValueError(f"{name}: wanted at least 0, got {value}")
+            object.__setattr__(self, name, int(value))
+        if not isinstance(self.log_odds, bool | np.bool_):
+            raise TypeError(f"log_odds: wanted True or False, got {self.log_odds!r}")
+        if not self.estimates + self.measurements:
+            raise ValueError("memory: wanted at least one estimate or measurement, got none")
+        if self.log_odds and not self.estimates:
+            raise ValueError("log_odds: wanted with at least one remembered estimate, got none")
+
+    @property
+    def depth(self) -> int:
+        """Number of steps after which the memory is full."""
+        return max(self.estimates, self.measurements, self.indicators)
+
+    def dimension(self, step: int, estimate: int, measurement: int = 0, modes: int = 1) -> int:
+        """Dimension of U_k for k = `step`, from the sizes of an estimate and a measurement.
+
+        The lemma of the jump-diffusion paper: n' min(k + 1, l) for a memory of estimates.
+        """
+        held = step + 1
+        block = estimate + (modes - 1 if self.log_odds else 0)
+        return block * min(held, self.estimates) + measurement * min(held, self.measurements)
+
+    def order(self, estimate: int, measurement: int = 0, modes: int = 1) -> int:
+        """Dimension of the full memory: the order of the filter, l n' for the large-order one."""
+        return self.dimension(self.depth, estimate, measurement, modes)
+
+    def push(
+        self, past, *, estimate=None, measurement=None, mode=None, indicator=None, log_odds=None
+    ) -> Past:
+        """Memory after one more step; blocks beyond the memory's length drop out.
+
+        Parameters
+        ----------
+        past : Past
+        estimate : ndarray, shape (n', *batch)
+        measurement : ndarray, shape (m, *batch)
+        mode, indicator : ndarray of int, shape (*batch), optional
+        log_odds : ndarray, shape (modes - 1, *batch), optional
+
+        Raises
+        ------
+        ValueError
+            A block that the memory keeps was not given.
+        """
+        if self.log_odds and estimate is not None:
+            if log_odds is None:
+                raise ValueError("log_odds: wanted by this memory, got none")
+            estimate = np.concatenate([estimate, log_odds])
+        decided = past.modes if mode is None else (mode, *past.modes)[: self.estimates]
+        return Past(
+            _renew("estimate", past.estimates, estimate, self.estimates),
+            _renew("measurement", past.measurements, measurement, self.measurements),
+            decided,
+            _renew("indicator", past.indicators, indicator, self.indicators),
+        )
+
+    def __str__(self) -> str:
+        parts = [
+            _count(self.estimates, "estimate"),
+            _count(self.measurements, "measurement"),
+            _count(self.indicators, "indicator"),
+        ]
+        if self.log_odds:
+            parts.append("log-odds of the modes")
+        return ", ".join(part for part in parts if part)
+
+
+def _renew(name, blocks, new, length):
+    if length == 0:
+        return ()
+    if new is None:
+        raise ValueError(f"{name}: wanted by this memory, got none")
+    return (new, *blocks)[:length]
+
+
+def _count(number, name):
+    return f"{number} {name}{'s' if number > 1 else ''}" if number else ""
+
+
+def small_order() -> Memory:
+    """Memory of the last estimate: the filter of small order (FMP), of the state's dimension."""
+    return Memory(1)
+
+
+def large_order(l: int) -> Memory:
+    """Memory of the last `l` estimates: the large-order filter (FBP), of order l n'.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `l` not a whole number of at least 1.
+    """
+    return Memory(_length(l))
+
+
+def finite_memory(l: int) -> Memory:
+    """Memory of the last `l` measurements: the finite-memory filter (FKP), of order l m.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `l` not a whole number of at least 1.
+    """
+    return Memory(0, _length(l))
+
+
+def _length(l):
+    if isinstance(l, bool) or not isinstance(l, int | np.integer):
+        raise TypeError(f"l: wanted a whole number, got {l!r}")
+    if l < 1:
+        raise ValueError(f"l: wanted at least 1, got {l}")
+    return int(l)

@@ -1,0 +1,116 @@
+"""Semidefinite matrices in batches: triangular factor, pseudo-inverse, and what counts as zero."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+RELATIVE = 1e-13
+"""A pivot at or below this fraction of its variance counts as zero: a redundant component."""
+
+ABSOLUTE = 1e-150
+"""A variance at or below this counts as zero whatever its scale."""
+
+INDEFINITE = 1e-9
+"""An eigenvalue of the innovation correlations below minus this is no rounding error."""
+
+LOG_2PI = math.log(2.0 * math.pi)
+
+
+def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
+    """Write the Moore-Penrose correction over the flagged items."""
+    mean, cov, error, cross, spread = parts
+
+    def pick(part, core, batch):
+        """Flagged items of one part, item axis first."""
+        whole = np.broadcast_to(part, part.shape[:core] + batch)
+        return np.moveaxis(whole[..., np.broadcast_to(bad, batch)], -1, 0)
+
+    def gains(batch):
+        root, log_det, rank = _range_root(pick(spread, 2, batch))
+        return root, root @ np.swapaxes(pick(cross, 2, batch), 1, 2), log_det, rank
+
+    batch = loglik.shape
+    chosen = np.broadcast_to(bad, batch)
+    root, gain, log_det, rank = gains(batch)
+    whitened = np.einsum("brm,bm->br", root, pick(error, 1, batch))
+    new_mean[:, chosen] = (pick(mean, 1, batch) + np.einsum("brk,br->bk", gain, whitened)).T
+    count = rank - np.broadcast_to(missing, batch)[chosen]
+    loglik[chosen] = -0.5 * ((whitened**2).sum(axis=1) + log_det + count * LOG_2PI)
+    if cov is not None:
+        batch = new_cov.shape[2:]
+        if batch != loglik.shape:
+            _, gain, _, _ = gains(batch)
+        reduced = pick(cov, 2, batch) - np.einsum("brk,brq->bkq", gain, gain)
+        new_cov[:, :, np.broadcast_to(bad, batch)] = np.moveaxis(reduced, 0, -1)
+
+
+def _range_root(spread):
+    """Matrices R with Rᵀ R = S⁺, the log pseudo-determinant of S and its rank, item by item.
+
+    `spread` has shape (items, m, m). Rank and range are decided on S scaled to unit diagonal, so
+    that units do not matter: S = B Bᵀ with B of full column rank, B = Q T gives R = T⁻¹ Qᵀ.
+    Redundant columns are carried as zeros to keep one shape. NaN for an indefinite S.
+    """
+    variances = np.einsum("bii->bi", spread)
+    finite = np.isfinite(spread).all(axis=(1, 2)) & (variances >= -ABSOLUTE).all(axis=1)
+    spread = np.where(finite[:, None, None], spread, 0.0)
+    deviations = np.sqrt(
+        np.maximum(variances, 0.0), where=finite[:, None], out=np.zeros_like(variances)
+    )
+    positive = deviations**2 > ABSOLUTE
+    scale = np.where(positive, 1.0, 0.0) / np.where(positive, deviations, 1.0)
+    values, vectors = np.linalg.eigh(spread * scale[:, :, None] * scale[:, None, :])
+    kept = values > RELATIVE
+    finite &= (values > -INDEFINITE).all(axis=1)
+    # the kept columns first, so that the triangular factor of the others stays zero
+    order = np.argsort(~kept, axis=1, kind="stable")
+    kept = np.take_along_axis(kept, order, 1)
+    lengths = np.sqrt(np.where(kept, np.take_along_axis(values, order, 1), 0.0))
+    vectors = np.take_along_axis(vectors, order[:, None, :], 2)
+    basis, triangle = np.linalg.qr(deviations[:, :, None] * vectors * lengths[:, None, :])
+    diagonal = np.abs(np.einsum("bii->bi", triangle))
+    log_det = 2.0 * np.log(np.where(kept, diagonal, 1.0)).sum(axis=1)
+    triangle = triangle + np.eye(spread.shape[1]) * ~kept[:, None, :]
+    root = np.linalg.solve(triangle, np.swapaxes(basis, 1, 2)) * kept[:, :, None]
+    root[~finite] = np.nan
+    return root, log_det, kept.sum(axis=1)
+
+
+def factor(cov):
+    """Lower triangular L with L Lᵀ = P, item by item; a zero pivot gives a zero column.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (n, n, *batch)
+        Symmetric positive semidefinite; only the part on and below the diagonal is read.
+
+    Returns
+    -------
+    ndarray, shape (n, n, *batch)
+        NaN in the items that are not positive semidefinite: a pivot below -1e-9 of its variance
+        (between that and 1e-13 of it a pivot counts as zero).
+    """
+    cov = np.asarray(cov, dtype=float)
+    n = len(cov)
+    lower = np.zeros_like(cov)
+    rest = [[cov[k, q] for q in range(k + 1)] for k in range(n)]
+    for j in range(n):
+        pivot, variance = rest[j][j], np.abs(cov[j, j])
+        regular = pivot > RELATIVE * variance + ABSOLUTE
+        if np.all(regular):
+            root = np.sqrt(pivot)
+            inverse = 1.0 / root
+        else:
+            broken = ~(pivot >= -INDEFINITE * variance)
+            root = np.sqrt(np.where(regular, pivot, 0.0))
+            inverse = np.where(regular, 1.0, 0.0) / np.where(regular, root, 1.0)
+            root = np.where(broken, np.nan, root)
+            inverse = np.where(broken, np.nan, inverse)
+        lower[j, j] = root
+        for k in range(j + 1, n):
+            lower[k, j] = rest[k][j] * inverse
+            for q in range(j + 1, k + 1):
+                rest[k][q] = rest[k][q] - lower[k, j] * lower[q, j]
+    return lower

@@ -1,0 +1,109 @@
+"""Identity of a model: what its functions do at fixed points, however they were written."""
+
+from __future__ import annotations
+
+import numpy as np
+
+SAME = 1e-9
+"""Largest difference, relative to the size of the quantity, between equal models."""
+
+POINTS = 12
+
+
+def probe_points(system, start: float, stop: float) -> np.ndarray:
+    """Times and states (1 + n, 12) where the model is looked at, about its initial law."""
+    n = system.state_size
+    spread = np.sqrt(np.diagonal(system.cov0))
+    # where the initial state is known, the model is looked at within one unit of it
+    spread = np.where(spread > 0, spread, 1.0)
+    # additive recurrences of irrational steps: even, and the same on every machine
+    steps = np.sqrt([2.0, 3.0, 5.0, 7.0, 11.0, 13.0, 17.0, 19.0, 23.0, 29.0])
+    share = np.outer(np.arange(1, POINTS + 1), np.resize(steps, n + 1)) % 1.0
+    times = start + (stop - start) * share[:, 0]
+    states = np.asarray(system.mean0) + spread * (6.0 * share[:, 1:] - 3.0)
+    return np.concatenate([times[:, None], states], axis=1).T
+
+
+def probe(system, linearization, points: np.ndarray) -> dict[str, np.ndarray]:
+    """What the model's functions give at the points, by name.
+
+    Diffusions are compared by B Bᵀ and noises by their effect, so that equal laws are equal
+    models.
+
+    Parameters
+    ----------
+    system : JumpDiffusion
+    linearization : Linearization
+        The moments of the sensor that the filter takes are part of the identity.
+    points : ndarray, shape (1 + n, P)
+    """
+    sensor = linearization.moments(system.sensor)
+    found: dict[str, list] = {}
+
+    def note(name, value):
+        found.setdefault(name, []).append(np.asarray(value, dtype=float))
+
+    for t, *x in points.T:
+        x = np.array(x)[:, None]
+        if hasattr(system, "dynamics"):
+            note("dynamics", _moments(system.dynamics, t, x))
+        else:
+            matrix = system.diffusion(t, x)
+            note("drift", system.drift(t, x))
+            note("diffusion", np.einsum("ikN,jkN->ijN", matrix, matrix))
+            note("intensity", system.intensity(t, x))
+            if system.jump is not None:
+                note("jump", _moments(system.jump, t, x))
+        note("sensor", _moments(system.sensor, t, x))
+        for name, part in zip(("mean", "cross", "cov"), sensor(t, x, system.cov0), strict=True):
+            note(f"moments of the sensor ({name})", part)
+    values = {name: np.stack(parts) for name, parts in found.items()}
+    values["mean0"], values["cov0"] = np.asarray(system.mean0), np.asarray(system.cov0)
+    return values
+
+
+def _moments(map, t, x):
+    """Conditional mean and covariance of a map at one point, as one column."""
+    mean, cov = map.conditional_moments(t, x)
+    return np.concatenate([mean, cov.reshape(-1, 1)])
+
+
+def difference(expected: dict, found: dict) -> str:
+    """What differs between two probes, in words; empty where nothing does."""
+    for name in sorted(expected.keys() | found.keys()):
+        if name not in expected or name not in found:
+            return f"its {name} is there in only one of them"
+        a, b = expected[name], found[name]
+        if a.shape != b.shape:
+            return f"its {name} has shape {b.shape}, not {a.shape}"
+        scale = np.abs(a).max(initial=0.0)
+        apart = np.abs(a - b)
+        if not (apart <= SAME * scale).all():
+            return f"its {name} differs by up to {np.nanmax(apart):.3g} of {scale:.3g}"
+    return ""
+
+
+def model_text(system) -> dict[str, str]:
+    """The model in words, a label for people: nothing of it is ever read back."""
+    if hasattr(system, "dynamics"):
+        maps = {"dynamics": system.dynamics, "sensor": system.sensor}
+        return {
+            name: _lines(map.expressions) if map.symbolic else "array functions"
+            for name, map in maps.items()
+        }
+    if not system.symbolic:
+        return {"model": "array functions"}
+    text = {
+        "state": ", ".join(map(str, system.state)),
+        "drift": _lines(system.drift_expressions),
+        "diffusion": _lines(system.diffusion_expressions),
+        "sensor": _lines(system.sensor.expressions),
+    }
+    if system.jump is not None:
+        text["intensity"] = str(system.intensity_expression)
+        text["jump"] = _lines(system.jump.expressions)
+    return text
+
+
+def _lines(expressions):
+    return str(expressions.tolist())

@@ -1,0 +1,170 @@
+"""Linear regression from moments: what the synthesis fits before each step.
+
+Samples are gathered in blocks of paths. Each block is reduced to its count, mean and centred sum
+of products; blocks are merged in their order, so the result does not depend on threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+RELATIVE = 1e-10
+"""Eigenvalues of the correlation matrix at or below this fraction of the largest count as zero."""
+
+ABSOLUTE = 1e-10
+"""A regressor whose standard deviation is at or below this fraction of its size is constant."""
+
+INDEFINITE = 1e-10
+"""A residual covariance with an eigenvalue below minus this fraction of its trace is no rounding
+error."""
+
+
+class Scatter(NamedTuple):
+    """Sample moments: count, mean (p,), centred sum of products (p, p)."""
+
+    count: int
+    mean: np.ndarray
+    products: np.ndarray
+
+    @property
+    def cov(self) -> np.ndarray:
+        """Covariance with division by the count, (p, p)."""
+        return self.products / self.count
+
+
+def scatter(rows: np.ndarray) -> Scatter:
+    """Moments of the columns of an array (p, N), in two passes; N may be zero."""
+    count = rows.shape[1]
+    if count == 0:
+        return Scatter(0, np.zeros(len(rows)), np.zeros((len(rows), len(rows))))
+    mean = rows.mean(axis=1)
+    centred = rows - mean[:, None]
+    # the mean of the centred rows is a rounding error: Neely's correction takes it out
+    shift = centred.mean(axis=1)
+    return Scatter(count, mean + shift, centred @ centred.T - count * np.outer(shift, shift))
+
+
+def merge(parts: Iterable[Scatter]) -> Scatter:
+    """Moments of all samples from those of the blocks, in their order (Chan's update)."""
+    total = None
+    for part in parts:
+        if total is None or total.count == 0:
+            total = part
+        elif part.count:
+            count = total.count + part.count
+            shift = part.mean - total.mean
+            share = part.count / count
+            total = Scatter(
+                count,
+                total.mean + share * shift,
+                total.products + part.products + total.count * share * np.outer(shift, shift),
+            )
+    return total
+
+
+class AffineFit(NamedTuple):
+    """Forecast affine in the memory: mean = gain u + offset, with a constant covariance.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (n, d)
+        Gamma of the paper, (6.3).
+    offset : ndarray, shape (n,)
+        kappa.
+    cov : ndarray, shape (n, n)
+        T, the covariance of what the memory does not explain.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    cov: np.ndarray
+
+    def mean(self, u: np.ndarray) -> np.ndarray:
+        """Forecast (n, *batch) from the memory (d, *batch)."""
+        return affine(self.gain, self.offset, u)
+
+    def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forecast (n, *batch) and its covariance (n, n)."""
+        return affine(self.gain, self.offset, u), self.cov
+
+
+def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Gain times u plus offset for u of shape (d, *batch)."""
+    if u.ndim == 1:
+        return gain @ u + offset
+    if u.ndim == 2:
+        return gain @ u + offset[:, None]
+    return np.tensordot(gain, u, 1) + offset.reshape(-1, *(1,) * (u.ndim - 1))
+
+
+def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
+    """W (d, rank) with W Wᵀ a generalised inverse of a covariance.
+
+    The range is decided in standardised coordinates: components whose standard deviation is at
+    or below 1e-10 times their `size` are dropped, then eigenvalues of the correlation matrix at
+    or below 1e-10 of the largest. Units therefore do not matter, and a constant component (whose
+    variance is a rounding error) does not become a regressor.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (d, d)
+    size : ndarray, shape (d,), optional
+        Magnitudes of the components; only exact zeros are dropped without it.
+    """
+    deviation = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
+    kept = np.flatnonzero(deviation > (0.0 if size is None else ABSOLUTE * size))
+    root = np.zeros((len(cov), 0))
+    if kept.size == 0:
+        return root
+    scale = deviation[kept]
+    values, vectors = np.linalg.eigh(cov[np.ix_(kept, kept)] / np.outer(scale, scale))
+    good = values > RELATIVE * values[-1]
+    root = np.zeros((len(cov), np.count_nonzero(good)))
+    root[kept] = vectors[:, good] / np.sqrt(values[good]) / scale[:, None]
+    return root
+
+
+def regress(mean: np.ndarray, cov: np.ndarray, targets: int, size=None) -> AffineFit:
+    """Best affine forecast of the first `targets` components from the others, (6.3).
+
+    Parameters
+    ----------
+    mean, cov : ndarray, shapes (n + d,) and (n + d, n + d)
+        Moments of targets and regressors together.
+    targets : int
+    size : ndarray, shape (d,), optional
+        Magnitudes of the regressors, see `inverse_root`. By default their root mean squares.
+
+    Raises
+    ------
+    ValueError
+        Moments that are not finite, or that are no moments (a residual covariance that is
+        clearly indefinite).
+    """
+    if not (np.isfinite(mean).all() and np.isfinite(cov).all()):
+        raise ValueError("moments: wanted finite numbers; the paths left the range of floats")
+    n = targets
+    own = np.sqrt(np.diagonal(cov)[n:] + mean[n:] ** 2)
+    root = inverse_root(cov[n:, n:], own if size is None else np.maximum(own, size))
+    explained = cov[:n, n:] @ root
+    gain = explained @ root.T
+    residual = cov[:n, :n] - explained @ explained.T
+    return AffineFit(gain, mean[:n] - gain @ mean[n:], _semidefinite(residual, cov[:n, :n]))
+
+
+def _semidefinite(residual, total):
+    """Residual covariance, exactly symmetric, without the negative eigenvalues of rounding."""
+    residual = 0.5 * (residual + residual.T)
+    values, vectors = np.linalg.eigh(residual)
+    if values[0] >= 0.0:
+        return residual
+    if values[0] < -INDEFINITE * np.trace(total):
+        raise ValueError(
+            f"moments: wanted a residual covariance that is positive semidefinite, got "
+            f"eigenvalue {values[0]:.3g}"
+        )
+    clipped = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return 0.5 * (clipped + clipped.T)

@@ -1,0 +1,213 @@
+"""Design of finite-order filters: one forward pass over simulated paths, a fit before each step.
+
+The design is a run of the filter on paths of the system itself, by the same lines that will run
+online; before each step the forecast it needs is fitted to the paths. Paths are not stored.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+
+from seedslib._validate import as_times
+from seedslib.filters.finite_order import FiniteOrderFilter
+from seedslib.filters.finite_order_rules import Design, Rules
+from seedslib.linearization import Linearization
+from seedslib.memory import Memory
+from seedslib.synthesis.forward_pass import ForwardPass
+from seedslib.synthesis.predictors import Affine, Continuous, Polynomial
+from seedslib.synthesis.walk import Walk, crew
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
+
+__all__ = ["Affine", "Continuous", "Polynomial", "synthesize"]
+
+PATHS_PER_COEFFICIENT = 50
+"""Fewer design paths than this for each dimension of the memory are worth a warning."""
+
+_AFFINE = Affine()
+
+
+def synthesize(
+    system, memory, linearization, times, *, predictor=_AFFINE, nodes=4, components=None,
+    paths=None, seed=None, workers=1, horizon=None, measured_nodes=False, exact_moments=False,
+    step=None, scheme="euler", bound=np.inf,
+) -> FiniteOrderFilter:  # fmt: skip
+    """Design a filter of finite order for a system.
+
+    Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
+    regression, (6.3), and the correction takes Gaussian means, (6.2). With `Taylor` the filter
+    is the paper's linearised one, with `ExactGaussian` its Gaussian one.
+
+    Parameters
+    ----------
+    system : JumpDiffusion or DiscreteSystem
+    memory : Memory
+    linearization : Linearization
+        How the moments of the sensor are taken.
+    times : array_like, shape (K+1,)
+        Times of the measurements; the first is that of the initial law.
+    predictor : Affine, Polynomial or Continuous
+    nodes : int or sequence of array_like
+        Number of evenly spaced nodes inside each interval between measurements, or the node
+        times of each. `Continuous` has a node at every integration step instead; a system in
+        discrete time has none.
+    components : int, optional
+        n': the first components of the state are estimated (default all).
+    paths : int
+        Design paths.
+    seed : int, SeedSequence or Generator
+        The design paths are ``system.simulate(stops, paths, seed)`` with all measurement times
+        and nodes as stops.
+    workers : int
+        Threads; the filter does not depend on it.
+    horizon : float, optional
+        Last time to forecast, after the last measurement.
+    measured_nodes : bool
+        Let the forecasts at the nodes look at the last measurement as well as at the memory
+        that its estimate is in: remark 1 of the paper.
+    exact_moments : bool
+        Take exact moments instead of simulated ones, for a linear system with a linear sensor;
+        `paths` and `seed` are then not used.
+    step : float, optional
+        Largest integration step of the simulation; the system's own by default.
+    scheme : {"euler", "heun"}
+    bound : float
+        A design path with a component beyond it is left out from there on, as are paths that
+        overflow.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument that does not fit; too few paths; moments that are not finite.
+    NoClosedForm
+        The linearization has no formulas for this sensor; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        Few paths for the memory's dimension; an estimate without information; paths left out.
+    """
+    times = as_times("times", times)
+    n = system.state_size
+    _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments)
+    components = n if components is None else as_count("components", components)
+    if components > n:
+        raise ValueError(f"components: wanted 1 to {n}, got {components}")
+    options, size = {}, None
+    if hasattr(system, "dynamics"):
+        if horizon is not None or exact_moments or isinstance(predictor, Continuous):
+            raise ValueError(
+                "system: horizon, exact_moments and Continuous want a system in continuous time"
+            )
+        nodes = 0
+    else:
+        size = float(system.step if step is None else step)
+        if not 0 < size < np.inf:
+            raise ValueError(f"step: wanted a positive number, got {step}")
+        options = {"step": size, "scheme": scheme}
+    grid = _nodes(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
+    rules = Rules.of(system, memory, predictor, linearization, components, measured_nodes)
+    if exact_moments:
+        from seedslib.synthesis.exact_moments import linear_design
+
+        found = linear_design(system, rules, times, grid)
+    else:
+        paths = as_count("paths", paths)
+        _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
+        found = _simulated_design(
+            system, rules, predictor, times, grid, paths, seed, workers, options, float(bound)
+        )
+    start, fits, node_fits, predicted, design = found
+    return FiniteOrderFilter(
+        system=system, memory=memory, predictor=predictor, linearization=linearization,
+        times=times, node_times=grid, components=components, start=start, fits=fits,
+        node_fits=node_fits, predicted=predicted, design=design, measured_nodes=measured_nodes,
+        rules=rules,
+    )  # fmt: skip
+
+
+def _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments):
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    if memory.indicators or memory.log_odds:
+        raise ValueError(
+            f"memory: wanted estimates and measurements, there are no modes here, got {memory}"
+        )
+    if not isinstance(linearization, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+    if not isinstance(predictor, Affine | Polynomial | Continuous):
+        raise TypeError(f"predictor: wanted Affine, Polynomial or Continuous, got {predictor!r}")
+    if isinstance(predictor, Continuous) and (memory != Memory(1) or measured_nodes):
+        raise ValueError(f"predictor: Continuous wants the memory of one estimate, got {memory}")
+    if exact_moments and not isinstance(predictor, Affine):
+        raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
+
+
+def _check_paths(paths, memory, predictor, components, measured, measured_nodes):
+    order = memory.order(components, measured)
+    coefficients = max(predictor.features(order), order + measured * measured_nodes)
+    if paths <= coefficients + 1:
+        raise ValueError(
+            f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
+            f"got {paths}"
+        )
+    if paths < PATHS_PER_COEFFICIENT * coefficients:
+        warnings.warn(
+            f"paths: {paths} are few for {coefficients} coefficients; "
+            f"{PATHS_PER_COEFFICIENT * coefficients} or more are advised",
+            stacklevel=3,
+        )
+
+
+def _nodes(times, nodes, horizon, step) -> tuple:
+    """Node times within each interval; with a horizon also after the last measurement."""
+    ends = list(times[1:])
+    if horizon is not None:
+        if not times[-1] < horizon < np.inf:
+            raise ValueError(
+                f"horizon: wanted a time after the last measurement at {times[-1]:g}, got {horizon}"
+            )
+        ends.append(float(horizon))
+    whole = isinstance(nodes, int | np.integer) and not isinstance(nodes, bool)
+    if whole and nodes < 0:
+        raise ValueError(f"nodes: wanted at least 0, got {nodes}")
+    if not whole and step is None:
+        nodes = list(nodes)
+        if len(nodes) != len(ends):
+            raise ValueError(f"nodes: wanted {len(ends)} lists of times, got {len(nodes)}")
+    found = []
+    for k, (start, end) in enumerate(zip(times, ends, strict=False)):
+        inside = k < len(times) - 1
+        if step is not None or whole:
+            parts = nodes + 1 if step is None else math.ceil((end - start) / step - 1e-9)
+            grid = start + (end - start) * np.arange(1, parts) / parts
+        else:
+            grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
+            if len(grid) and not (start < grid[0] and grid[-1] < end):
+                raise ValueError(
+                    f"nodes: wanted times between {start:g} and {end:g}, "
+                    f"got {grid[0]:g} to {grid[-1]:g}"
+                )
+        found.append(grid if inside else np.append(grid, end))
+    return tuple(found)
+
+
+def _simulated_design(
+    system, rules, predictor, times, grid, paths, seed, workers, options, bound
+):  # fmt: skip
+    root = as_seed_sequence(seed)
+    stops = len(times) + sum(len(nodes) for nodes in grid)
+    with crew(workers) as each:
+        walk = Walk(system, paths, root, stops, each, options, bound)
+        found = ForwardPass(walk, rules, predictor).design(times, grid)
+        lost = walk.lost
+    if lost:
+        warnings.warn(
+            f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
+        )
+    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
+    spawn_key = tuple(map(int, root.spawn_key))
+    design = Design(paths, BLOCK, entropy, spawn_key, lost, False)
+    return *found, design

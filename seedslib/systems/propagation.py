@@ -1,0 +1,199 @@
+"""Exact propagation of the mean and covariance of a linear diffusion over a step of time."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, matrix_balance
+
+RTOL = 1e-11
+ATOL = 1e-14
+
+Pair = tuple[np.ndarray, np.ndarray]
+
+
+def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
+    """Transition matrix and noise covariance of a step, constant coefficients.
+
+    The matrix exponential of Van Loan (1978) is taken on a step so short that ``|F| h <= 1``;
+    doubling ``A <- A A``, ``Q <- A Q Aᵀ + Q`` then reaches the wanted step as a sum of
+    nonnegative terms. One long exponential of a stable system would overflow and cancel.
+
+    Parameters
+    ----------
+    drift, diffusion : ndarray
+        F and G Q Gᵀ, both (n, n).
+    step : float
+        Length of the step, nonnegative.
+
+    Returns
+    -------
+    A, Qd : ndarray
+        Both (n, n).
+
+    Raises
+    ------
+    ValueError
+        The moments overflow.
+    """
+    n = drift.shape[0]
+    unit, drift, _, diffusion = balanced(drift, np.zeros((n, n)), diffusion)
+    doublings = halvings(np.linalg.norm(drift, 1) * step)
+    short = step / 2**doublings
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n] = -drift
+    block[:n, n:] = diffusion
+    block[n:, n:] = drift.T
+    power = expm(short * block)
+    move = power[n:, n:].T
+    spread = move @ power[:n, n:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(doublings):
+            spread = move @ spread @ move.T + spread
+            move = move @ move
+        column = unit[:, None]
+        move, spread = move * (column / unit), 0.5 * (spread + spread.T) * column * unit
+    return bounded(step, move, spread)
+
+
+def balanced(
+    drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Units of the state in which the Hamiltonian matrix is small, and the three matrices in them.
+
+    Noise and information are given in units of the state squared and of its inverse: in badly
+    chosen units a step would be halved until the drift is lost to rounding. The units are powers
+    of two, so that changing to them and back is exact.
+
+    Parameters
+    ----------
+    drift, information, diffusion : ndarray
+        F, HᵀR⁻¹H and GQGᵀ, all (n, n).
+
+    Returns
+    -------
+    unit : ndarray
+        d, shape (n,); x is measured in units of d.
+    drift, information, diffusion : ndarray
+        ``D⁻¹FD``, ``D HᵀR⁻¹H D`` and ``D⁻¹GQGᵀD⁻¹``.
+    """
+    n = drift.shape[0]
+    rate = np.abs(drift).max() or 1.0
+    gain, noise = np.abs(information).max(), np.abs(diffusion).max()
+    if gain > 0 and noise > 0:
+        square = np.sqrt(noise) / np.sqrt(gain)
+    else:
+        square = noise / rate if noise > 0 else rate / gain if gain > 0 else 1.0
+    common = np.ldexp(1.0, np.frexp(np.sqrt(square))[1])
+    upper, lower = information * common * common, diffusion / common / common
+    matrix = np.block([[-drift.T, upper], [lower, drift]])
+    scale = np.log2(matrix_balance(np.abs(matrix), permute=False, separate=True)[1][0])
+    unit = common * 2.0 ** np.round(0.5 * (scale[n:] - scale[:n]))
+    column = unit[:, None]
+    return unit, drift * (unit / column), information * column * unit, diffusion / column / unit
+
+
+def bounded(step: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The values, all finite.
+
+    Raises
+    ------
+    ValueError
+        An unstable system has left the range of floating-point numbers.
+    """
+    if not all(np.isfinite(value).all() for value in values):
+        raise ValueError(f"times: the moments overflow over a time of {step:g}: unstable system")
+    return values
+
+
+def halvings(size: float) -> int:
+    """How often a step of scaled length `size` is halved until its length is at most one."""
+    return max(0, int(np.ceil(np.log2(size)))) if size > 0 else 0
+
+
+def integrated(coefficients: Callable[[float], Pair], start: float, stop: float) -> Pair:
+    """Transition matrix and noise covariance of a step, coefficients that depend on time.
+
+    Integrates ``A' = F A`` and ``Q' = F Q + Q Fᵀ + G Q Gᵀ`` with DOP853.
+
+    Parameters
+    ----------
+    coefficients : callable
+        Time to (F, G Q Gᵀ).
+    start, stop : float
+        The step, ``start <= stop``.
+
+    Returns
+    -------
+    A, Qd : ndarray
+
+    Raises
+    ------
+    ValueError
+        The integration failed, for instance because the solution grows without bound.
+    """
+    n = coefficients(start)[0].shape[0]
+    start_pair = np.stack([np.eye(n), np.zeros((n, n))])
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        drift, diffusion = coefficients(t)
+        move, spread = y.reshape(2, n, n)
+        return np.stack([drift @ move, drift @ spread + spread @ drift.T + diffusion]).ravel()
+
+    if stop == start:
+        return start_pair[0], start_pair[1]
+    move, spread = solve(slope, start, stop, start_pair.ravel())[:, -1].reshape(2, n, n)
+    return move, 0.5 * (spread + spread.T)
+
+
+def solve(
+    slope: Callable, start: float, stop: float, y0: np.ndarray, times: np.ndarray | None = None
+) -> np.ndarray:
+    """Solution of a differential equation at `times` (at `stop` by default), shape (y, K).
+
+    Raises
+    ------
+    ValueError
+        The integration failed.
+    """
+    # An absolute tolerance far below the size of the data keeps components that start at zero
+    # accurate relative to what they become.
+    size = max(np.abs(y0).max(initial=0.0), np.abs(slope(start, y0)).max() * (stop - start))
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = solve_ivp(
+            slope,
+            (start, stop),
+            y0,
+            method="DOP853",
+            t_eval=times,
+            rtol=RTOL,
+            atol=ATOL * (size or 1.0),
+        )
+    if not result.success:
+        raise ValueError(
+            f"times: the equations of the moments could not be integrated from {start:g} to "
+            f"{stop:g}: {result.message}"
+        )
+    return result.y
+
+
+def distinct_steps(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths of steps that differ by more than rounding, and the index of each step's length.
+
+    The steps of a uniform grid differ in the last digits; lengths equal to 1e-12 relative are
+    taken as one, so that a uniform grid needs one matrix exponential.
+
+    Returns
+    -------
+    lengths : ndarray
+        Shape (J,).
+    index : ndarray
+        Shape (K,), ``lengths[index]`` are the steps.
+    """
+    steps = np.diff(times)
+    mantissa, exponent = np.frexp(steps)
+    rounded = np.ldexp(np.round(mantissa * 2.0**39), exponent - 39)
+    _, first, index = np.unique(rounded, return_index=True, return_inverse=True)
+    return steps[first], index

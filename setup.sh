@@ -1,0 +1,39 @@
+#!/bin/sh
+# Makes the environment from the lock: with uv where it is on the machine, else with venv and pip.
+set -eu
+python=$1
+venv=$2
+
+"$python" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || {
+    echo "set-up: wanted Python 3.11 or newer, got $("$python" --version 2>&1 || true); name one: make PYTHON=..." >&2
+    exit 2
+}
+
+fail() {
+    echo "set-up: the packages of requirements.lock could not be installed." >&2
+    echo "        Is the package index reachable from here? The log is $venv/install.log" >&2
+    tail -n 3 "$venv/install.log" >&2
+    exit 2
+}
+
+no_venv() {
+    echo "set-up: no virtual environment could be made in $venv with $python." >&2
+    echo "        Is the folder writable, is its module venv installed (Debian: python3-venv)?" >&2
+    exit 2
+}
+
+echo "set-up: installing the locked packages into $venv (once)"
+if command -v uv >/dev/null 2>&1; then
+    uv venv --quiet --allow-existing --python "$python" "$venv" || no_venv
+    uv pip install --quiet --python "$venv/bin/python" --require-hashes -r requirements.lock \
+        >"$venv/install.log" 2>&1 || fail
+    uv pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation -e . \
+        >>"$venv/install.log" 2>&1 || fail
+else
+    "$python" -m venv "$venv" || no_venv
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes \
+        -r requirements.lock >"$venv/install.log" 2>&1 || fail
+    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps \
+        --no-build-isolation -e . >>"$venv/install.log" 2>&1 || fail
+fi
+touch "$venv/.installed"

@@ -1,0 +1,104 @@
+import numpy as np
+import pytest
+import sympy as sp
+
+from seedslib.gaussian import expectation
+from seedslib.gaussian.quadrature import cubature, fifth_degree, gauss_hermite, mean_of, unscented
+
+
+def moment(powers):
+    """Product of moments of independent standard normals: (k-1)!! for even k."""
+    double = {0: 1, 1: 0, 2: 1, 3: 0, 4: 3, 5: 0, 6: 15, 7: 0, 8: 105, 9: 0}
+    return float(np.prod([double[k] for k in powers]))
+
+
+def powers_up_to(n, degree):
+    grids = np.stack(np.meshgrid(*[np.arange(degree + 1)] * n, indexing="ij")).reshape(n, -1).T
+    return [tuple(int(k) for k in row) for row in grids if row.sum() <= degree]
+
+
+@pytest.mark.parametrize(
+    "rule",
+    [gauss_hermite(1, 5), gauss_hermite(3, 4), cubature(4), unscented(3, 0.0), unscented(2, 1.0),
+     fifth_degree(1), fifth_degree(2), fifth_degree(5), fifth_degree(8)],
+)  # fmt: skip
+def test_rules_are_exact_to_their_degree(rule):
+    n = rule.points.shape[0]
+    assert rule.weights.sum() == pytest.approx(1.0, abs=1e-14)
+    for powers in powers_up_to(n, min(rule.degree, 7 if n < 5 else 5)):
+        value = rule.weights @ np.prod(rule.points ** np.array(powers)[:, None], axis=0)
+        assert value == pytest.approx(moment(powers), abs=3e-12), powers
+
+
+def test_rules_are_not_exact_beyond_their_degree():
+    quartic = cubature(3)
+    assert quartic.weights @ quartic.points[0] ** 4 == pytest.approx(3.0)
+    assert quartic.weights @ (quartic.points[0] * quartic.points[1]) ** 2 == 0.0  # truth: 1
+    fourth = unscented(3, 0.0).weights @ unscented(3, 0.0).points[0] ** 4
+    assert fourth == pytest.approx(3.0)
+    assert fifth_degree(2).weights @ fifth_degree(2).points[0] ** 6 == pytest.approx(9.0)  # 15
+
+
+def test_sizes():
+    assert gauss_hermite(3, 20).points.shape == (3, 8000)
+    assert fifth_degree(6).points.shape == (6, 73)
+    assert cubature(7).points.shape == (7, 14)
+    assert fifth_degree(5).weights.min() < 0
+    assert gauss_hermite(1, 200).weights.min() >= 0
+
+
+def test_quartic_of_a_correlated_law_against_the_symbolic_mean():
+    x = sp.symbols("x0:3", real=True)
+    f = x[0] ** 2 * x[1] * x[2] + 3 * x[2] ** 4 - x[0]
+    mean, cov = [0.3, -1.0, 0.5], np.array([[1, 0.2, 0.1], [0.2, 0.5, -0.3], [0.1, -0.3, 0.8]])
+    exact = float(expectation(f, x, mean, sp.Matrix(cov)))
+    numeric = sp.lambdify(x, f)
+    for rule in (gauss_hermite(3, 3), fifth_degree(3)):
+        assert mean_of(lambda p: numeric(*p), mean, cov, rule) == pytest.approx(exact, rel=1e-13)
+
+
+def test_singular_covariance_and_smooth_function():
+    direction = np.array([1.0, 2.0])
+    cov = np.outer(direction, direction)
+    ours = mean_of(lambda p: np.cos(p[0] + p[1]), [0.1, 0.2], cov, gauss_hermite(2, 40))
+    assert ours == pytest.approx(np.exp(-4.5) * np.cos(0.3), abs=1e-14)
+
+
+def test_batches_and_vector_functions():
+    rng = np.random.default_rng(0)
+    mean = rng.normal(size=(2, 3, 4))
+    cov = np.array([[1.0, 0.3], [0.3, 0.5]])
+    rule = fifth_degree(2)
+
+    def both(p):
+        return np.stack([p[0] * p[1], p[0] ** 2])
+
+    ours = mean_of(both, mean, cov, rule)
+    np.testing.assert_allclose(ours[0], mean[0] * mean[1] + 0.3, rtol=1e-13, atol=1e-13)
+    np.testing.assert_allclose(ours[1], mean[0] ** 2 + 1.0, rtol=1e-13)
+    scale = np.array([1.0, 0.0, 2.0, 0.5])
+    ours = mean_of(lambda p: p[0] * p[1], mean, cov[..., None] * scale, rule)
+    np.testing.assert_allclose(ours, mean[0] * mean[1] + 0.3 * scale, rtol=1e-13, atol=1e-13)
+    assert mean_of(lambda p: p[0], [1.0, 2.0], cov, rule).shape == ()
+    ours = mean_of(lambda p: p[0] * p[1], mean[:, 0, 0], cov[..., None] * scale, rule)
+    np.testing.assert_allclose(ours, mean[0, 0, 0] * mean[1, 0, 0] + 0.3 * scale, rtol=1e-13)
+
+
+def test_rules_cannot_be_changed():
+    with pytest.raises(ValueError, match="read-only"):
+        cubature(3).points[0, 0] = 1.0
+
+
+def test_bad_input():
+    with pytest.raises(ValueError, match="order: wanted at most"):
+        gauss_hermite(8, 20)
+    with pytest.raises(ValueError, match="n: wanted at least 1"):
+        cubature(0)
+    with pytest.raises(TypeError, match="order: wanted an integer"):
+        gauss_hermite(2, 3.5)
+    with pytest.raises(ValueError, match="kappa: wanted a number above -2"):
+        unscented(2, -2.0)
+    with pytest.raises(ValueError, match="rule: wanted a rule for 1"):
+        mean_of(lambda p: p[0], [0.0], [[1.0]], cubature(2))
+    with pytest.raises(ValueError, match="f: wanted values of shape"):
+        mean_of(lambda p: p[0].sum(), [0.0], [[1.0]], cubature(1))

@@ -1,0 +1,107 @@
+"""The style of the notebooks, and that what is committed was made from what is committed."""
+
+import json
+import re
+from pathlib import Path
+
+import pytest
+
+from seedslib.experiments import execution
+from seedslib.experiments.recording import MIME
+
+ROOT = Path(__file__).resolve().parents[1]
+SOURCES = sorted((ROOT / "notebooks").glob("*.md"))
+RAW_FLOAT = re.compile(r"(?<![\w.])-?\d+\.\d{9,}")
+
+
+@pytest.fixture(params=SOURCES, ids=lambda path: path.stem)
+def cells(request):
+    """Code cells of one executed notebook."""
+    content = json.loads(request.param.with_suffix(".ipynb").read_text())
+    return [cell for cell in content["cells"] if cell["cell_type"] == "code"]
+
+
+def source(cell):
+    return "".join(cell["source"])
+
+
+def outputs(cells):
+    return [(cell, output) for cell in cells for output in cell["outputs"]]
+
+
+def test_every_text_notebook_has_its_executed_one_and_no_other():
+    executed = {path.stem for path in (ROOT / "notebooks").glob("*.ipynb")}
+    assert executed == {path.stem for path in SOURCES}
+
+
+def test_every_notebook_is_in_the_book():
+    toc = (ROOT / "_toc.yml").read_text()
+    assert [path.stem for path in SOURCES if f"notebooks/{path.stem}\n" not in toc] == []
+
+
+def test_nothing_is_stale():
+    stale = [path.name for path in SOURCES if execution.is_stale(path)]
+    assert stale == [], "run `make execute` and commit the notebooks"
+
+
+def test_every_cell_was_executed_and_none_failed(cells):
+    assert all(cell["execution_count"] for cell in cells if source(cell).strip())
+    assert [o["evalue"] for _, o in outputs(cells) if o["output_type"] == "error"] == []
+
+
+def test_no_cell_ends_in_a_semicolon_or_writes_to_stderr(cells):
+    assert [source(c) for c in cells if source(c).rstrip().endswith(";")] == []
+    assert [o["text"] for _, o in outputs(cells) if o.get("name") == "stderr"] == []
+
+
+def test_parameters_are_checked_in_the_next_cell(cells):
+    tagged = [i for i, c in enumerate(cells) if "parameters" in c["metadata"].get("tags", [])]
+    assert len(tagged) <= 1
+    for index in tagged:
+        assert re.search(r"check\(\s*globals\(\)", source(cells[index + 1]))
+        for line in source(cells[index]).splitlines():
+            assert not line.strip() or re.match(r"\w+: \w[\w\[\], |]* = .+  # .+", line), line
+
+
+def test_every_parameter_is_checked(cells):
+    for index, cell in enumerate(cells):
+        if "parameters" in cell["metadata"].get("tags", []):
+            names = re.findall(r"^(\w+):", source(cell), re.M)
+            assert [n for n in names if not re.search(rf"\b{n}=", source(cells[index + 1]))] == []
+
+
+def test_no_cell_is_left_out_of_the_re_run(cells):
+    marks = [tag for cell in cells for tag in cell["metadata"].get("tags", [])]
+    marks += re.findall(r"#\s*(nbval\S*)", "\n".join(map(source, cells)), re.I)
+    left_out = ("nbval", "skip", "raises-exception", "check_output")
+    assert [mark for mark in marks if mark.lower().startswith(left_out)] == []
+
+
+def test_every_figure_says_what_is_seen(cells):
+    for cell, output in outputs(cells):
+        data = output.get("data", {})
+        assert "image/svg+xml" not in data
+        if "image/png" in data:
+            rich = [one for one in cell["outputs"] if "data" in one]
+            assert len(rich) == 1, "the caption would be put under every one of them"
+            shown = cell["metadata"].get("mystnb", {})
+            assert len(shown.get("image", {}).get("alt", "")) > 20, source(cell)
+            assert len(shown.get("figure", {}).get("caption", "")) > 20, source(cell)
+
+
+def test_no_raw_floats_are_shown(cells):
+    for cell, output in outputs(cells):
+        if MIME in output.get("data", {}):
+            continue
+        text = "".join(output.get("text", output.get("data", {}).get("text/plain", "")))
+        if "application/papermill.record/text/plain" not in output.get("data", {}):
+            assert RAW_FLOAT.search(text) is None, source(cell)
+
+
+def test_no_path_of_a_machine_is_in_a_notebook(cells):
+    texts = [
+        {k: v for k, v in o.get("data", o).items() if k != "image/png"} for _, o in outputs(cells)
+    ]
+    text = json.dumps([texts, [source(cell) for cell in cells]])
+    for path in (str(ROOT), str(Path.home()), "/tmp/", "site-packages"):
+        assert path not in text

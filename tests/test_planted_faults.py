@@ -1,0 +1,55 @@
+"""A wrong digit anywhere is found: in a formula of the library, as a reader's re-run would."""
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture
+def rerun(tmp_path):
+    """Re-run one committed notebook against a copy of the library that a test may spoil."""
+    for name in ("seedslib", "conftest.py"):
+        source = ROOT / name
+        copy = shutil.copytree if source.is_dir() else shutil.copy
+        copy(source, tmp_path / name)
+    (tmp_path / "notebooks").mkdir()
+    shutil.copy(ROOT / "notebooks" / "two_step_power.ipynb", tmp_path / "notebooks")
+    (tmp_path / "pytest.ini").write_text(
+        "[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n"
+    )
+
+    def run():
+        return subprocess.run(
+            [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "notebooks"],
+            cwd=tmp_path,
+            env={**os.environ, "PYTHONPATH": str(tmp_path)},
+            capture_output=True,
+            text=True,
+            timeout=300,
+        )
+
+    return tmp_path, run
+
+
+def test_a_wrong_digit_in_a_formula_fails_the_re_run_and_names_the_number(rerun):
+    folder, run = rerun
+    file = folder / "seedslib" / "filters" / "kalman_bucy.py"
+    text = file.read_text()
+    right = "solve_continuous_lyapunov(known.drift, -known.diffusion)"
+    assert right in text
+    file.write_text(text.replace(right, right.replace("-known", "-1.001 * known")))
+    done = run()
+    assert done.returncode == 1, done.stdout
+    assert "steady_optimal: stored 0.1029" in done.stdout
+
+
+def test_the_unspoilt_copy_passes(rerun):
+    _, run = rerun
+    done = run()
+    assert done.returncode == 0, done.stdout
