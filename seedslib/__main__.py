@@ -1,10 +1,5 @@
-"""``python -m seedslib``: the commands of the book."""
+"""``python -m seedslib``: the commands of the library and of the book."""
 
-try:
-    from seedslib.experiments.cli import main
-except ModuleNotFoundError as error:
-    raise SystemExit(
-        f"seedslib: {error.name} is not installed; the commands want the extra 'book'"
-    ) from None
+from seedslib.experiments.cli import main
 
 raise SystemExit(main())

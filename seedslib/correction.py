@@ -15,7 +15,7 @@ import numpy as np
 
 from seedslib.singular import ABSOLUTE, RELATIVE, factor, pseudo_correct
 
-__all__ = ["correct", "factor", "joint_shape"]
+__all__ = ["correct", "eliminate", "factor", "joint_shape"]
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -172,7 +172,7 @@ def _without_missing(present, error, cross, spread):
     )
 
 
-def _eliminate(mean, cov, error, cross, spread, reciprocal):
+def eliminate(mean, cov, error, cross, spread, reciprocal):
     """Eliminate y component by component; the lists are updated in place.
 
     `cov` and `spread` are read and written on and below the diagonal only. `reciprocal(pivot,
@@ -207,7 +207,7 @@ def _correct_symbols(mean, cov, error, cross, spread):
     import sympy
 
     lists = [None if part is None else part.tolist() for part in (mean, cov, error, cross, spread)]
-    squares, pivots = _eliminate(*lists, lambda pivot, variance: (1 / pivot, pivot))
+    squares, pivots = eliminate(*lists, lambda pivot, variance: (1 / pivot, pivot))
     logs = [sympy.log(2 * sympy.pi * pivot) for pivot in pivots]
     return np.array(lists[0], dtype=object), _mirror(lists[1], (), object), -sum(squares + logs) / 2
 
@@ -236,7 +236,7 @@ def _correct_numbers(mean, cov, error, cross, spread, missing):
         ]
     else:  # Python floats: several times faster than arrays without axes
         lists = [part if part is None else part.tolist() for part in parts]
-    terms, pivots = _eliminate(*lists, reciprocal)
+    terms, pivots = eliminate(*lists, reciprocal)
 
     new_mean = np.empty((len(mean), *mean_batch))
     for k, component in enumerate(lists[0]):

@@ -7,11 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib.exact.axes import as_axes
 from seedslib.exact.carriers import Carriers
-from seedslib.exact.simulated import held_axes, refuse_large
+from seedslib.exact.tabulation import tabulated
 from seedslib.filters.finite_order_rules import Start
-from seedslib.filters.table import OutputFilter, OutputRules, Table, TableFilter, TableFit
+from seedslib.filters.table import OutputFilter, OutputRules, TableFilter
 from seedslib.synthesis.predictors import Polynomial
 from seedslib.synthesis.regression import ABSOLUTE, scatter
 from seedslib.systems.simulation import as_count
@@ -86,40 +85,7 @@ class LearnedFilter(OutputFilter):
         TypeError, ValueError
             Axes that are none, or tables that would be too large.
         """
-        axes_y = as_axes("y", y, self.system.sensor.size)
-        axes_z = as_axes("z", z, self.components)
-        refuse_large(axes_y, axes_z, self.memory)
-
-        def held(k):
-            return held_axes(self.memory, axes_y, axes_z, k)
-
-        def read(function, axes):
-            points = [g.ravel() for g in np.meshgrid(*[a.nodes for a in axes], indexing="ij")]
-            values = function(np.array(points))
-            return TableFit(axes, values.reshape(len(values), *(a.count for a in axes)))
-
-        m = len(axes_y)
-        outputs = tuple(
-            read(lambda p, k=k: self.output(k, p[:m], p[m:]), axes_y + held(k))
-            for k in range(len(self.times))
-        )
-        n = self.components
-        fits = tuple(
-            read(lambda p, f=f: f.mean(p)[:n], held(k + 1)) for k, f in enumerate(self.fits)
-        )
-        node_fits = tuple(
-            tuple(read(f.mean, held(k + 1)) for f in row) for k, row in enumerate(self.node_fits)
-        )
-        rules = OutputRules(
-            self.memory, n, sensor=None, outputs=outputs, covariances=self.rules.covariances
-        )
-        return TableFilter(
-            system=self.system, memory=self.memory,
-            predictor=Table(axes_y, axes_z, f"read off {self.predictor}"), linearization=None,
-            times=self.times, node_times=self.node_times, components=n, start=self.start,
-            fits=fits, node_fits=node_fits, predicted=self.predicted, design=self.design,
-            between=self.between, rules=rules,
-        )  # fmt: skip
+        return tabulated(self, y=y, z=z)
 
 
 def learn(

@@ -114,3 +114,13 @@ def factor(cov):
             for q in range(j + 1, k + 1):
                 rest[k][q] = rest[k][q] - lower[k, j] * lower[q, j]
     return lower
+
+
+def square_root(cov: np.ndarray) -> np.ndarray:
+    """Factor L with L Lᵀ = P of one or more covariances (..., n, n), batch axes first.
+
+    Its columns are scaled eigenvectors; eigenvalues that rounding has made negative count as
+    zero. `factor` is triangular, takes batch axes last, and gives NaN where they are no rounding.
+    """
+    values, vectors = np.linalg.eigh(cov)
+    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]

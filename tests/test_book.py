@@ -13,7 +13,10 @@ import pytest
 from seedslib.experiments import ledger
 
 ROOT = Path(__file__).resolve().parents[1]
-ROOMS = ("gaussian", "systems", "filters", "experiments")
+ROOMS = (
+    "gaussian", "systems", "linearization", "synthesis", "exact", "filters", "storage", "export",
+    "evaluation", "experiments",
+)  # fmt: skip
 
 
 def test_the_ledger_agrees_with_notebooks_and_tests():

@@ -1,12 +1,14 @@
 """Designed filters in files: what comes back, and what is refused with which words."""
 
 import json
+import time
 import zipfile
 
 import numpy as np
 import pytest
 import sympy
 
+from seedslib.exact import simulated_synthesis
 from seedslib.linearization import Cubature, ExactGaussian, Linearization, Taylor, Unscented
 from seedslib.memory import Memory, finite_memory
 from seedslib.storage import load, save
@@ -316,3 +318,156 @@ def test_a_linearization_of_ones_own_is_given_again(tmp_path, oscillator):
 def test_only_designed_filters_are_saved(tmp_path):
     with pytest.raises(TypeError, match="filter: wanted a FiniteOrderFilter, got dict"):
         save({}, tmp_path / "x.npz")
+
+
+# More damage, and files of tables
+
+
+def table_file(folder):
+    """A small table filter in a file, and the filter."""
+    made = simulated_synthesis(
+        zoo.flip_process(), Memory(1), [0.0, 0.25, 0.5], paths=300, seed=1, nodes=1,
+        y=(-6, 6, 21), z=(-3, 3, 17),
+    )  # fmt: skip
+    save(made, folder / "table.npz")
+    return folder / "table.npz", made
+
+
+def test_a_table_runs_without_its_model(tmp_path):
+    path, made = table_file(tmp_path)
+    data = zoo.flip_process().simulate(made.times, 30, 2)
+    found = load(path)
+    assert np.array_equal(
+        found.run(made.times, data.measurements).mean, made.run(made.times, data.measurements).mean
+    )
+    assert str(found) == str(made)
+    assert found.order == made.order
+    with pytest.raises(ValueError, match="filter: wanted one with its model"):
+        save(found, tmp_path / "again.npz")
+
+
+def test_any_other_filter_wants_its_model(file):
+    with pytest.raises(ValueError, match=r"filter\.npz: .* wanted the model too"):
+        load(file)
+
+
+@pytest.mark.parametrize("known", [True, False])
+def test_damaged_tables_are_refused_or_do_no_harm(tmp_path, known):
+    path, made = table_file(tmp_path)
+    system = zoo.flip_process() if known else None
+    y = zoo.flip_process().simulate(made.times, 30, 2).measurements
+    expected = made.run(made.times, y).mean
+    content, refused = path.read_bytes(), 0
+    broken = [content[:length] for length in (0, 2, 50, len(content) // 3, len(content) - 1)]
+    for position in np.random.default_rng(1).integers(0, len(content), 80):
+        flipped = bytearray(content)
+        flipped[position] ^= 0x10
+        broken.append(bytes(flipped))
+    for each in broken:
+        path.write_bytes(each)
+        try:
+            found = load(path, system)
+        except ValueError as error:
+            refused += str(error).startswith("table.npz: ")
+        else:
+            assert np.array_equal(found.run(made.times, y).mean, expected)
+    assert refused > 60
+
+
+def test_a_picture_is_refused(tmp_path, oscillator):
+    path = tmp_path / "plot.png"
+    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(200))
+    with pytest.raises(ValueError, match=r"plot\.png: not a designed filter \(not an npz file\)"):
+        load(path, oscillator)
+
+
+def test_a_file_of_a_newer_version_says_so(file, oscillator):
+    header(file, version=2)
+    with pytest.raises(ValueError, match="got 2 of a newer seedslib"):
+        load(file, oscillator)
+    header(file, version="new")
+    with pytest.raises(ValueError, match=r"wanted version 1 of the format, got 'new'$"):
+        load(file, oscillator)
+
+
+def test_other_parameters_another_sensor_another_size_are_refused(tmp_path):
+    path, _ = table_file(tmp_path)
+    x, v = sympy.symbols("x v")
+    flip = zoo.flip_process()
+    sensor = StochasticMap((x,), [x + v], Noise((v,)))
+    for other, reason in (
+        (zoo.flip_process(flip=1.99), "its jump"),
+        (zoo.flip_process(rate=(0.2, 0.3)), "its intensity"),
+        (zoo.van_der_pol(), "its state has 1 components, not 2"),
+        (
+            JumpDiffusion.from_functions(
+                flip.drift, flip.diffusion, sensor, flip.mean0, flip.cov0,
+                intensity=flip.intensity, jump=flip.jump,
+            ),
+            "its likelihood",
+        ),
+    ):  # fmt: skip
+        with pytest.raises(ValueError, match=rf"another model: {reason}"):
+            load(path, other)
+
+
+def test_an_archive_that_unpacks_to_more_than_its_size_is_not_unpacked(tmp_path, oscillator):
+    path = tmp_path / "bomb.npz"
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("header.npy", bytes(30_000_000))
+    with pytest.raises(ValueError, match="30000000 bytes in a file of"):
+        load(path, oscillator)
+
+
+@pytest.mark.parametrize(
+    "text", [b"[" * 100_000, b"[1]", b"null", b"\xff\xfe", b'{"format": "seedslib designed filter"']
+)
+def test_headers_that_are_none(file, oscillator, text):
+    rewrite(file, header=np.frombuffer(text, dtype=np.uint8))
+    with pytest.raises(ValueError, match="no header of one"):
+        load(file, oscillator)
+
+
+def test_a_degree_beyond_reason_is_refused_at_once(tmp_path, oscillator):
+    path = tmp_path / "filter.npz"
+    save(design(oscillator, "polynomial"), path)
+    header(path, predictor={"name": "Polynomial", "mean_degree": 10**6, "cov_degree": 2})
+    start = time.perf_counter()
+    with pytest.raises(ValueError, match="contradicts itself"):
+        load(path, oscillator)
+    assert time.perf_counter() - start < 2.0
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"predicted/rms": np.ones((3, 2))},
+        {"predicted/times": np.linspace(0.01, 1.4, 16)},
+        {"nodes/0/times": np.array([0.1, 0.3, 0.2, 0.4])},
+        {"nodes/1/times": np.array([0.1, 0.2, 0.3, 0.4])},
+    ],
+)
+def test_times_that_do_not_fit(file, oscillator, changes):
+    rewrite(file, **changes)
+    with pytest.raises(ValueError, match="contradicts itself"):
+        load(file, oscillator)
+
+
+def square_root_model(inside, factor=0.1):
+    """Known start at 2; the model is also looked at below zero, where the root has no value."""
+    x, v = sympy.symbols("x v")
+    diffusion = [[factor * sympy.sqrt(inside(x))]]
+    return JumpDiffusion((x,), [1 - x], diffusion, [x + v], Noise((v,)), [2], [[0]])
+
+
+def test_a_model_without_a_value_somewhere_is_known_again(tmp_path):
+    def plain(x):
+        return x
+
+    made = synthesize(square_root_model(plain), Memory(1), Taylor(), TACTS, paths=500, seed=1)
+    save(made, tmp_path / "root.npz")
+    assert load(tmp_path / "root.npz", square_root_model(plain)).order == 1
+    with pytest.raises(ValueError, match="its diffusion differs"):
+        load(tmp_path / "root.npz", square_root_model(plain, factor=0.11))
+    with pytest.raises(ValueError, match="its diffusion has a value in only one of them"):
+        load(tmp_path / "root.npz", square_root_model(abs))

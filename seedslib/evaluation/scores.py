@@ -11,126 +11,17 @@ from __future__ import annotations
 import inspect
 import time
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from seedslib._validate import as_times
 from seedslib.evaluation.consistency import bounds, mahalanobis
+from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
 from seedslib.systems.simulation import as_count, as_measured, in_blocks
 
 BLOCK = 2048
 """Paths in a block of an evaluation, where whole trajectories of all filters are held."""
-
-
-class Evaluation(NamedTuple):
-    """Accuracy of one filter; J times, c components.
-
-    Attributes
-    ----------
-    times : ndarray, shape (J,)
-    rms, rms_error : ndarray, shape (J, c)
-        Root-mean-square error and its standard error, without the paths that diverged.
-    rms_all : ndarray, shape (J, c)
-        With them: infinite or absurd where the filter was. Paths whose truth left the range of
-        numbers are in neither.
-    bias, bias_error : ndarray, shape (J, c)
-        Mean of the estimate minus the state, and its standard error.
-    average, average_error : ndarray, shape (c,)
-        Root of the mean square over paths and times, and its standard error.
-    paths, scored : int
-        Simulated paths, and those that are scored: neither the path itself nor any filter in the
-        comparison diverged.
-    diverged : int
-        Paths on which this filter diverged: not finite, or beyond the bound.
-    nees, nis : ndarray, shape (J,), or None
-        Mean normalised squares of the estimation error and of the innovation, NaN where the
-        filter claims no covariance. For a consistent filter their means are the numbers of
-        components.
-    nees_bounds, nis_bounds : tuple of float, or None
-        Where such means lie with probability 0.95 if errors are Gaussian and consistent.
-    seconds_per_step : float
-        Time of the filter for one measurement of one path, in the batch that was run.
-    """
-
-    times: np.ndarray
-    rms: np.ndarray
-    rms_error: np.ndarray
-    rms_all: np.ndarray
-    bias: np.ndarray
-    bias_error: np.ndarray
-    average: np.ndarray
-    average_error: np.ndarray
-    paths: int
-    scored: int
-    diverged: int
-    nees: np.ndarray | None
-    nis: np.ndarray | None
-    nees_bounds: tuple | None
-    nis_bounds: tuple | None
-    seconds_per_step: float
-
-
-class Difference(NamedTuple):
-    """Root-mean-square error of one filter minus that of another on the same paths.
-
-    Attributes
-    ----------
-    rms, error : ndarray, shape (J, c)
-        Difference and its standard error.
-    average, average_error : ndarray, shape (c,)
-        The same of the averages over time.
-    """
-
-    rms: np.ndarray
-    error: np.ndarray
-    average: np.ndarray
-    average_error: np.ndarray
-
-
-class Comparison(Mapping):
-    """Evaluations by name, and paired differences; read like a mapping."""
-
-    def __init__(self, evaluations, squares, cov, scored):
-        self._evaluations = evaluations
-        self._squares, self._cov, self._scored = squares, cov, scored
-
-    def __getitem__(self, name) -> Evaluation:
-        return self._evaluations[name]
-
-    def __iter__(self):
-        return iter(self._evaluations)
-
-    def __len__(self):
-        return len(self._evaluations)
-
-    def difference(self, first: str, second: str) -> Difference:
-        """RMS error of `first` minus that of `second`, with the error of a paired comparison."""
-        names = list(self)
-        a, b = names.index(first), names.index(second)
-        rms = np.sqrt(self._squares[[a, b]])
-        slope = np.divide(0.5, rms, out=np.zeros_like(rms), where=rms > 0)
-        variance = (
-            slope[0] ** 2 * self._cov[a, a]
-            + slope[1] ** 2 * self._cov[b, b]
-            - 2 * slope[0] * slope[1] * self._cov[a, b]
-        )
-        error = np.sqrt(np.maximum(variance, 0.0) / self._scored)
-        apart = rms[0] - rms[1]
-        return Difference(apart[:-1], error[:-1], apart[-1], error[-1])
-
-    def __str__(self) -> str:
-        width = max(map(len, self))
-        lines = [f"{'filter':{width}}  time-averaged RMS error by component"]
-        for name, found in self.items():
-            row = "  ".join(
-                f"{a:.4f} ± {e:.4f}"
-                for a, e in zip(found.average, found.average_error, strict=True)
-            )
-            lost = f"  {found.diverged} of {found.paths} paths diverged" if found.diverged else ""
-            lines.append(f"{name:{width}}  {row}{lost}")
-        return "\n".join(lines)
 
 
 def evaluate(filter, system, times, paths, seed, **options) -> Evaluation:
@@ -139,15 +30,16 @@ def evaluate(filter, system, times, paths, seed, **options) -> Evaluation:
 
 
 def compare(
-    filters, system, times, paths, seed, *, measured=None, components=None, bound=np.inf,
-    consistency=False, workers=1, **options,
+    filters, system, times, paths, seed, *, measured=None, components=None, window=None,
+    bound=np.inf, consistency=False, workers=1, **options,
 ) -> Comparison:  # fmt: skip
     """Accuracy of several filters on the same simulated paths.
 
     Parameters
     ----------
     filters : mapping of str to filter
-        Anything with ``run(times, measurements) -> Estimates``.
+        Anything with ``run(times, measurements) -> Estimates``. Filters of a switching system
+        are given `indicators` and `modes` where their `run` takes them.
     system : object
         With ``simulate``; the truth.
     times : array_like, shape (J,)
@@ -159,6 +51,9 @@ def compare(
         `filters`, and all times where there are none.
     components : int, optional
         Score the first components only; by default those that all filters estimate.
+    window : slice, mask of shape (J,), or (first, last), optional
+        Times over which averages are taken, all by default; of a pair of numbers of times the
+        last is included, None standing for the end.
     bound : float
         A path on which an estimate is beyond it in any component counts as diverged.
     consistency : bool
@@ -188,10 +83,11 @@ def compare(
     measured = as_measured(_measured(filters, times) if measured is None else measured, len(times))
     if components is not None:
         components = as_count("components", components)
+    window = _window(window, len(times))
 
     def work(start, stop, stream):
         data = system.simulate(times, stop - start, stream, measured=measured, **options)
-        return _block(filters, data, measured, components, bound, consistency)
+        return _block(filters, data, measured, components, window, bound, consistency)
 
     return _summed(
         filters, times, paths, in_blocks(work, paths, seed, workers=workers, block=BLOCK)
@@ -200,7 +96,7 @@ def compare(
 
 def _measured(filters, times):
     """Mask of the measurement times of the designed filters; None where there are none."""
-    wanted = [f.times for f in filters.values() if hasattr(f, "times")]
+    wanted = [f.times for f in filters.values() if getattr(f, "times", None) is not None]
     if not wanted:
         return None
     mask = np.zeros(len(times), dtype=bool)
@@ -209,19 +105,44 @@ def _measured(filters, times):
     return mask
 
 
-def _block(filters, data, measured, components, bound, consistency):
-    errors, normalised, seconds = [], [], []
+def _window(given, count):
+    """Mask (J,) of the times that averages are taken over."""
+    if given is None:
+        return np.ones(count, dtype=bool)
+    if isinstance(given, tuple) and len(given) == 2:
+        last = given[1]
+        given = slice(given[0], None if last is None or last == -1 else last + 1)
+    mask = np.zeros(count, dtype=bool)
+    if isinstance(given, slice):
+        mask[given] = True
+    else:
+        try:
+            mask[:] = as_measured(given, count)
+        except ValueError as error:
+            raise ValueError(str(error).replace("measured", "window", 1)) from None
+    if not mask.any():
+        raise ValueError(f"window: wanted at least one of {count} times, got none")
+    return mask
+
+
+def _block(filters, data, measured, components, window, bound, consistency):
+    errors, normalised, seconds, wrong = [], [], [], []
     truth = np.isfinite(data.states).all(axis=(0, 1))
     truth &= ~np.isinf(data.measurements).any(axis=(0, 1))
     if not truth.all():  # no filter is asked about a path that left the range of numbers
         data.measurements[..., ~truth] = np.nan
     astray = []
     for each in filters.values():
-        wants = {"covariances": True} if consistency and _takes(each, "covariances") else {}
+        wants = _wanted(each, data)
+        if consistency and _takes(each, "covariances"):
+            wants["covariances"] = True
         begin = time.perf_counter()
         found = each.run(data.times, data.measurements, **wants)
         seconds.append(time.perf_counter() - begin)
         n = found.mean.shape[1]
+        if data.modes is not None:
+            unknown = np.full(data.modes.shape, np.nan)
+            wrong.append(unknown if found.modes is None else found.modes != data.modes)
         errors.append(found.mean - data.states[:, :n])
         with np.errstate(invalid="ignore"):
             lost = ~(np.abs(found.mean) <= min(bound, np.finfo(float).max)).all(axis=(0, 1))
@@ -241,7 +162,18 @@ def _block(filters, data, measured, components, bound, consistency):
     astray = np.array(astray)
     good = truth & ~astray.any(axis=0)
     steps = int(measured.sum()) * len(truth)
-    return tally(error, good, truth, astray, normalised, np.array(seconds), steps)
+    extra = np.array(wrong, dtype=float) if wrong else None
+    return tally(
+        error, good, truth, astray, normalised, np.array(seconds), steps, wrong=extra, window=window
+    )
+
+
+def _wanted(filter, data):
+    """Indicators and true modes of a switching system for a filter that takes them."""
+    given = {"modes": data.modes, "indicators": data.indicators}
+    if not getattr(getattr(filter, "system", None), "has_indicator", True):
+        del given["indicators"]
+    return {name: part for name, part in given.items() if part is not None and _takes(filter, name)}
 
 
 def _takes(filter, name):
@@ -274,23 +206,33 @@ def _summed(filters, times, paths, tallies) -> Comparison:
     count = total.count
     cov = total.products / count
     evaluations = {}
+    components = total.error.shape[2]
     for f, name in enumerate(filters):
-        rms = np.sqrt(total.mean[f])
-        slope = np.divide(0.5, rms, out=np.zeros_like(rms), where=rms > 0)
-        error = slope * np.sqrt(cov[f, f] / count)
+        rms, slope = roots(total.mean[f, :, : components + 1])
+        spread = np.sqrt(cov[f, f] / count)
+        error = slope * spread[:, : components + 1]
         bias = total.error[f] / count
-        spread = np.sqrt(np.maximum(total.mean[f, :-1] - bias**2, 0.0) / count)
+        variance = total.mean[f, :-1, :components] - bias**2
+        decides = {}
+        if total.mean.shape[2] > components + 1 and np.isfinite(total.mean[f, -1, -1]):
+            share, width = total.mean[f, :, -1], spread[:, -1]
+            decides = {
+                "mode_error": share[:-1],
+                "mode_error_error": width[:-1],
+                "average_mode_error": float(share[-1]),
+                "average_mode_error_error": float(width[-1]),
+            }
         nees, nees_bounds = _consistency(total.normalised[f], 0)
         nis, nis_bounds = _consistency(total.normalised[f], 1)
         evaluations[name] = Evaluation(
             times=times,
-            rms=rms[:-1],
-            rms_error=error[:-1],
+            rms=rms[:-1, :-1],
+            rms_error=error[:-1, :-1],
             rms_all=np.sqrt(total.everything[f] / total.simulated),
             bias=bias,
-            bias_error=spread,
-            average=rms[-1],
-            average_error=error[-1],
+            bias_error=np.sqrt(np.maximum(variance, 0.0) / count),
+            average=rms[-1, :-1],
+            average_error=error[-1, :-1],
             paths=paths,
             scored=count,
             diverged=int(total.diverged[f]),
@@ -299,6 +241,11 @@ def _summed(filters, times, paths, tallies) -> Comparison:
             nees_bounds=nees_bounds,
             nis_bounds=nis_bounds,
             seconds_per_step=float(total.seconds[f] / total.steps) if total.steps else np.nan,
+            total=rms[:-1, -1],
+            total_error=error[:-1, -1],
+            average_total=float(rms[-1, -1]),
+            average_total_error=float(error[-1, -1]),
+            **decides,
         )
     return Comparison(evaluations, total.mean, cov, count)
 

@@ -8,12 +8,16 @@ import numpy as np
 
 
 class Tally(NamedTuple):
-    """Sums over paths of one block; F filters, J times and their average, c components."""
+    """Sums over paths of one block; F filters, J times and their average, c components.
+
+    After the squared errors of the components come their sum and, for a switching system,
+    whether the mode was wrong: C = c + 1 or c + 2 numbers.
+    """
 
     simulated: int  # paths whose truth is finite
     count: int  # of them those on which no filter diverged
-    mean: np.ndarray  # (F, J + 1, c) of the squared errors
-    products: np.ndarray  # (F, F, J + 1, c), centred
+    mean: np.ndarray  # (F, J + 1, C) of the squared errors
+    products: np.ndarray  # (F, F, J + 1, C), centred
     error: np.ndarray  # (F, J, c) sums of the errors
     everything: np.ndarray  # (F, J, c) sums of the squares of all paths
     diverged: np.ndarray  # (F,)
@@ -22,7 +26,9 @@ class Tally(NamedTuple):
     steps: int  # measurements times paths
 
 
-def tally(error, good, truth, astray, normalised, seconds, steps) -> Tally:
+def tally(
+    error, good, truth, astray, normalised, seconds, steps, *, wrong=None, window=None
+) -> Tally:
     """Sums of one block.
 
     Parameters
@@ -35,6 +41,10 @@ def tally(error, good, truth, astray, normalised, seconds, steps) -> Tally:
         For each filter None or its squares of errors and innovations, see `consistency`.
     seconds : ndarray, shape (F,)
     steps : int
+    wrong : ndarray, shape (F, J, N), optional
+        One where the decided mode is wrong, NaN where none is decided.
+    window : ndarray of bool, shape (J,), optional
+        Times that are averaged, all by default.
     """
     everything = None
     if not good.all():
@@ -42,12 +52,15 @@ def tally(error, good, truth, astray, normalised, seconds, steps) -> Tally:
             everything = np.where(np.isnan(error), np.inf, error)[..., truth] ** 2
             everything = everything.sum(axis=-1)
         error = error[..., good]
-    squares = np.empty((error.shape[0], error.shape[1] + 1, *error.shape[2:]))
-    np.square(error, out=squares[:, :-1])
-    squares[:, -1] = squares[:, :-1].mean(axis=1)
-    count = squares.shape[-1]
+    count, size = error.shape[-1], error.shape[2]
+    squares = np.empty((len(error), error.shape[1] + 1, size + 1 + (wrong is not None), count))
+    np.square(error, out=squares[:, :-1, :size])
+    squares[:, :-1, size] = squares[:, :-1, :size].sum(axis=2)
+    if wrong is not None:
+        squares[:, :-1, -1] = wrong[..., good]
+    squares[:, -1] = squares[:, :-1][:, slice(None) if window is None else window].mean(axis=1)
     total = squares.sum(axis=-1)
-    everything = total[:, :-1] if everything is None else everything
+    everything = total[:, :-1, :size] if everything is None else everything
     mean = total / max(count, 1)
     centred = squares
     centred -= mean[..., None]

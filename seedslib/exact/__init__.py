@@ -9,8 +9,11 @@ _HOMES = {
     "grid_synthesis": ".grid",
     "affine_synthesis": ".grid",
     "grid_risk": ".grid",
+    "optimal_risk": ".grid",
+    "SwitchingChain": ".switching_chain",
     "GridRisk": ".joint",
     "simulated_synthesis": ".simulated",
+    "tabulated": ".tabulation",
 }
 __getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
 __all__ = [*_HOMES]

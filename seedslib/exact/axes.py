@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -74,6 +75,10 @@ class Axis:
         return (self.high - self.low) / (self.count - 1)
 
     @cached_property
+    def _top(self) -> float:
+        return math.nextafter(self.count - 1, 0)
+
+    @cached_property
     def weights(self) -> np.ndarray:
         """Weights of the trapezoid rule, shape (count,)."""
         weights = np.full(self.count, self.step)
@@ -86,12 +91,103 @@ class Axis:
         A value outside is taken to the nearest end: shares outside of [0, 1] would be negative
         masses.
         """
-        position = (np.clip(values, self.low, self.high) - self.low) * (1.0 / self.step)
-        index = np.minimum(position.astype(np.intp), self.count - 2)
-        return index, np.minimum(position - index, 1.0)
+        position = (np.maximum(values, self.low) - self.low) * (1.0 / self.step)
+        # just below the last node: its cell is the last one, and its share one but for rounding
+        position = np.minimum(position, self._top)
+        index = position.astype(np.intp)
+        return index, position - index
 
     def __str__(self) -> str:
         return f"{self.count} nodes from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Whole numbers from 0 as an axis of a table: nothing lies between them.
+
+    Attributes
+    ----------
+    count : int
+    """
+
+    count: int
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """The numbers, shape (count,)."""
+        return np.arange(float(self.count))
+
+    @property
+    def weights(self) -> np.ndarray:
+        """Weights of a sum over them, shape (count,)."""
+        return np.ones(self.count)
+
+    def place(self, values: np.ndarray) -> tuple[np.ndarray, None]:
+        """The numbers themselves; there is no node above."""
+        return np.asarray(values).astype(np.intp), None
+
+    def __str__(self) -> str:
+        return f"{self.count} labels"
+
+
+class Located(NamedTuple):
+    """Where points lie in a table.
+
+    Attributes
+    ----------
+    index : ndarray of int, shape (*batch)
+        Number of the lowest corner of the cell around each point, in the flat table.
+    strides : tuple of int
+        From a node to the next one, for each axis that is no `Labels`.
+    shares : tuple of ndarray
+        Shares of the upper nodes on these axes.
+    """
+
+    index: np.ndarray
+    strides: tuple[int, ...]
+    shares: tuple[np.ndarray, ...]
+
+    def linear(self, flat: np.ndarray) -> np.ndarray:
+        """Multilinear interpolation in a flat table, shape (*batch)."""
+        values = [flat.take(self.index + o) if o else flat.take(self.index) for o in self.offsets]
+        for share in reversed(self.shares):
+            # the last axis is the fastest: its two nodes are neighbours in the list
+            values = [a + share * (b - a) for a, b in zip(values[::2], values[1::2], strict=True)]
+        return values[0]
+
+    def nearest(self, flat: np.ndarray) -> np.ndarray:
+        """Entry at the nearest node, the lower one of two equally near ones, shape (*batch)."""
+        index = self.index
+        for stride, share in zip(self.strides, self.shares, strict=True):
+            index = index + stride * (share > 0.5)
+        return flat.take(index)
+
+    @property
+    def offsets(self) -> list[int]:
+        """From the lowest corner to each corner of the cell."""
+        found = [0]
+        for stride in self.strides:
+            found = [offset + up for offset in found for up in (0, stride)]
+        return found
+
+
+def locate(axes: Sequence[Axis | Labels], points: Sequence[np.ndarray]) -> Located:
+    """Place of points in a table over the axes; beyond the ends of an axis, at the end.
+
+    Parameters
+    ----------
+    axes : sequence of Axis or Labels
+    points : sequence of ndarray, one per axis, shapes that broadcast to (*batch)
+    """
+    index, strides, shares, stride = np.intp(0), [], [], 1
+    for axis, point in zip(reversed(axes), reversed(points), strict=True):
+        part, share = axis.place(point)
+        index = index + (part * stride if stride > 1 else part)
+        if share is not None:
+            strides.append(stride)
+            shares.append(share)
+        stride *= axis.count
+    return Located(index, tuple(reversed(strides)), tuple(reversed(shares)))
 
 
 def as_axes(name: str, given, size: int) -> tuple[Axis, ...]:

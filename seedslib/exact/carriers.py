@@ -34,10 +34,12 @@ class Lesson(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """One set of paths: states by time, measurements (K+1, m, N)."""
+    """One set of paths: states by time, measurements (K+1, m, N), modes, indicators (K+1, N)."""
 
     states: dict
     measurements: np.ndarray
+    modes: np.ndarray | None = None
+    indicators: np.ndarray | None = None
 
 
 class Carriers:
@@ -80,8 +82,7 @@ class Carriers:
     def __init__(self, system, memory, times, components, paths, sets, nodes, seed, workers):
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        if memory.indicators or memory.log_odds:
-            raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
+        self._check_memory(system, memory)
         n = system.state_size
         components = n if components is None else as_count("components", components)
         if components > n:
@@ -105,6 +106,10 @@ class Carriers:
         self.pasts, self.reached = [Past()] * sets, -1
         self.scores, self.errors = [], []
 
+    def _check_memory(self, system, memory):
+        if memory.indicators or memory.log_odds:
+            raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
+
     def _simulated(self, system, seed, workers):
         grid = np.concatenate([self.times[:1], *self.stops])
         at = np.searchsorted(grid, self.times)
@@ -119,7 +124,10 @@ class Carriers:
         self.lost += lost
         kept = good if lost else slice(None)
         states = {float(t): x[:, kept] for t, x in zip(grid, made.states, strict=True)}
-        return _Paths(states, shown[..., kept])
+        labels = (
+            None if part is None else part[at][:, kept] for part in (made.modes, made.indicators)
+        )
+        return _Paths(states, shown[..., kept], *labels)
 
     def lesson(self) -> Lesson:
         """What the function for the next measurement is fitted to."""

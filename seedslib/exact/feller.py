@@ -40,7 +40,7 @@ def generator(system, axis: Axis, t: float = 0.0) -> np.ndarray:
     ValueError
         A system with more components, a negative intensity, marks that are not Gaussian.
     """
-    _want_scalar(system)
+    want_scalar(system)
     nodes, h = axis.nodes, axis.step
     faces = 0.5 * (nodes[1:] + nodes[:-1])
     spread = _half_square(system, t, nodes)
@@ -80,6 +80,8 @@ class FellerChain:
     ----------
     values : ndarray, shape (1, S)
         State at each node.
+    modes, indicators : int
+        1 and 0: there are neither.
 
     Raises
     ------
@@ -87,8 +89,10 @@ class FellerChain:
         More than one state component, no likelihood, or an initial law that is not Gaussian.
     """
 
+    modes, indicators = 1, 0
+
     def __init__(self, system, axis: Axis):
-        _want_scalar(system)
+        want_scalar(system)
         if not system.sensor.has_log_density:
             raise ValueError(
                 "system: wanted a sensor affine in Gaussian noise or one with a log_density, "
@@ -100,16 +104,9 @@ class FellerChain:
 
     def start(self) -> np.ndarray:
         """Initial probabilities, shape (S,)."""
-        if not self.system._initial.gaussian:
+        if not self.system.law.gaussian:
             raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
-        mean, deviation = self.system.mean0[0], np.sqrt(self.system.cov0[0, 0])
-        axis = self.axis
-        if deviation >= axis.step:
-            # for a smooth density the values at the nodes are better than the cells' masses
-            mass = np.exp(-0.5 * ((axis.nodes - mean) / deviation) ** 2)
-        else:
-            mass = _cell_masses(axis, np.array([mean]), np.array([deviation]))[:, 0]
-        return mass / mass.sum()
+        return normal_masses(self.axis, self.system.mean0[0], np.sqrt(self.system.cov0[0, 0]))
 
     def transition(self, start: float, stop: float) -> np.ndarray:
         """Transition matrix P, p(stop) = P p(start): nonnegative, columns sum to one.
@@ -145,14 +142,13 @@ class FellerChain:
         x = np.broadcast_to(self.values[:, None, :], (1, y.shape[1], self.axis.count))
         return self.system.sensor.log_density(t, np.broadcast_to(y, (len(y), *x.shape[1:])), x)
 
+    def reach(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and deviation of the measurement at each node, both (m, S)."""
+        return sensor_reach(self.system.sensor, t, self.values)
+
     def look_at_ends(self, mass: np.ndarray) -> None:
         """Warn where the probability reaches the ends of the grid; mass of shape (S,)."""
-        outside = max(mass[0], mass[-1])
-        if outside > OUTSIDE:
-            warnings.warn(
-                f"x: probability {outside:.2g} in an outermost cell; the axis is too short",
-                stacklevel=3,
-            )
+        warn_at_ends(mass)
 
     def _steady(self, start, stop):
         """Whether the rates in the interval are those of all others seen so far.
@@ -177,7 +173,26 @@ class FellerChain:
         return expm(generator(self.system, self.axis, 0.5 * (start + stop)) * (stop - start))
 
 
-def _want_scalar(system):
+def sensor_reach(sensor, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation (m, S) of what a sensor shows at states x (1, S)."""
+    mean, cov = sensor.conditional_moments(float(t), x)
+    shape = (sensor.size, x.shape[1])
+    square = [np.broadcast_to(cov[i, i], shape[1:]) for i in range(sensor.size)]
+    return np.broadcast_to(mean, shape), np.sqrt(square)
+
+
+def warn_at_ends(mass: np.ndarray) -> None:
+    """Warn where the probability (S,) reaches the ends of a grid."""
+    outside = max(mass[0], mass[-1])
+    if outside > OUTSIDE:
+        warnings.warn(
+            f"x: probability {outside:.2g} in an outermost cell; the axis is too short",
+            stacklevel=5,
+        )
+
+
+def want_scalar(system):
+    """Refuse a system of several components."""
     if system.state_size != 1:
         raise ValueError(
             f"system: wanted one state component for a grid, got {system.state_size}; "
@@ -197,7 +212,17 @@ def _bernoulli(product, spread):
     return np.divide(q, np.expm1(q), out=np.ones_like(q), where=q > 1e-12)
 
 
-def _cell_masses(axis, mean, deviation):
+def normal_masses(axis: Axis, mean: float, deviation: float) -> np.ndarray:
+    """Probabilities of the nodes (S,) for a normal law."""
+    if deviation >= axis.step:
+        # for a smooth density the values at the nodes are better than the cells' masses
+        mass = np.exp(-0.5 * ((axis.nodes - mean) / deviation) ** 2)
+    else:
+        mass = cell_masses(axis, np.array([mean]), np.array([deviation]))[:, 0]
+    return mass / mass.sum()
+
+
+def cell_masses(axis, mean, deviation):
     """Probability (S, N) of each cell for normal laws; a point goes to its two neighbours."""
     from scipy.special import ndtr
 
@@ -230,7 +255,7 @@ def _landing(jump, axis, t):
     if jump.symbolic and jump.has_log_density:
         mean, cov = jump.conditional_moments(t, x)
         deviation = np.sqrt(np.maximum(np.broadcast_to(cov[0, 0], x[0].shape), 0.0))
-        return _cell_masses(axis, x[0] + mean[0], deviation)
+        return cell_masses(axis, x[0] + mean[0], deviation)
     nodes, weights = hermite_nodes(jump.noise.size, MARK_NODES)
     marks = jump.noise.mean[:, None] + jump.noise.root @ nodes
     landing = np.zeros((axis.count, axis.count))

@@ -9,9 +9,18 @@ import numpy as np
 
 from seedslib._validate import as_times
 from seedslib.correction import correct
-from seedslib.exact.axes import Axis, as_axes
-from seedslib.exact.feller import FellerChain
-from seedslib.exact.recursion import Seen, conditional, push_forward, seen
+from seedslib.exact.axes import Axis, Labels, as_axes
+from seedslib.exact.recursion import (
+    Seen,
+    conditional,
+    mode_masses,
+    posterior_means,
+    posterior_modes,
+    push_forward,
+    remember,
+    seen,
+)
+from seedslib.exact.switching_chain import chain_of
 from seedslib.filters.finite_order_rules import Prediction, Start
 from seedslib.filters.table import TableFit
 from seedslib.linearization import Moments
@@ -32,6 +41,9 @@ LARGEST = 1 << 27
 CLAMPED = 1e-4
 """Probability of estimates beyond the axis that is worth a warning."""
 
+UNSEEN = 1e-15
+"""Events of this probability or less are left out where a memory holds modes."""
+
 
 class GridRisk(NamedTuple):
     """Accuracy of a filter without random numbers.
@@ -45,12 +57,15 @@ class GridRisk(NamedTuple):
         M(Z_k - X).
     clamped : ndarray, shape (K+1,)
         Probability that the estimate falls outside of the axis of the memory.
+    mode_error : ndarray, shape (K+1,), or None
+        Probability of a wrong mode, for a switching system.
     """
 
     times: np.ndarray
     mse: np.ndarray
     bias: np.ndarray
     clamped: np.ndarray
+    mode_error: np.ndarray | None = None
 
 
 class JointLaw:
@@ -68,7 +83,9 @@ class JointLaw:
     values : ndarray, shape (1, S)
         The nodes of the state.
     shown : ndarray, shape (m, Y)
-        The grid of measurements.
+        The grid of measurements, with the indicator as first row if there is one.
+    modes : int
+        Modes of the system; 1 for one that does not switch.
     measurement_axes, letter_axes : tuple of Axis
         Of a measurement, and of one block of the memory.
     """
@@ -76,25 +93,37 @@ class JointLaw:
     def __init__(self, system, memory, times, x, z, y):
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        if bool(memory.estimates) == bool(memory.measurements) or memory.indicators:
+        x = Axis.of("x", x)
+        self.chain = chain_of(system, x)
+        told = memory.indicators
+        if (
+            bool(memory.estimates) == bool(memory.measurements)
+            or memory.log_odds
+            or (told and not self.chain.indicators)
+            or told not in (0, memory.depth)
+        ):
             raise ValueError(
                 f"memory: wanted estimates or measurements alone for a grid, got {memory}"
             )
         self.system, self.memory = system, memory
         self.times = as_times("times", times)
-        x = Axis.of("x", x)
-        self.chain = FellerChain(system, x)
-        self.values = self.chain.values
-        self.measurement_axes = self._measurement_axes(y)
+        self.values, self.modes = self.chain.values, self.chain.modes
+        self.switching = hasattr(system, "branches")
+        axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
+        labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
+        self.measurement_axes = labels + axes
         self.shown, self.weights = _product(self.measurement_axes)
+        kept = labels if told else ()
         if memory.estimates:
             z = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
-            self.letter_axes = (z,)
+            decided = (Labels(self.modes),) if self.switching else ()
+            self.letter_axes = (*decided, *kept, z)
         else:
-            self.letter_axes = self.measurement_axes
+            self.letter_axes = kept + axes
         self.letters = int(np.prod([axis.count for axis in self.letter_axes]))
         self.depth, self.held = memory.depth, 0
-        entries = float(self.letters) ** self.depth * max(x.count, self.shown.shape[1])
+        size = max(self.values.shape[1], self.shown.shape[1])
+        entries = float(self.letters) ** self.depth * size
         if entries > LARGEST:
             raise ValueError(
                 f"memory: wanted at most {LARGEST} numbers on the grid, got {entries:.3g}: fewer "
@@ -106,7 +135,7 @@ class JointLaw:
     @property
     def clamped(self) -> float:
         """Largest probability, so far, of an estimate outside of its axis."""
-        return max(outside for _, _, outside in self.found)
+        return max(row[2] for row in self.found)
 
     @property
     def memory_axes(self) -> tuple[Axis, ...]:
@@ -137,29 +166,70 @@ class JointLaw:
             )
         return sight
 
-    def take(self, k, means, sight):
-        """Score estimates (1, Y, cells) and put them, or the measurements, in the memory."""
+    def posterior(self, relative, *, law=None) -> tuple[np.ndarray, np.ndarray]:
+        """Optimal estimates (1, Y, cells) and probabilities of the modes (L, Y, cells).
+
+        Parameters
+        ----------
+        relative : ndarray, shape (Y, S)
+            Likelihood up to a factor that depends on the measurement.
+        law : ndarray, shape (cells, S), optional
+            Law of the chain in each cell.
+        """
+        law = conditional(self.joint) if law is None else law
+        masses = mode_masses(law, relative, self.modes)
+        means = posterior_means(self.values, law, relative, masses.sum(axis=0))
+        return means, posterior_modes(law, masses) if self.switching else masses
+
+    def take(self, k, means, sight, modes=None):
+        """Score estimates (1, Y, cells) and put them, or the measurements, in the memory.
+
+        Parameters
+        ----------
+        k : int
+        means : ndarray, shape (1, Y, cells)
+        sight : Seen
+        modes : ndarray of int, shape (Y, cells), optional
+            Decided modes, for a switching system.
+
+        Returns
+        -------
+        ndarray, shape (Y, cells)
+            Probability of each measurement and memory.
+        """
         estimate, x = means[0], self.values[0]
-        mass = sight.mass @ self.joint.T
+        masses = mode_masses(self.joint, sight.mass, self.modes)
+        mass = masses.sum(axis=0)
         first = sight.mass @ (self.joint * x).T
         law = self.joint.sum(axis=0)
         mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
         bias = np.vdot(estimate, mass) - law @ x
+        wrong = None
+        if modes is not None:
+            wrong = 1.0 - sum(part[modes == i].sum() for i, part in enumerate(masses))
         outside = 0.0
+        tail = self.letters if self.held == self.depth else 1
         if self.memory.estimates:
-            (axis,) = self.letter_axes
+            axis = self.letter_axes[-1]
             lower, share = axis.place(estimate)
             outside = mass[(estimate < axis.low) | (estimate > axis.high)].sum()
+            if modes is not None:
+                label = modes.astype(np.intp)
+                if self.memory.indicators:
+                    told = self.shown[0].astype(np.intp)
+                    label = label * self.chain.indicators + told[:, None]
+                lower = lower + label * axis.count
+            self.joint = push_forward(
+                self.joint, sight.mass, lower, share, self.letters, tail,
+                least=UNSEEN if self.switching else 0.0, mass=mass,
+            )  # fmt: skip
         else:
-            number = np.arange(self.letters)[:, None]
-            lower, share = np.broadcast_arrays(number, np.zeros((1, mass.shape[1])))
-        self.found.append((mse, bias, outside))
+            shown = sight.mass.reshape(-1, self.letters, sight.mass.shape[1]).sum(axis=0)
+            self.joint = remember(self.joint, shown, tail)
+        self.found.append((mse, bias, outside, wrong))
         self.scores.append((self.times[k], mse))
-        full = self.held == self.depth
-        self.joint = push_forward(
-            self.joint, sight.mass, lower, share, self.letters, self.letters if full else 1
-        )
         self.held = min(self.held + 1, self.depth)
+        return mass
 
     def move(self, start, stop):
         """Let the state move while the memory stays: (4.8)."""
@@ -217,11 +287,12 @@ class JointLaw:
 
     def errors(self) -> np.ndarray:
         """Error covariances (K+1, 1, 1) after each measurement."""
-        return np.array([mse for mse, _, _ in self.found])[:, None, None]
+        return np.array([row[0] for row in self.found])[:, None, None]
 
     def risk(self) -> GridRisk:
         """What was found at the measurements."""
-        return GridRisk(self.times, *map(np.array, zip(*self.found, strict=True)))
+        mse, bias, clamped, wrong = (np.array(part) for part in zip(*self.found, strict=True))
+        return GridRisk(self.times, mse, bias, clamped, wrong if self.switching else None)
 
     def look_at_memory(self) -> None:
         """Warn where the axis of the estimates is too short to remember them."""
@@ -232,20 +303,15 @@ class JointLaw:
                 stacklevel=3,
             )
 
-    def _measurement_axes(self, given):
-        if given is None:
-            return self._default_axes()
-        return as_axes("y", given, self.system.sensor.size)
+    def _reach(self):
+        return self.chain.reach(float(self.times[0]))
 
     def _default_axes(self):
-        mean, cov = self.system.sensor.conditional_moments(float(self.times[0]), self.values)
-        axes = []
-        for i in range(self.system.sensor.size):
-            deviation = np.sqrt(np.broadcast_to(cov[i, i], mean[i].shape))
-            low = (mean[i] - SPREADS * deviation).min()
-            high = (mean[i] + SPREADS * deviation).max()
-            axes.append(Axis(low, high, int((high - low) / (FINENESS * deviation.min())) + 2))
-        return tuple(axes)
+        mean, deviation = self._reach()
+        low = (mean - SPREADS * deviation).min(axis=1)
+        high = (mean + SPREADS * deviation).max(axis=1)
+        count = (high - low) / (FINENESS * deviation.min(axis=1))
+        return tuple(Axis(*part, int(n) + 2) for *part, n in zip(low, high, count, strict=True))
 
 
 def _product(axes):

@@ -40,6 +40,7 @@ def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:
         A state of which no measurement on the grid is likely.
     """
     peak = log_likelihood.max(axis=1, keepdims=True)
+    peak[np.isneginf(peak)] = 0.0  # a value of the indicator that never comes
     relative = np.exp(log_likelihood - peak)
     mass = relative * (np.exp(peak) * weights[:, None])
     total = mass.sum(axis=0)
@@ -61,7 +62,34 @@ def conditional(joint: np.ndarray) -> np.ndarray:
     return law
 
 
-def posterior_means(values: np.ndarray, law: np.ndarray, relative: np.ndarray) -> np.ndarray:
+def mode_masses(joint: np.ndarray, likelihood: np.ndarray, modes: int) -> np.ndarray:
+    """Mass of each measurement, cell and mode, (L, Y, C), from (C, S) and (Y, S).
+
+    The states of the chain are those of the first mode, then those of the next.
+    """
+    size = joint.shape[1] // modes
+    found = np.empty((modes, len(likelihood), len(joint)))
+    for i, mass in enumerate(found):
+        block = slice(i * size, (i + 1) * size)
+        np.matmul(likelihood[:, block], joint[:, block].T, out=mass)
+    return found
+
+
+def posterior_modes(law: np.ndarray, masses: np.ndarray) -> np.ndarray:
+    """P(i | y, u) of theorem 2 of the switching paper, (L, Y, C), from `mode_masses` of the law."""
+    modes, total = len(masses), masses.sum(axis=0)
+    known = total > NEGLIGIBLE
+    found = np.empty_like(masses)
+    prior = law.reshape(len(law), modes, -1).sum(axis=2)
+    for row, mass, before in zip(found, masses, prior.T, strict=True):
+        row[:] = before
+        np.divide(mass, total, out=row, where=known)
+    return found
+
+
+def posterior_means(
+    values: np.ndarray, law: np.ndarray, relative: np.ndarray, mass: np.ndarray | None = None
+) -> np.ndarray:
     """f(y, u) = M[value | y, u] of theorem 1, (p, Y, C).
 
     Parameters
@@ -70,8 +98,10 @@ def posterior_means(values: np.ndarray, law: np.ndarray, relative: np.ndarray) -
     law : ndarray, shape (C, S)
     relative : ndarray, shape (Y, S)
         Likelihood up to a factor that may depend on y.
+    mass : ndarray, shape (Y, C), optional
+        ``relative @ law.T``, where it is known.
     """
-    mass = relative @ law.T
+    mass = relative @ law.T if mass is None else mass
     known = mass > NEGLIGIBLE
     found = np.empty((len(values), *mass.shape))
     for row, value in zip(found, values, strict=True):
@@ -80,9 +110,30 @@ def posterior_means(values: np.ndarray, law: np.ndarray, relative: np.ndarray) -
     return found
 
 
+def remember(joint: np.ndarray, likelihood: np.ndarray, dropped: int) -> np.ndarray:
+    """Joint law of the state and the new memory where a measurement is remembered itself.
+
+    Parameters
+    ----------
+    joint : ndarray, shape (C, S)
+    likelihood : ndarray, shape (letters, S)
+        With the quadrature weights; columns sum to one.
+    dropped : int
+        As in `push_forward`.
+
+    Returns
+    -------
+    ndarray, shape (letters * C / dropped, S)
+    """
+    tails = joint.reshape(-1, dropped, joint.shape[1]).sum(axis=1)
+    result = (likelihood[:, None, :] * tails).reshape(-1, joint.shape[1])
+    result[result < NEGLIGIBLE] = 0.0
+    return result
+
+
 def push_forward(
     joint: np.ndarray, likelihood: np.ndarray, lower: np.ndarray, share: np.ndarray,
-    letters: int, dropped: int,
+    letters: int, dropped: int, *, least: float = 0.0, mass: np.ndarray | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Joint law of the state and the new memory: (4.10).
 
@@ -104,6 +155,11 @@ def push_forward(
     dropped : int
         How many cells of the old memory become one when its oldest block drops out; 1 while
         the memory fills.
+    least : float
+        Events (y, cell) of this probability or less are left out; the law of the state is mended
+        afterwards.
+    mass : ndarray, shape (Y, C), optional
+        ``likelihood @ joint.T``, where it is known.
 
     Returns
     -------
@@ -114,22 +170,26 @@ def push_forward(
     cells, size = joint.shape
     tails = cells // dropped
     result = np.zeros((letters, tails, size))
-    per = max(1, CHUNK // size)
+    happens = (likelihood @ joint.T if mass is None else mass) > least
+    step = max(1, CHUNK // (size * dropped))
     for tail in range(tails):
         block = slice(tail * dropped, (tail + 1) * dropped)
-        used = np.flatnonzero(joint[block].any(axis=1)) + tail * dropped
-        if used.size == 0:
-            continue
-        law = joint[used]
-        step = max(1, per // used.size)
+        law, into = joint[block], np.zeros((letters, size))
         for a in range(0, len(likelihood), step):
             part = slice(a, a + step)
-            mass = (likelihood[part, None, :] * law).reshape(-1, size)
-            below, up = lower[part][:, used].ravel(), share[part][:, used].ravel()
+            used = happens[part, block].any(axis=0).nonzero()[0]
+            if used.size == 0:
+                continue
+            events = (likelihood[part, None, :] * law[used]).reshape(-1, size)
+            below, up = lower[part, block][:, used].ravel(), share[part, block][:, used].ravel()
             targets = np.stack([below, np.minimum(below + 1, letters - 1)], axis=1).ravel()
             weights = np.stack([1.0 - up, up], axis=1).ravel()
             starts = np.arange(0, targets.size + 1, 2)
-            move = csc_array((weights, targets, starts), shape=(letters, len(below)))
-            result[:, tail] += move @ mass
+            into += csc_array((weights, targets, starts), shape=(letters, len(below))) @ events
+        result[:, tail] = into
     result[result < NEGLIGIBLE] = 0.0
-    return result.reshape(letters * tails, size)
+    result = result.reshape(letters * tails, size)
+    if least > 0:
+        found = result.sum(axis=0)
+        result *= np.divide(joint.sum(axis=0), found, out=np.zeros(size), where=found > 0)
+    return result

@@ -7,6 +7,8 @@ from itertools import product
 
 import numpy as np
 
+from seedslib.exact.axes import Labels
+
 METHODS = {
     "likelihood": "likelihood-weighted regression",
     "histogram": "smoothed histogram",
@@ -47,20 +49,50 @@ def likelihood_table(sensor, t, lesson, components, axes_y, axes_u, kernel) -> n
     -------
     ndarray, shape (n', count of each axis of y and u...)
     """
+    grid = mesh(axes_y)[:, None, :]
+    x, u = lesson.states, lesson.memory
+    rows = np.concatenate([np.ones((1, x.shape[1])), x[:components]])
+
+    def log_density(part):
+        return sensor.log_density(t, grid, x[:, part, None])
+
+    sums = likelihood_sums(log_density, grid.shape[2], rows, u, axes_u)
+    shape = [axis.count for axis in axes_y + axes_u]
+    counts = path_sums(x[:0], u, axes_u)[0]
+    return smoothed_ratio(sums.reshape(-1, *shape), counts, widths(u, axes_u, kernel), len(axes_y))
+
+
+def mesh(axes) -> np.ndarray:
+    """Points of a product of axes, (size, points)."""
+    grid = np.meshgrid(*[axis.nodes for axis in axes], indexing="ij")
+    return np.array([part.ravel() for part in grid])
+
+
+def likelihood_sums(log_density, size, rows, u, axes_u) -> np.ndarray:
+    """Sums over paths of each row times the likelihood, (rows, points, cells), paths split.
+
+    Parameters
+    ----------
+    log_density : callable
+        ``log_density(part)`` for a slice of the paths: (paths, points).
+    size : int
+        Number of points of the grid of measurements.
+    rows : ndarray, shape (R, N)
+    u : ndarray, shape (d, N)
+        Memory of the paths.
+    axes_u : tuple of Axis or Labels
+    """
     from scipy.sparse import csr_array
 
-    x, u = lesson.states, lesson.memory
-    grid = np.meshgrid(*[axis.nodes for axis in axes_y], indexing="ij")
-    grid = np.array([part.ravel() for part in grid])[:, None, :]
-    rows = np.concatenate([np.ones((1, x.shape[1])), x[:components]])
     cells = math.prod(axis.count for axis in axes_u)
-    sums = np.zeros((len(rows), cells, grid.shape[2]))
+    sums = np.zeros((len(rows), cells, size))
     corners = list(_corners(u, axes_u))
     # relative to the likeliest of some paths, so that far measurements do not vanish
-    peak = sensor.log_density(t, grid, x[:, :CHUNK, None]).max(axis=0)
-    for a in range(0, x.shape[1], CHUNK):
+    peak = log_density(slice(0, CHUNK)).max(axis=0)
+    peak[np.isneginf(peak)] = 0.0
+    for a in range(0, u.shape[1], CHUNK):
         part = slice(a, a + CHUNK)
-        likely = sensor.log_density(t, grid, x[:, part, None]) - peak
+        likely = log_density(part) - peak
         likely = np.exp(np.minimum(likely, 600.0, out=likely), out=likely)
         columns = np.tile(np.arange(len(likely)), len(corners))
         numbers = np.concatenate([number[part] for number, _ in corners])
@@ -68,11 +100,7 @@ def likelihood_table(sensor, t, lesson, components, axes_y, axes_u, kernel) -> n
         for total, row in zip(sums, rows[:, part], strict=True):
             spread = (weights * row[columns], (numbers, columns))
             total += csr_array(spread, shape=(cells, len(likely))) @ likely
-    sums = np.moveaxis(sums, 1, 2).reshape(
-        len(rows), *(axis.count for axis in axes_y), *(axis.count for axis in axes_u)
-    )
-    counts = _sums(x[:0], u, axes_u)[0]
-    return _ratio(sums, counts, _widths(u, axes_u, kernel), len(axes_y))
+    return np.moveaxis(sums, 1, 2)
 
 
 def histogram_table(lesson, components, axes_y, axes_u, kernel) -> np.ndarray:
@@ -81,17 +109,17 @@ def histogram_table(lesson, components, axes_y, axes_u, kernel) -> np.ndarray:
     Parameters and result as `likelihood_table`.
     """
     points, axes = np.concatenate([lesson.measurements, lesson.memory]), axes_y + axes_u
-    sums = _sums(lesson.states[:components], points, axes)
-    return _ratio(sums, sums[0], _widths(points, axes, kernel), 0)
+    sums = path_sums(lesson.states[:components], points, axes)
+    return smoothed_ratio(sums, sums[0], widths(points, axes, kernel), 0)
 
 
 def forecast_table(lesson, components, axes_u, kernel) -> np.ndarray:
     """M[X | u], shape (n', count of each axis of u...)."""
-    sums = _sums(lesson.states[:components], lesson.memory, axes_u)
-    return _ratio(sums, sums[0], _widths(lesson.memory, axes_u, kernel), 0)
+    sums = path_sums(lesson.states[:components], lesson.memory, axes_u)
+    return smoothed_ratio(sums, sums[0], widths(lesson.memory, axes_u, kernel), 0)
 
 
-def _sums(targets, points, axes):
+def path_sums(targets, points, axes):
     """Sums (1 + p, nodes...) of one and of the targets, each path split between its nodes."""
     shape = tuple(axis.count for axis in axes)
     rows = np.concatenate([np.ones((1, points.shape[1])), targets])
@@ -102,12 +130,18 @@ def _sums(targets, points, axes):
     return sums.reshape(len(rows), *shape)
 
 
-def _widths(points, axes, kernel):
-    """Widths of the kernel, in nodes of each axis: the normal reference rule."""
-    size, count = points.shape
+def widths(points, axes, kernel):
+    """Widths of the kernel, in nodes of each axis: the normal reference rule; labels have none."""
+    labels = [isinstance(axis, Labels) for axis in axes]
+    size, count = len(axes) - sum(labels), points.shape[1]
+    for axis, label in zip(axes, labels, strict=True):
+        count /= axis.count if label else 1
     factor = kernel * (4.0 / ((size + 2.0) * count)) ** (1.0 / (size + 4.0))
     deviation = points.std(axis=1)
-    return [factor * s / axis.step for s, axis in zip(deviation, axes, strict=True)]
+    return [
+        0.0 if label else factor * s / axis.step
+        for s, axis, label in zip(deviation, axes, labels, strict=True)
+    ]
 
 
 def _corners(points, axes):
@@ -116,15 +150,16 @@ def _corners(points, axes):
         yield np.zeros(points.shape[1], dtype=np.intp), np.ones(points.shape[1])
         return
     places = [axis.place(row) for axis, row in zip(axes, points, strict=True)]
-    for ups in product((0, 1), repeat=len(axes)):
+    for ups in product(*((0,) if share is None else (0, 1) for _, share in places)):
         number, weight = 0, 1.0
         for up, axis, (index, share) in zip(ups, axes, places, strict=True):
             number = number * axis.count + index + up
-            weight = weight * (share if up else 1.0 - share)
-        yield number, weight
+            if share is not None:
+                weight = weight * (share if up else 1.0 - share)
+        yield number, np.broadcast_to(weight, number.shape)
 
 
-def _ratio(sums, counts, widths, lead):
+def smoothed_ratio(sums, counts, widths, lead):
     """Smoothed sums over smoothed weights, with a wider kernel where few paths are.
 
     Parameters
@@ -167,5 +202,6 @@ def _smoothed(array, widths, lead):
     from scipy.ndimage import gaussian_filter1d
 
     for axis, width in enumerate(widths):
-        array = gaussian_filter1d(array, width, axis=lead + axis, mode="constant")
+        if width > 0:
+            array = gaussian_filter1d(array, width, axis=lead + axis, mode="constant")
     return array

@@ -7,7 +7,14 @@ import numpy as np
 from seedslib.exact.axes import Axis, as_axes
 from seedslib.exact.carriers import Carriers
 from seedslib.exact.regression import METHODS, forecast_table, histogram_table, likelihood_table
+from seedslib.exact.switching_simulated import (
+    SwitchingCarriers,
+    switching_tables,
+    want_densities,
+)
 from seedslib.filters.finite_order_rules import Start
+from seedslib.filters.switching_lookup import step_axes
+from seedslib.filters.switching_table import SwitchingTableFilter
 from seedslib.filters.table import OutputRules, Table, TableFilter, TableFit
 
 LARGEST_TABLE = 1 << 25
@@ -19,8 +26,8 @@ PILOT = 2000
 
 def simulated_synthesis(
     system, memory, times, *, paths, seed, z=None, y=None, method="likelihood", components=None,
-    sets=2, kernel=0.5, nodes=4, workers=1,
-) -> TableFilter:  # fmt: skip
+    sets=2, kernel=0.5, nodes=4, workers=1, probabilities=False,
+) -> TableFilter | SwitchingTableFilter:  # fmt: skip
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
     Section 5 of the jump-diffusion paper: at each measurement the optimal function
@@ -30,9 +37,10 @@ def simulated_synthesis(
 
     Parameters
     ----------
-    system : JumpDiffusion
+    system : JumpDiffusion or SwitchingSystem
     memory : Memory
-        Of estimates, of measurements, or of both.
+        Of estimates, of measurements, or of both; for a switching system of one of the two, with
+        the decided modes, and of as many indicators where they are to be remembered.
     times : array_like, shape (K+1,)
         Times of the measurements; the first is that of the initial law.
     paths : int
@@ -52,13 +60,15 @@ def simulated_synthesis(
         Width of the smoothing kernel in units of the normal reference rule, which is too wide
         for densities of several peaks.
     nodes : int
-        Number of evenly spaced forecasts inside each interval.
+        Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
         Threads of the simulation.
+    probabilities : bool
+        Whether tables of the probabilities of the modes are wanted too.
 
     Returns
     -------
-    TableFilter
+    TableFilter, or SwitchingTableFilter for a switching system
         Its predicted errors are those on paths that the function at that time has not seen.
 
     Raises
@@ -74,13 +84,23 @@ def simulated_synthesis(
     """
     if method not in METHODS:
         raise ValueError(f"method: wanted one of {', '.join(METHODS)}, got {method!r}")
-    if method == "likelihood" and not system.sensor.has_log_density:
+    switching = hasattr(system, "branches")
+    if probabilities and not switching:
+        raise ValueError("probabilities: wanted False, the system has no modes")
+    if method == "likelihood" and switching:
+        want_densities(system)
+    elif method == "likelihood" and not system.sensor.has_log_density:
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
     if not 0 < kernel < np.inf:
         raise ValueError(f"kernel: wanted a positive number, got {kernel}")
+    if switching:
+        return _switching(
+            system, memory, times, paths, seed, z, y, method, components, sets, kernel, workers,
+            probabilities,
+        )  # fmt: skip
     carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
     components = carriers.components
-    axes_y, axes_z = _axes(system, carriers, y, z)
+    axes_y, axes_z = _axes(system.sensor.size, carriers, y, z)
     refuse_large(axes_y, axes_z, memory)
     outputs, ends, between = [], [], []
     for k, t in enumerate(carriers.times):
@@ -118,6 +138,17 @@ def simulated_synthesis(
     )  # fmt: skip
 
 
+def _switching(
+    system, memory, times, paths, seed, z, y, method, components, sets, kernel, workers,
+    probabilities,
+):  # fmt: skip
+    carriers = SwitchingCarriers(system, memory, times, components, paths, sets, seed, workers)
+    axes_y, axes_z = _axes(system.measurement_size, carriers, y, z)
+    letters = axes_z if memory.estimates else axes_y
+    _refuse(step_axes(system, memory, axes_y, letters, memory.depth)[0])
+    return switching_tables(system, carriers, axes_y, axes_z, method, kernel, probabilities)
+
+
 def held_axes(memory, axes_y, axes_z, k) -> tuple[Axis, ...]:
     """Axes of the memory before measurement k."""
     return axes_z * min(k, memory.estimates) + axes_y * min(k, memory.measurements)
@@ -131,7 +162,10 @@ def refuse_large(axes_y, axes_z, memory) -> None:
     ValueError
         Too many entries.
     """
-    axes = axes_y + held_axes(memory, axes_y, axes_z, memory.depth)
+    _refuse(axes_y + held_axes(memory, axes_y, axes_z, memory.depth))
+
+
+def _refuse(axes):
     entries = float(np.prod([float(axis.count) for axis in axes]))
     if entries > LARGEST_TABLE:
         raise ValueError(
@@ -140,9 +174,9 @@ def refuse_large(axes_y, axes_z, memory) -> None:
         )
 
 
-def _axes(system, carriers, y, z):
+def _axes(m, carriers, y, z):
     """Axes of measurements and estimates, laid about the paths where none are given."""
-    m, n = system.sensor.size, carriers.components
+    n = carriers.components
     arguments = m + carriers.memory.order(n, m)
     most = {2: 201, 3: 81}.get(arguments, max(7, int(LARGEST_TABLE ** (0.9 / arguments))))
     pilot = carriers.sets[0]

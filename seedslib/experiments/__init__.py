@@ -15,6 +15,7 @@ _HOMES = {
     "claim": ".recording",
     "record": ".recording",
     "run_sweep": ".sweeps",
+    "plot_design": ".design_plots",
     "plots": "",
 }
 __getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)

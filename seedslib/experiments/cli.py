@@ -1,4 +1,4 @@
-"""Commands of the book: ``python -m seedslib execute | sweep | claims | check-html``."""
+"""All commands, ``python -m seedslib``: of the library (design, filter) and of the book."""
 
 from __future__ import annotations
 
@@ -6,6 +6,8 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+
+from seedslib.commands import design, filtering
 
 
 def _execute(options: argparse.Namespace) -> int:
@@ -68,6 +70,8 @@ def _check_html(options: argparse.Namespace) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m seedslib", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
+    design.add(commands)
+    filtering.add(commands)
 
     execute = commands.add_parser("execute", help="execute the text notebooks that changed")
     execute.add_argument("notebooks", nargs="*", help="which ones; all by default")
@@ -101,6 +105,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return options.run(options)
     except (ValueError, OSError) as error:
         print(f"seedslib: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        if error.name is None or error.name.startswith("seedslib"):
+            raise
+        print(
+            f"seedslib: {error.name} is not installed; this command wants the extra 'book'",
+            file=sys.stderr,
+        )
         return 2
     except KeyboardInterrupt:
         print("seedslib: interrupted; what was finished is kept", file=sys.stderr)

@@ -20,8 +20,13 @@ _HOMES = {
     "unscented_kalman": ".covariance",
     "cubature_kalman": ".covariance",
     "FiniteOrderFilter": ".finite_order",
+    "SwitchingFilter": ".switching",
     "TableFilter": ".table",
+    "SwitchingTableFilter": ".switching_table",
     "ParticleFilter": ".particle",
+    "RaoBlackwellFilter": ".rao_blackwell",
+    "GridBayesFilter": ".grid_bayes",
+    "KnownModeFilter": ".known_modes",
     "PiecewiseLinearFilter": ".piecewise",
 }
 __getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)

@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from seedslib.filters._delay_gains import StepGains, seen
-from seedslib.systems._delay_coefficients import covariance_root
+from seedslib.singular import square_root
 from seedslib.systems.delay import DelaySystem
 
 
@@ -31,7 +31,7 @@ def start(system: DelaySystem) -> RootCovariance:
     """Factor before the first measurement, at k = 0."""
     blocks, n = system.max_delay + 1, system.n
     joint = system.start_cov().reshape(blocks, n, blocks, n)[::-1, :, ::-1]
-    return RootCovariance(0, covariance_root(joint.reshape(blocks * n, blocks * n)))
+    return RootCovariance(0, square_root(joint.reshape(blocks * n, blocks * n)))
 
 
 def advance(
@@ -50,7 +50,7 @@ def advance(
     c = system.step(k)
     sensor, noise = seen(c, missing)
     size = state.root.shape[0]
-    drive = c.noise_input @ covariance_root(c.noise_cov)
+    drive = c.noise_input @ square_root(c.noise_cov)
 
     array = np.zeros((m + size, m + size + drive.shape[1]))
     array[:m, :m] = np.linalg.cholesky(noise)

@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib._validate import as_times
 from seedslib.correction import correct
-from seedslib.filters.estimates import Estimates, as_record
+from seedslib.filters.estimates import Estimates, as_record, require_time, stays
 from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.linearization import Linearization, Moments, symmetric
 from seedslib.systems.simulation import BLOCK, as_count, in_blocks
@@ -115,10 +115,8 @@ class CovarianceFilter:
         ValueError
             A time before that of the state.
         """
-        if state.time is None or t == state.time:
+        if stays(state, t):
             return state._replace(time=float(t))
-        if not t > state.time:
-            raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
                 mean, cov = self._dynamics(t, state.mean, state.cov)
@@ -147,8 +145,7 @@ class CovarianceFilter:
         ValueError
             A state without a time: `predict` gives it one.
         """
-        if state.time is None:
-            raise ValueError("state: wanted a state with a time, got None; predict to it first")
+        require_time(state)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             moments = Moments(*self._sensor(state.time, state.mean, state.cov))
             return FilterState(state.time, *correct(state.mean, state.cov, y, moments))

@@ -1,4 +1,4 @@
-"""What a filter returns: one type for every filter."""
+"""What filters take and return: estimates, records of measurements, times of states."""
 
 from __future__ import annotations
 
@@ -25,6 +25,8 @@ class Estimates(NamedTuple):
         log-likelihood of the record.
     diverged : ndarray of bool, shape (*batch), or None
         Which paths left the region that the filter was told to believe, or became NaN.
+    modes : ndarray of int, shape (K+1, *batch), or None
+        Decided modes of a switching system, numbered from 0.
     """
 
     mean: np.ndarray
@@ -32,6 +34,7 @@ class Estimates(NamedTuple):
     mode_prob: np.ndarray | None = None
     loglik: np.ndarray | None = None
     diverged: np.ndarray | None = None
+    modes: np.ndarray | None = None
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
@@ -59,3 +62,64 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
             f"measurements: wanted finite numbers or NaN, got {record[where]} at index {where}"
         )
     return record
+
+
+def stays(state: object, t: float) -> bool:
+    """Whether a forecast to time t leaves the state as it is: it has no time yet, or that one.
+
+    Parameters
+    ----------
+    state : NamedTuple
+        Of any filter, with a field `time`.
+    t : float
+
+    Raises
+    ------
+    ValueError
+        A time before that of the state.
+    """
+    if state.time is None or t == state.time:
+        return True
+    if not t > state.time:
+        raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
+    return False
+
+
+def require_time(state: object) -> None:
+    """Refuse to correct a state that was not given a time.
+
+    Raises
+    ------
+    ValueError
+        A state without a time: `predict` gives it one.
+    """
+    if state.time is None:
+        raise ValueError("state: wanted a state with a time, got None; predict to it first")
+
+
+def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | None:
+    """Indicators of a switching system, whole numbers of the given shape; -1 is a missing one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Indicators where the system has none or none where it has; no whole numbers, a wrong
+        shape, a value out of range.
+    """
+    if indicators is None:
+        if system.has_indicator:
+            raise ValueError(f"{name}: wanted, the system has an indicator; got none")
+        return None
+    if not system.has_indicator:
+        raise ValueError(f"{name}: wanted none, the system has no indicator")
+    seen = np.asarray(indicators)
+    if seen.dtype.kind not in "iu":
+        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {seen.dtype}")
+    if seen.shape != shape:
+        raise ValueError(f"{name}: wanted shape {shape}, got {seen.shape}")
+    if seen.size and not (seen.min() >= -1 and seen.max() < system.indicators):
+        worst = seen.max() if seen.max() >= system.indicators else seen.min()
+        raise ValueError(
+            f"{name}: wanted 0 to {system.indicators - 1}, or -1 for a missing one, got {worst}"
+        )
+    return seen

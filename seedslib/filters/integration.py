@@ -37,8 +37,13 @@ def euler(rate, y, start, stop, step):
     steps = max(1, math.ceil((stop - start) / step - 1e-9))
     h = (stop - start) / steps
     for k in range(steps):
-        y = [a + h * b for a, b in zip(y, rate(start + k * h, y), strict=True)]
+        y = euler_step(rate, start + k * h, y, h)
     return y
+
+
+def euler_step(rate, t, y, h):
+    """One explicit Euler step of size h."""
+    return [a + h * b for a, b in zip(y, rate(t, y), strict=True)]
 
 
 def rk4(rate, y, start, stop, step):
@@ -55,16 +60,20 @@ def rk4(rate, y, start, stop, step):
     steps = max(1, math.ceil((stop - start) / step - 1e-9))
     h = (stop - start) / steps
     for k in range(steps):
-        t = start + k * h
-        k1 = rate(t, y)
-        k2 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k1, strict=True)])
-        k3 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k2, strict=True)])
-        k4 = rate(t + h, [a + h * b for a, b in zip(y, k3, strict=True)])
-        y = [
-            a + (h / 6.0) * (b + 2.0 * (c + d) + e)
-            for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)
-        ]
+        y = rk4_step(rate, start + k * h, y, h)
     return y
+
+
+def rk4_step(rate, t, y, h):
+    """One classical Runge-Kutta step of size h."""
+    k1 = rate(t, y)
+    k2 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k1, strict=True)])
+    k3 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k2, strict=True)])
+    k4 = rate(t + h, [a + h * b for a, b in zip(y, k3, strict=True)])
+    return [
+        a + (h / 6.0) * (b + 2.0 * (c + d) + e)
+        for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)
+    ]
 
 
 def adaptive(rate, y, start, stop, step, rtol=1e-6, atol=1e-9):

@@ -8,9 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.gaussian._joint import as_joint_law, square_root
+from seedslib.gaussian._joint import as_joint_law
 from seedslib.gaussian.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule, points_of
+from seedslib.singular import square_root
 
 BLOCK_POINTS = 1_000_000
 

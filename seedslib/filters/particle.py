@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib._validate import as_times
-from seedslib.filters.estimates import Estimates, as_record
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence, in_blocks
+from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
+from seedslib.filters.modes import run_in_blocks
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
 
 
 class ParticleState(NamedTuple):
@@ -16,7 +16,8 @@ class ParticleState(NamedTuple):
 
     ``seed`` and ``draws`` fix the random numbers that come next, so that equal states move
     equally. ``mean``, ``cov``, ``loglik`` are those of the weighted particles before resampling;
-    ``diverged`` marks the data sets that no particle explained.
+    ``diverged`` marks the data sets that no particle explained. Particles of a switching system
+    have the mode as last row, and ``mode_prob`` (L, *batch) is that of the weighted ones.
     """
 
     time: float | None
@@ -27,6 +28,7 @@ class ParticleState(NamedTuple):
     cov: np.ndarray
     loglik: np.ndarray
     diverged: np.ndarray
+    mode_prob: np.ndarray | None = None
 
 
 class ParticleFilter:
@@ -38,7 +40,7 @@ class ParticleFilter:
 
     Parameters
     ----------
-    system : JumpDiffusion or DiscreteSystem
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
         With ``initial_sample``, ``advance`` and a sensor that has a log-density.
     particles : int
     **options
@@ -53,7 +55,9 @@ class ParticleFilter:
     def __init__(self, system, particles=1000, **options):
         self.system, self.options = system, options
         self.particles = as_count("particles", particles)
-        if not system.sensor.has_log_density:
+        self._modes = getattr(system, "modes", None)
+        self._moving = system if self._modes is None else system.hybrid
+        if not self._moving.sensor.has_log_density:
             raise ValueError(
                 "system: wanted a sensor affine in Gaussian noise or one with a log_density, "
                 "got one whose likelihood has no closed form"
@@ -63,11 +67,11 @@ class ParticleFilter:
         """Particles of the initial law for data sets of the given batch shape."""
         seed = as_seed_sequence(seed)
         count = self.particles * int(np.prod(batch, dtype=int))
-        x = self.system.initial_sample(_stream(seed, 0), count)
+        x = self._moving.initial_sample(stream(seed, 0), count)
         x = x.reshape(len(x), self.particles, *batch)
-        mean, cov = _moments(x, np.full(x.shape[1:], 1.0 / self.particles))
+        mean, cov, prob = self._estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
         return ParticleState(
-            None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool)
+            None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
         )
 
     def predict(self, state: ParticleState, t: float) -> ParticleState:
@@ -78,27 +82,31 @@ class ParticleFilter:
         ValueError
             A time before that of the state.
         """
-        if state.time is None or t == state.time:
+        if stays(state, t):
             return state._replace(time=float(t))
-        if not t > state.time:
-            raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
-        rng = _stream(state.seed, state.draws)
-        x = self.system.advance(state.particles, state.time, t, rng, **self.options)
+        rng = stream(state.seed, state.draws)
+        x = self._moving.advance(state.particles, state.time, t, rng, **self.options)
         return state._replace(time=float(t), particles=x, draws=state.draws + 1)
 
-    def correct(self, state: ParticleState, y) -> ParticleState:
+    def correct(self, state: ParticleState, y, indicator=None) -> ParticleState:
         """Weight by the measurement y, shape (m, *batch), estimate, resample.
+
+        The indicator (*batch) of a switching system is a whole number, -1 where it is missing.
 
         Raises
         ------
         ValueError
             A state without a time: `predict` gives it one.
         """
-        if state.time is None:
-            raise ValueError("state: wanted a state with a time, got None; predict to it first")
+        require_time(state)
         y, x = np.asarray(y, dtype=float), state.particles
+        shown = None
+        if self._modes is not None:
+            shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
+        if shown is not None:
+            y = np.concatenate([y, np.where(shown < 0, np.nan, shown)[None]])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            log_weight = self.system.sensor.log_density(state.time, y[:, None], x)
+            log_weight = self._moving.sensor.log_density(state.time, y[:, None], x)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         highest = log_weight.max(axis=0)
         lost = np.isneginf(highest)
@@ -107,24 +115,32 @@ class ParticleFilter:
         total = weight.sum(axis=0)
         loglik = np.where(lost, -np.inf, highest + np.log(total / self.particles))
         weight = weight / total
-        mean, cov = _moments(x, weight)
-        rng = _stream(state.seed, state.draws)
+        mean, cov, prob = self._estimate(x, weight)
+        rng = stream(state.seed, state.draws)
         if np.isfinite(y).any():
             x = _resample(x, weight, rng)
         return ParticleState(
-            state.time, x, state.seed, state.draws + 1, mean, cov, loglik, state.diverged | lost
-        )
+            state.time, x, state.seed, state.draws + 1, mean, cov, loglik, state.diverged | lost,
+            prob,
+        )  # fmt: skip
 
-    def step(self, state: ParticleState, t: float, y) -> ParticleState:
+    def step(self, state: ParticleState, t: float, y, indicator=None) -> ParticleState:
         """Move to time t and correct there."""
-        return self.correct(self.predict(state, t), y)
+        return self.correct(self.predict(state, t), y, indicator)
 
     def forecast(self, state: ParticleState, t: float) -> Estimates:
-        """Mean (n, *batch) and covariance of the particles at a later time."""
+        """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
         x = self.predict(state, t).particles
-        return Estimates(*_moments(x, np.full(x.shape[1:], 1.0 / self.particles)))
+        return Estimates(*self._estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
 
-    def run(self, times, measurements, *, seed=0, workers=1) -> Estimates:
+    def _estimate(self, x, weight):
+        """Weighted mean (n, *batch), covariance (n, n, *batch), mode probabilities or None."""
+        if self._modes is None:
+            return *_moments(x, weight), None
+        prob = np.stack([(weight * (x[-1] == i)).sum(axis=0) for i in range(self._modes)])
+        return *_moments(x[:-1], weight), prob
+
+    def run(self, times, measurements, *, indicators=None, seed=0, workers=1) -> Estimates:
         """Filter a record, or many at once.
 
         Parameters
@@ -132,6 +148,8 @@ class ParticleFilter:
         times : array_like, shape (K+1,)
         measurements : array_like, shape (K+1, m, *batch)
             NaN marks a missing component.
+        indicators : array_like of int, shape (K+1, *batch), optional
+            Of a switching system that has one; -1 where missing.
         seed : int, SeedSequence or Generator
         workers : int
             Threads over blocks of data sets; the numbers do not depend on it.
@@ -140,40 +158,21 @@ class ParticleFilter:
         -------
         Estimates
             ``mean`` (K+1, n, *batch), ``cov`` (K+1, n, n, *batch), ``loglik`` (K+1, *batch) and
-            ``diverged`` (*batch).
+            ``diverged`` (*batch); for a switching system ``mode_prob`` (K+1, L, *batch) and
+            ``modes`` (K+1, *batch).
 
         Raises
         ------
         TypeError, ValueError
             Times that do not increase, infinite measurements, shapes that do not fit.
         """
-        times = as_times("times", times)
-        y = as_record(measurements, len(times), self.system.sensor.size)
-        batch = y.shape[2:]
-        flat = y.reshape(*y.shape[:2], -1)
-
-        def work(start, stop, stream):
-            state = self.initial((stop - start,), stream)
-            rows = []
-            for k, t in enumerate(times):
-                state = self.step(state, t, flat[k, :, start:stop])
-                rows.append((state.mean, state.cov, state.loglik))
-            return [np.stack(part) for part in zip(*rows, strict=True)] + [state.diverged]
-
         block = max(1, BLOCK // self.particles)
-        parts = in_blocks(work, flat.shape[2], seed, workers=workers, block=block)
-        mean, cov, loglik, diverged = (
-            np.concatenate(part, axis=-1) for part in zip(*parts, strict=True)
-        )
-        return Estimates(
-            mean.reshape(*mean.shape[:-1], *batch),
-            cov.reshape(*cov.shape[:-1], *batch),
-            loglik=loglik.reshape(*loglik.shape[:-1], *batch),
-            diverged=diverged.reshape(batch),
+        return run_in_blocks(
+            self, times, measurements, indicators, block=block, seed=seed, workers=workers
         )
 
 
-def _stream(seed, draw) -> np.random.Generator:
+def stream(seed, draw) -> np.random.Generator:
     """Generator of one draw, found from its number alone."""
     child = np.random.SeedSequence(
         seed.entropy, spawn_key=(*seed.spawn_key, draw), pool_size=seed.pool_size
@@ -190,14 +189,26 @@ def _moments(x, weight):
 
 def _resample(x, weight, rng):
     """Systematic resampling of every data set with one uniform number each."""
-    n, count = x.shape[:2]
-    flat = x.reshape(n, count, -1)
-    sets = flat.shape[2]
-    edges = np.cumsum(weight.reshape(count, sets), axis=0)
+    return np.take_along_axis(x, choose(weight, len(weight), rng)[None], axis=1)
+
+
+def choose(weight, count, rng) -> np.ndarray:
+    """Numbers (count, *batch) of the particles that systematic resampling draws.
+
+    Parameters
+    ----------
+    weight : ndarray, shape (particles, *batch)
+        Weights that need not sum to one.
+    count : int
+    rng : numpy.random.Generator
+        Gives one uniform number for each data set.
+    """
+    total, batch = len(weight), weight.shape[1:]
+    edges = np.cumsum(weight.reshape(total, -1), axis=0)
+    sets = edges.shape[1]
     # the sets are laid end to end on one line, so that one sorted search serves all
     edges = edges / edges[-1] + np.arange(sets)
     places = (rng.random(sets) + np.arange(count)[:, None]) / count + np.arange(sets)
     chosen = np.searchsorted(edges.T.ravel(), places.T.ravel(), side="right")
-    chosen = chosen.reshape(sets, count) - count * np.arange(sets)[:, None]
-    chosen = np.clip(chosen, 0, count - 1).T
-    return np.take_along_axis(flat, chosen[None], axis=1).reshape(x.shape)
+    chosen = chosen.reshape(sets, count) - total * np.arange(sets)[:, None]
+    return np.clip(chosen, 0, total - 1).T.reshape(count, *batch)

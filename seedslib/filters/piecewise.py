@@ -8,7 +8,7 @@ import numpy as np
 
 from seedslib._validate import as_real
 from seedslib.filters import piecewise_weights as weights
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.estimates import Estimates, require_time, stays
 from seedslib.filters.piecewise_branches import (
     Branches,
     measure,
@@ -111,7 +111,7 @@ class PiecewiseLinearFilter:
         ValueError
             A time before that of the state; a transition that the chosen method cannot make.
         """
-        if _stays(state, t):
+        if stays(state, t):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))
         batch = state.mean.shape[1:]
         branches, lost = self._moved(state, t)
@@ -127,13 +127,12 @@ class PiecewiseLinearFilter:
             sensor of a known state; for a single data set, a measurement that no branch can
             explain.
         """
-        if state.time is None:
-            raise ValueError("state: wanted a state with a time, got None; predict to it first")
+        require_time(state)
         return self._corrected(state, state.branches, state.time, y, state.lost)
 
     def step(self, state: PiecewiseState, t: float, y: object) -> PiecewiseState:
         """Prediction for time t and correction by y in one."""
-        if self._adaptive or _stays(state, t):
+        if self._adaptive or stays(state, t):
             return self.correct(self.predict(state, t), y)
         branches, lost = self._moved(state, t)
         return self._corrected(state, branches, float(t), y, lost)
@@ -184,8 +183,11 @@ class PiecewiseLinearFilter:
         ]
         if not batch:
             return blocks[0]
-        joined = (np.concatenate(parts, axis=-1) for parts in zip(*blocks, strict=True))
-        return Estimates(*(part.reshape(*part.shape[:-1], *batch) for part in joined))
+        joined = (
+            None if parts[0] is None else np.concatenate(parts, axis=-1)
+            for parts in zip(*blocks, strict=True)
+        )
+        return Estimates(*(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in joined))
 
     @property
     def _adaptive(self) -> bool:
@@ -314,10 +316,3 @@ class PiecewiseLinearFilter:
             branches=branches,
             law=law,
         )
-
-
-def _stays(state: PiecewiseState, t: float) -> bool:
-    """Whether there is no transition to time t."""
-    if state.time is not None and t < state.time:
-        raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
-    return state.time is None or t == state.time

@@ -87,7 +87,7 @@ class OutputFilter(FiniteOrderFilter):
 
     Z_k = f_k(Y_k, U_{k-1}) and Z_k^i = g_k^i(U_k), theorem 1 of the jump-diffusion paper. The
     verbs are those of `FiniteOrderFilter`; there is no likelihood, and the covariance is the
-    unconditional one that the design found.
+    unconditional one that the design found, NaN where a measurement is missing.
     """
 
     def output(self, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -120,6 +120,8 @@ class OutputFilter(FiniteOrderFilter):
             raise ValueError("y: wanted a measurement, it is to be remembered; got NaN")
         past = self.memory.push(state.past, estimate=mean, measurement=y)
         cov = self.rules.covariances[k] if spread else None
+        if spread and missing.any():  # the design knows the error with the measurement only
+            cov = np.where(missing, np.nan, cov.reshape(*cov.shape, *(1,) * missing.ndim))
         return state._replace(
             mean=mean, cov=cov, past=past, measurement=y, loglik=np.nan, corrected=True
         )
@@ -143,7 +145,7 @@ class OutputFilter(FiniteOrderFilter):
 
     def __str__(self) -> str:
         predicted, times = self.predicted, self.times
-        made = "densities on a grid, without random numbers"
+        made = "exact moments or densities on a grid, without random numbers"
         if not self.design.exact:
             made = f"{self.design.paths} paths, seed {self.design.entropy}"
         lines = [

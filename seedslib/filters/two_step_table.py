@@ -12,8 +12,8 @@ from seedslib._validate import as_real, as_shape
 from seedslib.filters.kalman_bucy_design import KalmanBucyDesign
 from seedslib.filters.laws import Law
 from seedslib.gaussian._arguments import in_range
-from seedslib.gaussian._joint import square_root
 from seedslib.gaussian.polynomial import Coefficients, derivative, heat
+from seedslib.singular import square_root
 
 
 @dataclass(frozen=True, eq=False)

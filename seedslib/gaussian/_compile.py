@@ -148,9 +148,9 @@ def _check_conjugates(waves: Sequence[Group], n: int) -> None:
     for wave in waves:
         quadratic = np.zeros((n, n)) if wave.quadratic is None else wave.quadratic
         linear = np.zeros(n) if wave.linear is None else wave.linear
-        plane = [*wave.plane.normal, wave.plane.offset, wave.plane.edge] if wave.plane else []
+        plane = [*wave.plane.normal, *wave.plane[1:]] if wave.plane else []
         rows.append(
-            np.concatenate([quadratic.ravel(), linear, plane, np.zeros(n + 2 - len(plane))])
+            np.concatenate([quadratic.ravel(), linear, plane, np.zeros(n + 3 - len(plane))])
         )
     places = np.array(rows)
     scale = max(np.abs(c).max() for wave in waves for c in wave.polynomial.values())
@@ -184,7 +184,8 @@ def _plane(key: Key, number: Number) -> HalfSpace | None:
     if key.plane is None:
         return None
     normal = np.array([number(c) for c in key.plane.normal]).real
-    return HalfSpace(normal, number(key.plane.offset).real, number(key.plane.edge).real)
+    offset, edge = number(key.plane.offset).real, number(key.plane.edge).real
+    return HalfSpace(normal, offset, edge, float(key.plane.blurred))
 
 
 def stretched(array: np.ndarray, axes: int, batch: int) -> np.ndarray:

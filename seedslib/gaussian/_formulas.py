@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import sympy as sp
 
 from seedslib.gaussian._classes import Key, Terms
+from seedslib.gaussian._normal_cdf import NormalCDF
 from seedslib.gaussian.polynomial import heat, monomial_means, predecessors
 
 
@@ -115,12 +116,15 @@ def _squares(matrix: sp.Matrix) -> list[tuple[sp.Expr, sp.Matrix]]:
 
 
 def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
-    """``E p(x) 1{u > 0}`` under N(m, P) by the Stein recursion with its boundary term."""
+    """``E p(x) 1{u > 0}`` under N(m, P) by the Stein recursion with its boundary term.
+
+    For a blurred half-space u has one more component, which is independent of x.
+    """
     normal = sp.Matrix(key.plane.normal)
     direction = p * normal
     location = (normal.T * m)[0] + key.plane.offset
-    variance = (normal.T * direction)[0]
-    mass = (1 + sp.erf(location / sp.sqrt(2 * variance))) / 2
+    variance = (normal.T * direction)[0] + int(key.plane.blurred)
+    mass = NormalCDF(location / sp.sqrt(variance))
     height = sp.exp(-(location**2) / (2 * variance)) / sp.sqrt(2 * sp.pi * variance)
     gain = direction / variance
     indices = tuple(poly.monoms())

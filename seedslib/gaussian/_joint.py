@@ -63,11 +63,5 @@ def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np
     return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
 
 
-def square_root(cov: np.ndarray) -> np.ndarray:
-    """Factor L (n, n) with ``L L' = cov``; rounding negatives of the spectrum become zero."""
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))
-
-
 def _symmetric(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + matrix.T)

@@ -22,11 +22,15 @@ FAR = 1e100  # a switching function this many standard deviations away; its squa
 
 
 class HalfSpace(NamedTuple):
-    """``normal . x + offset > 0``; its indicator is `edge` on the boundary."""
+    """``normal . x + offset > 0``; its indicator is `edge` on the boundary.
+
+    `blur` is the deviation of a normal number of its own that moves the boundary.
+    """
 
     normal: np.ndarray
     offset: float
     edge: float
+    blur: float = 0.0
 
 
 class Group(NamedTuple):
@@ -174,7 +178,7 @@ def half_space_means(
     """
     direction = times(cov, plane.normal)
     location = dot(plane.normal, mean) + plane.offset
-    variance = dot(plane.normal, direction)
+    variance = dot(plane.normal, direction) + plane.blur**2
     varies = variance.real > 0
     deviation = np.sqrt(np.where(varies, variance, 1.0))
     ratio = location / deviation
@@ -207,8 +211,10 @@ def _scaled_tail(ratio: np.ndarray, log_scale: np.ndarray) -> np.ndarray:
 
 
 def indicator(plane: HalfSpace, point: np.ndarray) -> np.ndarray:
-    """Value of the indicator at points (n, *batch)."""
+    """Value of the indicator at points (n, *batch), on average over its blur."""
     u = dot(plane.normal, point) + plane.offset
+    if plane.blur:
+        return ndtr(u / plane.blur)
     return np.where(u > 0, 1.0, np.where(u < 0, 0.0, plane.edge))
 
 

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.gaussian._joint import joint_factor, square_root
+from seedslib.gaussian._joint import joint_factor
 from seedslib.gaussian.hermite import quadrature_expansion, rule_of_rank
 from seedslib.gaussian.norm import norm_mean
 from seedslib.gaussian.quadrature import fifth_degree
+from seedslib.singular import square_root
 
 STEP = 0.14
 REACH = 19.0

@@ -8,7 +8,8 @@ from typing import NamedTuple
 
 import sympy as sp
 
-from seedslib.gaussian._classes import Reader, Terms
+from seedslib.gaussian._classes import Terms, folded
+from seedslib.gaussian._reader import Reader
 
 
 class Parsed(NamedTuple):
@@ -89,7 +90,7 @@ def _parse(expressions: tuple, variables: tuple, parameters: tuple) -> tuple:
     reader = Reader(symbols, {stand_in: own for own, stand_in in real.items()})
     components = []
     for expression in expressions:
-        terms = reader.read(expression.xreplace(real))
+        terms = folded(reader.read(expression.xreplace(real)))
         for key, poly in terms.items():
             if key.norm is not None and (key.exponent or key.plane or poly.total_degree() > 0):
                 raise reader.refuse(expression, "wanted a constant multiple of a norm")

@@ -12,8 +12,9 @@ import numpy as np
 from scipy.special import roots_legendre
 
 from seedslib.gaussian._centred import CentredMoments
-from seedslib.gaussian._joint import joint_factor, square_root
+from seedslib.gaussian._joint import joint_factor
 from seedslib.gaussian.hermite import rule_of_rank
+from seedslib.singular import square_root
 
 # breakpoints in standard deviations of the estimate and of its error
 ESTIMATE_SCALE = np.array([0.0, 2.0, 4.0, 6.5, 9.0, 12.0, 20.0, 38.0])

@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 from scipy.special import erfcx
 
 from seedslib.gaussian._arguments import gaussian_arguments
-from seedslib.gaussian._joint import square_root
 from seedslib.gaussian.functions import FunctionMoments
 from seedslib.gaussian.quadrature import gauss_hermite
+from seedslib.singular import square_root
 
 CONCENTRATED = 8.0
 REACH = 10.0

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from seedslib._validate import as_real, as_shape
+from seedslib._validate import as_shape
 from seedslib.gaussian._arguments import gaussian_arguments
 from seedslib.gaussian._joint import as_joint_law
 from seedslib.gaussian._kernels import dot, times
@@ -193,7 +193,7 @@ def cubic_errors(
     optimal = sum(_difference(form, order, cov, error_cov) for order, form in forms)
     bias = 2 * A @ error_cov @ B + A * np.sum(B * error_cov)
     excess = bias @ (cov - error_cov + np.outer(mean, mean)) @ bias.T
-    optimal = 0.5 * (optimal + optimal.T)
+    optimal = 0.5 * _both(optimal)
     return MeanSquareErrors(optimal, optimal + excess)
 
 
@@ -291,7 +291,4 @@ def _trace(A: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def _symmetric(name: str, value: object, size: int) -> np.ndarray:
-    matrix = as_real(name, value)
-    if matrix.shape != (size, size):
-        raise ValueError(f"{name}: wanted shape ({size}, {size}), got {matrix.shape}")
-    return 0.5 * (matrix + matrix.T)
+    return 0.5 * _both(as_shape(name, value, (size, size)))

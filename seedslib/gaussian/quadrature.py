@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
 from seedslib.gaussian._arguments import gaussian_arguments
+from seedslib.singular import square_root
 
 MOST_POINTS = 2_000_000
 
@@ -183,9 +184,8 @@ def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
     n = mean.shape[0]
     if rule.points.shape[0] != n:
         raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
-    values, vectors = np.linalg.eigh(np.moveaxis(cov, (0, 1), (-2, -1)))
-    factor = vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
-    offsets = np.moveaxis(factor @ rule.points, (-2, -1), (0, 1))
+    factors = square_root(np.moveaxis(cov, (0, 1), (-2, -1)))
+    offsets = np.moveaxis(factors @ rule.points, (-2, -1), (0, 1))
     depth = max(mean.ndim - 1, offsets.ndim - 2)
     return _padded(mean[:, None], depth) + _padded(offsets, depth)
 

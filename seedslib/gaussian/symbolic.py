@@ -55,7 +55,8 @@ def classify(f: object, variables: Sequence[sp.Symbol]) -> FunctionClass:
         ``polynomial``; ``exponential-polynomial`` (with exponents affine in the variables, sines
         and cosines included); ``tilt`` (quadratic exponents); ``piecewise`` (polynomials, and one
         switching plane in all components); ``norm`` (a constant multiple of one norm of an affine
-        map, plus a constant); ``mixed`` (a sum of several of them); ``none`` (no closed form).
+        map, plus a constant); ``mixed`` (a sum of several of them, and whatever has an error
+        function); ``none`` (no closed form).
 
     Raises
     ------
@@ -72,7 +73,7 @@ def class_of(parsed: Parsed) -> FunctionClass:
     """Class of a parsed function."""
     keys: set[Key] = {key for terms in parsed.components for key in terms}
     exponents = {key.exponent for key in keys} - {()}
-    planes = {key.plane[:2] for key in keys if key.plane}
+    planes = {key.plane.place for key in keys if key.plane}
     norms = {key for key in keys if key.norm is not None}
     if norms:
         rest = [t for terms in parsed.components for k, t in terms.items() if k not in norms]
@@ -80,7 +81,7 @@ def class_of(parsed: Parsed) -> FunctionClass:
         constant = all(poly.total_degree() <= 0 for poly in rest)
         return FunctionClass.NORM if alone and constant else FunctionClass.MIXED
     if planes:
-        plain = not exponents and len(planes) == 1
+        plain = not exponents and len(planes) == 1 and not any(blurred for *_, blurred in planes)
         return FunctionClass.PIECEWISE if plain else FunctionClass.MIXED
     if any(sum(monomial) == 2 for exponent in exponents for monomial, _ in exponent):
         return FunctionClass.TILT
@@ -98,7 +99,8 @@ def expectation(
     """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
 
     Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
-    quadratics, times the indicator of one half-space. The result is not simplified.
+    quadratics, times the indicator of one half-space or one error function (erf, erfc) of an
+    affine argument. The result is not simplified.
 
     Parameters
     ----------
@@ -130,6 +132,24 @@ def expectation(
     >>> x, m, P = sp.symbols("x m P", real=True)
     >>> expectation(sp.sin(x), [x], [m], sp.Matrix([[P]]))
     exp(-P/2)*sin(m)
+    """
+    result = mean_expression(f, variables, mean, cov, parameters=parameters)
+    if isinstance(result, sp.MatrixBase):
+        return result.applyfunc(lambda part: part.rewrite(sp.erf))
+    return result.rewrite(sp.erf)
+
+
+def mean_expression(
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence,
+    cov: sp.MatrixBase,
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr | sp.Matrix:
+    """As `expectation`, with probabilities of half-spaces as `NormalCDF`.
+
+    Code made of it keeps the relative accuracy of small probabilities.
     """
     variables = as_symbols("variables", variables)
     n = len(variables)

@@ -26,6 +26,9 @@ _HOMES = {
 __getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
 __all__ = ["Gaussian", "Linearization", "Moments", "Weighted", *_HOMES]
 
+TINY = np.finfo(float).tiny
+"""Branches of a smaller mass count as empty."""
+
 
 class Moments(NamedTuple):
     """Moments of y = g(t, x, v) for a state x with a given mean and covariance.
@@ -198,6 +201,23 @@ class Linearization(ABC):
             return Weighted(mass, Gaussian(x, xx), Moments(y, xy, yy))
 
         return branch
+
+    def row(self, maps) -> Callable[..., list[Weighted]]:
+        """Moments of several branches of one state, such as the moves from one mode.
+
+        Parameters
+        ----------
+        maps : sequence of StochasticMap
+            Branches of one state; those with the same value share its evaluation where the
+            linearization can.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> list of Weighted``, one for each map.
+        """
+        branches = [self.weighted(map) for map in maps]
+        return lambda t, mean, cov: [branch(t, mean, cov) for branch in branches]
 
 
 def refuse_weight(map) -> None:

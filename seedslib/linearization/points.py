@@ -21,6 +21,9 @@ from seedslib.singular import factor
 from seedslib.systems.noise import hermite_nodes
 from seedslib.systems.simulation import as_count
 
+SMALL = 1e-150
+"""Points of a smaller weight count for nothing: its square is out of the range of numbers."""
+
 
 class PointRule(Linearization):
     """Means as weighted sums over points of a standard normal vector, moved to N(m, D).
@@ -94,35 +97,71 @@ class PointRule(Linearization):
         return rates
 
     def weighted(self, map):
-        """See `Linearization.weighted`; the weights of the points are those of means."""
-        given = _conditional(map)
-        n = map.state_size
-        size = n if given is not None else n + map.noise.size
+        """See `Linearization.weighted`; the weights of the points are those of means.
 
-        def branch(t, mean, cov):
-            noise = map.noise if given is None else None
-            _, _, x, v, weights, _ = self._points(mean, cov, size, noise)
-            if given is None:
-                y, share = map.value(t, x, v), map.weight(t, x, v)
-            else:
-                y, share = given.mean(t, x), given.weight(t, x)
-            share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
-            mass = share.sum(axis=0)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                share = share / mass
-            middle, h = ((share * part).sum(axis=1) for part in (x, y))
-            dx, dy = x - middle[:, None], y - h[:, None]
-            squares = "is...,js...,s...->ij..."
-            square = np.einsum(squares, dy, dy, share)
-            if given is not None:
-                square = square + (share * given.cov(t, x)).sum(axis=2)
-            return Weighted(
-                mass,
-                Gaussian(middle, np.einsum(squares, dx, dx, share)),
-                Moments(h, np.einsum(squares, dx, dy, share), square),
-            )
+        Where mean and covariance of the branch given x have closed forms, so that they may
+        stand for a weight that mentions the noise, (6.23) and (6.27) of the switching paper,
+        points are laid in the space of x.
+        """
+        row = self.row([map])
+        return lambda t, mean, cov: row(t, mean, cov)[0]
 
-        return branch
+    def row(self, maps):
+        """See `Linearization.row`; equal values at equal points are taken once."""
+        maps = list(maps)
+        n, given = maps[0].state_size, [_conditional(map) for map in maps]
+        spaces = [None if g else map.noise for g, map in zip(given, maps, strict=True)]
+        kinds = [_kind(map, bool(g)) for g, map in zip(given, maps, strict=True)]
+
+        def f(t, mean, cov):
+            points, values = {}, {}
+            result = []
+            for map, known, noise, kind in zip(maps, given, spaces, kinds, strict=True):
+                if id(noise) not in points:
+                    size = n if noise is None else n + noise.size
+                    points[id(noise)] = self._points(mean, cov, size, noise)
+                _, _, x, v, weights, _ = points[id(noise)]
+                if kind not in values:
+                    with np.errstate(divide="ignore", invalid="ignore"):  # points without weight
+                        values[kind] = (
+                            (known.mean(t, x), known.cov(t, x))
+                            if known
+                            else (map.value(t, x, v), None)
+                        )
+                share = known.weight(t, x) if known else map.weight(t, x, v)
+                share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
+                result.append(_branch(x, share, *values[kind]))
+            return result
+
+        return f
+
+
+def _kind(map, known):
+    """What branches have in common whose values and their noise are the same at each point."""
+    if not map.symbolic:
+        return id(map)
+    dependent = known and map.weight_expression.free_symbols & set(map.noise.symbols)
+    return (tuple(map.expressions), id(map.noise), map.weight_expression if dependent else known)
+
+
+def _branch(x, share, y, spread):
+    """Moments of a branch from points x, the branch's part of their weights, and values y there."""
+    empty = np.abs(share) < SMALL  # there the mean in the branch may be 0 / 0
+    share, y = np.where(empty, 0.0, share), np.where(empty, 0.0, y)
+    mass = share.sum(axis=0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = share / mass
+    middle, h = ((share * part).sum(axis=1) for part in (x, y))
+    dx, dy = x - middle[:, None], y - h[:, None]
+    squares = "is...,js...,s...->ij..."
+    square = np.einsum(squares, dy, dy, share)
+    if spread is not None:
+        square = square + (share * np.where(empty, 0.0, spread)).sum(axis=2)
+    return Weighted(
+        mass,
+        Gaussian(middle, np.einsum(squares, dx, dx, share)),
+        Moments(h, np.einsum(squares, dx, dy, share), square),
+    )
 
 
 @lru_cache(maxsize=64)

@@ -3,12 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import sympy
 
-from seedslib.linearization import Gaussian, Linearization, Moments, Weighted, refuse_weight
-from seedslib.systems.codegen import batch_shape, compile_components, real_part, stack
+from seedslib.linearization import TINY, Gaussian, Linearization, Moments, Weighted, refuse_weight
+from seedslib.linearization._means import (
+    Names,
+    affine_part,
+    averager,
+    centred_square,
+    expand,
+    joined,
+    mentions,
+    noise_spread,
+    raw_square,
+)
+from seedslib.systems.codegen import batch_shape, compile_components, fold, stack
+
+
+class _Branch(NamedTuple):
+    """SymPy mass of a branch, moments of the state in it, and moments of y with it."""
+
+    mass: object
+    mean: object
+    cov: object
+    value: object
+    cross: object
+    spread: object
 
 
 class _Formulas(Linearization):
@@ -49,6 +72,69 @@ class _Formulas(Linearization):
                 stack(cross, (n, m)),
                 stack(rest[0], (m, m)) if spread else None,
             )
+
+        return f
+
+    def branch(self, map, mean, cov, name):
+        """SymPy moments of a branch (`_Branch`) at given mean and covariance of the state.
+
+        `name` gives large expressions a symbol, see `Names`.
+        """
+        raise NotImplementedError
+
+    def weighted(self, map):
+        """See `Linearization.weighted`.
+
+        Raises
+        ------
+        NoClosedForm
+            As `moments`.
+        """
+        row = self.row([map])
+        return lambda t, mean, cov: row(t, mean, cov)[0]
+
+    def row(self, maps):
+        """See `Linearization.row`; one compiled function, in which branches share what they can.
+
+        Raises
+        ------
+        NoClosedForm
+            As `moments`.
+        ValueError
+            Maps of different states.
+        """
+        maps = list(maps)
+        arguments, mean, cov = _arguments(maps[0], type(self).__name__)
+        if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
+            raise ValueError("maps: wanted maps of the same state and time")
+        names = Names()
+        branches = [self.branch(map, mean, cov, names) for map in maps]
+        # equal moments of several branches are evaluated and stored once
+        wanted = [
+            [(slot in (0, 2), sympy.ImmutableMatrix(part)) for slot, part in enumerate(branch[1:])]
+            for branch in branches
+        ]
+        parts = list(dict.fromkeys(part for row in wanted for part in row))
+        places = [[parts.index(part) for part in row] for row in wanted]
+        evaluate = _compiled(
+            arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
+        )
+        varied = [mentions(names.meaning(b.mass), {*mean, *cov}) for b in branches]
+
+        def f(t, mean, cov):
+            lower = _lower(cov)
+            batch = batch_shape(mean, lower)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                masses, *found = evaluate(t, mean, lower)
+            found = [
+                stack(values, part.shape[:1], batch) if vector else stack(values, part.shape)
+                for values, (vector, part) in zip(found, parts, strict=True)
+            ]
+            result = []
+            for mass, row, varies in zip(masses, places, varied, strict=True):
+                branch = [stack([mass], (), batch), *(found[k] for k in row)]
+                result.append(_weighted(*(_emptied(*branch) if varies else branch)))
+            return result
 
         return f
 
@@ -99,16 +185,29 @@ def _lower(cov):
     return [cov[i, j] for i in range(len(cov)) for j in range(i + 1)]
 
 
-def _compiled(arguments, parts):
+def _compiled(arguments, parts, named=()):
     """Function that returns the component lists of several matrices, evaluated together."""
     sizes = np.cumsum([len(part) for part in parts])[:-1]
-    function = compile_components(arguments, [e for part in parts for e in part])
+    function = compile_components(arguments, [e for part in parts for e in part], named)
 
     def evaluate(*values):
         flat = function(*values)
         return [flat[a:b] for a, b in zip([0, *sizes], [*sizes, None], strict=True)]
 
     return evaluate
+
+
+def _weighted(mass, mean, cov, y, cross, spread):
+    return Weighted(mass, Gaussian(mean, cov), Moments(y, cross, spread))
+
+
+def _emptied(mass, *moments):
+    """Zero for the mass of an empty branch (rounding may be negative), NaN for its moments."""
+    empty = mass < TINY
+    if empty.any():
+        moments = [np.where(empty, np.nan, part) for part in moments]
+        mass = np.where(empty, 0.0, mass)
+    return mass, *moments
 
 
 @dataclass(frozen=True)
@@ -127,9 +226,9 @@ class Taylor(_Formulas):
         cross = cov * slope.T
         if not spread:
             return value.subs(here), cross, None
-        return value.subs(here), cross, slope * cross + _noise_spread(map, value, here)
+        return value.subs(here), cross, slope * cross + noise_spread(map, value, here)
 
-    def weighted(self, map):
+    def branch(self, map, mean, cov, name):
         """Moments of a branch, (7.3) of the switching paper.
 
         It is the exact Gaussian mean of the product of the expansions of weight and value.
@@ -141,59 +240,31 @@ class Taylor(_Formulas):
         NoClosedForm
             The weight depends on the noise, which the paper's linearization excludes.
         """
-        arguments, mean, cov = _arguments(map, "Taylor")
-        if map.weight_expression.free_symbols & set(map.noise.symbols):
+        if mentions(map.weight_expression, map.noise.symbols):
             from seedslib.gaussian.symbolic import NoClosedForm
 
             raise NoClosedForm("Taylor: wanted a weight without noise; use GaussHermite")
         here = dict(zip(map.state, mean, strict=True))
         here.update(zip(map.noise.symbols, map.noise.mean.tolist(), strict=True))
         weight = sympy.Matrix([map.weight_expression])
-        lean = cov * weight.jacobian(map.state).subs(here).T
-        strength = weight.jacobian(map.state).subs(here) * lean
-        inverse = sympy.Dummy("inverse", real=True)
+        tilt = name(weight.jacobian(map.state).subs(here))
+        lean = name(cov * tilt.T)
+        mass = name(weight.subs(here)[0])
+        usable = sympy.Heaviside(mass**2 - (tilt * lean)[0], 0)
+        # 1 / mass, or 0 where the slope is dropped
+        inverse = name(usable / (mass + 1 - usable))
         value = sympy.Matrix(map.expressions)
         slope = value.jacobian(map.state).subs(here)
         state_cov = cov - inverse**2 * lean * lean.T
         cross = state_cov * slope.T
-        first = _compiled(arguments, [weight.subs(here), strength])
-        second = _compiled(
-            (*arguments, inverse),
-            [
-                sympy.Matrix(mean) + inverse * lean,
-                state_cov,
-                value.subs(here) + inverse * slope * lean,
-                cross,
-                slope * cross + _noise_spread(map, value, here),
-            ],
+        return _Branch(
+            mass,
+            sympy.Matrix(mean) + inverse * lean,
+            state_cov,
+            value.subs(here) + inverse * slope * lean,
+            cross,
+            slope * cross + noise_spread(map, value, here),
         )
-
-        def branch(t, mean, cov):
-            lower = _lower(cov)
-            (mass,), (strength,) = first(t, mean, lower)
-            usable = np.asarray(strength < mass * mass)
-            inverse = np.where(usable, 1.0, 0.0) / np.where(usable, mass, 1.0)
-            return _weighted(map, mass, mean, lower, second(t, mean, lower, inverse))
-
-        return branch
-
-
-def _noise_spread(map, value, here):
-    """Covariance of y by the expanded noise."""
-    if map.noise.size == 0:
-        return sympy.zeros(map.size)
-    slope = value.jacobian(map.noise.symbols).subs(here)
-    return slope * sympy.Matrix(map.noise.cov.tolist()) * slope.T
-
-
-def _weighted(map, mass, mean, lower, parts):
-    n, m = map.state_size, map.size
-    batch = batch_shape(mean, lower)
-    return Weighted(
-        stack([mass], (), batch),
-        Gaussian(stack(parts[0], (n,), batch), stack(parts[1], (n, n))),
-        Moments(stack(parts[2], (m,), batch), stack(parts[3], (n, m)), stack(parts[4], (m, m))),
-    )
 
 
 @dataclass(frozen=True)
@@ -208,99 +279,51 @@ class ExactGaussian(_Formulas):
     def formulas(self, map, mean, cov, spread=True):
         """See `_Formulas.formulas`."""
         conditional, noise_cov, _ = map.conditional_expressions
-        average = _averager(map.state, mean, cov)
+        average = averager(map.state, mean, cov)
         y = sympy.Matrix([average(part) for part in conditional])
         cross = cov * y.jacobian(mean).T
         if not spread:
             return y, cross, None
-        return y, cross, _centred_square(average, conditional, noise_cov, y)
+        return y, cross, centred_square(average, conditional, noise_cov, y)
 
-    def weighted(self, map):
+    def branch(self, map, mean, cov, name):
         """Moments of a branch, the centred form of (6.22) and (6.36) of the switching paper.
 
         With the mass q(m, D) = E w the state in the branch has the mean m + D grad log q and the
-        covariance D + D (Hessian of log q) D, by Stein's identity applied twice.
+        covariance D + D (Hessian of log q) D, by Stein's identity applied twice. What of y is
+        affine in the state follows from these two; only the rest takes raw means, so that no
+        digits are lost far from the origin. A weight that mentions the noise, (6.23) and (6.27),
+        makes the noise part of the state.
         """
-        arguments, mean, cov = _arguments(map, "ExactGaussian")
-        conditional, noise_cov, weight = map.conditional_expressions
-        average = _averager(map.state, mean, cov)
-        inverse = sympy.Dummy("inverse", real=True)
-        if weight.free_symbols & set(map.state):
-            q = sympy.Matrix([average(weight)])
-            y = inverse * sympy.Matrix([average(_expand(weight * part)) for part in conditional])
-            second = inverse * _raw_square(average, weight, conditional, noise_cov)
-            spread = second - y * y.T
-            lean = inverse * cov * q.jacobian(mean).T
-            bend = inverse * cov * q.jacobian(mean).jacobian(mean) * cov - lean * lean.T
-            raw = sympy.Matrix([average(_expand(weight * part)) for part in conditional])
-            cross = inverse * cov * raw.jacobian(mean).T - lean * y.T
-        else:
-            q = sympy.Matrix([weight])
-            y = sympy.Matrix([average(part) for part in conditional])
-            spread = _centred_square(average, conditional, noise_cov, y)
-            lean, bend = sympy.zeros(len(mean), 1), sympy.zeros(len(mean))
-            cross = cov * y.jacobian(mean).T
-        first = _compiled(arguments, [q])
-        parts = _compiled(
-            (*arguments, inverse), [sympy.Matrix(mean) + lean, cov + bend, y, cross, spread]
+        state, expressions, spread, mean, cov, still = joined(map, mean, cov)
+        weight, n = fold(map.weight_expression), map.state_size
+        average = averager(state, mean, cov)
+        if not mentions(weight, state):
+            y = sympy.Matrix([average(part) for part in expressions])
+            square = centred_square(average, expressions, spread, y)
+            return _Branch(weight, sympy.Matrix(mean), cov, y, cov * y.jacobian(mean).T, square)
+
+        def settled(part):
+            return name(part.xreplace(still))
+
+        mass = average(weight)
+        grade = sympy.Matrix([mass]).jacobian(mean)
+        slope, constant, rest = affine_part(expressions, state)
+        raw = sympy.Matrix([average(expand(weight * part)) for part in rest])
+        squares = settled(raw_square(average, weight, rest, spread))
+        bend, tilt = settled(grade.jacobian(mean)), settled(raw.jacobian(mean))
+        mass, grade, raw = settled(mass), settled(grade), settled(raw)
+        inverse = name(1 / mass)
+        lean, bent = name(inverse * cov * grade.T), name(inverse * raw)
+        within = name(cov + inverse * cov * bend * cov - lean * lean.T)
+        joint = name(inverse * cov * tilt.T - lean * bent.T)  # cov(state, rest)
+        centre = sympy.Matrix(mean).xreplace(still) + lean
+        cross = name(within * slope.T + joint)
+        return _Branch(
+            mass,
+            centre[:n, :],
+            within[:n, :n],
+            slope * centre + constant + bent,
+            cross[:n, :],
+            slope * cross + joint.T * slope.T + inverse * squares - bent * bent.T,
         )
-
-        def branch(t, mean, cov):
-            lower = _lower(cov)
-            ((mass,),) = first(t, mean, lower)
-            with np.errstate(divide="ignore", invalid="ignore"):
-                inverse = 1.0 / np.where(mass == 0, np.nan, mass)
-                return _weighted(map, mass, mean, lower, parts(t, mean, lower, inverse))
-
-        return branch
-
-
-def _averager(state, mean, cov):
-    """Exact mean of an expression of the state; what does not depend on the state passes."""
-    from seedslib.gaussian.symbolic import NoClosedForm, expectation
-
-    known = {}
-
-    def average(expression):
-        expression = sympy.sympify(expression)
-        if not expression.free_symbols & set(state):
-            return expression
-        if expression not in known:
-            others = tuple(expression.free_symbols - set(state))
-            try:
-                result = expectation(expression, state, mean, cov, parameters=others)
-            except NoClosedForm as error:
-                raise NoClosedForm(
-                    f"{error}; GaussHermite, Unscented and Cubature take this map"
-                ) from error
-            known[expression] = real_part(result)
-        return known[expression]
-
-    return average
-
-
-def _expand(expression):
-    """Products multiplied out, exponentials left whole (their factors may overflow)."""
-    return sympy.expand(expression, power_exp=False, power_base=False, log=False)
-
-
-def _centred_square(average, conditional, noise_cov, mean):
-    """Mean of cov(y | x) plus cov of E(y | x); what cancels does so before numbers are put in."""
-    size = len(conditional)
-    spread = sympy.zeros(size)
-    for i in range(size):
-        for j in range(i + 1):
-            product = average(_expand(conditional[i] * conditional[j]))
-            inner = average(noise_cov[i, j])
-            spread[i, j] = spread[j, i] = inner + _expand(product - mean[i] * mean[j])
-    return spread
-
-
-def _raw_square(average, weight, conditional, noise_cov):
-    size = len(conditional)
-    square = sympy.zeros(size)
-    for i in range(size):
-        for j in range(i + 1):
-            inner = conditional[i] * conditional[j] + noise_cov[i, j]
-            square[i, j] = square[j, i] = average(_expand(weight * inner))
-    return square

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from seedslib.filters.finite_order_rules import Prediction, Start
+from seedslib.filters.finite_order_rules import Start
 from seedslib.linearization import Moments
 from seedslib.memory import Memory
+from seedslib.storage.arrays import measurement_times, node_times, prediction, shaped
 from seedslib.synthesis.predictors import Affine, Continuous, Polynomial, PolynomialFit
 from seedslib.synthesis.regression import AffineFit
 
@@ -51,16 +54,8 @@ def filter_parts(header, arrays) -> dict:
     predictor = _PREDICTORS[options.pop("name")](**options)
     components, n = int(header["components"]), len(shaped(arrays, "start/mean", (-1,)))
     m = len(shaped(arrays, "start/sensor_mean", (-1,)))
-    times = shaped(arrays, "times", (-1,))
-    if not (times.size and (np.diff(times) > 0).all()):
-        raise ValueError("times that do not increase")
+    times = measurement_times(arrays)
     intervals = len(times) - 1 + bool(header["tail"])
-    predicted = Prediction(
-        shaped(arrays, "predicted/times", (-1,)),
-        shaped(arrays, "predicted/rms", (-1, components)),
-        shaped(arrays, "predicted/error", (-1, components)),
-        bool(header["in_sample"]),
-    )
     moments = Moments(
         arrays["start/sensor_mean"],
         shaped(arrays, "start/cross", (n, m)),
@@ -70,13 +65,11 @@ def filter_parts(header, arrays) -> dict:
     sizes = [memory.dimension(k, components, m) for k in range(len(times))]
     extra = m if header["measured_nodes"] and not memory.measurements else 0
     continuous = isinstance(predictor, Continuous)
-    node_times, node_fits = [], []
-    for k in range(intervals):
-        nodes = shaped(arrays, f"nodes/{k}/times", (-1,))
+    grid, node_fits = node_times(arrays, times, intervals), []
+    for k, nodes in enumerate(grid):
         count, targets = len(nodes), components
         if continuous:
             count, targets = len(nodes) + (k + 1 < len(times)), n
-        node_times.append(nodes)
         node_fits.append(
             tuple(
                 _affine_fit(arrays, f"nodes/{k}/{i}", targets, sizes[k] + extra)
@@ -92,25 +85,14 @@ def filter_parts(header, arrays) -> dict:
         "memory": memory,
         "predictor": predictor,
         "times": times,
-        "node_times": tuple(node_times),
+        "node_times": grid,
         "components": components,
         "start": start,
         "fits": tuple(fits),
         "node_fits": tuple(node_fits),
-        "predicted": predicted,
+        "predicted": prediction(header, arrays, times, components),
         "measured_nodes": bool(header["measured_nodes"]),
     }
-
-
-def shaped(arrays, name, shape) -> np.ndarray:
-    """Finite float64 array of the given name and shape (-1 is any length), or ValueError."""
-    array = arrays[name]
-    fits = array.ndim == len(shape) and all(
-        want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits or array.dtype != np.dtype("<f8") or not np.isfinite(array).all():
-        raise ValueError(f"{name} of shape {array.shape}")
-    return array
 
 
 def _affine_fit(arrays, place, targets, dimension):
@@ -125,8 +107,11 @@ def _fit(arrays, place, predictor, n, dimension):
     if not isinstance(predictor, Polynomial):
         return _affine_fit(arrays, place, n, dimension)
     entries = n * (n + 1) // 2
-    powers = Polynomial(predictor.mean_degree, 0).features(dimension)
-    others = Polynomial(1, predictor.cov_degree).features(dimension) if predictor.cov_degree else 0
+    # counted, not listed: a degree from a file may be anything
+    powers, others = (
+        math.comb(dimension + degree, degree) - 1
+        for degree in (predictor.mean_degree, predictor.cov_degree)
+    )
     return PolynomialFit(
         shaped(arrays, f"{place}/centre", (dimension,)),
         shaped(arrays, f"{place}/scale", (dimension,)),

@@ -3,20 +3,41 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from types import SimpleNamespace
 
 import numpy as np
 
 from seedslib.exact.axes import Axis
-from seedslib.filters.finite_order_rules import Prediction, Start
+from seedslib.filters.finite_order_rules import Start
 from seedslib.filters.table import OutputRules, Table, TableFit
 from seedslib.linearization import GaussHermite
 from seedslib.memory import Memory
+from seedslib.storage.arrays import measurement_times, node_times, prediction, shaped
 from seedslib.storage.identity import probe
 
 KIND = "finite order, tables"
 
 _POINTS = GaussHermite(3)
 """Any rule does to look at a sensor; this one takes every sensor there is."""
+
+
+@dataclass(frozen=True)
+class UnknownModel:
+    """Stands for the model of a filter that was loaded without it: sizes, and no functions.
+
+    Attributes
+    ----------
+    state_size, measurement_size : int
+    """
+
+    state_size: int
+    measurement_size: int
+
+    @property
+    def sensor(self) -> SimpleNamespace:
+        """What is known of the sensor: the size of a measurement."""
+        return SimpleNamespace(size=self.measurement_size)
 
 
 def probed(system, points: np.ndarray) -> dict[str, np.ndarray]:
@@ -56,15 +77,13 @@ def table_arrays(filter) -> dict[str, np.ndarray]:
     return found
 
 
-def table_parts(header: dict, arrays: dict, shaped) -> dict:
+def table_parts(header: dict, arrays: dict) -> dict:
     """Fields of the table filter in a file, each shape checked against the others.
 
     Parameters
     ----------
     header : dict
     arrays : dict of str to ndarray
-    shaped : callable
-        ``shaped(arrays, name, shape)``: the array, finite and of that shape.
 
     Raises
     ------
@@ -78,9 +97,7 @@ def table_parts(header: dict, arrays: dict, shaped) -> dict:
     predictor = Table(axes_y, axes_u, str(given["method"]))
     # the letters of a memory of measurements are measurements
     axes_z = axes_u if memory.estimates else ()
-    times = shaped(arrays, "times", (-1,))
-    if not (times.size and (np.diff(times) > 0).all()):
-        raise ValueError("times that do not increase")
+    times = measurement_times(arrays)
     if memory.estimates and len(axes_u) != components:
         raise ValueError(f"{len(axes_u)} axes for {components} components")
 
@@ -95,27 +112,22 @@ def table_parts(header: dict, arrays: dict, shaped) -> dict:
 
     outputs = tuple(table(f"output/{k}", axes_y + held(k)) for k in range(len(times)))
     intervals = range(len(times) - 1)
-    node_times = tuple(shaped(arrays, f"nodes/{k}/times", (-1,)) for k in intervals)
+    grid = node_times(arrays, times, len(intervals))
     n = len(shaped(arrays, "start/mean", (-1,)))
     covariances = shaped(arrays, "predicted/cov", (len(times), components, components))
     return {
         "memory": memory,
         "predictor": predictor,
         "times": times,
-        "node_times": node_times,
+        "node_times": grid,
         "components": components,
         "start": Start(arrays["start/mean"], shaped(arrays, "start/cov", (n, n)), None),
         "fits": tuple(table(f"forecast/{k}", held(k + 1)) for k in intervals),
         "node_fits": tuple(
-            tuple(table(f"nodes/{k}/{i}", held(k + 1)) for i in range(len(node_times[k])))
+            tuple(table(f"nodes/{k}/{i}", held(k + 1)) for i in range(len(grid[k])))
             for k in intervals
         ),
-        "predicted": Prediction(
-            shaped(arrays, "predicted/times", (-1,)),
-            shaped(arrays, "predicted/rms", (-1, components)),
-            shaped(arrays, "predicted/error", (-1, components)),
-            bool(header["in_sample"]),
-        ),
+        "predicted": prediction(header, arrays, times, components),
         "rules": OutputRules(
             memory, components, sensor=None, outputs=outputs, covariances=covariances
         ),

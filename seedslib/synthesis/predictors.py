@@ -79,7 +79,7 @@ class Polynomial:
 
     def features(self, dimension) -> int:
         """Number of coefficients per target for a memory of this dimension."""
-        return len(_exponents(dimension, max(self.mean_degree, self.cov_degree)))
+        return len(monomial_recipe(dimension, max(self.mean_degree, self.cov_degree)))
 
     def fit(self, gather, targets, size):
         """Fit in three passes over the paths; arguments as `Affine.fit`."""
@@ -185,7 +185,7 @@ def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.nda
 
 
 @lru_cache(maxsize=64)
-def _exponents(size: int, degree: int) -> tuple:
+def monomial_recipe(size: int, degree: int) -> tuple:
     """For each monomial of degree 1 to `degree` its factor and the monomial it multiplies.
 
     Lower degrees come first, so the monomials of a lower degree are the first ones.
@@ -201,7 +201,7 @@ def _exponents(size: int, degree: int) -> tuple:
 
 def monomials(point: np.ndarray, degree: int) -> np.ndarray:
     """All products of up to `degree` components of (d, N), without the constant: (P, N)."""
-    recipe = _exponents(len(point), degree)
+    recipe = monomial_recipe(len(point), degree)
     result = np.empty((len(recipe), point.shape[1]))
     for k, (factor, lower) in enumerate(recipe):
         if lower is None:
@@ -217,14 +217,19 @@ def floored(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
     L Π(L⁻¹ T L⁻ᵀ) Lᵀ with L Lᵀ the mean covariance and Π the cut of eigenvalues from below. A
     singular mean covariance is met on its range.
     """
-    values, vectors = np.linalg.eigh(mean_cov)
-    kept = values > 1e-13 * max(values[-1], 0.0)
-    lengths = np.sqrt(values[kept])
-    root, back = vectors[:, kept] * lengths, vectors[:, kept] / lengths
+    root, back = roots(mean_cov)
     relative = np.einsum("ia,ijN,jb->Nab", back, cov, back, optimize=True)
     inner, axes = np.linalg.eigh(relative)
     bent = np.einsum("ia,Nab->Nib", root, axes) * np.sqrt(np.maximum(inner, FLOOR))[:, None, :]
     return np.moveaxis(bent @ np.swapaxes(bent, 1, 2), 0, -1)
+
+
+def roots(mean_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """L and L⁻ᵀ, (n, rank), on the range of a covariance L Lᵀ."""
+    values, vectors = np.linalg.eigh(mean_cov)
+    kept = values > 1e-13 * max(values[-1], 0.0)
+    lengths = np.sqrt(values[kept])
+    return vectors[:, kept] * lengths, vectors[:, kept] / lengths
 
 
 Fit = AffineFit | PolynomialFit

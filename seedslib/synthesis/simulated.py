@@ -32,7 +32,8 @@ _AFFINE = Affine()
 def synthesize(
     system, memory, linearization, times, *, predictor=_AFFINE, nodes=4, components=None,
     paths=None, seed=None, workers=1, horizon=None, measured_nodes=False, exact_moments=False,
-    step=None, scheme="euler", bound=np.inf,
+    step=None, scheme="euler", bound=np.inf, scheduler=None, checkpoint=None,
+    **switching,
 ) -> FiniteOrderFilter:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -42,7 +43,9 @@ def synthesize(
 
     Parameters
     ----------
-    system : JumpDiffusion or DiscreteSystem
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
+        A switching system takes `paths`, `seed`, `workers` and `switching` only, and gives a
+        `SwitchingFilter`; see `seedslib.synthesis.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -61,7 +64,7 @@ def synthesize(
         The design paths are ``system.simulate(stops, paths, seed)`` with all measurement times
         and nodes as stops.
     workers : int
-        Threads; the filter does not depend on it.
+        Threads; the filter does not depend on it, bit by bit.
     horizon : float, optional
         Last time to forecast, after the last measurement.
     measured_nodes : bool
@@ -76,11 +79,16 @@ def synthesize(
     bound : float
         A design path with a component beyond it is left out from there on, as are paths that
         overflow.
+    **switching
+        `normalisation` and `split` of `SwitchingFilter`.
 
     Raises
     ------
     TypeError, ValueError
-        An argument that does not fit; too few paths; moments that are not finite.
+        An argument that does not fit; too few paths; moments that are not finite; a scheduler
+        that does not answer; a checkpoint that is damaged or belongs to another design.
+    RuntimeError
+        The cluster was lost, or has other versions of the libraries.
     NoClosedForm
         The linearization has no formulas for this sensor; the message offers one that works.
 
@@ -89,6 +97,23 @@ def synthesize(
     UserWarning
         Few paths for the memory's dimension; an estimate without information; paths left out.
     """
+    if hasattr(system, "branches"):
+        from seedslib.synthesis.switching import synthesize_switching
+
+        for name, given, none in (
+            ("predictor", predictor, _AFFINE), ("components", components, None),
+            ("horizon", horizon, None), ("measured_nodes", measured_nodes, False),
+            ("exact_moments", exact_moments, False), ("scheduler", scheduler, None),
+            ("checkpoint", checkpoint, None),
+        ):  # fmt: skip
+            if given != none:
+                raise ValueError(f"{name}: wanted none for a switching system, got {given!r}")
+        return synthesize_switching(
+            system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
+            **switching,
+        )  # fmt: skip
+    if switching:
+        raise TypeError(f"{next(iter(switching))}: wanted for a switching system only")
     times = as_times("times", times)
     n = system.state_size
     _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments)
@@ -117,8 +142,9 @@ def synthesize(
         paths = as_count("paths", paths)
         _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
         found = _simulated_design(
-            system, rules, predictor, times, grid, paths, seed, workers, options, float(bound)
-        )
+            system, rules, linearization, predictor, times, grid, paths, as_seed_sequence(seed),
+            options, float(bound), crew(workers, scheduler), checkpoint,
+        )  # fmt: skip
     start, fits, node_fits, predicted, design = found
     return FiniteOrderFilter(
         system=system, memory=memory, predictor=predictor, linearization=linearization,
@@ -195,13 +221,23 @@ def _nodes(times, nodes, horizon, step) -> tuple:
 
 
 def _simulated_design(
-    system, rules, predictor, times, grid, paths, seed, workers, options, bound
+    system, rules, linearization, predictor, times, grid, paths, root, options, bound, crew,
+    checkpoint,
 ):  # fmt: skip
-    root = as_seed_sequence(seed)
+    file = None
+    if checkpoint is not None:
+        from seedslib.synthesis.checkpoint import Checkpoint, arguments
+
+        file = Checkpoint(checkpoint, arguments(
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound
+        ))  # fmt: skip
     stops = len(times) + sum(len(nodes) for nodes in grid)
-    with crew(workers) as each:
+    with crew as each:
         walk = Walk(system, paths, root, stops, each, options, bound)
-        found = ForwardPass(walk, rules, predictor).design(times, grid)
+        forward = ForwardPass(walk, rules, predictor)
+        if file is not None:
+            file.restore(forward)
+        found = forward.design(times, grid, file and file.write)
         lost = walk.lost
     if lost:
         warnings.warn(

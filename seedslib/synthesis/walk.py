@@ -1,9 +1,18 @@
-"""Paths of a system that move forward together, in fixed blocks, for a design."""
+"""Paths of a system that move forward together, in fixed blocks, for a design.
+
+What belongs to a block stays in lists with an entry for each block, and all work on blocks goes
+through one map, `each`: it may run here, on threads, or on the workers of a cluster, where the
+lists then are. Work is a function of its arguments alone, so that any part of it may be done
+again elsewhere.
+"""
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from functools import partial
+from itertools import repeat
 
 import numpy as np
 
@@ -14,15 +23,72 @@ LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
 
 
+class Crew:
+    """Map over blocks on this machine; `seedslib.synthesis.cluster` has one for a cluster.
+
+    Parameters
+    ----------
+    map : callable
+        As the built-in one.
+    """
+
+    def __init__(self, map=map):
+        self._map = map
+
+    def __call__(self, work, *lists) -> list:
+        """List of ``work(*entries)`` over the entries of the lists."""
+        return list(self._map(work, *lists))
+
+    def share(self, thing):
+        """Stand-in for a list that has the same thing for every block."""
+        return repeat(thing)
+
+    def unzip(self, pairs) -> list:
+        """Lists of the first and of the second parts of the entries of a list."""
+        return [list(part) for part in zip(*pairs, strict=True)]
+
+
 @contextmanager
-def crew(workers):
-    """Map over blocks, on a pool of threads where there are workers for it."""
+def crew(workers, scheduler=None):
+    """Map over blocks, on a pool of threads or on a cluster where there is one.
+
+    Parameters
+    ----------
+    workers : int
+        Threads.
+    scheduler : str or distributed.Client, optional
+        The cluster that does the work instead.
+    """
     workers = as_count("workers", workers)
-    if workers == 1:
-        yield lambda work, *lists: list(map(work, *lists))
-        return
-    with ThreadPoolExecutor(workers) as pool:
-        yield lambda work, *lists: list(pool.map(work, *lists))
+    if scheduler is not None:
+        from seedslib.synthesis.cluster import cluster
+
+        with cluster(scheduler) as each:
+            yield each
+    elif workers == 1:
+        yield Crew()
+    else:
+        with ThreadPoolExecutor(workers - 1) as pool:
+            yield Crew(partial(_in_shares, pool, workers))
+
+
+def _in_shares(pool, workers, work, *lists) -> list:
+    """Map with one job for each thread, this one among them.
+
+    A job for each block would have the threads wait for one another at every block.
+    """
+    jobs = list(zip(*lists, strict=False))  # what is shared has no end
+    size = max(1, math.ceil(len(jobs) / workers))
+    shares = [jobs[a : a + size] for a in range(0, len(jobs), size)]
+
+    def run(share):
+        return [work(*job) for job in share]
+
+    waiting = [pool.submit(run, share) for share in shares[1:]]
+    found = run(shares[0]) if shares else []
+    for other in waiting:
+        found += other.result()
+    return found
 
 
 class Walk:
@@ -39,58 +105,74 @@ class Walk:
     root : SeedSequence
     stops : int
         Number of times to stop at, the first included.
-    each : callable
+    each : Crew
         Map over blocks, see `crew`.
     options : mapping
         Of ``system.advance``.
     bound : float
         Largest believable component.
+
+    Attributes
+    ----------
+    states, alive : list
+        States (n, paths) and marks of the paths that are not left out, for each block. On a
+        cluster they stay there, and looking at them fetches them.
+    stop : int
+        Number of the last time stopped at.
     """
 
     def __init__(self, system, paths, root, stops, each, options, bound):
         self.system, self.each, self.options = system, each, options
         self.bound, self.n = min(bound, LARGEST), system.state_size
         self.counts = [min(BLOCK, paths - a) for a in range(0, paths, BLOCK)]
-        children = [stream.spawn(stops) for stream in root.spawn(len(self.counts))]
-        self.children = zip(*children, strict=True)
-        self.states, self.alive, self.sensing = [], [], []
+        self.stops, self.stop = stops, -1
+        self.states, self.alive = [], []
+        self._roots = root.spawn(len(self.counts))
+        self._shared = each.share(system)
 
     @property
     def lost(self) -> int:
         """Number of paths left out."""
-        return sum(int(np.count_nonzero(~alive)) for alive in self.alive)
+        return sum(self.each(lambda alive: int(np.count_nonzero(~alive)), self.alive))
 
     def begin(self, t):
         """Draw the initial states."""
-        moving = self._streams()
-        self.states = self.each(self.system.initial_sample, moving, self.counts)
         self.alive = [np.ones(count, dtype=bool) for count in self.counts]
-        self._look()
+        self._go(lambda system, rng, count: system.initial_sample(rng, count), self.counts)
+
+    def resume(self, stop, states, alive):
+        """Go on from the states at a stop, by its number."""
+        self.stop = stop
+        self.states, self.alive = (self.each(_itself, part) for part in (states, alive))
 
     def advance(self, start, stop):
         """Move all paths to a later time."""
-        self.states = self.each(
-            lambda x, rng: self.system.advance(x, start, stop, rng, **self.options),
-            self.states,
-            self._streams(),
-        )
-        self._look()
+        options = self.options
+        self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
 
     def measure(self, t) -> list:
-        """What the sensor shows, (m, paths) for each block."""
-        shown = self.each(
-            lambda x, rng: self.system.sensor.sample(t, x, rng), self.states, self.sensing
-        )
-        self.leave_out(shown)
-        return shown
+        """What the sensor shows, (m, paths) for each block; once at a stop."""
+
+        def shown(system, stream, x):
+            return system.sensor.sample(t, x, np.random.default_rng(stream))
+
+        return self.kept(shown, self._shared, self._streams(1), self.states)
+
+    def kept(self, work, *lists, array=None) -> list:
+        """Map over blocks; paths whose column of the result is not finite are left out.
+
+        Parameters
+        ----------
+        work : callable
+            Its result is new, and zeros are put in place of what is left out.
+        array : callable, optional
+            Finds the array (p, paths) in a result that has other parts as well.
+        """
+        return self._guarded(lambda x: np.isfinite(x).all(axis=0), 0.0, array, work, *lists)
 
     def leave_out(self, arrays):
         """Leave out the paths with a column that is not finite, and put zeros in its place."""
-        for values, alive in zip(arrays, self.alive, strict=True):
-            finite = np.isfinite(values).all(axis=0)
-            if not finite.all():
-                alive &= finite
-                values[:, ~finite] = 0.0
+        arrays[:] = self.kept(_itself, arrays)
 
     def gather(self, rows, *lists):
         """Moments of ``rows(x, *others)``, (p, paths), over the paths that are left."""
@@ -104,15 +186,48 @@ class Walk:
             raise ValueError(f"paths: wanted at least 2 that stay finite, got {total.count}")
         return total
 
-    def _streams(self):
-        pairs = [child.spawn(2) for child in next(self.children)]
-        self.sensing = [np.random.default_rng(sensing) for _, sensing in pairs]
-        return [np.random.default_rng(moving) for moving, _ in pairs]
+    def _streams(self, purpose):
+        """Random streams of the blocks at this stop: 0 moves the paths, 1 is for the sensor."""
+        return [
+            np.random.SeedSequence(
+                root.entropy,
+                spawn_key=(*root.spawn_key, self.stop, purpose),
+                pool_size=root.pool_size,
+            )
+            for root in self._roots
+        ]
 
-    def _look(self):
-        """Leave out the paths that have just left the range of numbers."""
-        for x, alive in zip(self.states, self.alive, strict=True):
+    def _go(self, work, *lists):
+        """States at the next stop, without the paths that have just left the range of numbers."""
+        self.stop += 1
+        if self.stop >= self.stops:
+            raise ValueError(f"stops: wanted at most the {self.stops} that were announced")
+        bound, spare = self.bound, self.system.mean0[:, None]
+
+        def moved(system, stream, *parts):
+            return work(system, np.random.default_rng(stream), *parts)
+
+        self.states = self._guarded(
+            lambda x: (np.abs(x) <= bound).all(axis=0), spare, None, moved,
+            self._shared, self._streams(0), *lists,
+        )  # fmt: skip
+
+    def _guarded(self, good, spare, array, work, *lists):
+        # the functions hold nothing of the walk, so that a cluster can be given them
+        def guarded(alive, *parts):
+            found = work(*parts)
+            if array is None and not found.flags.forc:
+                found = found.copy(order="K")  # no other layout outlives a file or a wire
+            values = found if array is None else array(found)
             with np.errstate(invalid="ignore"):
-                alive &= (np.abs(x) <= self.bound).all(axis=0)
+                alive = alive & good(values)
             if not alive.all():
-                x[:, ~alive] = self.system.mean0[:, None]
+                values[:, ~alive] = spare
+            return found, alive
+
+        found, self.alive = self.each.unzip(self.each(guarded, self.alive, *lists))
+        return found
+
+
+def _itself(part):
+    return part

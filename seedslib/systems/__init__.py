@@ -11,6 +11,8 @@ _HOMES = {
     "DiscreteSystem": ".discrete",
     "JumpDiffusion": ".jump_diffusion",
     "PiecewiseLinearSystem": ".piecewise",
+    "SwitchingSystem": ".switching",
+    "averaged_switching": ".switching_average",
     "delay_examples": "",
     "zoo": "",
 }

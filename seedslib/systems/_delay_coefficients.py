@@ -137,12 +137,3 @@ def path_blocks(seed: object, paths: int) -> list[tuple[np.random.Generator, sli
         (np.random.default_rng(stream), slice(s, min(s + BLOCK, paths)))
         for stream, s in zip(streams, starts, strict=True)
     ]
-
-
-def covariance_root(cov: np.ndarray) -> np.ndarray:
-    """Factor L with ``L Lᵀ = cov`` of one or more covariances (..., n, n) that may be singular.
-
-    Eigenvalues that rounding has made negative count as zero.
-    """
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]

@@ -23,20 +23,23 @@ _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: 
 
 
 class _Printer(SciPyPrinter):
-    """NumPy code in which a reciprocal is a division, not a floating-point power."""
+    """NumPy code with divisions, roots and products in the place of floating-point powers."""
 
     def _print_Pow(self, expr, rational=False):
         if expr.exp == -1:
             return f"(1.0/({self._print(expr.base)}))"
-        if expr.exp == -sympy.S.Half:
-            return f"(1.0/numpy.sqrt({self._print(expr.base)}))"
+        plain = expr.base.is_Symbol or abs(expr.exp) == sympy.S.Half
+        if expr.exp.is_Rational and expr.exp.q == 2 and plain:
+            base = self._print(expr.base)
+            product = "*".join([f"numpy.sqrt({base})", *[f"({base})"] * (abs(expr.exp.p) // 2)])
+            return f"(1.0/({product}))" if expr.exp.is_negative else f"({product})"
         return super()._print_Pow(expr, rational=rational)
 
     def _print_Float(self, expr):
         return repr(float(expr))
 
 
-def _fold(expression):
+def fold(expression):
     """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
     numbers = {
         part: sympy.Float(float(part))
@@ -46,10 +49,33 @@ def _fold(expression):
     return expression.xreplace(numbers)
 
 
-def _share(expressions):
-    """Common subexpressions first, then products for powers: the other order hides powers."""
-    assignments, results = sympy.cse([_fold(e) for e in expressions], order="none")
-    return [(name, _products(part)) for name, part in assignments], [_products(r) for r in results]
+def _share(expressions, named=()):
+    """Common subexpressions first, then products for powers: the other order hides powers.
+
+    `named` are pairs of a symbol in the expressions and what it stands for.
+    """
+    parts = [fold(e) for e in (*(part for _, part in named), *expressions)]
+    assignments, results = sympy.cse(parts, order="none")
+    results = [_products(r) for r in results]
+    assignments = [(name, _products(part)) for name, part in assignments]
+    if named:
+        names = [name for name, _ in named]
+        assignments = _in_order([*assignments, *zip(names, results, strict=False)])
+    return assignments, results[len(named) :]
+
+
+def _in_order(assignments):
+    """The same assignments, each after those it needs."""
+    waiting, ordered = dict(assignments), {}
+    stack = list(reversed(waiting))
+    while stack:
+        name = stack[-1]
+        needed = [s for s in waiting[name].free_symbols if s in waiting and s not in ordered]
+        if needed:
+            stack.extend(sorted(needed, key=str))
+            continue
+        ordered.setdefault(stack.pop(), waiting[name])
+    return list(ordered.items())
 
 
 def as_expressions(name: str, value: object) -> np.ndarray:
@@ -140,7 +166,7 @@ def _split(expression):
 
 
 def compile_components(
-    arguments: Sequence[object], expressions: Sequence[sympy.Expr]
+    arguments: Sequence[object], expressions: Sequence[sympy.Expr], named: Sequence[tuple] = ()
 ) -> Callable[..., list]:
     """Function of the arguments that returns the list of the expressions' values.
 
@@ -149,6 +175,8 @@ def compile_components(
     arguments : sequence
         Each entry a symbol or a sequence of symbols (a vector given by its components).
     expressions : sequence of SymPy expressions
+    named : sequence of (symbol, expression)
+        Symbols of the expressions that stand for others, evaluated once.
 
     Returns
     -------
@@ -162,15 +190,33 @@ def compile_components(
         A symbol that is not among the arguments.
     """
     arguments = [tuple(a) if isinstance(a, Sequence | np.ndarray) else a for a in arguments]
-    known = {s for a in arguments for s in (a if isinstance(a, tuple) else (a,))}
+    listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
+    known = {*listed, *(name for name, _ in named)}
     expressions = [sympy.sympify(e) for e in expressions]
-    unknown = sorted(set().union(*(e.free_symbols for e in expressions)) - known, key=str)
+    parts = [*expressions, *(part for _, part in named)]
+    unknown = sorted(set().union(*(e.free_symbols for e in parts)) - known, key=str)
     if unknown:
         names = ", ".join(map(str, unknown))
         raise ValueError(f"expressions: wanted only symbols of the model, got {names}")
+    # lambdify would rename dummies, which makes powers of the products again
+    plain = {
+        s: sympy.Symbol(f"u{k}_", **s.assumptions0)
+        for k, s in enumerate(listed)
+        if isinstance(s, sympy.Dummy)
+    }
+    arguments = [
+        tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
+        for a in arguments
+    ]
+    expressions = [e.xreplace(plain) for e in expressions]
+    named = [(name, part.xreplace(plain)) for name, part in named]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     return sympy.lambdify(
-        arguments, expressions, modules=["scipy", "numpy"], printer=printer, cse=_share
+        arguments,
+        expressions,
+        modules=["scipy", "numpy"],
+        printer=printer,
+        cse=lambda parts: _share(parts, named),
     )
 
 

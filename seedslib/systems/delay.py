@@ -17,12 +17,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib._validate import as_covariance, as_shape
+from seedslib.singular import square_root
 from seedslib.systems._delay_coefficients import (
     Coefficient,
     as_delays,
     as_noise,
     coefficient,
-    covariance_root,
     path_blocks,
     require_finite,
     start_law,
@@ -255,7 +255,7 @@ class DelaySystem:
         chain = np.empty((reach + count, n, width))  # x_{-N}, ..., x_K
         measured = np.full((count + 1, self.m, width), np.nan)
         blocks = self.start_blocks()
-        root = covariance_root(self.start_cov()[None] if blocks is None else blocks)
+        root = square_root(self.start_cov()[None] if blocks is None else blocks)
         table = [self._drawing(k) for k in range(1, count + 1)]
         for rng, block in path_blocks(seed, width):
             size = block.stop - block.start
@@ -278,7 +278,7 @@ class DelaySystem:
 
     def _drawing(self, k: int) -> tuple[Step, np.ndarray, np.ndarray]:
         c = self.step(k)
-        noise = c.noise_input @ covariance_root(c.noise_cov)
+        noise = c.noise_input @ square_root(c.noise_cov)
         return c, noise, np.linalg.cholesky(c.sensor_cov)
 
     @cached_property

@@ -7,14 +7,14 @@ from functools import cached_property
 import numpy as np
 
 from seedslib._validate import as_covariance, as_real, as_shape
-from seedslib.systems.maps import StochasticMap
+from seedslib.systems.maps import StochasticMap, Travelling
 from seedslib.systems.noise import Noise
 from seedslib.systems.rates import closed_rates, numeric_rates
 from seedslib.systems.simulation import Simulation, simulate
 from seedslib.systems.stepping import SCHEMES, advance, compiled_increment
 
 
-class JumpDiffusion:
+class JumpDiffusion(Travelling):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -55,6 +55,8 @@ class JumpDiffusion:
     spread_map : StochasticMap
         Without noise: Sigma = B Bᵀ + mu S₂ on and below the diagonal, row by row, with S₂ the
         second moment of the jump.
+    law : Noise
+        The initial law.
 
     Raises
     ------
@@ -137,7 +139,7 @@ class JumpDiffusion:
     def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
         self.mean0 = as_shape("mean0", mean0, (n,))
         self.cov0 = as_covariance("cov0", cov0, n)
-        self._initial = Noise(n, self.mean0, self.cov0, initial)
+        self.law = Noise(n, self.mean0, self.cov0, initial)
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):
             raise ValueError(f"sensor, jump: wanted maps of a state of {n} components")
         self.state_size, self.wiener_size, self.measurement_size = n, wiener_size, self.sensor.size
@@ -284,7 +286,7 @@ class JumpDiffusion:
 
     def initial_sample(self, rng, count) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
-        return self._initial.draw(rng, count)
+        return self.law.draw(rng, count)
 
     def advance(self, x, start, stop, rng, *, step=None, scheme="euler") -> np.ndarray:
         """Move states of shape (n, *batch) from one time to a later one; see `stepping.advance`.

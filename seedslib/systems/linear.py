@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib._validate import as_covariance, as_real, as_shape, as_times
-from seedslib.gaussian._joint import square_root
+from seedslib.singular import square_root
 from seedslib.systems.propagation import distinct_steps, integrated, van_loan
 from seedslib.systems.simulation import as_count, in_blocks
 

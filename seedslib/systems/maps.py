@@ -26,7 +26,23 @@ class Conditional(NamedTuple):
     weight: object
 
 
-class StochasticMap:
+class Travelling:
+    """A symbolic map or system is pickled as its expressions, which are compiled when needed.
+
+    What is made when it is first used is left behind. Given array functions travel themselves.
+    """
+
+    _functions = ("_value", "_weight", "conditional", "_drift", "_diffusion", "_intensity")
+
+    def __getstate__(self):
+        parts = vars(type(self)).items()
+        made = {name for name, part in parts if isinstance(part, cached_property)}
+        made.add("_increment_cache")
+        made = made.union(self._functions) if self.symbolic else made.difference(self._functions)
+        return {name: part for name, part in self.__dict__.items() if name not in made}
+
+
+class StochasticMap(Travelling):
     """y = value(t, x, v), in a branch of probability weight(t, x, v).
 
     Parameters
@@ -52,7 +68,7 @@ class StochasticMap:
     def __init__(self, state, value, noise=None, weight=1, *, time=None):
         import sympy
 
-        from seedslib.systems.codegen import as_expressions, compile_array
+        from seedslib.systems.codegen import as_expressions
 
         self.state = tuple(state)
         self.noise = Noise() if noise is None else noise
@@ -64,10 +80,8 @@ class StochasticMap:
             raise ValueError(f"value: wanted a vector, got shape {self.expressions.shape}")
         self.weight_expression = sympy.sympify(weight)
         self.state_size, self.size = len(self.state), len(self.expressions)
-        self._arguments = (self.time, self.state, self.noise.symbols)
-        self._value = compile_array(self._arguments, self.expressions)
-        self._weight = compile_array(self._arguments, self.weight_expression)
         self._log_density = None
+        self._compile()
 
     @classmethod
     def from_functions(
@@ -103,6 +117,18 @@ class StochasticMap:
             self.__dict__["conditional"] = Conditional(mean, cov, None)
         return self
 
+    def _compile(self):
+        from seedslib.systems.codegen import compile_array
+
+        given = (self.time, self.state, self.noise.symbols)
+        self._value = compile_array(given, self.expressions)
+        self._weight = compile_array(given, self.weight_expression)
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        if self.symbolic:
+            self._compile()
+
     @property
     def symbolic(self) -> bool:
         """Whether the map was given as SymPy expressions."""
@@ -114,6 +140,18 @@ class StochasticMap:
         if self.symbolic:
             return self.weight_expression != 1
         return self._weight is not None
+
+    def whole(self) -> StochasticMap:
+        """The map without its weight: what it does where it applies."""
+        if not self.weighted:
+            return self
+        if self.symbolic:
+            return StochasticMap(self.state, self.expressions, self.noise, time=self.time)
+        given = self.__dict__.get("conditional")
+        return StochasticMap.from_functions(
+            self.state_size, self.size, self._value, self.noise,
+            mean=given and given.mean, cov=given and given.cov, log_density=self._log_density,
+        )  # fmt: skip
 
     def products(self) -> StochasticMap:
         """Map of the products (w, w x, w y, w x xᵀ, w x yᵀ, w y yᵀ), symmetric ones lower.
@@ -176,11 +214,15 @@ class StochasticMap:
         w = self.weight_expression if joint else sympy.Integer(1)
         mass = average(w)
         mean = [average(sympy.expand(w * part)) / mass for part in y]
+        # in a branch the means are quotients, which only their names keep from being multiplied out
+        named = sympy.symbols(f"mean:{self.size}", cls=sympy.Dummy, real=True) if joint else mean
         cov = np.empty((self.size, self.size), dtype=object)
         for i in range(self.size):
             for j in range(i + 1):
-                centred = (y[i] - mean[i]) * (y[j] - mean[j])
-                cov[i, j] = cov[j, i] = sympy.expand(average(sympy.expand(w * centred)) / mass)
+                spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+                if joint:
+                    spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
+                cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
         return Conditional(
             np.array(mean, dtype=object), cov, mass if joint else self.weight_expression
         )

@@ -98,7 +98,7 @@ class Noise:
         polynomial = expression.as_poly(*self.symbols)
         if polynomial is not None and polynomial.total_degree() <= 2:
             return self._quadratic_mean(polynomial)
-        from seedslib.gaussian.symbolic import NoClosedForm, expectation
+        from seedslib.gaussian.symbolic import NoClosedForm, mean_expression
         from seedslib.systems.codegen import real_part
 
         if not self.gaussian:
@@ -109,7 +109,7 @@ class Noise:
         others = tuple(expression.free_symbols - set(self.symbols))
         mean, cov = self.mean.tolist(), self.cov.tolist()
         cov = sympy.Matrix(cov)
-        return real_part(expectation(expression, self.symbols, mean, cov, parameters=others))
+        return real_part(mean_expression(expression, self.symbols, mean, cov, parameters=others))
 
     def _quadratic_mean(self, polynomial):
         second = self.cov + np.outer(self.mean, self.mean)

@@ -28,11 +28,15 @@ class Simulation(NamedTuple):
     states : ndarray, shape (K+1, n, paths)
     measurements : ndarray, shape (K+1, m, paths)
         NaN at the times that are not measured.
+    modes, indicators : ndarray of int, shape (K+1, paths), or None
+        Of a switching system; -1 for an indicator that was not measured.
     """
 
     times: np.ndarray
     states: np.ndarray
     measurements: np.ndarray
+    modes: np.ndarray | None = None
+    indicators: np.ndarray | None = None
 
 
 def as_count(name: str, value: object) -> int:
@@ -91,7 +95,7 @@ def in_blocks(work: Callable, total: int, seed: object, *, workers: int = 1, blo
         Results in the order of the blocks.
     """
     workers = as_count("workers", workers)
-    starts = range(0, total, block)
+    starts = range(0, max(total, 1), block)  # no paths are one empty block
     streams = as_seed_sequence(seed).spawn(len(starts))
     jobs = [(a, min(a + block, total), s) for a, s in zip(starts, streams, strict=True)]
     if workers == 1 or len(jobs) == 1:

@@ -2,6 +2,18 @@
 
 from __future__ import annotations
 
+from seedslib.systems.switching_examples import (
+    dependent_switching,
+    manoeuvring_target,
+    scalar_switching,
+    steady_target,
+)
+
+__all__ = [
+    "dependent_switching", "falling_body", "flip_process", "kicked_duffing", "linear_gaussian",
+    "manoeuvring_target", "scalar_switching", "steady_target", "van_der_pol",
+]  # fmt: skip
+
 
 def van_der_pol(reading="A"):
     """Van der Pol oscillator with multiplicative noise, section 9 of the jump-diffusion paper.

@@ -139,3 +139,49 @@ def test_bad_records(autoregression):
     filter_ = ParticleFilter(autoregression, 5)
     with pytest.raises(ValueError, match="state: wanted a state with a time"):
         filter_.correct(filter_.initial(), [0.0])
+
+
+# Switching systems
+
+
+def test_switching_particles_against_the_grid():
+    """Scalar example A1H: distance to the exact posterior within the sampling error."""
+    from seedslib.filters import GridBayesFilter
+
+    system, times = zoo.scalar_switching("A1H"), np.arange(11.0)
+    data = system.simulate(times, 60, 1)
+    exact = GridBayesFilter(system).run(times, data.measurements)
+    got = ParticleFilter(system, 2000).run(times, data.measurements, seed=2)
+    assert got.mean.shape == (11, 1, 60)
+    assert got.mode_prob.shape == (11, 2, 60)
+    np.testing.assert_allclose(got.mode_prob.sum(axis=1), 1.0)
+    np.testing.assert_array_equal(got.modes, got.mode_prob.argmax(axis=1))
+    scale = np.sqrt(exact.cov[:, 0, 0].mean() / 2000)
+    assert np.sqrt(((got.mean - exact.mean) ** 2).mean()) < 3 * scale
+    assert np.sqrt(((got.mode_prob - exact.mode_prob) ** 2).mean()) < 3 * 0.5 / np.sqrt(2000)
+    assert abs((got.cov - exact.cov).mean()) < 0.02
+    gap = (got.loglik - exact.loglik).sum(axis=0)
+    assert abs(gap.mean() + gap.var() / 2) < 4 * gap.std() / np.sqrt(60)
+
+
+def test_switching_particles_use_the_indicator():
+    system, times = zoo.manoeuvring_target("exact"), np.arange(6.0)
+    data = system.simulate(times, 50, 3)
+    data.indicators[4, :25] = -1
+    filter_ = ParticleFilter(system, 800)
+    got = filter_.run(times, data.measurements, indicators=data.indicators, seed=1)
+    seen = np.delete(np.arange(6), 4)
+    np.testing.assert_array_equal(got.modes[seen], data.modes[seen])
+    assert 0.001 < got.mode_prob[4, :, :25].min(axis=0).mean() < 0.4
+    state = filter_.initial((50,), seed=1)
+    for k, t in enumerate(times):
+        state = filter_.step(state, t, data.measurements[k], data.indicators[k])
+    assert state.mode_prob.shape == (2, 50)
+    assert filter_.forecast(state, 6.0).mode_prob.shape == (2, 50)
+    with pytest.raises(ValueError, match="indicators: wanted, the system has an indicator"):
+        filter_.run(times, data.measurements)
+
+
+def test_indicators_are_refused_where_there_are_no_modes(autoregression):
+    with pytest.raises(ValueError, match="indicators: wanted none, the system has no modes"):
+        ParticleFilter(autoregression, 5).run([0.0], np.zeros((1, 1)), indicators=np.zeros(1, int))

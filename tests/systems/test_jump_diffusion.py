@@ -206,6 +206,8 @@ def test_initial_law_may_be_given():
     assert start.min() >= 0
     assert start.max() <= 2
     assert start.mean() == pytest.approx(1, abs=4 / np.sqrt(30_000))
+    assert not system.law.gaussian
+    assert scalar().law.gaussian
 
 
 # Bad input

@@ -1,0 +1,109 @@
+"""``python -m seedslib design``: design a filter for the model in a Python file."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+DESCRIPTION = """\
+Design a finite-order filter for a model and write it to a file. MODEL.py is a Python file, run as
+any script is, that defines `system` (a JumpDiffusion, DiscreteSystem or SwitchingSystem, or a
+function that returns one) and, if --times is not given, `times`. The summary with the predicted
+errors is printed."""
+
+EPILOG = """\
+A filter in a file evaluates the sensor of its model, so `python -m seedslib filter` wants MODEL.py
+again: files hold numbers and no code. Only a filter of tables runs from its file alone; --table
+makes one of a design with one estimated component.
+  python -m seedslib design flip.py --memory estimates=1 --times 0:3:0.25 \\
+      --table y=-8:8:161 z=-3:3:121 --out flip.npz"""
+
+
+def add(commands: argparse._SubParsersAction) -> None:
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "design", help="design a filter for the model in a Python file", description=DESCRIPTION,
+        epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    add = parser.add_argument
+    add("model", metavar="MODEL.py", help="Python file that defines `system`")
+    add(
+        "--memory", required=True,
+        help="estimates=2 | measurements=4 | estimates=2,measurements=2 | small_order | "
+        "large_order:2 | finite_memory:4; of a switching system also indicators=1 and log_odds, as "
+        "in estimates=1,indicators=1,log_odds",
+    )  # fmt: skip
+    add(
+        "--linearization", default="gaussian",
+        help="gaussian (default) | taylor | unscented[:alpha,beta,kappa] | cubature | "
+        "gauss-hermite[:order]",
+    )  # fmt: skip
+    add(
+        "--predictor",
+        help="affine (default) | polynomial[:mean degree,covariance degree] | continuous",
+    )  # fmt: skip
+    add("--times", help="measurement times, start:stop:step or 0,0.5,2; else `times` of the model")
+    add("--nodes", type=int, help="forecasts inside each interval (default 4)")
+    add("--paths", type=int, default=20_000, help="design paths (default 20000)")
+    add("--seed", type=int, default=0, help="seed of the design paths (default 0)")
+    add("--workers", type=int, default=1, help="threads; the filter does not depend on it")
+    add("--components", type=int, metavar="N", help="estimate the first N components (all)")
+    add(
+        "--table", nargs="+", metavar="AXIS",
+        help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
+    )  # fmt: skip
+    add("--out", required=True, metavar="FILE.npz", help="file of the filter")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Design, print and save.
+
+    Raises
+    ------
+    FileNotFoundError, ValueError
+        No model, or an option that does not fit.
+    """
+    from seedslib import linearization, synthesis
+    from seedslib.commands import words
+    from seedslib.commands.models import load_model
+
+    memory = words.as_memory(options.memory)
+    rule = words.as_choice(
+        "linearization", options.linearization, words.LINEARIZATIONS, linearization
+    )
+    predictor = words.as_choice(
+        "predictor", options.predictor or "affine", words.PREDICTORS, synthesis
+    )
+    times = None if options.times is None else words.as_grid(options.times)
+    tables = None if options.table is None else words.as_tables(options.table)
+    out = Path(options.out)
+    if not out.parent.is_dir():
+        raise ValueError(f"out: no such folder as {out.parent}")
+    if options.seed < 0:
+        raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")
+    system, own = load_model(options.model)
+    if times is None:
+        times = own
+    if times is None:
+        raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
+    chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}
+    if hasattr(system, "branches"):
+        for name in ("predictor", "nodes", "components", "table"):
+            if getattr(options, name) is not None:
+                raise ValueError(f"{name}: wanted none for a switching system")
+    else:
+        nodes = 4 if options.nodes is None else options.nodes
+        chosen.update(predictor=predictor, nodes=nodes, components=options.components)
+    designed = synthesis.synthesize(system, memory, rule, times, **chosen)
+    if tables is not None:
+        from seedslib.exact import tabulated
+
+        designed = tabulated(designed, **tables)
+
+    from seedslib.storage import save
+
+    save(designed, out)
+    print(designed)
+    print(f"written to {out}")
+    return 0

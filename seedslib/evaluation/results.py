@@ -1,0 +1,178 @@
+"""What an evaluation gives: errors with their standard errors, and paired differences."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+
+class Evaluation(NamedTuple):
+    """Accuracy of one filter; J times, c components.
+
+    Attributes
+    ----------
+    times : ndarray, shape (J,)
+    rms, rms_error : ndarray, shape (J, c)
+        Root-mean-square error and its standard error, without the paths that diverged.
+    rms_all : ndarray, shape (J, c)
+        With them: infinite or absurd where the filter was. Paths whose truth left the range of
+        numbers are in neither.
+    bias, bias_error : ndarray, shape (J, c)
+        Mean of the estimate minus the state, and its standard error.
+    average, average_error : ndarray, shape (c,)
+        Root of the mean square over paths and the times of the window, and its standard error.
+    paths, scored : int
+        Simulated paths, and those that are scored: neither the path itself nor any filter in the
+        comparison diverged.
+    diverged : int
+        Paths on which this filter diverged: not finite, or beyond the bound.
+    nees, nis : ndarray, shape (J,), or None
+        Mean normalised squares of the estimation error and of the innovation, NaN where the
+        filter claims no covariance. For a consistent filter their means are the numbers of
+        components.
+    nees_bounds, nis_bounds : tuple of float, or None
+        Where such means lie with probability 0.95 if errors are Gaussian and consistent.
+    seconds_per_step : float
+        Time of the filter for one measurement of one path, in the batch that was run.
+    total, total_error : ndarray, shape (J,)
+        Root of the mean square summed over the components, and its standard error.
+    average_total, average_total_error : float
+        The same over paths and the times of the window.
+    mode_error, mode_error_error : ndarray, shape (J,), or None
+        Share of paths on which a filter of a switching system decided for a wrong mode, and its
+        standard error; None where no modes are decided.
+    average_mode_error, average_mode_error_error : float or None
+        The same over paths and the times of the window.
+    """
+
+    times: np.ndarray
+    rms: np.ndarray
+    rms_error: np.ndarray
+    rms_all: np.ndarray
+    bias: np.ndarray
+    bias_error: np.ndarray
+    average: np.ndarray
+    average_error: np.ndarray
+    paths: int
+    scored: int
+    diverged: int
+    nees: np.ndarray | None
+    nis: np.ndarray | None
+    nees_bounds: tuple | None
+    nis_bounds: tuple | None
+    seconds_per_step: float
+    total: np.ndarray
+    total_error: np.ndarray
+    average_total: float
+    average_total_error: float
+    mode_error: np.ndarray | None = None
+    mode_error_error: np.ndarray | None = None
+    average_mode_error: float | None = None
+    average_mode_error_error: float | None = None
+
+
+class Difference(NamedTuple):
+    """Errors of one filter minus those of another on the same paths, with standard errors.
+
+    Attributes
+    ----------
+    rms, error : ndarray, shape (J, c)
+        Difference of the root-mean-square errors and its standard error.
+    average, average_error : ndarray, shape (c,)
+        The same of the averages over the times of the window.
+    square, square_error : ndarray, shape (J,)
+        Difference of the mean-square errors summed over the components.
+    average_square, average_square_error : float
+        The same of the averages over the times of the window.
+    mode, mode_error : ndarray, shape (J,), or None
+        Difference of the shares of wrong modes; None unless both filters decide modes.
+    average_mode, average_mode_error : float or None
+        The same of the averages over the times of the window.
+    """
+
+    rms: np.ndarray
+    error: np.ndarray
+    average: np.ndarray
+    average_error: np.ndarray
+    square: np.ndarray
+    square_error: np.ndarray
+    average_square: float
+    average_square_error: float
+    mode: np.ndarray | None = None
+    mode_error: np.ndarray | None = None
+    average_mode: float | None = None
+    average_mode_error: float | None = None
+
+
+class Comparison(Mapping):
+    """Evaluations by name, and paired differences; read like a mapping."""
+
+    def __init__(self, evaluations, squares, cov, scored):
+        """Squares (F, J+1, c+1 or c+2) and their covariances over paths (F, F, ...): those of
+        the components, their sum, and the shares of wrong modes where there are modes.
+        """
+        self._evaluations = evaluations
+        self._squares, self._cov, self._scored = squares, cov, scored
+        self._components = next(iter(evaluations.values())).rms.shape[1]
+
+    def __getitem__(self, name) -> Evaluation:
+        return self._evaluations[name]
+
+    def __iter__(self):
+        return iter(self._evaluations)
+
+    def __len__(self):
+        return len(self._evaluations)
+
+    def difference(self, first: str, second: str) -> Difference:
+        """Errors of `first` minus those of `second`, with the error of a paired comparison."""
+        names = list(self)
+        a, b = names.index(first), names.index(second)
+        count, mean = self._components, self._squares[[a, b]]
+        raw = mean[0] - mean[1]
+        error = self._error(a, b, np.ones_like(mean))
+        rms, slope = roots(mean[..., :count])
+        apart, apart_error = rms[0] - rms[1], self._error(a, b, slope)
+        found = [
+            part
+            for k in range(count, mean.shape[2])
+            for part in (raw[:-1, k], error[:-1, k], raw[-1, k], error[-1, k])
+        ]
+        if len(found) > 4 and np.isnan(found[4]).all():
+            found = found[:4]
+        return Difference(apart[:-1], apart_error[:-1], apart[-1], apart_error[-1], *found)
+
+    def _error(self, a, b, slope):
+        """Standard error of slope[0] times a mean of `a` less slope[1] times one of `b`."""
+        cov = self._cov[..., : slope.shape[2]]
+        variance = (
+            slope[0] ** 2 * cov[a, a]
+            + slope[1] ** 2 * cov[b, b]
+            - 2 * slope[0] * slope[1] * cov[a, b]
+        )
+        return np.sqrt(np.maximum(variance, 0.0) / self._scored)
+
+    def __str__(self) -> str:
+        width = max(map(len, self))
+        lines = [f"{'filter':{width}}  time-averaged RMS error by component"]
+        for name, found in self.items():
+            row = "  ".join(
+                f"{a:.4f} ± {e:.4f}"
+                for a, e in zip(found.average, found.average_error, strict=True)
+            )
+            if found.average_mode_error is not None:
+                row += (
+                    f"  wrong mode {found.average_mode_error:.4f} "
+                    f"± {found.average_mode_error_error:.4f}"
+                )
+            lost = f"  {found.diverged} of {found.paths} paths diverged" if found.diverged else ""
+            lines.append(f"{name:{width}}  {row}{lost}")
+        return "\n".join(lines)
+
+
+def roots(mean) -> tuple[np.ndarray, np.ndarray]:
+    """Roots of mean squares, and the derivatives of a root by its mean square."""
+    rms = np.sqrt(mean)
+    return rms, np.divide(0.5, rms, out=np.zeros_like(rms), where=rms > 0)

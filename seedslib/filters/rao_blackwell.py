@@ -1,0 +1,275 @@
+"""Rao-Blackwellised particle filter of a jump-linear system: modes drawn, states by Kalman."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.correction import correct
+from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
+from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.particle import choose, stream
+from seedslib.filters.switching_steps import mix
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
+from seedslib.systems.switching import SwitchingSystem
+
+
+class RaoBlackwellState(NamedTuple):
+    """Histories of modes with their weights and Gaussian laws, and the last estimate.
+
+    Each of P drawn histories is continued by every mode, so for ``prob`` (L, P, *batch), ``law``
+    = means (n, L, P, *batch) and covariances (n, n, L, P, *batch) the mode of the present is the
+    first of the two axes. ``seed`` and ``draws`` fix the random numbers that come next.
+    ``mode_prob`` has shape (L, *batch).
+    """
+
+    time: float | None
+    prob: np.ndarray
+    law: tuple
+    seed: np.random.SeedSequence
+    draws: int
+    mean: np.ndarray
+    cov: np.ndarray
+    mode_prob: np.ndarray
+    loglik: np.ndarray
+    diverged: np.ndarray
+
+
+class RaoBlackwellFilter:
+    """Posterior of mode and state as a mixture over histories of modes.
+
+    Given the history of the modes a jump-linear system is linear and the Kalman filter is exact;
+    only histories have to be drawn. Every drawn one is continued by all modes, these are weighted
+    by the measurement, and `particles` of them are drawn (systematic resampling) before the next
+    step. While there are no more than `particles` nothing is drawn: then the filter is exact.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+        With dynamics and sensors affine in state and Gaussian noise, and probabilities of
+        switches and indicators that depend on neither.
+    particles : int
+        Histories kept after a step.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No switching system, or one that is not jump-linear; a count below one.
+    """
+
+    def __init__(self, system, particles=100):
+        require_jump_linear(system)
+        from seedslib.linearization import Taylor
+
+        self.system, self.particles = system, as_count("particles", particles)
+        exact = Taylor()
+        self._move = [exact.transition(map) for map in system.dynamics]
+        self._sense = [exact.moments(map) for map in system.sensors]
+
+    def initial(self, batch=(), seed=0) -> RaoBlackwellState:
+        """State before any measurement: one history for each mode of the start."""
+        modes, n, parts = self.system.modes, self.system.state_size, self.system.initial
+        tail = (1,) * (1 + len(batch))
+        prob = np.broadcast_to(
+            self.system.initial_probabilities.reshape(-1, *tail), (modes, 1, *batch)
+        )
+        mean = np.stack([part.mean for part in parts], axis=1).reshape(n, modes, *tail)
+        cov = np.stack([part.cov for part in parts], axis=2).reshape(n, n, modes, *tail)
+        law = (
+            np.broadcast_to(mean, (n, modes, 1, *batch)),
+            np.broadcast_to(cov, (n, n, modes, 1, *batch)),
+        )
+        return RaoBlackwellState(
+            None, prob, law, as_seed_sequence(seed), 0, *_estimate(prob, law), np.zeros(batch),
+            np.zeros(batch, dtype=bool),
+        )  # fmt: skip
+
+    def predict(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+        """One step of the system, to time t; a state without a time is only given one.
+
+        Raises
+        ------
+        ValueError
+            A time before that of the state.
+        """
+        if stays(state, t):
+            return state._replace(time=float(t))
+        modes, n, batch = self.system.modes, self.system.state_size, state.prob.shape[2:]
+        prob = state.prob.reshape(-1, *batch)
+        count = len(prob)
+        mean = state.law[0].reshape(n, count, *batch)
+        cov = state.law[1].reshape(n, n, count, *batch)
+        mode = np.broadcast_to(
+            np.repeat(np.arange(modes), count // modes).reshape(-1, *(1,) * len(batch)), prob.shape
+        )
+        draws = state.draws
+        if count > self.particles:
+            chosen = choose(prob, self.particles, stream(state.seed, draws))
+            mean, cov = (_taken(part, chosen) for part in (mean, cov))
+            mode = np.take_along_axis(mode, chosen, axis=0)
+            prob = np.full(mode.shape, 1.0 / self.particles)
+            draws += 1
+        moved, spread = np.empty(mean.shape), np.empty(cov.shape)
+        leave = np.zeros((modes, *prob.shape))
+        for i, row in enumerate(self.system.branches):
+            here = mode == i
+            y, square = self._move[i](state.time, mean[:, here], cov[:, :, here])
+            moved[:, here], spread[:, :, here] = y, _wide(square, y)
+            for l, branch in enumerate(row):
+                if branch is not None:
+                    leave[l, here] = _chance(branch, state.time, n)
+        law = (
+            np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
+            np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
+        )
+        prob = prob * leave
+        mean, cov, mode_prob = _estimate(prob, law)
+        return state._replace(
+            time=float(t), prob=prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
+        )
+
+    def correct(self, state: RaoBlackwellState, y, indicator=None) -> RaoBlackwellState:
+        """Correct every history by a measurement, shape (m, *batch), and weight it.
+
+        Parameters
+        ----------
+        state : RaoBlackwellState
+        y : array_like, shape (m, *batch)
+            NaN where missing.
+        indicator : array_like of int, shape (*batch), optional
+            -1 where missing.
+
+        Raises
+        ------
+        ValueError
+            A state without a time: `predict` gives it one.
+        """
+        require_time(state)
+        y, n, t = np.asarray(y, dtype=float), self.system.state_size, state.time
+        shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
+        mean, cov = (np.empty(part.shape) for part in state.law)
+        score = np.empty(state.prob.shape)
+        for i, sense in enumerate(self._sense):
+            prior = state.law[0][:, i], state.law[1][:, :, i]
+            mean[:, i], square, score[i] = correct(*prior, y[:, None], sense(t, *prior))
+            cov[:, :, i] = _wide(square, mean[:, i])
+            if shown is not None:
+                chances = [0.0 if b is None else _chance(b, t, n) for b in self.system.readings[i]]
+                with np.errstate(divide="ignore"):  # the last entry is that of a missing one
+                    score[i] += np.log([*chances, 1.0])[shown]
+        known = np.where(state.prob > 0, score, -np.inf)
+        highest = known.max(axis=(0, 1))
+        lost = ~np.isfinite(highest)
+        weight = np.where(lost, 1.0, np.exp(known - np.where(lost, 0.0, highest))) * state.prob
+        total = weight.sum(axis=(0, 1))
+        prob, law = weight / total, (mean, cov)
+        loglik = np.where(lost, -np.inf, highest + np.log(total))
+        return state._replace(
+            prob=prob, law=law, loglik=loglik, diverged=state.diverged | lost,
+            **dict(zip(("mean", "cov", "mode_prob"), _estimate(prob, law), strict=True)),
+        )  # fmt: skip
+
+    def step(self, state: RaoBlackwellState, t: float, y, indicator=None) -> RaoBlackwellState:
+        """One step of the system to time t, and the correction there."""
+        return self.correct(self.predict(state, t), y, indicator)
+
+    def forecast(self, state: RaoBlackwellState, t: float) -> Estimates:
+        """Mean (n, *batch), covariance and mode probabilities one step later, at time t."""
+        later = self.predict(state, t)
+        return Estimates(later.mean, later.cov, later.mode_prob)
+
+    def run(self, times, measurements, *, indicators=None, seed=0, workers=1) -> Estimates:
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+        measurements : array_like, shape (K+1, m, *batch)
+            NaN marks a missing component.
+        indicators : array_like of int, shape (K+1, *batch), optional
+            -1 where missing; wanted if the system has an indicator.
+        seed : int, SeedSequence or Generator
+        workers : int
+            Threads over blocks of records; the numbers do not depend on it.
+
+        Returns
+        -------
+        Estimates
+            Mean (K+1, n, *batch), covariance, mode probabilities (K+1, L, *batch), decided
+            modes, logarithms of the predictive densities, `diverged`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Times that do not increase, infinite measurements, shapes that do not fit.
+        """
+        block = max(1, 2 * BLOCK // self.particles)
+        return run_in_blocks(
+            self, times, measurements, indicators, block=block, seed=seed, workers=workers
+        )
+
+
+def require_jump_linear(system) -> None:
+    """Refuse anything but a jump-linear system with Gaussian noise.
+
+    Raises
+    ------
+    TypeError, ValueError
+        What is missing is named.
+    """
+    if not isinstance(system, SwitchingSystem):
+        raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
+    for name, maps, table, odds in (
+        ("dynamics", system.dynamics, system.branches, "switching"),
+        ("sensor", system.sensors, system.readings, "indicator"),
+    ):
+        for i, map in enumerate(maps):
+            if not map.noise.gaussian:
+                raise ValueError(f"{name}: wanted Gaussian noise, got a law of its own")
+            if not map.symbolic or not _affine(map):
+                raise ValueError(
+                    f"{name}: wanted symbolic maps affine in state and noise, got another in "
+                    f"mode {i}"
+                )
+            if not all(b is None or b.constant for b in table[i]):
+                raise ValueError(
+                    f"{odds}: wanted probabilities that depend on neither state nor noise, got "
+                    f"others in mode {i}"
+                )
+
+
+def _affine(map) -> bool:
+    import sympy
+
+    variables = (*map.state, *map.noise.symbols)
+    return all(
+        sympy.simplify(sympy.diff(y, a, b)) == 0
+        for y in map.expressions for a in variables for b in variables
+    )  # fmt: skip
+
+
+def _chance(branch, t, n) -> float:
+    """Probability of a branch that depends on the time alone."""
+    return float(branch.probability(t, np.zeros(n)))
+
+
+def _wide(square, mean):
+    """Covariances with the batch axes of the means."""
+    square = square.reshape(*square.shape, *(1,) * (mean.ndim + 1 - square.ndim))
+    return np.broadcast_to(square, (len(mean), *mean.shape))
+
+
+def _taken(part, chosen):
+    """Chosen histories of an array (components..., histories, *batch)."""
+    core = part.ndim - chosen.ndim
+    return np.take_along_axis(part, chosen[(None,) * core], axis=core)
+
+
+def _estimate(prob, law):
+    """Mean, covariance and mode probabilities of a weighted mixture."""
+    batch, n = prob.shape[2:], len(law[0])
+    found = mix(
+        prob.reshape(-1, *batch), law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
+    )
+    return found.mean, found.cov, prob.sum(axis=1)

@@ -1,0 +1,321 @@
+"""Designs on a Dask cluster: the same bits as here, also when workers are lost."""
+
+import os
+import pickle
+import subprocess
+import sys
+
+import cloudpickle
+import distributed
+import numpy as np
+import pytest
+import sympy
+
+from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
+from seedslib.memory import Memory
+from seedslib.synthesis import Affine, Continuous, Polynomial, cluster, synthesize
+from seedslib.synthesis.checkpoint import Checkpoint
+from seedslib.synthesis.walk import Walk, crew
+from seedslib.systems import JumpDiffusion, Noise, StochasticMap, zoo
+from seedslib.systems.discrete import DiscreteSystem
+
+TACTS = np.arange(3) * 0.5
+BASE = {"paths": 17_000, "seed": 5, "step": 0.1, "nodes": 1}
+QUIET = {
+    "dashboard_address": None, "silence_logs": 50, "threads_per_worker": 1,
+    "scheduler_kwargs": {"dashboard_address": ":0"},
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    return zoo.van_der_pol()
+
+
+@pytest.fixture(scope="module")
+def one():
+    """A cluster of one worker in this process."""
+    with (
+        distributed.LocalCluster(n_workers=1, processes=False, **QUIET) as made,
+        distributed.Client(made, set_as_default=False) as client,
+    ):
+        yield client
+
+
+@pytest.fixture(scope="module")
+def two():
+    """A cluster of two processes."""
+    with (
+        distributed.LocalCluster(n_workers=2, processes=True, **QUIET) as made,
+        distributed.Client(made, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def same(one, two):
+    """Whether two designs agree bit by bit."""
+    parts = []
+    for filter in (one, two):
+        fits = [*filter.fits, *(fit for row in filter.node_fits for fit in row)]
+        parts.append(
+            [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
+            + [np.asarray(part) for fit in fits for part in fit]
+        )
+    equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
+    return all(equal) and one.design == two.design
+
+
+@pytest.mark.parametrize("size", ["one", "two"])
+@pytest.mark.parametrize(
+    ("memory", "predictor", "options"),
+    [
+        (Memory(2), Affine(), {"measured_nodes": True}),
+        (Memory(1, 1), Polynomial(2, 2), {"nodes": 0}),
+        (Memory(1), Continuous(), {"horizon": 1.2, "step": 0.25}),
+    ],
+)
+def test_a_cluster_finds_the_same_bits(oscillator, request, size, memory, predictor, options):
+    options = BASE | options | {"predictor": predictor}
+    client = request.getfixturevalue(size)
+    here = synthesize(oscillator, memory, ExactGaussian(), TACTS, **options)
+    there = synthesize(oscillator, memory, ExactGaussian(), TACTS, scheduler=client, **options)
+    assert same(here, there)
+
+
+def test_an_address_is_enough_and_few_blocks_too(oscillator, two):
+    options = BASE | {"paths": 500}
+    there = synthesize(
+        oscillator, Memory(1), Taylor(), TACTS, scheduler=two.scheduler.address, **options
+    )
+    assert same(there, synthesize(oscillator, Memory(1), Taylor(), TACTS, **options))
+    assert two.status == "running"
+
+
+def test_jumps_and_paths_that_are_left_out(two):
+    """Impulses, a bound that cuts some paths off, functions that only a closure knows."""
+    x, z, v = sympy.symbols("x z v")
+    system = JumpDiffusion(
+        (x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], intensity=x**2 + 0.1,
+        jump=[z], marks=Noise((z,), cov=[[0.01]]),
+        initial=lambda rng, count: rng.standard_normal((1, count)) * 0.3,
+    )  # fmt: skip
+    options = BASE | {"bound": 1.2, "step": 0.02}
+    with pytest.warns(UserWarning, match="diverged"):
+        here = synthesize(system, Memory(1), ExactGaussian(), TACTS, **options)
+    with pytest.warns(UserWarning, match=f"{here.design.diverged} of 17000"):
+        there = synthesize(system, Memory(1), ExactGaussian(), TACTS, scheduler=two, **options)
+    assert here.design.diverged > 10
+    assert same(here, there)
+
+
+def test_array_functions_in_discrete_time(two):
+    dynamics = StochasticMap.from_functions(
+        1, 1, lambda t, x, v: 0.9 * x + np.sin(x) / (1 + t) + v, Noise(1)
+    )
+    sensor = StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, Noise(1))
+    system = DiscreteSystem(dynamics, sensor, [0], [[1]])
+    options = {"paths": 17_000, "seed": 1}
+    here, there = (
+        synthesize(system, Memory(2), Cubature(), np.arange(4), scheduler=where, **options)
+        for where in (None, two)
+    )
+    assert same(here, there)
+
+
+class Stopped(Exception):
+    """The run ends here."""
+
+
+@pytest.mark.parametrize("there_first", [True, False])
+def test_a_design_moves_between_threads_and_a_cluster(
+    oscillator, two, tmp_path, monkeypatch, there_first
+):
+    where = [two, None] if there_first else [None, two]
+    path, write = tmp_path / "design", Checkpoint.write
+
+    def once(self, forward, last):
+        write(self, forward, last)
+        raise Stopped
+
+    monkeypatch.setattr(Checkpoint, "write", once)
+    with pytest.raises(Stopped):
+        synthesize(
+            oscillator, Memory(2), Taylor(), TACTS, checkpoint=path, scheduler=where[0], **BASE
+        )
+    monkeypatch.setattr(Checkpoint, "write", write)
+    found = synthesize(
+        oscillator, Memory(2), Taylor(), TACTS, checkpoint=path, scheduler=where[1], **BASE
+    )
+    assert same(found, synthesize(oscillator, Memory(2), Taylor(), TACTS, **BASE))
+
+
+def test_a_lost_worker_changes_nothing(oscillator, two, monkeypatch):
+    """Killed in the middle: its blocks are made again from their streams."""
+    options = BASE | {"nodes": 0}
+    here = synthesize(oscillator, Memory(2), Taylor(), TACTS, **options)
+    fetch, looked = cluster.Cluster.fetch, []
+
+    def deadly(self, name):
+        found = fetch(self, name)
+        looked.append(name)
+        if len(looked) == 3:
+            os.kill(next(iter(self.client.run(os.getpid).values())), 9)
+        return found
+
+    monkeypatch.setattr(cluster.Cluster, "fetch", deadly)
+    there = synthesize(oscillator, Memory(2), Taylor(), TACTS, scheduler=two, **options)
+    assert len(looked) > 4
+    assert same(here, there)
+
+
+@pytest.mark.parametrize("lost", ["workers", "scheduler"])
+def test_a_lost_cluster_is_an_error(oscillator, monkeypatch, lost):
+    """No worker is left and none comes: not a wait without end."""
+    monkeypatch.setattr(cluster, "PATIENCE", 0.3)
+    fetch, looked = cluster.Cluster.fetch, []
+    with (
+        distributed.LocalCluster(n_workers=1, processes=False, **QUIET) as made,
+        distributed.Client(made, set_as_default=False) as client,
+    ):
+
+        def deadly(self, name):
+            looked.append(name)
+            if len(looked) == 3:
+                made.close() if lost == "scheduler" else made.scale(0)
+            return fetch(self, name)
+
+        monkeypatch.setattr(cluster.Cluster, "fetch", deadly)
+        with pytest.raises(RuntimeError, match=r"cluster was lost .*; with a checkpoint"):
+            synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler=client, **BASE)
+        if lost == "workers":
+            with pytest.raises(ValueError, match=r"no worker came within 0.3 s"):
+                synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler=client, **BASE)
+
+
+def test_errors_of_the_work_come_home(one):
+    def sampler(rng, count):
+        raise ArithmeticError("no such law")
+
+    x, v = sympy.symbols("x v")
+    system = JumpDiffusion((x,), [-x], [[1]], [x + v], Noise((v,)), [0], [[1]], initial=sampler)
+    with pytest.raises(ArithmeticError, match="no such law"):
+        synthesize(system, Memory(1), Taylor(), TACTS, scheduler=one, **BASE)
+
+
+def test_other_versions_on_a_worker_are_refused(oscillator, two, monkeypatch):
+    monkeypatch.setattr(cluster, "_versions", lambda: ("9.9.9", "1.0", "3.0"))
+    with pytest.raises(RuntimeError, match=r"a worker has seedslib, .*, wanted 9.9.9, 1.0, 3.0"):
+        synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler=two, **BASE)
+
+
+def test_what_is_no_scheduler(oscillator, monkeypatch):
+    with pytest.raises(TypeError, match=r"scheduler: wanted an address or a distributed.Client"):
+        synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler=8786, **BASE)
+    monkeypatch.setattr(cluster, "CONNECT", 0.5)
+    with pytest.raises(ValueError, match=r"nothing answers at tcp://127.0.0.1:9"):
+        synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler="tcp://127.0.0.1:9", **BASE)
+
+
+def test_dask_is_not_loaded_without_a_scheduler():
+    script = (
+        "import sys; from seedslib.synthesis import synthesize, simulated, walk; "
+        "from seedslib.synthesis import checkpoint; "
+        "print(*{'dask', 'distributed', 'cloudpickle'} & set(sys.modules))"
+    )
+    found = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
+    assert found.stdout.split() == []
+
+
+@pytest.mark.parametrize("scheduler", [None, "one", "two"])
+def test_a_walk_leaves_paths_out_wherever_it_is(oscillator, request, scheduler):
+    """The first hundred of 9000 columns are not finite: they leave all averages."""
+    client = scheduler and request.getfixturevalue(scheduler)
+    with crew(1, client) as each:
+        walk = Walk(oscillator, 9000, np.random.SeedSequence(1), 2, each, {}, np.inf)
+        walk.begin(0.0)
+
+        def marked(x):
+            return np.where(np.arange(x.shape[1]) < 50, np.nan, x[:1])
+
+        shown = walk.each(marked, walk.states)
+        walk.leave_out(shown)
+        assert walk.lost == 100
+        found = walk.gather(lambda x, y: np.concatenate([x[:1], y]), shown)
+        assert found.count == 8900
+        assert found.mean[0] == found.mean[1]
+        assert all((part[:, :50] == 0).all() for part in shown)
+        walk.advance(0.0, 0.1)
+        with pytest.raises(ValueError, match="wanted at most the 2 that were announced"):
+            walk.advance(0.1, 0.2)
+
+
+def test_a_remote_list_is_replaced_as_a_whole(one):
+    with crew(1, one) as each:
+        numbers = each(abs, [-1, -2])
+        with pytest.raises(TypeError, match="only be replaced as a whole"):
+            numbers[0] = 1
+
+
+# What travels
+
+
+def _decay(t, x):
+    return -x
+
+
+def _level(t, x):
+    return np.ones((1, *x.shape))
+
+
+def _shown(t, x, v):
+    return x + v
+
+
+def _systems():
+    sensor = StochasticMap.from_functions(1, 1, _shown, Noise(1))
+    discrete = zoo.van_der_pol().sensor
+    x1, x2, w = sympy.symbols("x1 x2 w")
+    return {
+        "van der pol": zoo.van_der_pol(),
+        "duffing": zoo.kicked_duffing(),
+        "flip": zoo.flip_process(),
+        "functions": JumpDiffusion.from_functions(_decay, _level, sensor, [0.0], [[1.0]]),
+        "discrete": DiscreteSystem(
+            StochasticMap((x1, x2), [x2, sympy.sin(x1) + w], Noise((w,))), discrete, [0, 0],
+            np.eye(2),
+        ),
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ["van der pol", "duffing", "flip", "functions", "discrete"])
+@pytest.mark.parametrize("pickler", [pickle, cloudpickle])
+def test_systems_travel_used_or_not(name, pickler):
+    """By plain pickle where no closure is in them; compiled again to the same bits."""
+    system = _systems()[name]
+    times = np.arange(3) * 0.5 if name != "discrete" else np.arange(3)
+    fresh = pickler.loads(pickler.dumps(system))
+    data = system.simulate(times, 300, 1)
+    if name == "duffing":
+        assert (system.intensity(0.0, data.states[0]) > 0).all()
+        system.drift_map.conditional_moments(0.0, data.states[0])
+    if isinstance(system, JumpDiffusion):
+        system.spread_map.value(0.0, data.states[0], np.empty((0, 300)))
+    used = pickler.loads(pickler.dumps(system))
+    for copy in (fresh, used):
+        again = copy.simulate(times, 300, 1)
+        np.testing.assert_array_equal(again.states, data.states)
+        np.testing.assert_array_equal(again.measurements, data.measurements)
+        # the copy is a system like any other: other code, same formulas
+        rule = GaussHermite(3)
+        a, b = (rule.moments(part.sensor)(0.0, part.mean0, part.cov0) for part in (copy, system))
+        np.testing.assert_array_equal(a.cov, b.cov)
+
+
+@pytest.mark.parametrize(
+    "thing",
+    [Taylor(), ExactGaussian(), Unscented(1, 2, 0), Cubature(), GaussHermite(5), Memory(2, 1),
+     Affine(), Polynomial(2, 1), Continuous()],
+    ids=lambda thing: type(thing).__name__,
+)  # fmt: skip
+def test_descriptions_travel(thing):
+    assert pickle.loads(pickle.dumps(thing)) == thing
