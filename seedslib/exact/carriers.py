@@ -11,7 +11,7 @@ import numpy as np
 from seedslib._validate import as_times
 from seedslib.filters.finite_order_rules import Design, Prediction
 from seedslib.memory import Memory, Past
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence, seed_record
 
 LARGEST = 1e50
 """A state beyond this has no fourth power worth averaging."""
@@ -185,5 +185,4 @@ class Carriers:
     def design(self) -> Design:
         """Record of how the paths were made."""
         count, root = self.paths * len(self.sets), self.root
-        entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
-        return Design(count, BLOCK, entropy, tuple(map(int, root.spawn_key)), self.lost, False)
+        return Design(count, BLOCK, *seed_record(root), self.lost, False)

@@ -97,6 +97,22 @@ def require_time(state: object) -> None:
         raise ValueError("state: wanted a state with a time, got None; predict to it first")
 
 
+def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
+    """Whole numbers in the wanted shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Other numbers, another shape.
+    """
+    numbers = np.asarray(value)
+    if numbers.dtype.kind not in "iu":
+        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
+    if numbers.shape != shape:
+        raise ValueError(f"{name}: wanted shape {shape}, got {numbers.shape}")
+    return numbers
+
+
 def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | None:
     """Indicators of a switching system, whole numbers of the given shape; -1 is a missing one.
 
@@ -112,11 +128,7 @@ def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | 
         return None
     if not system.has_indicator:
         raise ValueError(f"{name}: wanted none, the system has no indicator")
-    seen = np.asarray(indicators)
-    if seen.dtype.kind not in "iu":
-        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {seen.dtype}")
-    if seen.shape != shape:
-        raise ValueError(f"{name}: wanted shape {shape}, got {seen.shape}")
+    seen = as_whole(name, indicators, shape)
     if seen.size and not (seen.min() >= -1 and seen.max() < system.indicators):
         worst = seen.max() if seen.max() >= system.indicators else seen.min()
         raise ValueError(

@@ -10,6 +10,7 @@ from seedslib.exact.axes import Axis
 from seedslib.exact.switching_chain import SwitchingChain
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
 from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.weights import relative
 from seedslib.systems.switching import SwitchingSystem
 
 BLOCK = 512
@@ -108,11 +109,7 @@ class GridBayesFilter:
             weight = self._chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
         weight = np.where(np.isfinite(weight), weight, -np.inf)
         weight = weight.reshape(state.law.shape)
-        highest = weight.max(axis=(0, 1))
-        lost = ~np.isfinite(highest)
-        peak = np.where(lost, 0.0, highest)
-        weight -= peak
-        np.exp(weight, out=weight)
+        weight, highest, lost = relative(weight, (0, 1))
         weight *= state.law
         total = weight.sum(axis=(0, 1))
         lost |= ~(total > 0)
@@ -120,7 +117,7 @@ class GridBayesFilter:
             weight = np.where(lost, state.law, weight)
         weight /= np.where(lost, 1.0, total)
         with np.errstate(divide="ignore"):
-            loglik = np.where(lost, -np.inf, peak + np.log(total))
+            loglik = np.where(lost, -np.inf, highest + np.log(total))
         return GridState(state.time, weight, *self._moments(weight), loglik, state.diverged | lost)
 
     def step(self, state: GridState, t: float, y, indicator=None) -> GridState:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib._validate import as_times
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
+from seedslib.filters.estimates import Estimates, as_indicators, as_record, as_whole
 from seedslib.systems.simulation import in_blocks
 
 
@@ -17,11 +17,7 @@ def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np
     TypeError, ValueError
         No whole numbers, another shape, or numbers out of range.
     """
-    modes = np.asarray(value)
-    if modes.dtype.kind not in "iu":
-        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {modes.dtype}")
-    if modes.shape != shape:
-        raise ValueError(f"{name}: wanted shape {shape}, got {modes.shape}")
+    modes = as_whole(name, value, shape)
     bad = (modes < 0) | (modes >= count)
     if bad.any():
         raise ValueError(f"{name}: wanted numbers from 0 to {count - 1}, got {modes[bad][0]}")

@@ -8,6 +8,7 @@ import numpy as np
 
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
 from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.weights import relative
 from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
 
 
@@ -108,9 +109,7 @@ class ParticleFilter:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             log_weight = self._moving.sensor.log_density(state.time, y[:, None], x)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        highest = log_weight.max(axis=0)
-        lost = np.isneginf(highest)
-        weight = np.exp(log_weight - np.where(lost, 0.0, highest))
+        weight, highest, lost = relative(log_weight, 0)
         weight = np.where(lost, 1.0, weight)
         total = weight.sum(axis=0)
         loglik = np.where(lost, -np.inf, highest + np.log(total / self.particles))

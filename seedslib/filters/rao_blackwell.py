@@ -11,6 +11,7 @@ from seedslib.filters.estimates import Estimates, as_indicators, require_time, s
 from seedslib.filters.modes import run_in_blocks
 from seedslib.filters.particle import choose, stream
 from seedslib.filters.switching_steps import mix
+from seedslib.filters.weights import relative
 from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
 from seedslib.systems.switching import SwitchingSystem
 
@@ -159,9 +160,8 @@ class RaoBlackwellFilter:
                 with np.errstate(divide="ignore"):  # the last entry is that of a missing one
                     score[i] += np.log([*chances, 1.0])[shown]
         known = np.where(state.prob > 0, score, -np.inf)
-        highest = known.max(axis=(0, 1))
-        lost = ~np.isfinite(highest)
-        weight = np.where(lost, 1.0, np.exp(known - np.where(lost, 0.0, highest))) * state.prob
+        weight, highest, lost = relative(known, (0, 1))
+        weight = np.where(lost, 1.0, weight) * state.prob
         total = weight.sum(axis=(0, 1))
         prob, law = weight / total, (mean, cov)
         loglik = np.where(lost, -np.inf, highest + np.log(total))

@@ -22,7 +22,7 @@ from seedslib.filters.switching_rules import SwitchingRules, SwitchingState, com
 from seedslib.filters.switching_steps import mix, total_covariance
 from seedslib.filters.switching_summary import SwitchingDesign, SwitchingPrediction, summary
 from seedslib.linearization import Linearization
-from seedslib.memory import Memory, Past
+from seedslib.memory import Memory
 from seedslib.systems.simulation import in_blocks
 
 
@@ -115,8 +115,7 @@ class SwitchingFilter:
 
     def initial(self, batch=(), seed=None) -> SwitchingState:
         """State before any measurement; the filter draws nothing from `seed`."""
-        law = self.rules.initial(tuple(batch))
-        return SwitchingState(-1, None, law, None, None, Past(), 0.0, 0, False)
+        return self.rules.start(tuple(batch))
 
     def predict(self, state: SwitchingState, t: float) -> SwitchingState:
         """Forecast for time t, the next measurement time; a first state is only given it.
@@ -288,7 +287,7 @@ class SwitchingFilter:
                 state.mean, state.law.prob, state.mode, state.loglik
             )  # fmt: skip
             if covariances:
-                cov[k] = total_covariance(state.law, state.mean)
+                cov[k] = total_covariance(state.law)
         return mean, cov, prob, loglik, modes, state.floored
 
     def stationary(self, tolerance: float = 0.05) -> SwitchingFilter:

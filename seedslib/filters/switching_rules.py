@@ -135,15 +135,19 @@ class SwitchingRules:
         """Law of mode and state before any measurement, one part for each mode."""
         parts, tail = self.system.initial, (1,) * len(batch)
 
-        def spread(values, core):
+        def spread(values):
             values = np.stack(values, axis=-1)[..., None]
             return np.broadcast_to(values.reshape(*values.shape, *tail), (*values.shape, *batch))
 
         return Law(
-            spread([part.probability for part in parts], 0),
-            spread([part.mean for part in parts], 1),
-            spread([part.cov for part in parts], 2),
+            spread([part.probability for part in parts]),
+            spread([part.mean for part in parts]),
+            spread([part.cov for part in parts]),
         )
+
+    def start(self, batch) -> SwitchingState:
+        """State before any measurement."""
+        return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
 
     def predict(self, t, law: Law) -> Law:
         """Forecast for the next time from the law at time t."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.correction import correct
+from seedslib.filters.weights import relative
 from seedslib.linearization import Moments
 
 FLOOR = 1e-12
@@ -175,16 +176,11 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
         if column is not None:
             part = Law(law.prob[i], mean, cov)
             prob[i], *found = _printed(mass, both, spread, part, column)
-            joined.append(found)
-        elif len(mass) == 1:
-            prob[i] = mass[0]
-            joined.append((both[:, 0], spread[:, :, 0]))
-            if not (mass > 0).all():
-                prob[i], *found = mix(mass, both, spread)
-                joined[-1] = found
+        elif len(mass) == 1 and (mass > 0).all():
+            prob[i], found = mass[0], (both[:, 0], spread[:, :, 0])
         else:
             prob[i], *found = mix(mass, both, spread)
-            joined.append(found)
+        joined.append(found)
     size = next(len(found[0]) for found in joined if found is not None)
     mean, cov = np.empty((size, modes, *batch)), np.empty((size, size, modes, *batch))
     for i, found in enumerate(joined):
@@ -235,9 +231,7 @@ def weigh(sensed: Sensed, y) -> tuple[Law, np.ndarray]:
     with np.errstate(divide="ignore"):
         score = np.log(sensed.prob) + each
     score = np.where(sensed.prob > 0, score, -np.inf)
-    highest = score.max(axis=0)
-    lost = ~np.isfinite(highest)
-    weight = np.exp(score - np.where(lost, 0.0, highest))
+    weight, highest, lost = relative(score, 0)
     if np.any(lost):  # no mode explains the measurement: keep what was forecast
         weight = np.where(lost, sensed.prob, weight)
     total = weight.sum(axis=0)
@@ -249,7 +243,7 @@ def decide(law: Law) -> tuple[np.ndarray, np.ndarray]:
     return law.prob.argmax(axis=0), (law.prob * law.mean).sum(axis=1)
 
 
-def total_covariance(law: Law, estimate) -> np.ndarray:
+def total_covariance(law: Law) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
     return mix(law.prob, law.mean, law.cov).cov if len(law.prob) > 1 else law.cov[:, :, 0]
 

@@ -21,7 +21,15 @@ from seedslib.linearization import Linearization
 from seedslib.storage import switching
 from seedslib.storage.archive import read, write
 from seedslib.storage.finite_order import filter_arrays, filter_parts
-from seedslib.storage.identity import difference, model_text, probe, probe_points
+from seedslib.storage.identity import (
+    described,
+    difference,
+    model_text,
+    probe,
+    probe_arrays,
+    probe_points,
+    probe_values,
+)
 from seedslib.storage.tables import KIND as TABLE
 from seedslib.storage.tables import UnknownModel, probed, table_arrays, table_parts
 
@@ -58,8 +66,8 @@ def save(filter, path) -> None:
     header = {
         "kind": TABLE if table else KIND,
         "memory": dataclasses.asdict(filter.memory),
-        "predictor": _described(filter.predictor),
-        "linearization": _described(filter.linearization),
+        "predictor": described(filter.predictor),
+        "linearization": described(filter.linearization),
         "components": filter.components,
         "measured_nodes": filter.measured_nodes,
         "between": filter.between,
@@ -68,10 +76,8 @@ def save(filter, path) -> None:
         "in_sample": filter.predicted.in_sample,
         "tail": len(filter.node_times) > len(filter.fits),
     }
-    arrays = {"probe_x": points}
-    arrays.update({f"probe_values/{name}": value for name, value in known.items()})
-    arrays.update(table_arrays(filter) if table else filter_arrays(filter))
-    return _store(path, header, arrays)
+    held = table_arrays(filter) if table else filter_arrays(filter)
+    return _store(path, header, {**probe_arrays(points, known), **held})
 
 
 def _store(path, header, arrays) -> None:
@@ -122,11 +128,8 @@ def load(path, system=None, *, linearization: Linearization | None = None):
     try:
         parts = table_parts(header, arrays) if table else filter_parts(header, arrays)
         parts.update(between=_between(header), design=_design(header))
-        points = arrays["probe_x"]
-        known = _known(arrays)
         n = len(parts["start"].mean)
-        if points.shape[:1] != (n + 1,) or points.ndim != 2:
-            raise ValueError(f"probe_x of shape {points.shape}")
+        points, known = probe_values(arrays, n)
     except (KeyError, TypeError, IndexError, ValueError) as error:
         raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None
     if system is None:
@@ -142,14 +145,6 @@ def load(path, system=None, *, linearization: Linearization | None = None):
             raise ValueError(f"{path.name}: designed for another model: {reason}")
     kind = TableFilter if table else FiniteOrderFilter
     return kind(system=system, linearization=linearization, **parts)
-
-
-def _known(arrays):
-    return {
-        name.removeprefix("probe_values/"): value
-        for name, value in arrays.items()
-        if name.startswith("probe_values/")
-    }
 
 
 def _probe(system, linearization, points):
@@ -169,11 +164,6 @@ def _between(header) -> str:
 def _design(header) -> Design:
     design = dict(header["design"])
     return Design(**{**design, "spawn_key": tuple(design["spawn_key"])})
-
-
-def _described(thing) -> dict:
-    options = dataclasses.asdict(thing) if dataclasses.is_dataclass(thing) else {}
-    return {"name": type(thing).__name__, **options}
 
 
 def _linearization(path, options):

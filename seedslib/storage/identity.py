@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 SAME = 1e-9
 """Largest difference, relative to the size of the quantity, between equal models."""
 
 POINTS = 12
+
+PROBED = "probe_values/"
+"""How the names of a probe's arrays begin in a file."""
 
 
 def probe_points(system, start: float, stop: float) -> np.ndarray:
@@ -85,6 +90,32 @@ def difference(expected: dict, found: dict) -> str:
         if not (apart <= SAME * scale).all():
             return f"its {name} differs by up to {apart.max():.3g} of {scale:.3g}"
     return ""
+
+
+def probe_arrays(points: np.ndarray, values: dict) -> dict[str, np.ndarray]:
+    """Arrays of a file that keep a probe."""
+    return {"probe_x": points, **{f"{PROBED}{name}": part for name, part in values.items()}}
+
+
+def probe_values(arrays: dict, size: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+    """Points and values of the probe in a file of a model with `size` state components.
+
+    Raises
+    ------
+    KeyError, ValueError
+        No points, or points of another shape.
+    """
+    points = arrays["probe_x"]
+    if points.ndim != 2 or len(points) != size + 1:
+        raise ValueError(f"probe_x of shape {points.shape}")
+    kept = {n.removeprefix(PROBED): part for n, part in arrays.items() if n.startswith(PROBED)}
+    return points, kept
+
+
+def described(thing) -> dict:
+    """Name and options of a linearization or a predictor, for a header."""
+    options = dataclasses.asdict(thing) if dataclasses.is_dataclass(thing) else {}
+    return {"name": type(thing).__name__, **options}
 
 
 def model_text(system) -> dict[str, str]:

@@ -16,7 +16,13 @@ from seedslib.filters.switching_summary import SwitchingDesign, SwitchingPredict
 from seedslib.filters.switching_table import SwitchingTableFilter
 from seedslib.memory import Memory
 from seedslib.storage.arrays import measurement_times, shaped
-from seedslib.storage.identity import difference, probe_points
+from seedslib.storage.identity import (
+    described,
+    difference,
+    probe_arrays,
+    probe_points,
+    probe_values,
+)
 from seedslib.systems.noise import hermite_nodes
 
 KIND = "switching"
@@ -46,6 +52,7 @@ class UnknownModes:
         return cls(n, m, int(header["modes"]), max(told, 1), told > 0)
 
 
+@np.errstate(all="ignore")  # a model may have no value at a point
 def probe_switching(system, points: np.ndarray) -> dict[str, np.ndarray]:
     """What the branches of a system do at points (1 + n, P), by name; see `identity.probe`.
 
@@ -97,13 +104,9 @@ def _header(filter) -> dict:
             "method": filter.method,
             "axes": [[_axes(step.shown), _axes(step.blind)] for step in filter.tables],
         }
-    linearization = filter.linearization
     return {
         **header,
-        "linearization": {
-            "name": type(linearization).__name__,
-            **dataclasses.asdict(linearization),
-        },
+        "linearization": described(filter.linearization),
         "normalisation": filter.normalisation,
         "split": filter.split,
     }
@@ -161,10 +164,8 @@ def switching_content(filter) -> tuple[dict, dict]:
     if isinstance(filter.system, UnknownModes):
         raise ValueError("filter: wanted one with its model, got one that was loaded without")
     points = probe_points(filter.system, float(filter.times[0]), float(filter.times[-1]))
-    known = _probe(filter.system, points)
-    arrays = {"probe_x": points}
-    arrays.update({f"probe_values/{name}": value for name, value in known.items()})
-    return _header(filter), {**arrays, **_arrays(filter)}
+    known = probe_switching(filter.system, points)
+    return _header(filter), {**probe_arrays(points, known), **_arrays(filter)}
 
 
 def switching_filter(name, header, arrays, system, linearization):
@@ -215,20 +216,8 @@ def _other_model(header, arrays, system) -> str:
     ):
         if wanted != got:
             return f"it has {wanted} {what}, not {got}"
-    points = arrays["probe_x"]
-    if points.ndim != 2 or len(points) != n + 1:
-        raise ValueError(f"probe_x of shape {points.shape}")
-    known = {
-        name.removeprefix("probe_values/"): value
-        for name, value in arrays.items()
-        if name.startswith("probe_values/")
-    }
-    return difference(known, _probe(system, points))
-
-
-def _probe(system, points):
-    with np.errstate(all="ignore"):  # a model may have no value at a point
-        return probe_switching(system, points)
+    points, known = probe_values(arrays, n)
+    return difference(known, probe_switching(system, points))
 
 
 def _filter(header, arrays, system, linearization):

@@ -26,7 +26,7 @@ from seedslib.storage.identity import model_text
 from seedslib.synthesis.forward_pass import Found
 from seedslib.synthesis.predictors import PolynomialFit
 from seedslib.synthesis.regression import AffineFit
-from seedslib.systems.simulation import simulate
+from seedslib.systems.simulation import seed_record, simulate
 
 FORMAT = "seedslib design in progress, version 1"
 TRIAL = 256
@@ -148,6 +148,7 @@ def arguments(system, rules, linearization, predictor, times, grid, paths, root,
         ]
     text = np.frombuffer(json.dumps(model_text(system)).encode(), dtype=np.uint8)
     law = system.mean0, system.cov0
+    entropy, spawn_key = seed_record(root)
     return {
         "system": _digest(text, trial.states, trial.measurements, *rates, *law),
         "linearization": [type(linearization).__name__, _digest(*moments)],
@@ -158,8 +159,8 @@ def arguments(system, rules, linearization, predictor, times, grid, paths, root,
         "components": rules.components,
         "measured_nodes": rules.measured_nodes,
         "paths": paths,
-        "seed": root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist(),
-        "spawn_key": list(root.spawn_key),
+        "seed": entropy,
+        "spawn_key": list(spawn_key),
         "options": options,
         "bound": bound,
         "version of seedslib": seedslib.__version__,

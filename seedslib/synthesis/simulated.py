@@ -19,7 +19,7 @@ from seedslib.memory import Memory
 from seedslib.synthesis.forward_pass import ForwardPass
 from seedslib.synthesis.predictors import Affine, Continuous, Polynomial
 from seedslib.synthesis.walk import Walk, crew
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence, seed_record
 
 __all__ = ["Affine", "Continuous", "Polynomial", "synthesize"]
 
@@ -243,7 +243,5 @@ def _simulated_design(
         warnings.warn(
             f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
         )
-    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
-    spawn_key = tuple(map(int, root.spawn_key))
-    design = Design(paths, BLOCK, entropy, spawn_key, lost, False)
+    design = Design(paths, BLOCK, *seed_record(root), lost, False)
     return *found, design

@@ -18,7 +18,7 @@ from seedslib.filters.switching_summary import SwitchingDesign, SwitchingPredict
 from seedslib.linearization import Linearization
 from seedslib.synthesis.regression import merge, scatter
 from seedslib.synthesis.walk import Walk, crew
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
+from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence, seed_record
 
 OFTEN = 0.05
 """Part of thin pairs of cell and mode above which the design warns."""
@@ -75,13 +75,10 @@ def synthesize_switching(
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
     rules = compiled_rules(system, linearization, normalisation, split)
-    shell = SwitchingFilter(
-        system, linearization, normalisation=normalisation, split=split, rules=rules
-    )
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
-        found = _pass(walk, system, memory, rules, shell, times)
+        found = _pass(walk, system, memory, rules, times)
         lost = walk.lost
     fits, scores, thin, pairs, raised = found
     if thin > OFTEN * pairs:
@@ -98,26 +95,24 @@ def synthesize_switching(
         warnings.warn(
             f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
         )
-    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
     return SwitchingFilter(
         system, linearization, memory, times, tuple(fits), normalisation, split,
         SwitchingPrediction(times, *(np.array(part) for part in zip(*scores, strict=True))),
         SwitchingDesign(
-            paths, BLOCK, entropy, tuple(map(int, root.spawn_key)), thin, pairs, raised,
-            lost,
+            paths, BLOCK, *seed_record(root), thin, pairs, raised, lost,
         ),
         rules=rules,
     )  # fmt: skip
 
 
-def _pass(walk, system, memory, rules, shell, times):
+def _pass(walk, system, memory, rules, times):
     """Run the filter on the paths, and fit it before each step."""
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
     for k, t in enumerate(times):
         if k == 0:
             walk.begin(t)
-            states = walk.each(lambda x: shell.initial(x.shape[1:]), walk.states)
+            states = walk.each(lambda x: rules.start(x.shape[1:]), walk.states)
         else:
             walk.advance(times[k - 1], t)
             fit, old = fits[-1], times[k - 1]

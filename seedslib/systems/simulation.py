@@ -74,6 +74,12 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
     raise TypeError(f"seed: wanted an int, a SeedSequence or a Generator, got {seed!r}")
 
 
+def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
+    """Entropy (a whole number or a list of them) and spawn key: what a file keeps of a root."""
+    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
+    return entropy, tuple(map(int, root.spawn_key))
+
+
 def in_blocks(work: Callable, total: int, seed: object, *, workers: int = 1, block: int = BLOCK):
     """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
 

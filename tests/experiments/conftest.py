@@ -1,5 +1,6 @@
-"""A small project with one notebook, made afresh for each test that plants a fault in it."""
+"""What the tests of the harness share: a small project to plant faults in, and the command line."""
 
+import csv
 import shutil
 import subprocess
 import sys
@@ -8,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from seedslib.experiments import execution
+from seedslib.experiments.cli import main
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -98,3 +100,40 @@ def command():
         )
 
     return run
+
+
+@pytest.fixture
+def write():
+    """Write a small text file by its name."""
+
+    def write(name, text):
+        Path(name).write_text(text, encoding="utf-8")
+
+    return write
+
+
+@pytest.fixture
+def read():
+    """Rows of a CSV file by its name."""
+
+    def read(name):
+        with open(name, newline="", encoding="utf-8") as file:
+            return list(csv.reader(file))
+
+    return read
+
+
+@pytest.fixture
+def refused():
+    """The one line on stderr of a command that ends with code 2."""
+
+    def refused(capsys, *arguments):
+        capsys.readouterr()
+        assert main([str(a) for a in arguments]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert told.err.startswith("seedslib: ")
+        assert told.err.count("\n") == 1
+        return told.err
+
+    return refused

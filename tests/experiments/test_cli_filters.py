@@ -1,6 +1,5 @@
 """``python -m seedslib design`` and ``filter``: what they write, and what they refuse."""
 
-import csv
 import json
 import sys
 
@@ -42,27 +41,6 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write(name, text):
-    with open(name, "w", encoding="utf-8") as file:
-        file.write(text)
-
-
-def read(name):
-    with open(name, newline="", encoding="utf-8") as file:
-        return list(csv.reader(file))
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command that ends with code 2."""
-    capsys.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.startswith("seedslib: ")
-    assert told.err.count("\n") == 1
-    return told.err
-
-
 @pytest.fixture
 def table(folder):
     """A table of the linear model."""
@@ -75,7 +53,7 @@ def table(folder):
 # The round trip
 
 
-def test_designed_and_run_from_the_command_line(capsys):
+def test_designed_and_run_from_the_command_line(capsys, write, read):
     code = main(
         ["design", "target.py", "--memory", "estimates=1,measurements=1", "--times", "0:1.5:0.5",
          "--linearization", "unscented:1,2,0", "--predictor", "polynomial:2,1", "--seed", "7",
@@ -105,7 +83,7 @@ def test_designed_and_run_from_the_command_line(capsys):
     np.testing.assert_allclose(claimed, np.sqrt(found.cov[[0, 2, 3], 0, 0]), rtol=1e-15)
 
 
-def test_a_table_runs_from_its_file_alone(table, capsys):
+def test_a_table_runs_from_its_file_alone(table, capsys, write, read, refused):
     write("data.csv", "t,y1\n0,1.5\n0.25,\n0.5,\n1,-0.25\n")
     assert main(["filter", "table.npz", "data.csv", "--out", "alone.csv"]) == 0
     assert main(["filter", "table.npz", "data.csv", "--model", "linear.py", "--out", "b.csv"]) == 0
@@ -125,7 +103,7 @@ def test_a_table_runs_from_its_file_alone(table, capsys):
     )
 
 
-def test_a_filter_that_evaluates_its_sensor_wants_the_model(capsys):
+def test_a_filter_that_evaluates_its_sensor_wants_the_model(capsys, write, refused):
     assert main(["design", "linear.py", "--memory", "small_order", *CHEAP, "--out", "f.npz"]) == 0
     write("data.csv", "t,y1\n0,1\n")
     told = refused(capsys, "filter", "f.npz", "data.csv", "--out", "x.csv")
@@ -148,7 +126,7 @@ def test_files_hold_no_code(table):
     assert load(table, load_model("linear.py")[0]).order == 1
 
 
-def test_without_the_extras_of_the_book(folder, command):
+def test_without_the_extras_of_the_book(folder, command, write, read):
     """Both commands work, and a command of the book says what it wants."""
     write("data.csv", "t,y1\n0,1\n0.5,0\n")
     write(
@@ -201,14 +179,14 @@ for command in (
         ('t,y1\n0,"1\n', "not a CSV file"),
     ],
 )  # fmt: skip
-def test_bad_records_are_refused_by_row(table, capsys, text, message):
+def test_bad_records_are_refused_by_row(table, capsys, text, message, write, refused):
     write("data.csv", text)
     told = refused(capsys, "filter", table, "data.csv", "--out", "x.csv")
     assert "data.csv" in told
     assert message in told
 
 
-def test_bad_files_are_refused_by_name(table, folder, capsys):
+def test_bad_files_are_refused_by_name(table, folder, capsys, write, refused):
     write("data.csv", "t,y1\n0,1\n")
     arguments = ("data.csv", "--out", "x.csv")
     assert "none.npz" in refused(capsys, "filter", "none.npz", *arguments)
@@ -223,7 +201,7 @@ def test_bad_files_are_refused_by_name(table, folder, capsys):
     assert not (folder / "x.csv").exists()
 
 
-def test_a_measurement_that_the_memory_wants(capsys):
+def test_a_measurement_that_the_memory_wants(capsys, write, refused):
     axes = ["--table", "y=-6:6:5"]
     assert main(["design", "linear.py", "--memory", "measurements=1", *CHEAP, *axes,
                  "--out", "m.npz"]) == 0  # fmt: skip
@@ -248,14 +226,14 @@ def test_a_measurement_that_the_memory_wants(capsys):
         (TARGET, "wanted --times, or `times` in model.py; got neither"),
     ],
 )
-def test_bad_models_are_refused_in_one_line(capsys, text, message):
+def test_bad_models_are_refused_in_one_line(capsys, text, message, write, refused):
     write("model.py", text)
     told = refused(capsys, "design", "model.py", "--memory", "estimates=1", "--out", "f.npz")
     assert "model.py" in told
     assert message in told
 
 
-def test_a_model_may_import_its_neighbour(folder):
+def test_a_model_may_import_its_neighbour(folder, write):
     write("neighbour.py", TARGET)
     write("model.py", "from neighbour import system\ntimes = (0, 1)\n")
     before = list(sys.path)
@@ -287,7 +265,7 @@ def test_a_model_may_import_its_neighbour(folder):
         (["--out", "nowhere/f.npz"], "out: no such folder as nowhere"),
     ],
 )
-def test_options_that_do_not_fit(capsys, options, message):
+def test_options_that_do_not_fit(capsys, options, message, refused):
     given = ["--memory", "estimates=1", *CHEAP, "--out", "f.npz", *options]
     assert message in refused(capsys, "design", "linear.py", *given)
 

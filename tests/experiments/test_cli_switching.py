@@ -1,7 +1,5 @@
 """``python -m seedslib design`` and ``filter`` for systems of several modes."""
 
-import csv
-
 import numpy as np
 import pytest
 
@@ -36,28 +34,8 @@ def folder(tmp_path, monkeypatch):
     return tmp_path
 
 
-def write(name, text):
-    with open(name, "w", encoding="utf-8") as file:
-        file.write(text)
-
-
-def read(name):
-    with open(name, newline="", encoding="utf-8") as file:
-        return list(csv.reader(file))
-
-
-def refused(capsys, *arguments):
-    """The one line on stderr of a command that ends with code 2."""
-    capsys.readouterr()
-    assert main([str(a) for a in arguments]) == 2
-    told = capsys.readouterr()
-    assert told.out == ""
-    assert told.err.count("\n") == 1
-    return told.err
-
-
 @pytest.mark.filterwarnings("ignore:paths")
-def test_designed_and_run_with_indicators_some_missing(capsys):
+def test_designed_and_run_with_indicators_some_missing(capsys, write, read):
     assert main(["design", "target.py", "--memory", "estimates=1,indicators=0,log_odds", *CHEAP,
                  "--seed", "3", "--out", "target.npz"]) == 0  # fmt: skip
     system = zoo.manoeuvring_target("noisy")
@@ -81,7 +59,7 @@ def test_designed_and_run_with_indicators_some_missing(capsys):
     np.testing.assert_allclose(numbers[:, 6:], deviations, rtol=1e-15)
 
 
-def test_remembered_indicators(capsys):
+def test_remembered_indicators(capsys, write, refused):
     assert main(["design", "target.py", "--memory", "measurements=1,indicators=1", *CHEAP,
                  "--out", "f.npz"]) == 0  # fmt: skip
     assert "1 measurement, 1 indicator" in capsys.readouterr().out
@@ -90,7 +68,7 @@ def test_remembered_indicators(capsys):
     assert "data.csv: indicator: wanted by the memory, got a missing one" in told
 
 
-def test_tables_without_their_model_and_filters_that_last(folder):
+def test_tables_without_their_model_and_filters_that_last(folder, write, read):
     grid = {"x": (-8, 8, 81), "z": (-6, 6, 31), "y": (-16, 18, 69)}
     system = zoo.scalar_switching("A1H")
     made = grid_synthesis(system, large_order(1), np.arange(3.0), **grid)
@@ -125,7 +103,7 @@ def test_tables_without_their_model_and_filters_that_last(folder):
         ("t,y1,j\n0,1,0\n2,1,0\n", "row 3: t = 2 comes after the measurement time 1"),
     ],
 )  # fmt: skip
-def test_bad_records_are_refused_by_row(folder, capsys, text, message):
+def test_bad_records_are_refused_by_row(folder, capsys, text, message, write, refused):
     system = zoo.manoeuvring_target("noisy")
     made = synthesize(system, large_order(1), Taylor(), np.arange(4.0), paths=3000, seed=1)
     save(made, folder / "f.npz")
@@ -146,12 +124,12 @@ def test_bad_records_are_refused_by_row(folder, capsys, text, message):
         (["--memory", "estimates=1,log_odds,log_odds"], "memory: wanted such as"),
     ],
 )
-def test_options_that_do_not_fit(capsys, options, message):
+def test_options_that_do_not_fit(capsys, options, message, refused):
     given = ["--memory", "estimates=1", *CHEAP, "--out", "f.npz", *options]
     assert message in refused(capsys, "design", "target.py", *given)
 
 
-def test_indicators_are_not_remembered_where_there_are_none(capsys):
+def test_indicators_are_not_remembered_where_there_are_none(capsys, refused):
     told = refused(
         capsys, "design", "scalar.py", "--memory", "estimates=1,indicators=1", "--times", "0:2:1",
         *CHEAP, "--out", "f.npz",

@@ -21,24 +21,6 @@ TACTS = np.arange(4) * 0.5
 BASE = {"paths": 9000, "seed": 5, "step": 0.05, "nodes": 1}
 
 
-@pytest.fixture(scope="module")
-def oscillator():
-    return zoo.van_der_pol()
-
-
-def same(one, two):
-    """Whether two designs agree bit by bit."""
-    parts = []
-    for filter in (one, two):
-        fits = [*filter.fits, *(fit for row in filter.node_fits for fit in row)]
-        parts.append(
-            [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
-            + [np.asarray(part) for fit in fits for part in fit]
-        )
-    equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
-    return all(equal) and one.design == two.design
-
-
 class Stopped(Exception):
     """The run ends here."""
 
@@ -75,7 +57,9 @@ KINDS = {
 
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("steps", [1, 2])
-def test_a_stopped_design_goes_on_to_the_same_numbers(oscillator, tmp_path, stop, kind, steps):
+def test_a_stopped_design_goes_on_to_the_same_numbers(
+    oscillator, tmp_path, stop, kind, steps, same
+):
     memory, predictor, options = KINDS[kind]
     options = BASE | options | {"predictor": predictor}
     path = tmp_path / "design.part.npz"
@@ -106,7 +90,7 @@ def test_only_what_is_left_is_simulated(oscillator, tmp_path, stop, monkeypatch)
     assert sorted(set(moved)) == [0.0, 0.5, 1.0, 1.25]
 
 
-def test_a_finished_design_is_given_at_once(oscillator, tmp_path, monkeypatch):
+def test_a_finished_design_is_given_at_once(oscillator, tmp_path, monkeypatch, same):
     path = tmp_path / "design"
     whole = synthesize(oscillator, Memory(1), Taylor(), TACTS, checkpoint=path, **BASE)
     assert same(whole, synthesize(oscillator, Memory(1), Taylor(), TACTS, **BASE))
@@ -144,7 +128,7 @@ synthesize(
 
 
 @pytest.mark.parametrize("workers", [1, 2])
-def test_a_killed_process_loses_at_most_a_step(oscillator, tmp_path, workers):
+def test_a_killed_process_loses_at_most_a_step(oscillator, tmp_path, workers, same):
     path = tmp_path / "design"
     running = subprocess.Popen(
         [sys.executable, "-c", SCRIPT.format(path=str(path), workers=workers)]
@@ -166,7 +150,7 @@ def test_a_killed_process_loses_at_most_a_step(oscillator, tmp_path, workers):
     assert same(found, synthesize(oscillator, Memory(2), Taylor(), times, **options))
 
 
-def test_paths_that_were_left_out_stay_left_out(tmp_path, stop):
+def test_paths_that_were_left_out_stay_left_out(tmp_path, stop, same):
     x, v = sympy.symbols("x v")
     system = JumpDiffusion((x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]])
     options = {"paths": 5000, "seed": 1, "bound": 5.0}
@@ -181,7 +165,7 @@ def test_paths_that_were_left_out_stay_left_out(tmp_path, stop):
     assert same(whole, found)
 
 
-def test_layouts_of_array_functions_survive(tmp_path, stop):
+def test_layouts_of_array_functions_survive(tmp_path, stop, same):
     """States that are views with gaps: sums must run in the same order after a file."""
 
     def turned(t, x, v):
@@ -255,7 +239,7 @@ def test_a_parameter_that_differs_in_its_last_digits_is_noticed(tmp_path):
         synthesize(model(1.0 + 1e-13), Memory(1), Taylor(), [0, 0.5], **options)
 
 
-def test_a_damaged_file_is_refused(oscillator, begun):
+def test_a_damaged_file_is_refused(oscillator, begun, same):
     """Every kind of damage is either noticed or without effect."""
     content = begun.read_bytes()
     whole = synthesize(oscillator, Memory(1), Taylor(), TACTS, **BASE)
@@ -295,7 +279,7 @@ def test_another_archive_is_refused(oscillator, begun):
         synthesize(oscillator, Memory(1), Taylor(), TACTS, checkpoint=begun, **BASE)
 
 
-def test_what_a_killed_writer_left_is_no_obstacle(oscillator, begun):
+def test_what_a_killed_writer_left_is_no_obstacle(oscillator, begun, same):
     whole = synthesize(oscillator, Memory(1), Taylor(), TACTS, **BASE)
     begun.with_name("begun.part").write_bytes(b"half a file")
     found = synthesize(oscillator, Memory(1), Taylor(), TACTS, checkpoint=begun, **BASE)

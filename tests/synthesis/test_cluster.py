@@ -28,11 +28,6 @@ QUIET = {
 
 
 @pytest.fixture(scope="module")
-def oscillator():
-    return zoo.van_der_pol()
-
-
-@pytest.fixture(scope="module")
 def one():
     """A cluster of one worker in this process."""
     with (
@@ -52,19 +47,6 @@ def two():
         yield client
 
 
-def same(one, two):
-    """Whether two designs agree bit by bit."""
-    parts = []
-    for filter in (one, two):
-        fits = [*filter.fits, *(fit for row in filter.node_fits for fit in row)]
-        parts.append(
-            [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
-            + [np.asarray(part) for fit in fits for part in fit]
-        )
-    equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
-    return all(equal) and one.design == two.design
-
-
 @pytest.mark.parametrize("size", ["one", "two"])
 @pytest.mark.parametrize(
     ("memory", "predictor", "options"),
@@ -74,7 +56,7 @@ def same(one, two):
         (Memory(1), Continuous(), {"horizon": 1.2, "step": 0.25}),
     ],
 )
-def test_a_cluster_finds_the_same_bits(oscillator, request, size, memory, predictor, options):
+def test_a_cluster_finds_the_same_bits(oscillator, request, size, memory, predictor, options, same):
     options = BASE | options | {"predictor": predictor}
     client = request.getfixturevalue(size)
     here = synthesize(oscillator, memory, ExactGaussian(), TACTS, **options)
@@ -82,7 +64,7 @@ def test_a_cluster_finds_the_same_bits(oscillator, request, size, memory, predic
     assert same(here, there)
 
 
-def test_an_address_is_enough_and_few_blocks_too(oscillator, two):
+def test_an_address_is_enough_and_few_blocks_too(oscillator, two, same):
     options = BASE | {"paths": 500}
     there = synthesize(
         oscillator, Memory(1), Taylor(), TACTS, scheduler=two.scheduler.address, **options
@@ -91,7 +73,7 @@ def test_an_address_is_enough_and_few_blocks_too(oscillator, two):
     assert two.status == "running"
 
 
-def test_jumps_and_paths_that_are_left_out(two):
+def test_jumps_and_paths_that_are_left_out(two, same):
     """Impulses, a bound that cuts some paths off, functions that only a closure knows."""
     x, z, v = sympy.symbols("x z v")
     system = JumpDiffusion(
@@ -108,7 +90,7 @@ def test_jumps_and_paths_that_are_left_out(two):
     assert same(here, there)
 
 
-def test_array_functions_in_discrete_time(two):
+def test_array_functions_in_discrete_time(two, same):
     dynamics = StochasticMap.from_functions(
         1, 1, lambda t, x, v: 0.9 * x + np.sin(x) / (1 + t) + v, Noise(1)
     )
@@ -128,7 +110,7 @@ class Stopped(Exception):
 
 @pytest.mark.parametrize("there_first", [True, False])
 def test_a_design_moves_between_threads_and_a_cluster(
-    oscillator, two, tmp_path, monkeypatch, there_first
+    oscillator, two, tmp_path, monkeypatch, there_first, same
 ):
     where = [two, None] if there_first else [None, two]
     path, write = tmp_path / "design", Checkpoint.write
@@ -149,7 +131,7 @@ def test_a_design_moves_between_threads_and_a_cluster(
     assert same(found, synthesize(oscillator, Memory(2), Taylor(), TACTS, **BASE))
 
 
-def test_a_lost_worker_changes_nothing(oscillator, two, monkeypatch):
+def test_a_lost_worker_changes_nothing(oscillator, two, monkeypatch, same):
     """Killed in the middle: its blocks are made again from their streams."""
     options = BASE | {"nodes": 0}
     here = synthesize(oscillator, Memory(2), Taylor(), TACTS, **options)
