@@ -1,13 +1,11 @@
 """Time of a design against the number of paths, on threads and on Dask workers.
 
 Run by hand on an idle machine, ``python benchmarks/synthesis_scale.py``; writes
-``benchmarks/synthesis_scale.csv`` beside itself. The ways are interleaved; the figure of each is
-its best run, with the processor time of that run over all processes and the load average of the
-machine before it, so that a row taken on a busy machine can be recognised: there `seconds` says
-little and `cpu_seconds` still something.
-
-The workers get the memory of larger arrays from their heap. By default a Dask worker takes it from
-the system and gives it back every time, which costs it a page fault for every 4 KB.
+``benchmarks/synthesis_scale.csv`` beside itself. The ways are interleaved; the figures of each are
+medians over its runs: seconds, processor time over all processes, and how many times as fast it is
+as one thread or one worker in the same round. With them stands the load average of the machine
+before, so that a row taken on a busy machine can be recognised: there `seconds` says little and
+`cpu_seconds` still something. The cluster is started after the threads are done.
 """
 
 from __future__ import annotations
@@ -20,7 +18,6 @@ from pathlib import Path
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import dask
 import numpy as np
 from distributed import Client, LocalCluster
 
@@ -29,13 +26,9 @@ from seedslib.memory import Memory
 from seedslib.synthesis import synthesize
 from seedslib.systems import zoo
 
-PATHS = (20_000, 50_000, 100_000, 200_000, 400_000)
-ROUNDS = 2
+PATHS = (20_000, 50_000, 100_000, 200_000, 400_000, 800_000)
+THREAD_ROUNDS, CLUSTER_ROUNDS = 15, 3
 TACTS = 0.5 * np.arange(7)
-KEEP_MEMORY = {
-    f"distributed.nanny.pre-spawn-environ.MALLOC_{name}_THRESHOLD_": 2**25
-    for name in ("MMAP", "TRIM")
-}
 
 
 def design(paths, **where):
@@ -57,34 +50,38 @@ def measured(paths, client, **where):
     return seconds, spent(client) - before, load
 
 
+def rows_of(name, ways, rounds):
+    """A row for each number of paths and each way, from interleaved runs."""
+    for client, where in ways.values():
+        measured(500, client, **where)  # the first run compiles
+    for paths in PATHS:
+        runs = np.array(
+            [[measured(paths, client, **where) for client, where in ways.values()]
+             for _ in range(rounds)]
+        )  # fmt: skip
+        gains = runs[:, :1, 0] / runs[:, :, 0]
+        for k, workers in enumerate(ways):
+            seconds, cpu, load = np.median(runs[:, k], axis=0)
+            gain = np.median(gains[:, k])
+            yield [
+                paths, name, workers, f"{seconds:.3f}", f"{cpu:.3f}", f"{gain:.2f}", f"{load:.1f}"
+            ]  # fmt: skip
+
+
 def main() -> None:
+    rows = list(rows_of("threads", {w: (None, {"workers": w}) for w in (1, 2)}, THREAD_ROUNDS))
     with ExitStack() as stack:
-        stack.enter_context(dask.config.set(KEEP_MEMORY))
-        clients = {}
+        ways = {}
         for workers in (1, 2):
             cluster = LocalCluster(
                 n_workers=workers, threads_per_worker=1, dashboard_address=None,
                 scheduler_kwargs={"dashboard_address": ":0"}, silence_logs=50,
             )  # fmt: skip
             stack.enter_context(cluster)
-            clients[workers] = stack.enter_context(Client(cluster))
-        ways = {("threads", w): (None, {"workers": w}) for w in (1, 2)}
-        ways |= {("Dask workers", w): (c, {"scheduler": c}) for w, c in clients.items()}
-        for client, where in ways.values():
-            measured(500, client, **where)  # the first run compiles
-        rows = []
-        for paths in PATHS:
-            found = {way: [] for way in ways}
-            for _ in range(ROUNDS):
-                for way, (client, where) in ways.items():
-                    found[way].append(measured(paths, client, **where))
-            base = min(found["threads", 1])[0]
-            for way, runs in found.items():
-                seconds, cpu, load = min(runs)
-                rows.append([
-                    paths, *way, f"{seconds:.3f}", f"{cpu:.3f}", f"{base / seconds:.2f}",
-                    f"{load:.1f}",
-                ])  # fmt: skip
+            client = stack.enter_context(Client(cluster))
+            ways[workers] = client, {"scheduler": client}
+        rows += rows_of("Dask workers", ways, CLUSTER_ROUNDS)
+    rows.sort(key=lambda row: row[0])
     header = ["paths", "on", "workers", "seconds", "cpu_seconds", "speedup", "load"]
     for row in [header, *rows]:
         print("{!s:>8}  {:14}{!s:>8}{:>10}{:>13}{:>9}{:>6}".format(*row))

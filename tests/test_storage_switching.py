@@ -1,5 +1,7 @@
 """Files of switching filters: the same bytes, the same numbers, and what is refused."""
 
+import dataclasses
+import json
 import warnings
 
 import numpy as np
@@ -131,6 +133,21 @@ def test_damaged_files_are_refused(target, tmp_path):
     path.write_bytes(bytes(broken))
     with pytest.raises(ValueError, match=r"damaged|contradicts"):
         load(path, zoo.manoeuvring_target())
+
+
+@pytest.mark.parametrize("memory", [large_order(2), Memory(0, 1), Memory(1, 0, 1)])
+def test_tables_of_another_memory_are_refused(tables, tmp_path, memory):
+    """A header that tells of a memory with more, fewer or other numbers than the tables take."""
+    path = tmp_path / "a.npz"
+    save(tables, path)
+    with np.load(path) as file:
+        arrays = dict(file)
+    header = json.loads(arrays["header"].tobytes())
+    header["memory"] = dataclasses.asdict(memory)
+    arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(path, **arrays)
+    with pytest.raises(ValueError, match=r"contradicts itself \(.*other axes than the memory"):
+        load(path)
 
 
 def test_filters_without_a_design_have_no_file(tmp_path):

@@ -11,7 +11,7 @@ from seedslib.exact.axes import Axis, Labels
 from seedslib.filters.finite_order_rules import Design
 from seedslib.filters.switching import SwitchingFilter
 from seedslib.filters.switching_fits import CellFit, cell_count
-from seedslib.filters.switching_lookup import ModeTable, StepTables
+from seedslib.filters.switching_lookup import ModeTable, StepTables, step_axes
 from seedslib.filters.switching_summary import SwitchingDesign, SwitchingPrediction
 from seedslib.filters.switching_table import SwitchingTableFilter
 from seedslib.memory import Memory
@@ -250,6 +250,7 @@ def _filter(header, arrays, system, linearization):
         if len(tables) != len(times):
             raise ValueError(f"{len(tables)} tables for {len(times)} times")
         components = len(tables[0].blind.estimate)
+        _check_axes(tables, memory, system, components)
         changes = arrays["changes"]
         if changes.shape != (2, len(times)):
             raise ValueError(f"changes of shape {changes.shape}")
@@ -276,6 +277,23 @@ def _filter(header, arrays, system, linearization):
         system, linearization, memory, times, tuple(fits), header["normalisation"],
         bool(header["split"]), predicted, design and SwitchingDesign(**design), lasting,
     )  # fmt: skip
+
+
+def _check_axes(tables, memory, system, components):
+    """Refuse tables whose arguments are not those of the memory."""
+    m = system.measurement_size
+    numbers = m if memory.measurements else components
+    for k, step in enumerate(tables):
+        held = min(k, memory.depth)
+        wanted = step_axes(system, memory, (None,) * m, (None,) * numbers, held)
+        for place, table, axes in zip(StepTables._fields, step, wanted, strict=True):
+            if _kinds(table.axes) != _kinds(axes):
+                raise ValueError(f"{place}/{k} has other axes than the memory {memory}")
+
+
+def _kinds(axes):
+    """Number of labels of each axis, None for numbers."""
+    return [axis.count if isinstance(axis, Labels) else None for axis in axes]
 
 
 def _table(arrays, place, axes, modes):

@@ -1,7 +1,7 @@
 """A design in progress in a file, so that a run that was stopped goes on where it was.
 
 After each step between measurements the file is replaced as a whole: it holds what was found so
-far and, for each block of paths, the states and what the filter remembers. Random streams follow
+far and, for each bundle of paths, the states and what the filter remembers. Random streams follow
 from the seed and are not stored. Nothing in a file is executed.
 """
 
@@ -28,7 +28,7 @@ from seedslib.synthesis.predictors import PolynomialFit
 from seedslib.synthesis.regression import AffineFit
 from seedslib.systems.simulation import seed_record, simulate
 
-FORMAT = "seedslib design in progress, version 1"
+FORMAT = "seedslib design in progress, version 2"
 TRIAL = 256
 """Paths of the small run by which a system is recognised."""
 
@@ -99,14 +99,14 @@ class Checkpoint:
                 + ", ".join(_apart(n, there.get(n), here.get(n)) for n in names)
                 + "; remove it or give another file"
             )
-        walk, blocks = forward.walk, range(len(forward.walk.counts))
+        walk, bundles = forward.walk, range(len(forward.walk.counts))
         try:
             found = _unpacked(arrays)
-            alive = [arrays[f"alive/{b}"] for b in blocks]
+            alive = [arrays[f"alive/{b}"] for b in bundles]
             states, filters = [], []
             if "states/0" in arrays:
-                states = [arrays[f"states/{b}"] for b in blocks]
-                filters = [_filter_state(arrays, b, len(found.fits)) for b in blocks]
+                states = [arrays[f"states/{b}"] for b in bundles]
+                filters = [_filter_state(arrays, b, len(found.fits)) for b in bundles]
         except KeyError as error:
             raise self._damaged(error) from None
         walk.resume(header["stop"], states, alive)
@@ -224,7 +224,7 @@ def _fit(arrays, place):
 
 
 def _filter_state(arrays, b, index):
-    """What the next step takes of the filter's state on a block."""
+    """What the next step takes of the filter's state on a bundle."""
     past = []
     for name in ("estimates", "measurements"):
         place = f"past/{b}/{name}/"

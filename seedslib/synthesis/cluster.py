@@ -1,22 +1,22 @@
-"""The blocks of a design on the workers of a Dask cluster.
+"""The bundles of a design on the workers of a Dask cluster.
 
-Neighbouring blocks make a share, one for each thread of the cluster. What belongs to a share
+Neighbouring bundles make a share, one for each thread of the cluster. What belongs to a share
 stays on the worker that made it; only partial moments come back. Work is collected until a
 result is looked at and then goes out as one task for each share, a function of its arguments:
 the cluster itself does again what a lost worker had, with the same numbers.
 
-Workers are faster with the environment variables ``MALLOC_MMAP_THRESHOLD_`` and
-``MALLOC_TRIM_THRESHOLD_`` at some 10 MB: else Dask makes them give back every larger array.
 Warnings of the simulation come out on the workers.
 """
 
 from __future__ import annotations
 
+import ctypes
 import platform
 import warnings
 import weakref
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
+from functools import cache
 from itertools import chain, count, pairwise, repeat
 from operator import itemgetter
 
@@ -34,12 +34,15 @@ PATIENCE = 30
 CONNECT = 10
 """Seconds to wait for a scheduler to answer."""
 
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
+"""Names of settings in the header malloc.h of glibc."""
+
 LOST = (CancelledError, ClosedClientError, CommClosedError, distributed.KilledWorker)
 
 
 @contextmanager
 def cluster(scheduler):
-    """Map over blocks on a cluster.
+    """Map over bundles on a cluster.
 
     Parameters
     ----------
@@ -69,7 +72,7 @@ def cluster(scheduler):
 
 
 class Cluster:
-    """Map over blocks as `seedslib.synthesis.walk.Crew`, on the workers of a cluster.
+    """Map over bundles as `seedslib.synthesis.walk.Crew`, on the workers of a cluster.
 
     Parameters
     ----------
@@ -92,7 +95,7 @@ class Cluster:
         return self._noted(work, lists)
 
     def share(self, thing) -> Remote:
-        """Stand-in for a list that has the same thing for every block, sent once."""
+        """Stand-in for a list that has the same thing for every bundle, sent once."""
         return self._noted(None, [_Same(thing)])
 
     def unzip(self, pairs) -> list:
@@ -100,7 +103,7 @@ class Cluster:
         return [self(itemgetter(k), pairs) for k in range(2)]
 
     def fetch(self, name) -> list:
-        """Entries of a list by its name, in the order of the blocks."""
+        """Entries of a list by its name, in the order of the bundles."""
         try:
             if self._steps:
                 self._send()
@@ -165,7 +168,7 @@ class Cluster:
 
 
 class Remote:
-    """A list with an entry for each block that stays on the workers; iteration fetches it."""
+    """A list with an entry for each bundle that stays on the workers; iteration fetches it."""
 
     def __init__(self, cluster, name):
         self.cluster, self.name = cluster, name
@@ -180,7 +183,7 @@ class Remote:
 
 
 class _Same:
-    """The same thing for every block."""
+    """The same thing for every bundle."""
 
     def __init__(self, thing):
         self.thing = thing
@@ -200,8 +203,23 @@ def _versions():
     return seedslib.__version__, np.__version__, platform.python_version()
 
 
+@cache
+def _keep_freed_memory():
+    """Let the arrays of a bundle come from memory that this process has already.
+
+    Dask starts workers so that they give every larger array back to the system; the page faults
+    of taking it again would be most of the time. The figures are those that glibc itself goes up
+    to where nobody has set them.
+    """
+    if platform.libc_ver()[0] == "glibc":
+        mallopt = ctypes.CDLL(None).mallopt
+        mallopt(M_MMAP_THRESHOLD, 2**25)
+        mallopt(M_TRIM_THRESHOLD, 2**26)
+
+
 def _run(program, sealed, memory):
     """The lists of a share by their names after the steps of a program, on a worker."""
+    _keep_freed_memory()
     versions, steps, kept = cloudpickle.loads(program)
     if versions != _versions():
         raise RuntimeError(

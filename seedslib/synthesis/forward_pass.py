@@ -126,7 +126,7 @@ class ForwardPass:
         self._score(t, walk.each(_estimate, self.states), corrected=True)
 
     def _fit(self, predictor, u, targets, size):
-        """Fit a forecast of the first `targets` components from u, (d, paths) in each block."""
+        """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
         return predictor.fit(
             lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u), targets, size
         )

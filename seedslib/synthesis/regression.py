@@ -1,7 +1,7 @@
 """Linear regression from moments: what the synthesis fits before each step.
 
-Samples are gathered in blocks of paths. Each block is reduced to its count, mean and centred sum
-of products; blocks are merged in their order, so the result does not depend on threads.
+Samples are gathered in bundles of paths. Each is reduced to its count, mean and centred sum of
+products; they are merged in their order, so the result does not depend on threads.
 """
 
 from __future__ import annotations
@@ -44,11 +44,12 @@ def scatter(rows: np.ndarray) -> Scatter:
     centred = rows - mean[:, None]
     # the mean of the centred rows is a rounding error: Neely's correction takes it out
     shift = centred.mean(axis=1)
-    return Scatter(count, mean + shift, centred @ centred.T - count * np.outer(shift, shift))
+    products = np.dot(centred, centred.T)  # `@` would keep the other threads waiting
+    return Scatter(count, mean + shift, products - count * np.outer(shift, shift))
 
 
 def merge(parts: Iterable[Scatter]) -> Scatter:
-    """Moments of all samples from those of the blocks, in their order (Chan's update)."""
+    """Moments of all samples from those of the bundles, in their order (Chan's update)."""
     total = None
     for part in parts:
         if total is None or total.count == 0:

@@ -139,13 +139,13 @@ def _pass(walk, system, memory, rules, times):
             walk.states, walk.alive, states,
         )  # fmt: skip
         scatters = [
-            [merge([block[c][i] for block in groups]) for i in range(system.modes)]
+            [merge([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
             for c in range(cells)
         ]
         left = sum(part.count for row in scatters for part in row)
         if not left:
             raise ValueError(
-                f"paths: wanted some that stay finite, all {sum(walk.counts)} diverged"
+                f"paths: wanted some that stay finite, all {sum(map(sum, walk.counts))} diverged"
             )
         fit, few, bent = fit_cells(scatters, n, left)
         fits.append(fit)
@@ -158,7 +158,7 @@ def _cell(system, state):
 
 
 def _groups(system, x, alive, state, cells):
-    """Moments of state and memory in each cell and mode of one block of paths."""
+    """Moments of state and memory in each cell and mode of one bundle of paths."""
     rows = np.concatenate([x[:-1], state.past.vector])
     group = _cell(system, state) * system.modes + x[-1].astype(int)
     if not alive.all():

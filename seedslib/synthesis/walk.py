@@ -1,14 +1,13 @@
-"""Paths of a system that move forward together, in fixed blocks, for a design.
+"""Paths of a system that move forward together, in fixed bundles of blocks, for a design.
 
-What belongs to a block stays in lists with an entry for each block, and all work on blocks goes
-through one map, `each`: it may run here, on threads, or on the workers of a cluster, where the
-lists then are. Work is a function of its arguments alone, so that any part of it may be done
-again elsewhere.
+What belongs to a bundle stays in lists with an entry for each bundle, and all work on bundles
+goes through one map, `each`: it may run here, on threads, or on the workers of a cluster, where
+the lists then are. Work is a function of its arguments alone, so that any part of it may be done
+again elsewhere. How paths are bundled follows from their number alone.
 """
 
 from __future__ import annotations
 
-import math
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -17,14 +16,15 @@ from itertools import repeat
 import numpy as np
 
 from seedslib.synthesis.regression import merge, scatter
-from seedslib.systems.simulation import BLOCK, as_count
+from seedslib.systems.bundle import Bundle, bundles
+from seedslib.systems.simulation import as_count
 
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
 
 
 class Crew:
-    """Map over blocks on this machine; `seedslib.synthesis.cluster` has one for a cluster.
+    """Map over bundles on this machine; `seedslib.synthesis.cluster` has one for a cluster.
 
     Parameters
     ----------
@@ -40,7 +40,7 @@ class Crew:
         return list(self._map(work, *lists))
 
     def share(self, thing):
-        """Stand-in for a list that has the same thing for every block."""
+        """Stand-in for a list that has the same thing for every bundle."""
         return repeat(thing)
 
     def unzip(self, pairs) -> list:
@@ -50,7 +50,7 @@ class Crew:
 
 @contextmanager
 def crew(workers, scheduler=None):
-    """Map over blocks, on a pool of threads or on a cluster where there is one.
+    """Map over bundles, on a pool of threads or on a cluster where there is one.
 
     Parameters
     ----------
@@ -69,30 +69,27 @@ def crew(workers, scheduler=None):
         yield Crew()
     else:
         with ThreadPoolExecutor(workers - 1) as pool:
-            yield Crew(partial(_in_shares, pool, workers))
+            yield Crew(partial(_side_by_side, pool, workers))
 
 
-def _in_shares(pool, workers, work, *lists) -> list:
-    """Map with one job for each thread, this one among them.
-
-    A job for each block would have the threads wait for one another at every block.
-    """
+def _side_by_side(pool, workers, work, *lists) -> list:
+    """Map in which each thread, this one among them, takes the next job until none is left."""
     jobs = list(zip(*lists, strict=False))  # what is shared has no end
-    size = max(1, math.ceil(len(jobs) / workers))
-    shares = [jobs[a : a + size] for a in range(0, len(jobs), size)]
+    found, places = [None] * len(jobs), iter(range(len(jobs)))
 
-    def run(share):
-        return [work(*job) for job in share]
+    def run():
+        for place in places:
+            found[place] = work(*jobs[place])
 
-    waiting = [pool.submit(run, share) for share in shares[1:]]
-    found = run(shares[0]) if shares else []
-    for other in waiting:
-        found += other.result()
+    others = [pool.submit(run) for _ in range(min(workers, len(jobs)) - 1)]
+    run()
+    for other in others:
+        other.result()
     return found
 
 
 class Walk:
-    """Paths block by block, with the random streams of `seedslib.systems.simulation`.
+    """Paths bundle by bundle, with the random streams of `seedslib.systems.simulation`.
 
     The states at the stops are those of ``system.simulate(stops, paths, seed)``. A path that
     leaves the range of numbers is left out of all averages from then on; a harmless state stands
@@ -106,7 +103,7 @@ class Walk:
     stops : int
         Number of times to stop at, the first included.
     each : Crew
-        Map over blocks, see `crew`.
+        Map over bundles, see `crew`.
     options : mapping
         Of ``system.advance``.
     bound : float
@@ -115,8 +112,10 @@ class Walk:
     Attributes
     ----------
     states, alive : list
-        States (n, paths) and marks of the paths that are not left out, for each block. On a
+        States (n, paths) and marks of the paths that are not left out, for each bundle. On a
         cluster they stay there, and looking at them fetches them.
+    counts : list
+        Numbers of paths in the blocks of each bundle.
     stop : int
         Number of the last time stopped at.
     """
@@ -124,10 +123,10 @@ class Walk:
     def __init__(self, system, paths, root, stops, each, options, bound):
         self.system, self.each, self.options = system, each, options
         self.bound, self.n = min(bound, LARGEST), system.state_size
-        self.counts = [min(BLOCK, paths - a) for a in range(0, paths, BLOCK)]
+        self.counts = bundles(paths)
         self.stops, self.stop = stops, -1
         self.states, self.alive = [], []
-        self._roots = root.spawn(len(self.counts))
+        self._roots = [root.spawn(len(counts)) for counts in self.counts]
         self._shared = each.share(system)
 
     @property
@@ -137,8 +136,9 @@ class Walk:
 
     def begin(self, t):
         """Draw the initial states."""
-        self.alive = [np.ones(count, dtype=bool) for count in self.counts]
-        self._go(lambda system, rng, count: system.initial_sample(rng, count), self.counts)
+        sizes = [sum(counts) for counts in self.counts]
+        self.alive = [np.ones(size, dtype=bool) for size in sizes]
+        self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
     def resume(self, stop, states, alive):
         """Go on from the states at a stop, by its number."""
@@ -151,15 +151,15 @@ class Walk:
         self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
 
     def measure(self, t) -> list:
-        """What the sensor shows, (m, paths) for each block; once at a stop."""
+        """What the sensor shows, (m, paths) for each bundle; once at a stop."""
 
-        def shown(system, stream, x):
-            return system.sensor.sample(t, x, np.random.default_rng(stream))
+        def shown(system, streams, counts, x):
+            return system.sensor.sample(t, x, _generator(streams, counts))
 
-        return self.kept(shown, self._shared, self._streams(1), self.states)
+        return self.kept(shown, self._shared, self._streams(1), self.counts, self.states)
 
     def kept(self, work, *lists, array=None) -> list:
-        """Map over blocks; paths whose column of the result is not finite are left out.
+        """Map over bundles; paths whose column of the result is not finite are left out.
 
         Parameters
         ----------
@@ -187,15 +187,13 @@ class Walk:
         return total
 
     def _streams(self, purpose):
-        """Random streams of the blocks at this stop: 0 moves the paths, 1 is for the sensor."""
-        return [
-            np.random.SeedSequence(
-                root.entropy,
-                spawn_key=(*root.spawn_key, self.stop, purpose),
-                pool_size=root.pool_size,
-            )
-            for root in self._roots
-        ]
+        """Streams of the blocks of each bundle at this stop, to move (0) or to measure (1)."""
+
+        def at_stop(root):
+            key = (*root.spawn_key, self.stop, purpose)
+            return np.random.SeedSequence(root.entropy, spawn_key=key, pool_size=root.pool_size)
+
+        return [list(map(at_stop, roots)) for roots in self._roots]
 
     def _go(self, work, *lists):
         """States at the next stop, without the paths that have just left the range of numbers."""
@@ -204,12 +202,12 @@ class Walk:
             raise ValueError(f"stops: wanted at most the {self.stops} that were announced")
         bound, spare = self.bound, self.system.mean0[:, None]
 
-        def moved(system, stream, *parts):
-            return work(system, np.random.default_rng(stream), *parts)
+        def moved(system, streams, counts, *parts):
+            return work(system, _generator(streams, counts), *parts)
 
         self.states = self._guarded(
             lambda x: (np.abs(x) <= bound).all(axis=0), spare, None, moved,
-            self._shared, self._streams(0), *lists,
+            self._shared, self._streams(0), self.counts, *lists,
         )  # fmt: skip
 
     def _guarded(self, good, spare, array, work, *lists):
@@ -227,6 +225,11 @@ class Walk:
 
         found, self.alive = self.each.unzip(self.each(guarded, self.alive, *lists))
         return found
+
+
+def _generator(streams, counts):
+    generators = [np.random.default_rng(stream) for stream in streams]
+    return Bundle(generators, counts) if len(generators) > 1 else generators[0]
 
 
 def _itself(part):

@@ -8,7 +8,9 @@ path i of a small run is path i of a large one.
 from __future__ import annotations
 
 import numpy as np
+from numpy.random import Generator
 
+from seedslib.systems.bundle import drawn, normal
 from seedslib.systems.simulation import Simulation, simulate
 
 
@@ -39,12 +41,12 @@ class Hybrid:
         """Draws of mode and state, shape (n + 1, count)."""
         bounds = np.cumsum(self.system.initial_probabilities)
         moving, choosing = rng.spawn(2)
-        mode = _chosen(bounds[:-1, None], choosing.random(count))
-        normal = moving.standard_normal((count, self.system.state_size)).T
+        mode = _chosen(bounds[:-1, None], drawn(choosing, count, Generator.random))
+        noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
             here = mode == i
-            x[:-1, here] = mean[:, None] + root @ normal[:, here]
+            x[:-1, here] = mean[:, None] + root @ noise[:, here]
         x[-1] = mode
         return x
 
@@ -53,7 +55,7 @@ class Hybrid:
         flat = x.reshape(len(x), -1)
         moving, choosing = rng.spawn(2)
         v = self.system.noise.draw(moving, flat.shape[1])
-        choice = choosing.random(flat.shape[1])
+        choice = drawn(choosing, flat.shape[1], Generator.random)
         moved = np.empty_like(flat)
         for i, row in enumerate(self.system.branches):
             here = flat[-1] == i
@@ -81,7 +83,7 @@ class HybridSensor:
         sensing, choosing = rng.spawn(2)
         w = system.sensor_noise.draw(sensing, flat.shape[1])
         y = np.empty((self.size, flat.shape[1]))
-        choice = choosing.random(flat.shape[1]) if system.has_indicator else None
+        choice = drawn(choosing, flat.shape[1], Generator.random) if system.has_indicator else None
         for i, row in enumerate(system.readings):
             here = flat[-1] == i
             state, noise = flat[:-1, here], w[:, here]

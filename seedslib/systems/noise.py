@@ -10,6 +10,7 @@ import numpy as np
 from seedslib._validate import as_covariance, as_real, as_shape
 from seedslib.gaussian.quadrature import gauss_hermite
 from seedslib.singular import factor
+from seedslib.systems.bundle import drawn, normal
 
 HERMITE_ORDER = 9
 
@@ -77,8 +78,10 @@ class Noise:
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Independent draws, shape (size, count); the first of many are the draws of a few."""
         if self.sample is None:
-            normal = rng.standard_normal((count, self.size)).T
-            return self.mean[:, None] + _apply_root(self.root, normal)
+            return self.mean[:, None] + _apply_root(self.root, normal(rng, self.size, count))
+        return drawn(rng, count, self._sampled)
+
+    def _sampled(self, rng, count):
         return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
 
     def expectation(self, expression):

@@ -6,6 +6,10 @@ import math
 import warnings
 
 import numpy as np
+from numpy.random import Generator
+
+from seedslib.systems.bundle import drawn, parts
+from seedslib.systems.simulation import BLOCK
 
 SCHEMES = ("euler", "heun")
 CHUNK = 16
@@ -109,14 +113,16 @@ def _normals(rng, steps, size, count):
         return
     chunks = -(-steps // max(1, CHUNK // size))
     length = -(-steps // chunks)
-    drawn, by_step = np.empty((2, length * size * count))
+    by_step = np.empty((length * size, count))
+    by_path = np.empty(length * size * min(count, BLOCK))
     for first, child in zip(range(0, steps, length), rng.spawn(chunks), strict=False):
-        width = min(length, steps - first) * size
-        # path by path, so that a path has the same numbers however many follow it
-        by_path = drawn[: width * count].reshape(count, width)
-        child.standard_normal(out=by_path)
-        chunk = by_step[: width * count].reshape(width, count)
-        chunk[...] = by_path.T
+        chunk = by_step[: min(length, steps - first) * size]
+        for generator, here in parts(child, count):
+            # path by path, so that a path has the same numbers however many follow it
+            columns = chunk[:, here]
+            rows = by_path[: columns.size].reshape(columns.shape[::-1])
+            generator.standard_normal(out=rows)
+            columns[...] = rows.T
         yield from chunk.reshape(-1, size, count)
 
 
@@ -143,7 +149,7 @@ class _JumpClock:
         if self.ready == len(self.clocks):
             self.clocks, self.marks = (np.concatenate([a, a]) for a in (self.clocks, self.marks))
         waiting, marking = self.rng.spawn(2)
-        waiting.standard_exponential(out=self.clocks[self.ready])
+        self.clocks[self.ready] = drawn(waiting, self.count, Generator.standard_exponential)
         self.marks[self.ready] = self.system.jump.noise.draw(marking, self.count)
         self.ready += 1
 

@@ -2,6 +2,7 @@
 
 import os
 import pickle
+import platform
 import subprocess
 import sys
 
@@ -238,7 +239,30 @@ def test_a_remote_list_is_replaced_as_a_whole(one):
             numbers[0] = 1
 
 
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
+def test_workers_keep_the_memory_of_arrays(oscillator):
+    """As Dask starts a worker, each of these arrays is worth some 1000 page faults."""
+    with (
+        distributed.LocalCluster(n_workers=1, processes=True, **QUIET) as made,
+        distributed.Client(made, set_as_default=False) as client,
+    ):
+        (before,) = client.run(_faults_of_arrays).values()
+        synthesize(oscillator, Memory(1), Taylor(), TACTS, scheduler=client, **BASE)
+        (after,) = client.run(_faults_of_arrays).values()
+    assert before > 20_000
+    assert after < 5000
+
+
 # What travels
+
+
+def _faults_of_arrays():
+    import resource
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(30):
+        np.ones(500_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
 def _decay(t, x):
