@@ -221,22 +221,6 @@ def test_a_flipped_bit_is_refused_or_does_no_harm(file, oscillator, data):
     assert all(text.startswith("filter.npz: ") for text in messages)
 
 
-def rewrite(path, **changes):
-    """The same archive with some members replaced (None takes one away)."""
-    with np.load(path, allow_pickle=False) as archive:
-        members = {name: archive[name] for name in archive.files}
-    members.update(changes)
-    np.savez(path, **{k: v for k, v in members.items() if v is not None})
-
-
-def header(path, **changes):
-    with np.load(path, allow_pickle=False) as archive:
-        known = json.loads(archive["header"].tobytes().decode())
-    known.update(changes)
-    text = json.dumps({k: v for k, v in known.items() if v is not None})
-    rewrite(path, header=np.frombuffer(text.encode(), dtype=np.uint8))
-
-
 def test_foreign_files_are_refused(tmp_path, oscillator):
     text, other, empty = (tmp_path / name for name in ("a.txt", "b.npz", "c.zip"))
     text.write_text("PKnot")
@@ -252,7 +236,7 @@ def test_foreign_files_are_refused(tmp_path, oscillator):
         load(tmp_path / "none.npz", oscillator)
 
 
-def test_pickles_are_refused(file, oscillator):
+def test_pickles_are_refused(file, oscillator, rewrite):
     rewrite(file, times=np.array([object()], dtype=object))
     with pytest.raises(ValueError, match="damaged or cut short"):
         load(file, oscillator)
@@ -277,7 +261,7 @@ def test_pickles_are_refused(file, oscillator):
         ({"tail": True}, "contradicts itself"),
     ],
 )
-def test_headers_that_do_not_fit(file, oscillator, changes, message):
+def test_headers_that_do_not_fit(file, oscillator, changes, message, header):
     header(file, **changes)
     with pytest.raises(ValueError, match=message):
         load(file, oscillator)
@@ -295,7 +279,7 @@ def test_headers_that_do_not_fit(file, oscillator, changes, message):
         {"probe_x": None},
     ],
 )
-def test_arrays_that_do_not_fit(file, oscillator, changes):
+def test_arrays_that_do_not_fit(file, oscillator, changes, rewrite):
     rewrite(file, **changes)
     with pytest.raises(ValueError, match="contradicts itself"):
         load(file, oscillator)
@@ -381,7 +365,7 @@ def test_a_picture_is_refused(tmp_path, oscillator):
         load(path, oscillator)
 
 
-def test_a_file_of_a_newer_version_says_so(file, oscillator):
+def test_a_file_of_a_newer_version_says_so(file, oscillator, header):
     header(file, version=2)
     with pytest.raises(ValueError, match="got 2 of a newer seedslib"):
         load(file, oscillator)
@@ -422,13 +406,13 @@ def test_an_archive_that_unpacks_to_more_than_its_size_is_not_unpacked(tmp_path,
 @pytest.mark.parametrize(
     "text", [b"[" * 100_000, b"[1]", b"null", b"\xff\xfe", b'{"format": "seedslib designed filter"']
 )
-def test_headers_that_are_none(file, oscillator, text):
+def test_headers_that_are_none(file, oscillator, text, rewrite):
     rewrite(file, header=np.frombuffer(text, dtype=np.uint8))
     with pytest.raises(ValueError, match="no header of one"):
         load(file, oscillator)
 
 
-def test_a_degree_beyond_reason_is_refused_at_once(tmp_path, oscillator):
+def test_a_degree_beyond_reason_is_refused_at_once(tmp_path, oscillator, header):
     path = tmp_path / "filter.npz"
     save(design(oscillator, "polynomial"), path)
     header(path, predictor={"name": "Polynomial", "mean_degree": 10**6, "cov_degree": 2})
@@ -447,7 +431,7 @@ def test_a_degree_beyond_reason_is_refused_at_once(tmp_path, oscillator):
         {"nodes/1/times": np.array([0.1, 0.2, 0.3, 0.4])},
     ],
 )
-def test_times_that_do_not_fit(file, oscillator, changes):
+def test_times_that_do_not_fit(file, oscillator, changes, rewrite):
     rewrite(file, **changes)
     with pytest.raises(ValueError, match="contradicts itself"):
         load(file, oscillator)

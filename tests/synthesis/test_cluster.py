@@ -239,6 +239,15 @@ def test_a_remote_list_is_replaced_as_a_whole(one):
             numbers[0] = 1
 
 
+def _faults_of_arrays():
+    import resource
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(30):
+        np.ones(500_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
 @pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
 def test_workers_keep_the_memory_of_arrays(oscillator):
     """As Dask starts a worker, each of these arrays is worth some 1000 page faults."""
@@ -254,15 +263,6 @@ def test_workers_keep_the_memory_of_arrays(oscillator):
 
 
 # What travels
-
-
-def _faults_of_arrays():
-    import resource
-
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(30):
-        np.ones(500_000)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
 
 
 def _decay(t, x):
