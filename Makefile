@@ -8,9 +8,9 @@ export JUPYTER_PLATFORM_DIRS := 1
 .PHONY: book test lab sweep execute lint clean setup
 
 book: setup execute
-	@$(PY) -m seedslib claims --page book/claims.md
+	@$(PY) -m bookkit claims --page book/claims.md
 	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
-	@$(PY) -m seedslib check-html _build/html
+	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
 
 test: setup lint
@@ -21,14 +21,15 @@ lab: setup
 
 sweep: setup
 	@test -n "$(NB)" -a -n "$(GRID)" || { echo "usage: make sweep NB=notebooks/x.ipynb GRID=sweeps/x.yaml"; exit 2; }
-	@$(PY) -m seedslib sweep $(NB) $(GRID) --out runs/$(basename $(notdir $(GRID)))
+	@$(PY) -m bookkit sweep $(NB) $(GRID) --out runs/$(basename $(notdir $(GRID)))
 
 execute: setup
-	@$(PY) -m seedslib execute
+	@$(PY) -m bookkit execute
 
 lint: setup
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
+	@$(PY) -m bookkit typecheck README.md
 
 clean:
 	rm -rf $(VENV) _build runs book/claims.md .pytest_cache .ruff_cache

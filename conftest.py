@@ -7,7 +7,7 @@ os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
 from nbval.plugin import IPyNbCell
 
-from seedslib.experiments.comparison import differences, without_records
+from bookkit.comparison import differences, without_records
 
 _compare_to_the_letter = IPyNbCell.compare_outputs
 

@@ -36,4 +36,6 @@ else
     "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps \
         --no-build-isolation -e . >>"$venv/install.log" 2>&1 || fail
 fi
+# The harness is not in the wheel: a path file lets notebooks and workers import it.
+"$venv/bin/python" -c "import pathlib, sysconfig; (pathlib.Path(sysconfig.get_path('purelib')) / 'bookkit.pth').write_text(str(pathlib.Path.cwd() / 'book'))" || fail
 touch "$venv/.installed"

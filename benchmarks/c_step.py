@@ -25,12 +25,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from seedslib.export import to_c
+from seedslib import zoo
+from seedslib.design import Polynomial, synthesize
+from seedslib.designed import large_order
+from seedslib.extra import to_c
 from seedslib.filters import assumed_density, extended_kalman
 from seedslib.linearization import ExactGaussian
-from seedslib.memory import large_order
-from seedslib.synthesis import Polynomial, synthesize
-from seedslib.systems import zoo
 
 TIMES = 0.5 * np.arange(7)
 BATCH, RECORDS, SINGLE, ROUNDS = 4096, 512, 5, 25

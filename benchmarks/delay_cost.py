@@ -16,8 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from seedslib.filters.delay import RECURSIONS
-from seedslib.systems import DelaySystem
+from seedslib.delay import RECURSIONS, DelaySystem
 
 COMPONENTS = 6
 DELAYS = (1, 4, 9, 19, 49, 99, 199, 399, 799)

@@ -21,10 +21,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import sympy
 
+from seedslib import zoo
 from seedslib.filters import extended_kalman
-from seedslib.systems import zoo
-from seedslib.systems.discrete import DiscreteSystem
-from seedslib.systems.maps import Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 PATHS, STEPS, ROUNDS = 20_000, 30, 7
 STEP, STIFFNESS = 0.05, 0.1

@@ -18,11 +18,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from seedslib import zoo
+from seedslib.design import Continuous, synthesize
+from seedslib.designed import Memory, finite_memory
 from seedslib.filters import assumed_density, extended_kalman
 from seedslib.linearization import Taylor
-from seedslib.memory import Memory, finite_memory
-from seedslib.synthesis import Continuous, synthesize
-from seedslib.systems import zoo
 
 TACTS = np.arange(7) * 0.5
 GRID = np.linspace(0.0, 3.0, 301)

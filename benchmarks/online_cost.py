@@ -20,13 +20,12 @@ import numpy as np
 from sklearn.ensemble import HistGradientBoostingRegressor
 from sklearn.neural_network import MLPRegressor
 
-from seedslib.exact import simulated_synthesis
+from seedslib import zoo
+from seedslib.design import Polynomial, simulated_synthesis, synthesize
+from seedslib.designed import large_order
+from seedslib.extra import learn
 from seedslib.filters import ParticleFilter, assumed_density, extended_kalman
-from seedslib.learned import learn
 from seedslib.linearization import ExactGaussian
-from seedslib.memory import large_order
-from seedslib.synthesis import Polynomial, synthesize
-from seedslib.systems import zoo
 
 BATCH = 4096
 EXAMPLES = {

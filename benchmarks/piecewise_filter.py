@@ -24,9 +24,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import sympy
 
-from seedslib.filters import ParticleFilter, PiecewiseLinearFilter, extended_kalman
-from seedslib.systems import PiecewiseLinearSystem, zoo
-from seedslib.systems.piecewise_cells import line_cells
+from seedslib.filters import ParticleFilter, extended_kalman
+from seedslib.piecewise import PiecewiseLinearFilter, PiecewiseLinearSystem, examples, line_cells
 
 RECORDS, ROUNDS = 1000, 5
 PARTICLES = {1000: 100, 10_000: 20, 100_000: 4, 1_000_000: 1}
@@ -64,8 +63,8 @@ def falling_body(rows: list[dict]) -> None:
     """Every filter on the same records."""
     data = {start: angles(start) for start in STARTS}
     truth = {start: exact(y) for start, y in data.items()}
-    paper = zoo.falling_body(100)
-    even = zoo.falling_body(100, partition="curvature", span=(2.5, 100.0))
+    paper = examples.falling_body(100)
+    even = examples.falling_body(100, partition="curvature", span=(2.5, 100.0))
     times, ekf = np.arange(11.0), extended_kalman(paper.discrete())
     runs: dict[str, tuple[int, Callable]] = {
         "extended Kalman": (RECORDS, lambda y: ekf.run(times, y)),

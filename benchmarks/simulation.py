@@ -16,7 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from seedslib.systems import zoo
+from seedslib import zoo
 
 PATHS, ROUNDS = 20_000, 9
 

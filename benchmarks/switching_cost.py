@@ -20,13 +20,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from seedslib import zoo
+from seedslib.design import grid_synthesis, simulated_synthesis, synthesize
+from seedslib.designed import SwitchingFilter, large_order
 from seedslib.evaluation import compare
-from seedslib.exact import grid_synthesis, simulated_synthesis
-from seedslib.filters import GridBayesFilter, ParticleFilter, SwitchingFilter
+from seedslib.filters import GridBayesFilter, ParticleFilter
 from seedslib.linearization import ExactGaussian, Taylor
-from seedslib.memory import large_order
-from seedslib.synthesis import synthesize
-from seedslib.systems import zoo
 
 TIMES = np.arange(31.0)
 WINDOW = (10, 30)

@@ -17,9 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
-from seedslib.exact import optimal_risk
-from seedslib.memory import finite_memory, large_order
-from seedslib.systems import zoo
+from seedslib import zoo
+from seedslib.design import optimal_risk
+from seedslib.designed import finite_memory, large_order
 
 SHOWN = {"A1H": (-16, 18, 0.25), "A1L": (-11, 13, 0.1), "A2": (-8, 26, 0.0625)}
 STATE_STEP = 0.2

@@ -26,13 +26,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from seedslib import zoo
+from seedslib.design import grid_synthesis, synthesize
+from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_order
 from seedslib.evaluation import compare
-from seedslib.exact import grid_synthesis
-from seedslib.filters import KnownModeFilter, SwitchingFilter
+from seedslib.filters import KnownModeFilter
 from seedslib.linearization import ExactGaussian, Taylor
-from seedslib.memory import Memory, finite_memory, large_order
-from seedslib.synthesis import synthesize
-from seedslib.systems import zoo
 
 DESIGN_PATHS, TEST_PATHS = 40_000, 20_000
 SIZES, DESIGNS = (2500, 10_000, 40_000, 160_000), 4

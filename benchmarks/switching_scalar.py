@@ -23,13 +23,13 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from seedslib import zoo
+from seedslib.design import grid_synthesis, synthesize
+from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_order
 from seedslib.evaluation import compare
-from seedslib.exact import grid_synthesis
-from seedslib.filters import GridBayesFilter, SwitchingFilter
+from seedslib.filters import GridBayesFilter
 from seedslib.linearization import ExactGaussian, Taylor
-from seedslib.memory import Memory, finite_memory, large_order
-from seedslib.synthesis import synthesize
-from seedslib.systems import averaged_switching, zoo
+from seedslib.models import averaged_switching
 
 TIMES = np.arange(31.0)
 WINDOW = (10, 30)

@@ -21,12 +21,12 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
+from seedslib import zoo
+from seedslib.design import synthesize
+from seedslib.designed import Memory, SwitchingFilter, large_order
 from seedslib.evaluation import compare
-from seedslib.filters import KnownModeFilter, RaoBlackwellFilter, SwitchingFilter
+from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
 from seedslib.linearization import Taylor
-from seedslib.memory import Memory, large_order
-from seedslib.synthesis import synthesize
-from seedslib.systems import zoo
 
 DESIGN, TEST, DRAWN, PARTICLES = 40_000, 20_000, 2000, 100
 SEED = 11

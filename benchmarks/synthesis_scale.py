@@ -21,10 +21,11 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 from distributed import Client, LocalCluster
 
+from seedslib import zoo
+from seedslib.design import synthesize
+from seedslib.designed import Memory
+from seedslib.extra import cluster
 from seedslib.linearization import Taylor
-from seedslib.memory import Memory
-from seedslib.synthesis import synthesize
-from seedslib.systems import zoo
 
 PATHS = (20_000, 50_000, 100_000, 200_000, 400_000, 800_000)
 THREAD_ROUNDS, CLUSTER_ROUNDS = 15, 3
@@ -73,13 +74,14 @@ def main() -> None:
     with ExitStack() as stack:
         ways = {}
         for workers in (1, 2):
-            cluster = LocalCluster(
+            local = LocalCluster(
                 n_workers=workers, threads_per_worker=1, dashboard_address=None,
                 scheduler_kwargs={"dashboard_address": ":0"}, silence_logs=50,
             )  # fmt: skip
-            stack.enter_context(cluster)
-            client = stack.enter_context(Client(cluster))
-            ways[workers] = client, {"scheduler": client}
+            stack.enter_context(local)
+            client = stack.enter_context(Client(local))
+            crew = stack.enter_context(cluster(client))
+            ways[workers] = client, {"workers": crew}
         rows += rows_of("Dask workers", ways, CLUSTER_ROUNDS)
     rows.sort(key=lambda row: row[0])
     header = ["paths", "on", "workers", "seconds", "cpu_seconds", "speedup", "load"]

@@ -1,23 +1,39 @@
 """Finite-dimensional optimal nonlinear filtering.
 
-An observation system, what is remembered of the past, and how means are taken: together
-they make a filter. The rooms of the library, in the direction in which data flows:
+An observation system, what is remembered of the past, and how means are taken: together they
+make a filter. The library is a core in layers, each of which uses only layers before it,
 
-``systems``, ``linearization`` and ``gaussian``, ``correction`` and ``memory``, ``synthesis``
-(with ``exact`` and ``learned`` beside it), ``filters``, ``storage`` and ``export``, ``evaluation``.
-Apart from them stand ``pareto`` and ``riemann``; ``commands`` is what ``python -m seedslib`` does
-with the library. ``experiments`` is the harness of the book and is never imported by the others.
+``base``, ``gaussian``, ``models``, ``linearization``, ``filters``, ``designed``, ``design``,
+``evaluation``, ``zoo``, ``commands``,
+
+and one wing for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
+``pareto``, ``riemann`` (``delay`` may use ``riemann``). ``extra`` is what wants another package
+or another language; nothing uses it. A public name has one address, its room:
+``from seedslib.models import Noise``. What a room may import stands in its opening lines.
 """
 
-from seedslib._lazy import lazy_names
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
 
 __version__ = "0.1.0"
 
-_ROOMS = (
-    "gaussian", "systems", "linearization", "correction", "memory", "synthesis", "exact",
-    "learned", "filters", "storage", "export", "evaluation", "pareto", "riemann", "commands",
-    "experiments",
-)  # fmt: skip
-
-__getattr__, __dir__ = lazy_names(__name__, globals(), dict.fromkeys(_ROOMS, ""))
-__all__ = ["__version__", *_ROOMS]
+if TYPE_CHECKING:
+    from seedslib import base as base
+    from seedslib import commands as commands
+    from seedslib import delay as delay
+    from seedslib import design as design
+    from seedslib import designed as designed
+    from seedslib import evaluation as evaluation
+    from seedslib import extra as extra
+    from seedslib import filters as filters
+    from seedslib import gaussian as gaussian
+    from seedslib import linearization as linearization
+    from seedslib import models as models
+    from seedslib import pareto as pareto
+    from seedslib import piecewise as piecewise
+    from seedslib import riemann as riemann
+    from seedslib import two_step as two_step
+    from seedslib import zoo as zoo
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

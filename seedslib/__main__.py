@@ -1,5 +1,5 @@
-"""``python -m seedslib``: the commands of the library and of the book."""
+"""``python -m seedslib``: the commands of the library."""
 
-from seedslib.experiments.cli import main
+from seedslib.commands.cli import main
 
 raise SystemExit(main())

@@ -1,9 +1,16 @@
-"""What the tests of files share."""
+"""What the tests of several rooms share: files and designs, command lines."""
 
+import csv
 import json
+import re
+import subprocess
+import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
+
+from seedslib import zoo
 
 
 @pytest.fixture
@@ -31,3 +38,80 @@ def header(rewrite):
         rewrite(path, header=np.frombuffer(text.encode(), dtype=np.uint8))
 
     return changed
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    return zoo.van_der_pol()
+
+
+@pytest.fixture
+def same():
+    """Whether two designs agree bit by bit."""
+
+    def agree(one, two):
+        parts = []
+        for filter in (one, two):
+            fits = [*filter.fits, *(fit for row in filter.node_fits for fit in row)]
+            parts.append(
+                [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
+                + [np.asarray(part) for fit in fits for part in fit]
+            )
+        equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
+        return all(equal) and one.design == two.design
+
+    return agree
+
+
+@pytest.fixture
+def command():
+    """Run a Python command line in a folder; returns the finished process with its text."""
+
+    def run(folder, *arguments, timeout=120, env=None):
+        return subprocess.run(
+            [sys.executable, *map(str, arguments)],
+            cwd=folder,
+            env=env,
+            capture_output=True,
+            text=True,
+            timeout=timeout,
+        )
+
+    return run
+
+
+@pytest.fixture
+def write():
+    """Write a small text file by its name."""
+
+    def write(name, text):
+        Path(name).write_text(text, encoding="utf-8")
+
+    return write
+
+
+@pytest.fixture
+def read():
+    """Rows of a CSV file by its name."""
+
+    def read(name):
+        with open(name, newline="", encoding="utf-8") as file:
+            return list(csv.reader(file))
+
+    return read
+
+
+@pytest.fixture
+def refused():
+    """The one line on stderr of a command that ends with code 2."""
+
+    def refused(capsys, main, *arguments):
+        capsys.readouterr()
+        assert main([str(a) for a in arguments]) == 2
+        told = capsys.readouterr()
+        assert told.out == ""
+        assert re.match("(seedslib|bookkit): ", told.err)
+        assert told.err.count("\n") == 1
+        return told.err
+
+    return refused

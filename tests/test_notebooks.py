@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from seedslib.experiments import execution
-from seedslib.experiments.recording import MIME
+from bookkit import execution
+from bookkit.recording import MIME
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "notebooks").glob("*.md"))

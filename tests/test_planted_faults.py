@@ -14,10 +14,9 @@ ROOT = Path(__file__).resolve().parents[1]
 @pytest.fixture
 def rerun(tmp_path):
     """Re-run one committed notebook against a copy of the library that a test may spoil."""
-    for name in ("seedslib", "conftest.py"):
-        source = ROOT / name
-        copy = shutil.copytree if source.is_dir() else shutil.copy
-        copy(source, tmp_path / name)
+    shutil.copytree(ROOT / "seedslib", tmp_path / "seedslib")
+    shutil.copytree(ROOT / "book" / "bookkit", tmp_path / "bookkit")
+    shutil.copy(ROOT / "conftest.py", tmp_path)
     (tmp_path / "notebooks").mkdir()
     shutil.copy(ROOT / "notebooks" / "two_step_power.ipynb", tmp_path / "notebooks")
     (tmp_path / "pytest.ini").write_text(
@@ -39,7 +38,7 @@ def rerun(tmp_path):
 
 def test_a_wrong_digit_in_a_formula_fails_the_re_run_and_names_the_number(rerun):
     folder, run = rerun
-    file = folder / "seedslib" / "filters" / "kalman_bucy.py"
+    file = folder / "seedslib" / "two_step" / "kalman_bucy.py"
     text = file.read_text()
     right = "solve_continuous_lyapunov(known.drift, -known.diffusion)"
     assert right in text

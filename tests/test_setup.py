@@ -1,12 +1,15 @@
-"""The set-up says in one clear message why it could not go on."""
+"""The set-up says in one clear message why it could not go on; the wheel stands alone."""
 
 import os
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import pytest
+
+from bookkit.programs import program
 
 ROOT = Path(__file__).resolve().parents[1]
 NOWHERE = "http://127.0.0.1:9/simple"
@@ -66,3 +69,71 @@ def test_an_environment_that_cannot_be_made_is_said(tmp_path, tool):
     done = set_up(tmp_path, sys.executable, **environment)
     assert done.returncode == 2
     assert "set-up: no virtual environment could be made in .venv" in done.stderr
+
+
+@pytest.fixture(scope="module")
+def wheel(tmp_path_factory):
+    """The library's wheel, unpacked."""
+    folder = tmp_path_factory.mktemp("wheel")
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, folder)
+    shutil.copytree(ROOT / "seedslib", folder / "seedslib")
+    command = ["pip", "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", "out", "."]
+    subprocess.run([sys.executable, "-m", *command], cwd=folder, check=True, timeout=120)
+    (file,) = (folder / "out").glob("*.whl")
+    with zipfile.ZipFile(file) as archive:
+        archive.extractall(folder / "unpacked")
+    return folder / "unpacked"
+
+
+def test_the_wheel_holds_the_library_alone(wheel):
+    tops = {path.name for path in wheel.iterdir() if path.suffix != ".dist-info"}
+    assert tops == {"seedslib"}
+    assert (wheel / "seedslib" / "py.typed").is_file()
+    (info,) = wheel.glob("*.dist-info")
+    assert "seedslib = seedslib.commands.cli:main" in (info / "entry_points.txt").read_text()
+    wanted = [line for line in (info / "METADATA").read_text().splitlines() if "Dist" in line]
+    assert {line.split()[1].split(">")[0] for line in wanted if "extra" not in line} == {
+        "numpy", "scipy", "sympy",
+    }  # fmt: skip
+
+
+ALONE = """
+import sys
+from importlib.metadata import packages_distributions
+
+hidden = {*packages_distributions()} - {"numpy", "scipy", "sympy", "mpmath", "seedslib"}
+
+
+class Hide:
+    @staticmethod
+    def find_spec(name, path=None, target=None):
+        if name.partition(".")[0] in hidden:
+            raise ModuleNotFoundError(f"not one of the three: {name}", name=name)
+
+
+assert {"dask", "matplotlib"} < hidden
+sys.meta_path.insert(0, Hide)
+"""
+MODEL = "from seedslib import zoo\nsystem = zoo.linear_gaussian()\n"
+DESIGN = "design model.py --memory estimates=2 --times 0:1:0.5 --paths 2000 --seed 1 --out f.npz"
+FILTER = "filter f.npz data.csv --model model.py --out estimates.csv"
+
+
+def test_the_wheel_needs_three_packages(wheel, tmp_path):
+    """The program of README and both commands, with everything else hidden."""
+    (tmp_path / "model.py").write_text(MODEL)
+    (tmp_path / "data.csv").write_text("t,y1\n0,1.2\n0.5,0.7\n1,\n")
+    commands = f"""
+from seedslib.commands.cli import main
+for line in ({DESIGN!r}, {FILTER!r}):
+    assert main(line.split()) == 0, line
+"""
+    readme = program((ROOT / "README.md").read_text())
+    for text in (readme + "\nassert (optimal < plugin).all()\n", commands):
+        done = subprocess.run(
+            [sys.executable, "-c", f"{ALONE}\nsys.path.insert(0, {str(wheel)!r})\n{text}"],
+            cwd=tmp_path, capture_output=True, text=True, timeout=120,
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+    assert (tmp_path / "estimates.csv").read_text().count("\n") == 4

@@ -1,4 +1,6 @@
-"""Commands of the library, ``python -m seedslib design | filter``: filters without writing code.
+"""The command line: ``python -m seedslib design`` and ``filter``.
 
-They want nothing but the library itself, none of the book's extras.
+Words and files in, words and files out; whatever is computed is computed by the rooms below.
+
+May import: base, models, linearization, filters, designed, design.
 """

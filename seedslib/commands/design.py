@@ -64,7 +64,8 @@ def run(options: argparse.Namespace) -> int:
     FileNotFoundError, ValueError
         No model, or an option that does not fit.
     """
-    from seedslib import linearization, synthesis
+    from seedslib import design as making
+    from seedslib import linearization
     from seedslib.commands import words
     from seedslib.commands.models import load_model
 
@@ -73,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
         "linearization", options.linearization, words.LINEARIZATIONS, linearization
     )
     predictor = words.as_choice(
-        "predictor", options.predictor or "affine", words.PREDICTORS, synthesis
+        "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
     times = None if options.times is None else words.as_grid(options.times)
     tables = None if options.table is None else words.as_tables(options.table)
@@ -95,13 +96,13 @@ def run(options: argparse.Namespace) -> int:
     else:
         nodes = 4 if options.nodes is None else options.nodes
         chosen.update(predictor=predictor, nodes=nodes, components=options.components)
-    designed = synthesis.synthesize(system, memory, rule, times, **chosen)
+    designed = making.synthesize(system, memory, rule, times, **chosen)
     if tables is not None:
-        from seedslib.exact import tabulated
+        from seedslib.design import tabulated
 
         designed = tabulated(designed, **tables)
 
-    from seedslib.storage import save
+    from seedslib.designed import save
 
     save(designed, out)
     print(designed)

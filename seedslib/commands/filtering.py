@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> int:
     """
     from seedslib.commands.models import load_model
     from seedslib.commands.records import read_record, write_estimates
-    from seedslib.storage import load
+    from seedslib.designed import load
 
     system = None if options.model is None else load_model(options.model)[0]
     designed = load(options.filter, system)

@@ -9,9 +9,9 @@ from types import ModuleType
 
 import numpy as np
 
-from seedslib._validate import as_times
-from seedslib.systems import JumpDiffusion, SwitchingSystem
-from seedslib.systems.discrete import DiscreteSystem
+from seedslib.base.checks import as_times
+from seedslib.models import JumpDiffusion, SwitchingSystem
+from seedslib.models.discrete import DiscreteSystem
 
 System = JumpDiffusion | DiscreteSystem | SwitchingSystem
 

@@ -9,8 +9,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.designed.finite_order import SAME_TIME
 from seedslib.filters.estimates import Estimates
-from seedslib.filters.finite_order import SAME_TIME
 
 
 class Record(NamedTuple):

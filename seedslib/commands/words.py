@@ -8,9 +8,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from seedslib._validate import as_times
-from seedslib.exact.axes import Axis
-from seedslib.memory import Memory, finite_memory, large_order, small_order
+from seedslib.base.checks import as_times
+from seedslib.base.tables import Axis
+from seedslib.designed.memory import Memory, finite_memory, large_order, small_order
 
 LINEARIZATIONS = {
     "taylor": "Taylor",

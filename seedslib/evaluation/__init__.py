@@ -1,11 +1,17 @@
-"""What a filter is worth on test paths: errors with their standard errors, and consistency."""
+"""What a filter is worth on test paths: errors with their standard errors, and consistency.
 
-from seedslib._lazy import lazy_names
+And `diff`, which compares two designs. It runs filters and knows none of them by name.
 
-_HOMES = {
-    "evaluate": ".scores",
-    "compare": ".scores",
-    "diff": ".designs",
-}
-__getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
-__all__ = [*_HOMES]
+May import: base, models, designed.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.evaluation.designs import diff as diff
+    from seedslib.evaluation.scores import compare as compare
+    from seedslib.evaluation.scores import evaluate as evaluate
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.filters.table import OutputFilter, TableFit
-from seedslib.synthesis.predictors import Continuous, PolynomialFit
+from seedslib.designed.predictors import Continuous, PolynomialFit
+from seedslib.designed.table import OutputFilter, TableFit
 
 NODES = "nodes: "
 

@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.designed.file_tables import UnknownModel, probed
+from seedslib.designed.finite_order import SAME_TIME, FiniteOrderFilter
+from seedslib.designed.identity import difference, probe_points
 from seedslib.evaluation import switching_designs
 from seedslib.evaluation.coefficients import relative_differences
-from seedslib.filters.finite_order import SAME_TIME, FiniteOrderFilter
-from seedslib.storage.identity import difference, model_text, probe_points
-from seedslib.storage.tables import UnknownModel, probed
+from seedslib.models.words import model_text
 
 ROWS = 12
 """Times that are printed at most."""

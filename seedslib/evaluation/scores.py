@@ -14,11 +14,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from seedslib._validate import as_times
+from seedslib.base.blocks import as_count, in_blocks
+from seedslib.base.checks import as_times
 from seedslib.evaluation.consistency import bounds, mahalanobis
 from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
-from seedslib.systems.simulation import as_count, as_measured, in_blocks
+from seedslib.models.simulation import as_measured
 
 BLOCK = 2048
 """Paths in a block of an evaluation, where whole trajectories of all filters are held."""

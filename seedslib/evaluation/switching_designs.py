@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.exact.axes import Labels
-from seedslib.filters.switching import SwitchingFilter
-from seedslib.filters.switching_fits import CellFit
-from seedslib.filters.switching_table import SwitchingTableFilter
-from seedslib.storage.identity import difference, probe_points
-from seedslib.storage.switching import UnknownModes, probe_switching, switching_text
+from seedslib.base.tables import Labels
+from seedslib.designed.file_switching import UnknownModes, probe_switching, switching_text
+from seedslib.designed.identity import difference, probe_points
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.switching_table import SwitchingTableFilter
 
 FILTERS = (SwitchingFilter, SwitchingTableFilter)
 

@@ -1,33 +1,25 @@
-"""Filters: a system, what is remembered, and how means are taken."""
+"""Filters that need no design: covariance filters, particles, grids, known modes.
 
-from seedslib._lazy import lazy_names
+And what all filters share: estimates, mixtures, weights of modes. No synthesis, no tables, no
+files.
 
-_HOMES = {
-    "Estimates": ".estimates",
-    "KalmanBucyFilter": ".kalman_bucy",
-    "TwoStepEstimator": ".two_step",
-    "augmented_extended_kalman": ".augmented",
-    "DelayKalmanFilter": ".delay",
-    "PrintedDelayFilter": ".delay_printed",
-    "StructureGains": ".delay_analysis",
-    "apply_gains": ".delay_analysis",
-    "error_covariance": ".delay_analysis",
-    "greedy_gains": ".delay_analysis",
-    "stationary_gains": ".delay_stationary",
-    "CovarianceFilter": ".covariance",
-    "extended_kalman": ".covariance",
-    "assumed_density": ".covariance",
-    "unscented_kalman": ".covariance",
-    "cubature_kalman": ".covariance",
-    "FiniteOrderFilter": ".finite_order",
-    "SwitchingFilter": ".switching",
-    "TableFilter": ".table",
-    "SwitchingTableFilter": ".switching_table",
-    "ParticleFilter": ".particle",
-    "RaoBlackwellFilter": ".rao_blackwell",
-    "GridBayesFilter": ".grid_bayes",
-    "KnownModeFilter": ".known_modes",
-    "PiecewiseLinearFilter": ".piecewise",
-}
-__getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
-__all__ = [*_HOMES]
+May import: base, models, linearization.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.filters.covariance import CovarianceFilter as CovarianceFilter
+    from seedslib.filters.covariance import assumed_density as assumed_density
+    from seedslib.filters.covariance import cubature_kalman as cubature_kalman
+    from seedslib.filters.covariance import extended_kalman as extended_kalman
+    from seedslib.filters.covariance import unscented_kalman as unscented_kalman
+    from seedslib.filters.estimates import Estimates as Estimates
+    from seedslib.filters.grid_bayes import GridBayesFilter as GridBayesFilter
+    from seedslib.filters.known_modes import KnownModeFilter as KnownModeFilter
+    from seedslib.filters.particle import ParticleFilter as ParticleFilter
+    from seedslib.filters.rao_blackwell import RaoBlackwellFilter as RaoBlackwellFilter
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib._validate import as_times
-from seedslib.correction import correct
+from seedslib.base.blocks import BLOCK, as_count, in_blocks
+from seedslib.base.checks import as_times
+from seedslib.base.correction import correct
 from seedslib.filters.estimates import Estimates, as_record, require_time, stays
 from seedslib.filters.integration import adaptive, euler, rk4
-from seedslib.linearization import Linearization, Moments, symmetric
-from seedslib.systems.simulation import BLOCK, as_count, in_blocks
+from seedslib.linearization.moments import Linearization, Moments, symmetric
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -245,27 +245,27 @@ def _shared(blocks) -> np.ndarray | None:
 
 def extended_kalman(system, **options) -> CovarianceFilter:
     """Extended Kalman filter (the paper's OFK, or L-AOF): `CovarianceFilter` with `Taylor`."""
-    from seedslib.linearization import Taylor
+    from seedslib.linearization.symbolic import Taylor
 
     return CovarianceFilter(system, Taylor(), **options)
 
 
 def assumed_density(system, **options) -> CovarianceFilter:
     """Gaussian assumed-density filter (the paper's FNA): `CovarianceFilter` with exact means."""
-    from seedslib.linearization import ExactGaussian
+    from seedslib.linearization.symbolic import ExactGaussian
 
     return CovarianceFilter(system, ExactGaussian(), **options)
 
 
 def unscented_kalman(system, *, alpha=1.0, beta=0.0, kappa=None, **options) -> CovarianceFilter:
     """Unscented Kalman filter: `CovarianceFilter` with `Unscented(alpha, beta, kappa)`."""
-    from seedslib.linearization import Unscented
+    from seedslib.linearization.points import Unscented
 
     return CovarianceFilter(system, Unscented(alpha, beta, kappa), **options)
 
 
 def cubature_kalman(system, **options) -> CovarianceFilter:
     """Cubature Kalman filter: `CovarianceFilter` with `Cubature`."""
-    from seedslib.linearization import Cubature
+    from seedslib.linearization.points import Cubature
 
     return CovarianceFilter(system, Cubature(), **options)

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib._validate import as_real
+from seedslib.base.checks import as_real
 
 
 class Estimates(NamedTuple):

@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.exact.axes import Axis
-from seedslib.exact.switching_chain import SwitchingChain
+from seedslib.base.tables import Axis
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
-from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.verbs import run_in_blocks
 from seedslib.filters.weights import relative
-from seedslib.systems.switching import SwitchingSystem
+from seedslib.models.chain_switching import SwitchingChain
+from seedslib.models.switching import SwitchingSystem
 
 BLOCK = 512
 """Records in a block: the laws of a block stay in the processor's cache."""

@@ -6,13 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib._validate import as_times
-from seedslib.correction import correct
+from seedslib.base.blocks import BLOCK, in_blocks
+from seedslib.base.checks import as_times
+from seedslib.base.correction import correct
 from seedslib.filters.estimates import Estimates, as_indicators, as_record, require_time, stays
-from seedslib.filters.modes import as_modes
-from seedslib.linearization import Gaussian, Linearization
-from seedslib.systems.simulation import BLOCK, in_blocks
-from seedslib.systems.switching import SwitchingSystem
+from seedslib.filters.verbs import as_modes
+from seedslib.linearization.moments import Gaussian, Linearization
+from seedslib.models.switching import SwitchingSystem
 
 
 class KnownModeState(NamedTuple):
@@ -51,7 +51,7 @@ class KnownModeFilter:
         if not isinstance(system, SwitchingSystem):
             raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
         if linearization is None:
-            from seedslib.linearization import Taylor
+            from seedslib.linearization.symbolic import Taylor
 
             linearization = Taylor()
         if not isinstance(linearization, Linearization):

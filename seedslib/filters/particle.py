@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
-from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.verbs import run_in_blocks
 from seedslib.filters.weights import relative
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
 
 
 class ParticleState(NamedTuple):

@@ -6,14 +6,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.correction import correct
+from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
+from seedslib.base.correction import correct
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
-from seedslib.filters.modes import run_in_blocks
+from seedslib.filters.mixture import mix
 from seedslib.filters.particle import choose, stream
-from seedslib.filters.switching_steps import mix
+from seedslib.filters.verbs import run_in_blocks
 from seedslib.filters.weights import relative
-from seedslib.systems.simulation import BLOCK, as_count, as_seed_sequence
-from seedslib.systems.switching import SwitchingSystem
+from seedslib.models.switching import SwitchingSystem
 
 
 class RaoBlackwellState(NamedTuple):
@@ -61,7 +61,7 @@ class RaoBlackwellFilter:
 
     def __init__(self, system, particles=100):
         require_jump_linear(system)
-        from seedslib.linearization import Taylor
+        from seedslib.linearization.symbolic import Taylor
 
         self.system, self.particles = system, as_count("particles", particles)
         exact = Taylor()

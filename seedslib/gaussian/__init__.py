@@ -1,41 +1,48 @@
-"""Means of functions of a Gaussian vector: closed forms, recursions, regions, quadrature."""
+"""Means of functions of a Gaussian vector.
 
-from seedslib._lazy import lazy_names
+Three shelves and a file: `means` (closed forms of E f(x), from symbols to numbers), `errors`
+(exact mean-square errors of estimates of f), `regions` (moments over intervals and polygons) and
+`quadrature`. No system and no time; what a filter does with a mean is decided elsewhere.
 
-# These functions share their modules' names. Bound here they win over the modules, which a lazy
-# look-up could not promise: importing a submodule binds its name in the package.
-from seedslib.gaussian.interval import interval
-from seedslib.gaussian.lift import lift
-from seedslib.gaussian.polygon import polygon
+May import: base.
+"""
 
-_HOMES = {
-    "FunctionClass": ".symbolic",
-    "NoClosedForm": ".symbolic",
-    "classify": ".symbolic",
-    "expectation": ".symbolic",
-    "expectation_function": ".symbolic",
-    "abs_errors": ".functions",
-    "abs_moments": ".functions",
-    "max_errors": ".functions",
-    "max_moments": ".functions",
-    "norm_errors": ".functions",
-    "norm_mean": ".functions",
-    "sine_errors": ".functions",
-    "sine_moments": ".functions",
-    "elevation_moments": ".elevation",
-    "bivariate_normal_cdf": ".bivariate",
-    "positive_part_product": ".bivariate",
-    "approximate_errors": ".errors",
-    "hermite_expansion": ".errors",
-    "mean_square_errors": ".errors",
-    "posterior_variance_function": ".errors",
-    "cubature": ".quadrature",
-    "fifth_degree": ".quadrature",
-    "gauss_hermite": ".quadrature",
-    "mean_of": ".quadrature",
-    "unscented": ".quadrature",
-    "RegionMoments": ".regions",
-    "pad_regions": ".polygon",
-}
-__getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
-__all__ = [*_HOMES, "interval", "lift", "polygon"]
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.gaussian.errors import forms as forms
+    from seedslib.gaussian.errors.bivariate import bivariate_normal_cdf as bivariate_normal_cdf
+    from seedslib.gaussian.errors.bounds import approximate_errors as approximate_errors
+    from seedslib.gaussian.errors.bounds import hermite_expansion as hermite_expansion
+    from seedslib.gaussian.errors.elevation import elevation_moments as elevation_moments
+    from seedslib.gaussian.errors.exact import mean_square_errors as mean_square_errors
+    from seedslib.gaussian.errors.exact import (
+        posterior_variance_function as posterior_variance_function,
+    )
+    from seedslib.gaussian.errors.functions import abs_errors as abs_errors
+    from seedslib.gaussian.errors.functions import abs_moments as abs_moments
+    from seedslib.gaussian.errors.functions import max_errors as max_errors
+    from seedslib.gaussian.errors.functions import max_moments as max_moments
+    from seedslib.gaussian.errors.functions import sine_errors as sine_errors
+    from seedslib.gaussian.errors.functions import sine_moments as sine_moments
+    from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
+    from seedslib.gaussian.means.norm import norm_errors as norm_errors
+    from seedslib.gaussian.means.norm import norm_mean as norm_mean
+    from seedslib.gaussian.means.symbolic import FunctionClass as FunctionClass
+    from seedslib.gaussian.means.symbolic import classify as classify
+    from seedslib.gaussian.means.symbolic import expectation as expectation
+    from seedslib.gaussian.means.symbolic import expectation_function as expectation_function
+    from seedslib.gaussian.quadrature import cubature as cubature
+    from seedslib.gaussian.quadrature import fifth_degree as fifth_degree
+    from seedslib.gaussian.quadrature import gauss_hermite as gauss_hermite
+    from seedslib.gaussian.quadrature import mean_of as mean_of
+    from seedslib.gaussian.quadrature import unscented as unscented
+    from seedslib.gaussian.regions.interval import interval as interval
+    from seedslib.gaussian.regions.lift import lift as lift
+    from seedslib.gaussian.regions.polygon import pad_regions as pad_regions
+    from seedslib.gaussian.regions.polygon import polygon as polygon
+    from seedslib.gaussian.regions.regions import RegionMoments as RegionMoments
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

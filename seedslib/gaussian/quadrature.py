@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
-from seedslib.gaussian._arguments import gaussian_arguments
-from seedslib.singular import square_root
+from seedslib.base.semidefinite import square_root
+from seedslib.gaussian.arguments import gaussian_arguments
 
 MOST_POINTS = 2_000_000
 

@@ -8,8 +8,10 @@ from functools import lru_cache
 
 import numpy as np
 
+from seedslib.base.blocks import as_count
+from seedslib.base.semidefinite import factor
 from seedslib.gaussian.quadrature import cubature
-from seedslib.linearization import (
+from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
     Moments,
@@ -17,9 +19,7 @@ from seedslib.linearization import (
     refuse_weight,
     symmetric,
 )
-from seedslib.singular import factor
-from seedslib.systems.noise import hermite_nodes
-from seedslib.systems.simulation import as_count
+from seedslib.models.noise import hermite_nodes
 
 SMALL = 1e-150
 """Points of a smaller weight count for nothing: its square is out of the range of numbers."""

@@ -8,19 +8,16 @@ from typing import NamedTuple
 import numpy as np
 import sympy
 
-from seedslib.linearization import TINY, Gaussian, Linearization, Moments, Weighted, refuse_weight
-from seedslib.linearization._means import (
-    Names,
-    affine_part,
-    averager,
-    centred_square,
-    expand,
-    joined,
-    mentions,
-    noise_spread,
-    raw_square,
+from seedslib.linearization import means
+from seedslib.linearization.moments import (
+    TINY,
+    Gaussian,
+    Linearization,
+    Moments,
+    Weighted,
+    refuse_weight,
 )
-from seedslib.systems.codegen import batch_shape, compile_components, fold, stack
+from seedslib.models.codegen import batch_shape, compile_components, fold, stack
 
 
 class _Branch(NamedTuple):
@@ -107,7 +104,7 @@ class _Formulas(Linearization):
         arguments, mean, cov = _arguments(maps[0], type(self).__name__)
         if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
             raise ValueError("maps: wanted maps of the same state and time")
-        names = Names()
+        names = means.Names()
         branches = [self.branch(map, mean, cov, names) for map in maps]
         # equal moments of several branches are evaluated and stored once
         wanted = [
@@ -119,7 +116,7 @@ class _Formulas(Linearization):
         evaluate = _compiled(
             arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
         )
-        varied = [mentions(names.meaning(b.mass), {*mean, *cov}) for b in branches]
+        varied = [means.mentions(names.meaning(b.mass), {*mean, *cov}) for b in branches]
 
         def f(t, mean, cov):
             lower = _lower(cov)
@@ -164,7 +161,7 @@ class _Formulas(Linearization):
 def _arguments(map, name):
     """Arguments (t, mean, lower covariance) and the SymPy mean and covariance made of them."""
     if not map.symbolic:
-        from seedslib.gaussian.symbolic import NoClosedForm
+        from seedslib.gaussian.means.classes import NoClosedForm
 
         raise NoClosedForm(
             f"{name}: wanted a symbolic map, got array functions; use Unscented, Cubature or "
@@ -226,7 +223,7 @@ class Taylor(_Formulas):
         cross = cov * slope.T
         if not spread:
             return value.subs(here), cross, None
-        return value.subs(here), cross, slope * cross + noise_spread(map, value, here)
+        return value.subs(here), cross, slope * cross + means.noise_spread(map, value, here)
 
     def branch(self, map, mean, cov, name):
         """Moments of a branch, (7.3) of the switching paper.
@@ -240,8 +237,8 @@ class Taylor(_Formulas):
         NoClosedForm
             The weight depends on the noise, which the paper's linearization excludes.
         """
-        if mentions(map.weight_expression, map.noise.symbols):
-            from seedslib.gaussian.symbolic import NoClosedForm
+        if means.mentions(map.weight_expression, map.noise.symbols):
+            from seedslib.gaussian.means.classes import NoClosedForm
 
             raise NoClosedForm("Taylor: wanted a weight without noise; use GaussHermite")
         here = dict(zip(map.state, mean, strict=True))
@@ -263,7 +260,7 @@ class Taylor(_Formulas):
             state_cov,
             value.subs(here) + inverse * slope * lean,
             cross,
-            slope * cross + noise_spread(map, value, here),
+            slope * cross + means.noise_spread(map, value, here),
         )
 
 
@@ -279,12 +276,12 @@ class ExactGaussian(_Formulas):
     def formulas(self, map, mean, cov, spread=True):
         """See `_Formulas.formulas`."""
         conditional, noise_cov, _ = map.conditional_expressions
-        average = averager(map.state, mean, cov)
+        average = means.averager(map.state, mean, cov)
         y = sympy.Matrix([average(part) for part in conditional])
         cross = cov * y.jacobian(mean).T
         if not spread:
             return y, cross, None
-        return y, cross, centred_square(average, conditional, noise_cov, y)
+        return y, cross, means.centred_square(average, conditional, noise_cov, y)
 
     def branch(self, map, mean, cov, name):
         """Moments of a branch, the centred form of (6.22) and (6.36) of the switching paper.
@@ -295,12 +292,12 @@ class ExactGaussian(_Formulas):
         digits are lost far from the origin. A weight that mentions the noise, (6.23) and (6.27),
         makes the noise part of the state.
         """
-        state, expressions, spread, mean, cov, still = joined(map, mean, cov)
+        state, expressions, spread, mean, cov, still = means.joined(map, mean, cov)
         weight, n = fold(map.weight_expression), map.state_size
-        average = averager(state, mean, cov)
-        if not mentions(weight, state):
+        average = means.averager(state, mean, cov)
+        if not means.mentions(weight, state):
             y = sympy.Matrix([average(part) for part in expressions])
-            square = centred_square(average, expressions, spread, y)
+            square = means.centred_square(average, expressions, spread, y)
             return _Branch(weight, sympy.Matrix(mean), cov, y, cov * y.jacobian(mean).T, square)
 
         def settled(part):
@@ -308,9 +305,9 @@ class ExactGaussian(_Formulas):
 
         mass = average(weight)
         grade = sympy.Matrix([mass]).jacobian(mean)
-        slope, constant, rest = affine_part(expressions, state)
-        raw = sympy.Matrix([average(expand(weight * part)) for part in rest])
-        squares = settled(raw_square(average, weight, rest, spread))
+        slope, constant, rest = means.affine_part(expressions, state)
+        raw = sympy.Matrix([average(means.expand(weight * part)) for part in rest])
+        squares = settled(means.raw_square(average, weight, rest, spread))
         bend, tilt = settled(grade.jacobian(mean)), settled(raw.jacobian(mean))
         mass, grade, raw = settled(mass), settled(grade), settled(raw)
         inverse = name(1 / mass)

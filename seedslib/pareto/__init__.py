@@ -1,4 +1,4 @@
-"""Compromise between criteria: equal relative losses, or the least largest relative loss.
+"""Wing: compromise between criteria, by equal or by least largest relative loss.
 
 Of the paper on two-criteria optimisation by bisection only the end survives, with equations
 (18), (19) and the proof that a point of equal losses exists; `bisect` is its method. `compromise`
@@ -9,16 +9,21 @@ All criteria are losses: less is better. With the minimisers ``x_i`` the utopia 
 ``m_i = I_i(x_i)``, the nadir of the payoff table ``M_i = max_j I_i(x_j)``, and the relative loss
 ``(I_i(x) - m_i) / (M_i - m_i)``. From three criteria on, the nadir of the payoff table can differ
 from the nadir of the efficient set, and equal losses of all criteria need not exist.
+
+No filter and no model: criteria are plain functions.
+
+May import: base.
 """
 
-from seedslib._lazy import lazy_names
+from typing import TYPE_CHECKING
 
-_HOMES = {
-    "Compromise": ".result",
-    "Bisection": ".bisection",
-    "bisect": ".bisection",
-    "compromise": ".continuous",
-    "choose": ".choice",
-}
-__getattr__, __dir__ = lazy_names(__name__, globals(), _HOMES)
-__all__ = [*_HOMES]
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.pareto.bisection import Bisection as Bisection
+    from seedslib.pareto.bisection import bisect as bisect
+    from seedslib.pareto.choice import choose as choose
+    from seedslib.pareto.continuous import compromise as compromise
+    from seedslib.pareto.result import Compromise as Compromise
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

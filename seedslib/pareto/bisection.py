@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib._validate import as_real
+from seedslib.base.checks import as_real
 from seedslib.pareto.result import Criteria, Evaluated
 
 

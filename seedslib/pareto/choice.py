@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from seedslib._validate import as_shape
+from seedslib.base.checks import as_shape
 from seedslib.pareto.result import Compromise, Criteria, Evaluated, as_losses, efficiency
 
 SEPARABLE = 2.0  # standard errors

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.optimize import brentq
 
-from seedslib._validate import as_real
+from seedslib.base.checks import as_real
 from seedslib.pareto.least import box_scan, least_in_box, least_on_segment, minimax_in_box
 from seedslib.pareto.result import Compromise, Criteria, Evaluated, efficiency
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib._validate import as_real
+from seedslib.base.checks import as_real
 
 SAME, BETTER = 1e-12, 1e-5  # of the range of a criterion
 LARGEST = 1e300  # size of a value beyond which ranges overflow

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib.riemann._fourier import (
+from seedslib.riemann.fourier import (
     UnresolvedError,
     as_nodes,
     circle,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.riemann._fourier import circle
+from seedslib.riemann.fourier import circle
 from seedslib.riemann.problem import FEWEST, as_complex, judge, solve_boundary_values
 
 INVARIANT = 1e-10  # relative deviation of a coefficient from its rotation

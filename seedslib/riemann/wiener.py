@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib._validate import as_covariance, as_real, as_shape
-from seedslib.riemann._fourier import (
+from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.riemann.fourier import (
     ZERO,
     UnresolvedError,
     as_nodes,

@@ -4,6 +4,7 @@ import sympy
 from scipy.linalg import block_diag, expm
 from scipy.stats import multivariate_normal
 
+from seedslib import zoo
 from seedslib.filters import (
     CovarianceFilter,
     assumed_density,
@@ -13,8 +14,7 @@ from seedslib.filters import (
 )
 from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
-from seedslib.systems import JumpDiffusion, Noise, StochasticMap, zoo
-from seedslib.systems.discrete import DiscreteSystem
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
 RULES = (Taylor(), ExactGaussian(), Unscented(), Unscented(0.7, 2, 1), Cubature(), GaussHermite(3))
 

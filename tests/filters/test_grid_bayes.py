@@ -5,8 +5,9 @@ import pytest
 import sympy
 from scipy.stats import norm
 
+from seedslib import zoo
 from seedslib.filters import GridBayesFilter, ParticleFilter, extended_kalman
-from seedslib.systems import DiscreteSystem, Noise, StochasticMap, SwitchingSystem, zoo
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
 
 x, v, w = sympy.symbols("x v w", real=True)
 

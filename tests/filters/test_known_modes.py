@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 import sympy
 
+from seedslib import zoo
+from seedslib.designed import SwitchingFilter
 from seedslib.evaluation import compare, evaluate
-from seedslib.filters import GridBayesFilter, KnownModeFilter, SwitchingFilter, extended_kalman
+from seedslib.filters import GridBayesFilter, KnownModeFilter, extended_kalman
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
-from seedslib.systems import (
+from seedslib.models import (
     DiscreteSystem,
     Noise,
     StochasticMap,
     SwitchingSystem,
     averaged_switching,
-    zoo,
 )
 
 x, v, w = sympy.symbols("x v w", real=True)

@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 import sympy
 
+from seedslib import zoo
 from seedslib.filters import ParticleFilter, assumed_density, extended_kalman
 from seedslib.filters.particle import _resample
-from seedslib.systems import JumpDiffusion, Noise, StochasticMap, zoo
-from seedslib.systems.discrete import DiscreteSystem
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
 x, v, w = sympy.symbols("x v w")
 

@@ -7,8 +7,9 @@ import pytest
 import sympy
 from scipy.stats import multivariate_normal
 
+from seedslib import zoo
 from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
-from seedslib.systems import Noise, SwitchingSystem, zoo
+from seedslib.models import Noise, SwitchingSystem
 
 TIMES = np.arange(5.0)
 MATRICES = [np.array([[1, 1], [0, decay]]) for decay in (0.98, 0.9)]

@@ -1,7 +1,8 @@
 import numpy as np
 import pytest
 
-from seedslib.gaussian.elevation import _wide, elevation_moments
+from seedslib.gaussian import elevation_moments
+from seedslib.gaussian.errors.elevation import _wide
 
 
 def draws(mean, cov, count=400_000):

@@ -7,13 +7,15 @@ import sympy as sp
 from numpy.testing import assert_allclose
 from scipy import special
 
-from seedslib.gaussian.bivariate import positive_part_product
-from seedslib.gaussian.errors import (
+from oracles.positive_parts import positive_part_product
+from seedslib.gaussian import (
+    FunctionClass,
+    NoClosedForm,
     approximate_errors,
+    expectation_function,
     mean_square_errors,
     posterior_variance_function,
 )
-from seedslib.gaussian.symbolic import FunctionClass, NoClosedForm, expectation_function
 
 x, y, z = sp.symbols("x y z")
 

@@ -10,8 +10,8 @@ import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
 
-from seedslib.gaussian.errors import mean_square_errors
-from seedslib.gaussian.forms import (
+from seedslib.gaussian import fifth_degree, mean_of, mean_square_errors
+from seedslib.gaussian.errors.forms import (
     cubic_errors,
     cubic_mean,
     linear_mean,
@@ -20,7 +20,6 @@ from seedslib.gaussian.forms import (
     quartic_errors,
     quartic_mean,
 )
-from seedslib.gaussian.quadrature import fifth_degree, mean_of
 
 
 class Ring:

@@ -5,10 +5,18 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from seedslib.gaussian import abs_moments, max_moments
-from seedslib.gaussian.bivariate import density, positive_part_product
-from seedslib.gaussian.functions import abs_errors, max_errors, sine_errors, sine_moments
-from seedslib.gaussian.quadrature import gauss_hermite, mean_of
+from oracles.positive_parts import positive_part_product
+from seedslib.gaussian import (
+    abs_errors,
+    abs_moments,
+    gauss_hermite,
+    max_errors,
+    max_moments,
+    mean_of,
+    sine_errors,
+    sine_moments,
+)
+from seedslib.gaussian.errors.bivariate import density
 
 MU = np.array([0.3, -0.2])
 P = np.array([[0.5, 0.1], [0.1, 0.3]])

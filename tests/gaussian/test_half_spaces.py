@@ -14,8 +14,8 @@ from seedslib.gaussian import (
     expectation_function,
     mean_square_errors,
 )
-from seedslib.gaussian.symbolic import mean_expression
-from seedslib.systems.codegen import compile_components
+from seedslib.gaussian.means.symbolic import mean_expression
+from seedslib.models.codegen import compile_components
 
 x, y, m, P = sp.symbols("x y m P", real=True)
 HALF = sp.Rational(1, 2)

@@ -5,8 +5,8 @@ import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
 
-from seedslib.gaussian.errors import hermite_expansion, mean_square_errors
-from seedslib.gaussian.hermite import quadrature_expansion
+from seedslib.gaussian import hermite_expansion, mean_square_errors
+from seedslib.gaussian.errors.hermite import quadrature_expansion
 
 x, y, z = sp.symbols("x y z")
 

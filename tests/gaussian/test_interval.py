@@ -1,19 +1,11 @@
-import importlib.util
-from pathlib import Path
-
 import mpmath as mp
 import numpy as np
 import pytest
 import sympy
 
+from oracles import literal_lemmas as literal
 from seedslib.gaussian import interval
-from seedslib.gaussian._nodes import unit_nodes
-
-_spec = importlib.util.spec_from_file_location(
-    "literal_lemmas", Path(__file__).with_name("literal_lemmas.py")
-)
-literal = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(literal)
+from seedslib.gaussian.regions.nodes import unit_nodes
 
 INF = np.inf
 CASES = [

@@ -1,17 +1,9 @@
-import importlib.util
-from pathlib import Path
-
 import numpy as np
 import pytest
 import sympy
 
+from oracles import literal_lemmas as literal
 from seedslib.gaussian import RegionMoments, interval, lift, polygon
-
-_spec = importlib.util.spec_from_file_location(
-    "literal_lemmas", Path(__file__).with_name("literal_lemmas.py")
-)
-literal = importlib.util.module_from_spec(_spec)
-_spec.loader.exec_module(literal)
 
 
 def law(size, seed):

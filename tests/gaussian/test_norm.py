@@ -3,8 +3,7 @@ import numpy as np
 import pytest
 from scipy.special import ellipe, elliprg, gammaln, hyp1f1, hyp2f1
 
-from seedslib.gaussian import norm_mean
-from seedslib.gaussian.norm import norm_errors
+from seedslib.gaussian import norm_errors, norm_mean
 
 PAPER = np.array([[1.5, -0.5], [-0.5, 1.5]])
 

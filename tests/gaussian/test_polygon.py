@@ -9,23 +9,14 @@ import pytest
 from scipy.integrate import dblquad
 from scipy.special import ndtr
 
+from oracles import literal_lemmas as literal
+from oracles import polygon_reference
 from seedslib.gaussian import interval, polygon
-from seedslib.gaussian._edges import edge_moments
-from seedslib.gaussian._geometry import outline
+from seedslib.gaussian.regions.edges import edge_moments
+from seedslib.gaussian.regions.geometry import outline
 
-HERE = Path(__file__)
-
-
-def by_path(name):
-    spec = importlib.util.spec_from_file_location(name, HERE.with_name(f"{name}.py"))
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-literal = by_path("literal_lemmas")
-KNOWN = json.loads(HERE.with_name("polygon_reference.json").read_text())
-pad_regions = importlib.import_module("seedslib.gaussian.polygon").pad_regions
+KNOWN = json.loads(Path(polygon_reference.__file__).with_suffix(".json").read_text())
+pad_regions = importlib.import_module("seedslib.gaussian.regions.polygon").pad_regions
 
 UNIT = np.eye(2)
 TILTED = np.array([[1.0, 0.3], [0.3, 1.0]])

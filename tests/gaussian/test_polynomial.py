@@ -8,7 +8,8 @@ import pytest
 import sympy as sp
 from numpy.testing import assert_allclose
 
-from seedslib.gaussian.polynomial import (
+from seedslib.gaussian import gauss_hermite
+from seedslib.gaussian.means.polynomial import (
     derivative,
     evaluate,
     heat,
@@ -16,7 +17,6 @@ from seedslib.gaussian.polynomial import (
     polynomial_mean,
     predecessors,
 )
-from seedslib.gaussian.quadrature import gauss_hermite
 
 
 def random_law(rng, n):

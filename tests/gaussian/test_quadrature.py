@@ -2,8 +2,7 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from seedslib.gaussian import expectation
-from seedslib.gaussian.quadrature import cubature, fifth_degree, gauss_hermite, mean_of, unscented
+from seedslib.gaussian import cubature, expectation, fifth_degree, gauss_hermite, mean_of, unscented
 
 
 def moment(powers):

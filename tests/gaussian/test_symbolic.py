@@ -8,7 +8,7 @@ import sympy as sp
 from numpy.testing import assert_allclose
 from scipy import integrate, stats
 
-from seedslib.gaussian.symbolic import (
+from seedslib.gaussian import (
     FunctionClass,
     NoClosedForm,
     classify,

@@ -3,7 +3,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from seedslib.gaussian._twofold import Twofold, binary_scale, cross, determinant, two_product
+from seedslib.gaussian.regions.twofold import Twofold, binary_scale, cross, determinant, two_product
 
 
 def exact(number):

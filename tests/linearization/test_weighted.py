@@ -5,6 +5,7 @@ import pytest
 import sympy
 from scipy.special import ndtr
 
+from seedslib import zoo
 from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import (
     Cubature,
@@ -16,7 +17,7 @@ from seedslib.linearization import (
     Weighted,
 )
 from seedslib.linearization.points import _conditional
-from seedslib.systems import Noise, StochasticMap, zoo
+from seedslib.models import Noise, StochasticMap
 
 x, y, v, w = sympy.symbols("x y v w", real=True)
 RULES = (Taylor(), ExactGaussian(), Unscented(), Cubature(), GaussHermite(7))

@@ -1,0 +1,116 @@
+"""The commands of the book, ``python -m bookkit``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from seedslib.commands.cli import run
+
+
+def _execute(options: argparse.Namespace) -> int:
+    from bookkit import execution, fingerprint
+
+    root = fingerprint.project_root(Path.cwd())
+    if options.check:
+        stale = [p for p in execution.sources(root, options.notebooks) if execution.is_stale(p)]
+        for path in stale:
+            print(f"{path.relative_to(root)}: its inputs changed since it was executed")
+        print(f"{len(stale)} notebooks are stale" if stale else "all notebooks are up to date")
+        return 1 if stale else 0
+    outcomes = execution.execute(root, options.notebooks, force=options.force)
+    failed = [outcome for outcome in outcomes if outcome.problem]
+    print(f"{len(outcomes) - len(failed)} notebooks executed, {len(failed)} failed")
+    return 1 if failed else 0
+
+
+def _sweep(options: argparse.Namespace) -> int:
+    from bookkit.sweeps import run_sweep
+
+    report = run_sweep(
+        options.notebook,
+        options.grid,
+        options.out,
+        scheduler=options.scheduler,
+        workers=options.workers,
+        retry=options.retry,
+    )
+    print(f"{report.total - report.failed} of {report.total} points done, table: {report.table}")
+    if report.failed:
+        print(f"{report.failed} points failed: the column 'problem' says why", file=sys.stderr)
+    return 1 if report.failed else 0
+
+
+def _claims(options: argparse.Namespace) -> int:
+    from bookkit import fingerprint, ledger
+
+    root = fingerprint.project_root(Path.cwd())
+    if options.page:
+        Path(options.page).write_text(ledger.page(root))
+        return 0
+    found = ledger.faults(root)
+    for fault in found:
+        print(fault)
+    print(f"{len(found)} faults in the ledger" if found else "the ledger and the notebooks agree")
+    return 1 if found else 0
+
+
+def _typecheck(options: argparse.Namespace) -> int:
+    from bookkit import fingerprint, programs
+
+    root = fingerprint.project_root(Path.cwd())
+    found = programs.faults(root, [Path(page).resolve() for page in options.pages])
+    for fault in found:
+        print(fault)
+    print(f"{len(found)} faults of types" if found else "the programs agree with the types")
+    return 1 if found else 0
+
+
+def _check_html(options: argparse.Namespace) -> int:
+    from bookkit import html_check
+
+    found = html_check.faults(Path(options.folder))
+    for fault in found:
+        print(fault)
+    print(f"{len(found)} faults in the built book" if found else "the built book is sound")
+    return 1 if found else 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m bookkit", description=__doc__)
+    commands = parser.add_subparsers(required=True, metavar="command")
+
+    execute = commands.add_parser("execute", help="execute the text notebooks that changed")
+    execute.add_argument("notebooks", nargs="*", help="which ones; all by default")
+    execute.add_argument("--check", action="store_true", help="only say which are stale")
+    execute.add_argument("--force", action="store_true", help="execute up-to-date ones as well")
+    execute.set_defaults(run=_execute)
+
+    sweep = commands.add_parser("sweep", help="run a notebook over a grid of parameters")
+    sweep.add_argument("notebook", help="an executed notebook, .ipynb")
+    sweep.add_argument("grid", help="YAML file: 'grid:' with a list of values per parameter")
+    sweep.add_argument("--out", required=True, help="folder of the results")
+    sweep.add_argument("--scheduler", help="address of a running Dask scheduler")
+    sweep.add_argument("--workers", type=int, default=2, help="local worker processes")
+    sweep.add_argument("--retry", action="store_true", help="run failed points again")
+    sweep.set_defaults(run=_sweep)
+
+    claims = commands.add_parser("claims", help="hold the ledger against notebooks and tests")
+    claims.add_argument("--page", metavar="FILE", help="write the claims page instead")
+    claims.set_defaults(run=_claims)
+
+    typecheck = commands.add_parser("typecheck", help="look over the types of pages' programs")
+    typecheck.add_argument("pages", nargs="+", help="Markdown files with Python programs")
+    typecheck.set_defaults(run=_typecheck)
+
+    check_html = commands.add_parser("check-html", help="look over a built book")
+    check_html.add_argument("folder", help="folder of the built HTML")
+    check_html.set_defaults(run=_check_html)
+    return parser
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command of the book."""
+    return run(_parser(), "bookkit", arguments)

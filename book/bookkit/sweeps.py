@@ -1,0 +1,281 @@
+"""Run a notebook over a grid of parameters, on this machine or on a cluster.
+
+Text travels, not files: a worker receives the notebook and returns it executed, so no disk
+is shared. Every finished point is one pair of files, written at once; a sweep that was killed
+goes on where it stopped.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import tempfile
+from collections.abc import Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import nbformat
+
+from bookkit import fingerprint
+from bookkit.files import replace
+from bookkit.grids import check_points, read_grid
+from bookkit.recording import read_records
+
+TABLE = "results.csv"
+PROBLEM = "problem"
+
+
+class Report(NamedTuple):
+    """How a sweep ended: numbers of points, and the table it wrote."""
+
+    total: int
+    already: int
+    failed: int
+    table: Path
+
+
+def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """Run one point where this is called: on a worker. Failures are returned, not raised.
+
+    Returns
+    -------
+    dict
+        ``notebook`` (text of the executed notebook), ``problem`` (empty when all went well) and
+        ``library`` (hash of the library files that the notebook uses, as they are here).
+    """
+    import papermill
+
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    problem = ""
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = Path(folder, "in.ipynb"), Path(folder, "out.ipynb")
+        source.write_text(text)
+        try:
+            papermill.execute_notebook(
+                str(source),
+                str(target),
+                parameters=dict(parameters),
+                kernel_name="python3",
+                progress_bar=False,
+                cwd=folder,
+                extra_arguments=["--log-level=CRITICAL"],
+            )
+        except papermill.PapermillExecutionError as error:
+            problem = f"{error.ename}: {error.evalue}"
+        except Exception as error:
+            problem = f"{type(error).__name__}: {error}"
+        done = target.read_text() if target.is_file() else ""
+    return {"notebook": done, "problem": problem, "library": _library(json.loads(text))}
+
+
+def run_sweep(
+    notebook: Path | str,
+    grid: Path | str,
+    out: Path | str,
+    *,
+    scheduler: str | None = None,
+    workers: int = 2,
+    retry: bool = False,
+    quiet: bool = False,
+) -> Report:
+    """Run every point of a grid that is not yet done, and write the table of all of them.
+
+    Parameters
+    ----------
+    notebook : path
+        An executed notebook (``.ipynb``) with a parameters cell and a check cell after it.
+    grid : path
+        YAML file with the values of each parameter.
+    out : path
+        Folder of results: ``<key>.ipynb`` and ``<key>.json`` per point, ``results.csv``.
+    scheduler : str, optional
+        Address of a running Dask scheduler; by default a cluster is started here.
+    workers : int
+        Number of local worker processes.
+    retry : bool
+        Run points again that failed before.
+    quiet : bool
+        No progress bar.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    ValueError
+        A missing or ill-formed file, an unknown or refused parameter, an unreachable
+        scheduler: before anything is run. Also a worker whose library differs from this one,
+        and a scheduler that is lost on the way; what was finished is kept.
+    """
+    notebook, grid, out = Path(notebook), Path(grid), Path(out)
+    if notebook.suffix != ".ipynb" or not notebook.is_file():
+        raise ValueError(f"{notebook}: wanted an existing .ipynb notebook")
+    if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
+        raise ValueError(f"workers: wanted a whole number of at least 1, got {workers!r}")
+    text = notebook.read_text()
+    try:
+        content = nbformat.reads(text, as_version=4)
+    except Exception:
+        raise ValueError(f"{notebook}: not a notebook file") from None
+    wanted = read_grid(grid)
+    if wanted.notebook and Path(wanted.notebook).stem != notebook.stem:
+        raise ValueError(f"{grid}: is for {wanted.notebook}, not for {notebook}")
+    points = wanted.points()
+    check_points(content, points)
+    _make_folder(out)
+    files = {_key(notebook, content, point): point for point in points}
+    finished = {key: _read(out, key) for key in files}
+    failed_before = [k for k, r in finished.items() if r is not None and r["problem"]]
+    todo = [k for k, r in finished.items() if r is None or (retry and r["problem"])]
+    already = len(files) - len(todo)
+    print(
+        f"{len(files)} points, {already} already done"
+        + (f" ({len(failed_before)} of them failed)" if failed_before and not retry else "")
+        + f", {len(todo)} to run",
+        flush=True,
+    )
+    if todo:
+        with _client(scheduler, min(workers, len(todo))) as client:
+            _run(client, text, {key: files[key] for key in todo}, out, quiet)
+    results = {key: _read(out, key) for key in files}
+    table = out / TABLE
+    _write_table(table, files, results)
+    failed = sum(1 for r in results.values() if r is None or r["problem"])
+    return Report(len(files), already, failed, table)
+
+
+def _key(path: Path, notebook: nbformat.NotebookNode, point: Mapping[str, Any]) -> str:
+    code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
+    lock = fingerprint.file_digest(fingerprint.project_root(path.parent), [fingerprint.LOCK])
+    return fingerprint.digest(code, _library(notebook), lock, sorted(point.items()))
+
+
+def _library(notebook: Mapping[str, Any]) -> str:
+    """Hash of the library files that the notebook imported when it was executed."""
+    return fingerprint.library_digest(
+        notebook.get("metadata", {}).get("seedslib", {}).get("library")
+    )
+
+
+def _make_folder(out: Path) -> None:
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError):
+        raise ValueError(f"{out}: wanted a folder for the results, but a file is there") from None
+    if (out / TABLE).is_dir():
+        raise ValueError(f"{out / TABLE}: wanted a file for the table, but a folder is there")
+    if not os.access(out, os.W_OK | os.X_OK):
+        raise ValueError(f"{out}: wanted a folder that can be written to")
+
+
+def _read(out: Path, key: str) -> dict[str, Any] | None:
+    """What is kept of a point; None when there is nothing, or nothing whole."""
+    try:
+        entry = json.loads((out / f"{key}.json").read_text())
+        if isinstance(entry["values"], dict) and isinstance(entry["problem"], str):
+            return entry
+    except (FileNotFoundError, ValueError, TypeError, KeyError):
+        pass
+    return None
+
+
+def _run(client: Any, text: str, todo: Mapping[str, dict], out: Path, quiet: bool) -> None:
+    from dask.distributed import as_completed
+    from tqdm import tqdm
+
+    ours = _library(json.loads(text))
+    running = {
+        client.submit(execute_point, text, point, key=f"point-{key}", retries=2): key
+        for key, point in todo.items()
+    }
+    for future in tqdm(as_completed(running), total=len(running), unit="point", disable=quiet):
+        key = running[future]
+        try:
+            result = future.result()
+        except Exception as error:
+            result = {
+                "notebook": "",
+                "problem": f"{type(error).__name__}: {error}",
+                "library": ours,
+            }
+        if future.cancelled():
+            raise ValueError("the scheduler was lost; what was finished is kept: start it again")
+        if result["library"] != ours:
+            raise ValueError("a worker runs another version of seedslib: install this one there")
+        entry = _entry(todo[key], result)
+        if result["notebook"]:
+            replace(out / f"{key}.ipynb", result["notebook"])
+        replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
+
+
+def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of a point that ran: its parameters, its values, its problem."""
+    values: dict[str, Any] = {}
+    problem = result["problem"]
+    try:
+        if result["notebook"]:
+            values = read_records(json.loads(result["notebook"])).values
+        names = [*_columns(point), *(name for v in values for name in _columns({v: values[v]}))]
+        twice = [n for n in dict.fromkeys(names) if names.count(n) > 1 or n == PROBLEM]
+        if twice:
+            raise ValueError(f"{', '.join(twice)}: the name of another column of the table")
+    except ValueError as error:
+        values, problem = {}, problem or f"{type(error).__name__}: {error}"
+    return {"parameters": dict(point), "values": values, "problem": problem}
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int):
+    from dask.distributed import Client, LocalCluster
+
+    if scheduler is not None:
+        try:
+            client = Client(scheduler, timeout="10s")
+        except (OSError, TimeoutError, ValueError):
+            raise ValueError(f"{scheduler}: no scheduler answers at this address") from None
+        with client:
+            if not client.scheduler_info()["workers"]:
+                print(f"{scheduler}: no workers there yet, waiting for one", flush=True)
+            yield client
+        return
+    with (
+        LocalCluster(
+            n_workers=workers,
+            threads_per_worker=1,
+            dashboard_address=None,
+            scheduler_kwargs={"dashboard_address": ":0"},  # two sweeps want two ports
+            silence_logs=50,
+        ) as cluster,
+        Client(cluster) as client,
+    ):
+        yield client
+
+
+def _write_table(
+    path: Path, points: Mapping[str, dict], results: Mapping[str, dict | None]
+) -> None:
+    rows = []
+    for key, point in points.items():
+        entry = results[key] or {"values": {}, "problem": "not run"}
+        rows.append({**_columns(point), **_columns(entry["values"]), PROBLEM: entry["problem"]})
+    names = list(dict.fromkeys(name for row in rows for name in row if name != PROBLEM))
+    text = io.StringIO()
+    writer = csv.DictWriter(text, [*names, PROBLEM], lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    replace(path, text.getvalue())
+
+
+def _columns(values: Mapping[str, Any]) -> dict[str, Any]:
+    """One column per number: a list ``x`` becomes ``x_0``, ``x_1``, ..."""
+    columns: dict[str, Any] = {}
+    for name, value in values.items():
+        if isinstance(value, list):
+            columns |= {f"{name}_{index}": item for index, item in enumerate(value)}
+        else:
+            columns[name] = value
+    return columns

@@ -1,0 +1,18 @@
+"""The ground floor: what several rooms need and no subject owns.
+
+Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
+correction, tables and their look-up, and the lazy names of these doors. No model, no filter.
+
+May import: none.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.base.correction import correct as correct
+    from seedslib.base.tables import Axis as Axis
+    from seedslib.base.tables import interpolate as interpolate
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,0 +1,82 @@
+"""Blocks of paths with their own random streams, on a pool of threads."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+BLOCK = 8192
+"""Paths in a block: their arrays stay in the processor's cache."""
+
+
+def as_count(name: str, value: object) -> int:
+    """Whole number of at least one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Anything else.
+    """
+    if isinstance(value, bool) or not isinstance(value, int | np.integer):
+        raise TypeError(f"{name}: wanted a whole number, got {value!r}")
+    if value < 1:
+        raise ValueError(f"{name}: wanted at least 1, got {value}")
+    return int(value)
+
+
+def as_seed_sequence(seed: object) -> np.random.SeedSequence:
+    """Root of all streams from an int, a SeedSequence or a Generator (which is advanced).
+
+    Raises
+    ------
+    TypeError
+        Anything else, None included: a run that cannot be repeated is not wanted here.
+    """
+    if isinstance(seed, np.random.SeedSequence):
+        # a copy without the memory of children: equal seeds give equal runs
+        return np.random.SeedSequence(
+            seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size
+        )
+    if isinstance(seed, np.random.Generator):
+        return np.random.SeedSequence(seed.integers(0, 2**32, size=4, dtype=np.uint32).tolist())
+    if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
+        return np.random.SeedSequence(int(seed))
+    raise TypeError(f"seed: wanted an int, a SeedSequence or a Generator, got {seed!r}")
+
+
+def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
+    """Entropy (a whole number or a list of them) and spawn key: what a file keeps of a root."""
+    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
+    return entropy, tuple(map(int, root.spawn_key))
+
+
+def in_blocks(work: Callable, total: int, seed: object, *, workers: int = 1, block: int = BLOCK):
+    """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
+
+    Parameters
+    ----------
+    work : callable
+        Receives the range of the block and its own `numpy.random.SeedSequence`.
+    total : int
+        Number of paths.
+    seed : int, SeedSequence or Generator
+    workers : int
+        Threads; the results do not depend on it.
+    block : int
+        Paths in a block.
+
+    Returns
+    -------
+    list
+        Results in the order of the blocks.
+    """
+    workers = as_count("workers", workers)
+    starts = range(0, max(total, 1), block)  # no paths are one empty block
+    streams = as_seed_sequence(seed).spawn(len(starts))
+    jobs = [(a, min(a + block, total), s) for a, s in zip(starts, streams, strict=True)]
+    if workers == 1 or len(jobs) == 1:
+        return [work(*job) for job in jobs]
+    with ThreadPoolExecutor(workers) as pool:
+        return list(pool.map(lambda job: work(*job), jobs))

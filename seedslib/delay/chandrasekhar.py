@@ -1,0 +1,206 @@
+"""Fast (Chandrasekhar) recursion of the delay filter for coefficients that do not vary.
+
+The change of the predicted covariance from step to step has low rank, ``Y M Yᵀ`` with at most
+3n + m columns. Only Y and the gain are carried: no D × D matrix is ever formed.
+
+Covariances are sums of such changes, so rounding is absolute: it is watched against the smallest
+eigenvalue of the innovation covariance S, and a covariance much smaller than S keeps fewer digits
+than in the other recursions.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from seedslib.delay.coefficients import require_finite
+from seedslib.delay.gains import StepGains, factor
+from seedslib.delay.system import DelaySystem
+
+RANK = 1e-14
+"""Eigenvalues of the first change below this fraction of the largest are dropped."""
+
+SETTLED = 1e-20
+"""The change is zero once it is below this fraction of the predicted covariance."""
+
+CANCELLED = 1e-9
+"""Largest rounding error, relative to S, that the subtractions so far may have left."""
+
+
+class LowRankChange(NamedTuple):
+    """Recursion after instant k.
+
+    change (N+1, n, w) and middle (w, w) give ``Π_{k+1} - Π_k``; gain (N+1, n, m) and
+    innovation_cov (m, m) are those of instant k; predicted (n, n) is block 0 of Π_k; terms
+    is the sum of the sizes of all terms of S so far, the scale of its rounding error.
+    """
+
+    k: int
+    change: np.ndarray
+    middle: np.ndarray
+    gain: np.ndarray
+    innovation_cov: np.ndarray
+    predicted: np.ndarray
+    terms: float
+
+    def copy(self) -> LowRankChange:
+        """The state itself: a step never overwrites it."""
+        return self
+
+
+class BreakdownError(ValueError):
+    """The recursion has lost its digits; the structured recursion has to be used."""
+
+
+def refusal(system: DelaySystem) -> str | None:
+    """Why the recursion does not apply to a system, or None."""
+    if not system.constant:
+        return "coefficients that vary with k"
+    spread = system.start_blocks()
+    if spread is None or (spread[1:] != spread[1:2]).any():
+        return "a history that is not independent with one covariance"
+    return None
+
+
+def start(system: DelaySystem) -> LowRankChange:
+    """Change ``F P_0 Fᵀ + W - P_0`` of the first prediction, as ``V Λ Vᵀ``, at k = 0.
+
+    With P_0 = diag(P, X, ..., X) it is non-zero in block row and column 0 and in block (1, 1)
+    only, so that an orthonormal basis of 3n columns carries it.
+
+    Raises
+    ------
+    ValueError
+        The recursion does not apply to the system.
+    """
+    if (reason := refusal(system)) is not None:
+        raise ValueError(f"method 'chandrasekhar': not for {reason}")
+    c, n, blocks = system.step(1), system.n, system.max_delay + 1
+    spread = system.start_blocks()  # P, X, ..., X
+    corner, column = c.state_noise - spread[0], np.zeros((blocks, n, n))
+    with np.errstate(over="ignore", invalid="ignore"):
+        for d, a in zip(system.delays, c.dynamics, strict=True):
+            corner = corner + a @ spread[d] @ a.T
+            if d + 1 < blocks:
+                column[d + 1] = (a @ spread[d]).T
+    require_finite("covariances", 1, corner, column)
+    parts = np.zeros((blocks, n, 3 * n))
+    parts[0, :, :n] = np.eye(n)
+    parts[..., n : 2 * n] = column
+    middle = np.zeros((3 * n, 3 * n))
+    middle[:n, :n] = corner
+    middle[:n, n : 2 * n] = middle[n : 2 * n, :n] = np.eye(n)
+    if blocks > 1:
+        parts[1, :, 2 * n :] = np.eye(n)
+        middle[2 * n :, 2 * n :] = spread[0] - spread[1]
+    basis, mixed = np.linalg.qr(parts.reshape(blocks * n, 3 * n))
+    inner = mixed @ middle @ mixed.T
+    values, vectors = np.linalg.eigh(_symmetric(inner))
+    kept = np.abs(values) > RANK * np.abs(values).max(initial=0.0)
+    change = (basis @ vectors[:, kept]).reshape(blocks, n, -1)
+    return LowRankChange(
+        0,
+        change,
+        np.diag(values[kept]),
+        np.zeros((blocks, n, system.m)),
+        np.eye(system.m),
+        spread[0],
+        0.0,
+    )
+
+
+def advance(
+    system: DelaySystem, state: LowRankChange, missing: np.ndarray | None = None
+) -> tuple[LowRankChange, StepGains]:
+    """One step of gain, innovation covariance and change.
+
+    Raises
+    ------
+    BreakdownError
+        A missing value, S is not finite or not positive definite, the filtered covariance is
+        indefinite, or too many digits have cancelled.
+    """
+    if missing is not None and missing.any():
+        raise BreakdownError(f"a value is missing at step {state.k + 1}")
+    c, k = system.step(1), state.k + 1
+    change, middle = state.change, state.middle
+    with np.errstate(over="ignore", invalid="ignore"):
+        seen = c.sensor @ change[0]
+        predicted = _symmetric(state.predicted + change[0] @ middle @ change[0].T)
+        told = change @ (middle @ seen.T)
+        if k == 1:
+            cross = _start_cross(system) + told
+            inner = _symmetric(c.sensor @ predicted @ c.sensor.T + c.sensor_cov)
+        else:
+            cross = state.gain @ state.innovation_cov + told
+            inner = _symmetric(state.innovation_cov + seen @ middle @ seen.T)
+        terms = state.terms + (_size(seen, middle) + np.abs(inner).max() if k == 1 else 0.0)
+        pivot = _pivot(inner, terms, k)
+        flat = cross.reshape(-1, system.m)
+        gain = cho_solve(pivot, flat.T, check_finite=False).T.reshape(cross.shape)
+        keep = np.eye(system.n) - gain[0] @ c.sensor  # Joseph's form forgives the gain's rounding
+        filtered = keep @ predicted @ keep.T + gain[0] @ c.sensor_cov @ gain[0].T
+        filtered = _symmetric(filtered)
+        _require_semidefinite(filtered, predicted, k)
+        if k == 1:
+            change = np.concatenate([_moved(system, change), _moved(system, gain)], axis=2)
+            before = middle = _block_diagonal(middle, -inner)
+        else:
+            change = _moved(system, change) - _moved(system, state.gain) @ seen
+            before, less = middle, cho_solve(pivot, seen @ middle, check_finite=False)
+            middle = _symmetric(middle - middle @ seen.T @ less)
+        # the rounding error of the new middle is relative to the one before
+        terms += _size(c.sensor @ change[0], before)
+        if _size(change, middle) <= SETTLED * np.abs(predicted).max():
+            change, middle = change[..., :0], middle[:0, :0]
+    state = LowRankChange(k, change, middle, gain, inner, predicted, terms)
+    return state, StepGains(gain, inner, predicted, filtered)
+
+
+def _size(columns: np.ndarray, middle: np.ndarray) -> float:
+    """Bound of the terms of ``columns middle columnsᵀ``."""
+    return np.abs(columns).max(initial=0.0) ** 2 * np.abs(middle).max(initial=0.0)
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return 0.5 * (matrix + matrix.T)
+
+
+def _start_cross(system: DelaySystem) -> np.ndarray:
+    cross = np.zeros((system.max_delay + 1, system.n, system.m))
+    cross[0] = system.cov0[: system.n, : system.n] @ system.step(1).sensor.T
+    return cross
+
+
+def _moved(system: DelaySystem, stack: np.ndarray) -> np.ndarray:
+    """F times a stack of columns (N+1, n, w): a shift below one new block."""
+    moved = np.empty_like(stack)
+    moved[1:] = stack[:-1]
+    c = system.step(1)
+    moved[0] = sum(a @ stack[d] for d, a in zip(system.delays, c.dynamics, strict=True))
+    return moved
+
+
+def _pivot(inner: np.ndarray, terms: float, k: int) -> tuple[np.ndarray, bool]:
+    if not np.isfinite(inner).all():
+        raise BreakdownError(f"the recursion overflowed at step {k}")
+    smallest = np.linalg.eigvalsh(inner)[0]
+    if not smallest > np.finfo(float).eps / CANCELLED * terms:
+        raise BreakdownError(f"the innovation covariance has lost its digits at step {k}")
+    return factor(inner, k)
+
+
+def _require_semidefinite(filtered: np.ndarray, predicted: np.ndarray, k: int) -> None:
+    if not np.isfinite(filtered).all():
+        raise BreakdownError(f"the recursion overflowed at step {k}")
+    if np.linalg.eigvalsh(filtered)[0] < -1e-9 * np.abs(predicted).max():
+        raise BreakdownError(f"the covariance became indefinite at step {k}")
+
+
+def _block_diagonal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    a, b = len(first), len(second)
+    joined = np.zeros((a + b, a + b))
+    joined[:a, :a], joined[a:, a:] = first, second
+    return joined

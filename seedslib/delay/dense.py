@@ -1,0 +1,53 @@
+"""Plain Kalman recursion for the stacked state: the reference the fast forms are held against."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_solve
+
+from seedslib.delay.gains import StepGains, factor, seen
+from seedslib.delay.system import DelaySystem
+
+
+class DenseCovariance(NamedTuple):
+    """Instant k and covariance (D, D) of the stacked state, newest block first."""
+
+    k: int
+    cov: np.ndarray
+
+    def copy(self) -> DenseCovariance:
+        """Independent copy."""
+        return DenseCovariance(self.k, self.cov.copy())
+
+
+def start(system: DelaySystem) -> DenseCovariance:
+    """Covariance before the first measurement, at k = 0."""
+    return DenseCovariance(0, system.start_cov())
+
+
+def advance(
+    system: DelaySystem, state: DenseCovariance, missing: np.ndarray | None = None
+) -> tuple[DenseCovariance, StepGains]:
+    """One prediction ``F P Fᵀ + W`` and one correction in Joseph's form.
+
+    Raises
+    ------
+    ValueError
+        The innovation covariance is not positive definite.
+    """
+    k, n = state.k + 1, system.n
+    model = system.augmented(k)
+    sensor, noise = seen(system.step(k), missing)
+    predicted = model.transition @ state.cov @ model.transition.T + model.noise
+    predicted = 0.5 * (predicted + predicted.T)
+    cross = predicted[:, :n] @ sensor.T
+    inner = sensor @ cross[:n] + noise
+    inner = 0.5 * (inner + inner.T)
+    gain = cho_solve(factor(inner, k), cross.T).T
+    left = predicted - gain @ (sensor @ predicted[:n])
+    cov = left - (left[:, :n] @ sensor.T - gain @ noise) @ gain.T
+    cov = 0.5 * (cov + cov.T)
+    by_lag = gain.reshape(-1, n, system.m)
+    return DenseCovariance(k, cov), StepGains(by_lag, inner, predicted[:n, :n], cov[:n, :n])

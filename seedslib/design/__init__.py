@@ -1,0 +1,29 @@
+"""How designed filters are made: on simulated paths, on the exact law, as tables.
+
+Shelves: `paths` (regression over simulated paths), `law` (the law of memory and state on a grid),
+`tables` (tables by regression). Nothing here runs on data: that is `designed`.
+
+May import: base, models, linearization, designed.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.design.law.grid import affine_synthesis as affine_synthesis
+    from seedslib.design.law.grid import grid_risk as grid_risk
+    from seedslib.design.law.grid import grid_synthesis as grid_synthesis
+    from seedslib.design.law.grid import optimal_risk as optimal_risk
+    from seedslib.design.law.joint import GridRisk as GridRisk
+    from seedslib.design.law.joint import JointLaw as JointLaw
+    from seedslib.design.law.switching_grid import optimal_steps as optimal_steps
+    from seedslib.design.paths.simulated import synthesize as synthesize
+    from seedslib.design.paths.walk import Crew as Crew
+    from seedslib.design.tables.simulated import simulated_synthesis as simulated_synthesis
+    from seedslib.design.tables.tabulation import tabulated as tabulated
+    from seedslib.designed.predictors import Affine as Affine
+    from seedslib.designed.predictors import Continuous as Continuous
+    from seedslib.designed.predictors import Polynomial as Polynomial
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,0 +1,1 @@
+"""Shelf: designs on the law of memory and state over a grid."""

@@ -1,0 +1,329 @@
+"""Joint law of a scalar state and a filter's memory, carried from measurement to measurement."""
+
+from __future__ import annotations
+
+import warnings
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.checks import as_times
+from seedslib.base.correction import correct
+from seedslib.base.tables import Axis, Labels, as_axes
+from seedslib.design.law.recursion import (
+    Seen,
+    conditional,
+    mode_masses,
+    posterior_means,
+    posterior_modes,
+    push_forward,
+    remember,
+    seen,
+)
+from seedslib.designed.finite_order_rules import Prediction, Start
+from seedslib.designed.memory import Memory
+from seedslib.designed.table import TableFit
+from seedslib.linearization.moments import Moments
+from seedslib.models.chain_switching import chain_of
+
+SPREADS = 6.5
+"""Default axes of measurements reach this many deviations of the sensor beyond its means."""
+
+FINENESS = 0.25
+"""Default step of these axes, in the smallest deviation of the sensor."""
+
+LOST = 1e-6
+"""Probability of measurements beyond the axes that is worth a warning."""
+
+LARGEST = 1 << 27
+"""Numbers in the joint law, or in a table, beyond which a grid is refused."""
+
+CLAMPED = 1e-4
+"""Probability of estimates beyond the axis that is worth a warning."""
+
+UNSEEN = 1e-15
+"""Events of this probability or less are left out where a memory holds modes."""
+
+
+class GridRisk(NamedTuple):
+    """Accuracy of a filter without random numbers.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+    mse : ndarray, shape (K+1,)
+        M(X - Z_k)² of the filter whose memory is rounded to the grid at random.
+    bias : ndarray, shape (K+1,)
+        M(Z_k - X).
+    clamped : ndarray, shape (K+1,)
+        Probability that the estimate falls outside of the axis of the memory.
+    mode_error : ndarray, shape (K+1,), or None
+        Probability of a wrong mode, for a switching system.
+    """
+
+    times: np.ndarray
+    mse: np.ndarray
+    bias: np.ndarray
+    clamped: np.ndarray
+    mode_error: np.ndarray | None = None
+
+
+class JointLaw:
+    """Joint law of state and memory on a grid, and what was found on the way.
+
+    Parameters
+    ----------
+    system, memory, times, x, z, y
+        As `seedslib.design.grid_synthesis`.
+
+    Attributes
+    ----------
+    joint : ndarray, shape (cells, S)
+        Probabilities of the cells of the memory, newest block first, and the state's nodes.
+    values : ndarray, shape (1, S)
+        The nodes of the state.
+    shown : ndarray, shape (m, Y)
+        The grid of measurements, with the indicator as first row if there is one.
+    modes : int
+        Modes of the system; 1 for one that does not switch.
+    measurement_axes, letter_axes : tuple of Axis
+        Of a measurement, and of one block of the memory.
+    """
+
+    def __init__(self, system, memory, times, x, z, y):
+        if not isinstance(memory, Memory):
+            raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+        x = Axis.of("x", x)
+        self.chain = chain_of(system, x)
+        told = memory.indicators
+        if (
+            bool(memory.estimates) == bool(memory.measurements)
+            or memory.log_odds
+            or (told and not self.chain.indicators)
+            or told not in (0, memory.depth)
+        ):
+            raise ValueError(
+                f"memory: wanted estimates or measurements alone for a grid, got {memory}"
+            )
+        self.system, self.memory = system, memory
+        self.times = as_times("times", times)
+        self.values, self.modes = self.chain.values, self.chain.modes
+        self.switching = hasattr(system, "branches")
+        axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
+        labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
+        self.measurement_axes = labels + axes
+        self.shown, self.weights = _product(self.measurement_axes)
+        kept = labels if told else ()
+        if memory.estimates:
+            z = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
+            decided = (Labels(self.modes),) if self.switching else ()
+            self.letter_axes = (*decided, *kept, z)
+        else:
+            self.letter_axes = kept + axes
+        self.letters = int(np.prod([axis.count for axis in self.letter_axes]))
+        self.depth, self.held = memory.depth, 0
+        size = max(self.values.shape[1], self.shown.shape[1])
+        entries = float(self.letters) ** self.depth * size
+        if entries > LARGEST:
+            raise ValueError(
+                f"memory: wanted at most {LARGEST} numbers on the grid, got {entries:.3g}: fewer "
+                "nodes or a shorter memory"
+            )
+        self.joint = self.chain.start()[None]
+        self.found, self.scores = [], []
+
+    @property
+    def clamped(self) -> float:
+        """Largest probability, so far, of an estimate outside of its axis."""
+        return max(row[2] for row in self.found)
+
+    @property
+    def memory_axes(self) -> tuple[Axis, ...]:
+        """Axes of the memory as it is now."""
+        return self.letter_axes * self.held
+
+    @property
+    def shape(self) -> tuple[int, ...]:
+        """Nodes along each axis of the memory."""
+        return tuple(axis.count for axis in self.memory_axes)
+
+    @property
+    def memory_points(self) -> np.ndarray:
+        """The memory at each cell, (d, cells)."""
+        return _product(self.memory_axes)[0]
+
+    def look(self, t) -> Seen:
+        """Likelihood of the measurements on the grid."""
+        sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
+        law = self.joint.sum(axis=0)
+        self.chain.look_at_ends(law)
+        missed = float(law @ sight.defect)
+        if missed > LOST:
+            warnings.warn(
+                f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
+                f"{t:g}; they are too short or too coarse",
+                stacklevel=3,
+            )
+        return sight
+
+    def posterior(self, relative, *, law=None) -> tuple[np.ndarray, np.ndarray]:
+        """Optimal estimates (1, Y, cells) and probabilities of the modes (L, Y, cells).
+
+        Parameters
+        ----------
+        relative : ndarray, shape (Y, S)
+            Likelihood up to a factor that depends on the measurement.
+        law : ndarray, shape (cells, S), optional
+            Law of the chain in each cell.
+        """
+        law = conditional(self.joint) if law is None else law
+        masses = mode_masses(law, relative, self.modes)
+        means = posterior_means(self.values, law, relative, masses.sum(axis=0))
+        return means, posterior_modes(law, masses) if self.switching else masses
+
+    def take(self, k, means, sight, modes=None):
+        """Score estimates (1, Y, cells) and put them, or the measurements, in the memory.
+
+        Parameters
+        ----------
+        k : int
+        means : ndarray, shape (1, Y, cells)
+        sight : Seen
+        modes : ndarray of int, shape (Y, cells), optional
+            Decided modes, for a switching system.
+
+        Returns
+        -------
+        ndarray, shape (Y, cells)
+            Probability of each measurement and memory.
+        """
+        estimate, x = means[0], self.values[0]
+        masses = mode_masses(self.joint, sight.mass, self.modes)
+        mass = masses.sum(axis=0)
+        first = sight.mass @ (self.joint * x).T
+        law = self.joint.sum(axis=0)
+        mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
+        bias = np.vdot(estimate, mass) - law @ x
+        wrong = None
+        if modes is not None:
+            wrong = 1.0 - sum(part[modes == i].sum() for i, part in enumerate(masses))
+        outside = 0.0
+        tail = self.letters if self.held == self.depth else 1
+        if self.memory.estimates:
+            axis = self.letter_axes[-1]
+            lower, share = axis.place(estimate)
+            outside = mass[(estimate < axis.low) | (estimate > axis.high)].sum()
+            if modes is not None:
+                label = modes.astype(np.intp)
+                if self.memory.indicators:
+                    told = self.shown[0].astype(np.intp)
+                    label = label * self.chain.indicators + told[:, None]
+                lower = lower + label * axis.count
+            self.joint = push_forward(
+                self.joint, sight.mass, lower, share, self.letters, tail,
+                least=UNSEEN if self.switching else 0.0, mass=mass,
+            )  # fmt: skip
+        else:
+            shown = sight.mass.reshape(-1, self.letters, sight.mass.shape[1]).sum(axis=0)
+            self.joint = remember(self.joint, shown, tail)
+        self.found.append((mse, bias, outside, wrong))
+        self.scores.append((self.times[k], mse))
+        self.held = min(self.held + 1, self.depth)
+        return mass
+
+    def move(self, start, stop):
+        """Let the state move while the memory stays: (4.8)."""
+        self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
+
+    def forecast(self, t, *, last) -> TableFit:
+        """g(u) = M[X | u], (4.3), as a table."""
+        law = conditional(self.joint)
+        means = law @ self.values[0]
+        if not last:
+            mass = self.joint.sum(axis=1)
+            square = self.joint.sum(axis=0) @ self.values[0] ** 2
+            self.scores.append((t, square - mass @ means**2))
+        return TableFit(self.memory_axes, means.reshape(1, *self.shape))
+
+    def moments(self):
+        """Mean and covariance of state and memory together."""
+        points = self.memory_points
+        mass, law = self.joint.sum(axis=1), self.joint.sum(axis=0)
+        x = self.values[0]
+        centre = np.concatenate([[law @ x], points @ mass])
+        apart, within = points - centre[1:, None], x - centre[0]
+        cov = np.empty((len(centre), len(centre)))
+        cov[0, 0] = law @ within**2
+        cov[0, 1:] = cov[1:, 0] = apart @ (self.joint @ within)
+        cov[1:, 1:] = (apart * mass) @ apart.T
+        return centre, cov
+
+    def sensed(self, t) -> Start:
+        """Moments of the state and the measurement before anything is remembered."""
+        law, x = self.joint.sum(axis=0), self.values
+        shown, noise = self.system.sensor.conditional_moments(float(t), x)
+        shown = np.broadcast_to(shown, (len(shown), x.shape[1]))
+        noise = np.broadcast_to(
+            noise if noise.ndim == 3 else noise[..., None], (*noise.shape[:2], x.shape[1])
+        )
+        mean, expected = x @ law, shown @ law
+        apart, around = shown - expected[:, None], x - mean[:, None]
+        return Start(
+            mean,
+            (around * law) @ around.T,
+            Moments(expected, (around * law) @ apart.T, noise @ law + (apart * law) @ apart.T),
+        )
+
+    def corrected(self, mean, cov, moments):
+        """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
+        moments = Moments(moments.mean[:, None], _apart(moments.cross, 2), _apart(moments.cov, 2))
+        return correct(mean[:, None], None, self.shown[:, :, None], moments)[0]
+
+    def prediction(self) -> Prediction:
+        """Root-mean-square errors at measurements and nodes, without sampling error."""
+        times, squares = (np.array(part) for part in zip(*self.scores, strict=True))
+        rms = np.sqrt(np.maximum(squares, 0.0))[:, None]
+        return Prediction(times, rms, np.zeros_like(rms), False)
+
+    def errors(self) -> np.ndarray:
+        """Error covariances (K+1, 1, 1) after each measurement."""
+        return np.array([row[0] for row in self.found])[:, None, None]
+
+    def risk(self) -> GridRisk:
+        """What was found at the measurements."""
+        mse, bias, clamped, wrong = (np.array(part) for part in zip(*self.found, strict=True))
+        return GridRisk(self.times, mse, bias, clamped, wrong if self.switching else None)
+
+    def look_at_memory(self) -> None:
+        """Warn where the axis of the estimates is too short to remember them."""
+        if self.clamped > CLAMPED:
+            warnings.warn(
+                f"z: probability {self.clamped:.2g} of an estimate outside of the axis, where it "
+                "is remembered as the end",
+                stacklevel=3,
+            )
+
+    def _reach(self):
+        return self.chain.reach(float(self.times[0]))
+
+    def _default_axes(self):
+        mean, deviation = self._reach()
+        low = (mean - SPREADS * deviation).min(axis=1)
+        high = (mean + SPREADS * deviation).max(axis=1)
+        count = (high - low) / (FINENESS * deviation.min(axis=1))
+        return tuple(Axis(*part, int(n) + 2) for *part, n in zip(low, high, count, strict=True))
+
+
+def _product(axes):
+    """Points (d, N) and trapezoid weights (N,) of a product of axes; one point for none."""
+    points, weights = np.empty((0, 1)), np.ones(1)
+    for axis in axes:
+        old = np.repeat(points, axis.count, axis=1)
+        points = np.concatenate([old, np.tile(axis.nodes, points.shape[1])[None]])
+        weights = np.outer(weights, axis.weights).ravel()
+    return points, weights
+
+
+def _apart(array, lead):
+    """The same array with an axis for measurements before the one for cells, if it has that."""
+    return array if array.ndim == lead else np.expand_dims(array, lead)

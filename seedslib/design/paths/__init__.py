@@ -1,0 +1,1 @@
+"""Shelf: designs on simulated paths."""

@@ -1,0 +1,206 @@
+"""Design of a finite-order filter of a linear system from exact moments, without simulation."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seedslib.base.correction import correct
+from seedslib.designed.finite_order_rules import Design, Prediction, Start
+from seedslib.designed.memory import Past
+from seedslib.designed.regression import regress
+from seedslib.linearization.moments import Moments
+from seedslib.models.propagation import integrated, van_loan
+
+
+def linear_design(system, rules, times, grid):
+    """Forecasts and predicted errors by the covariance recursion of state and memory.
+
+    The state and the memory are jointly linear in the noises, so their mean and covariance
+    follow from one recursion; it is exact for Gaussian and non-Gaussian noises alike.
+
+    Parameters
+    ----------
+    system : JumpDiffusion
+        With a linear mean velocity, a constant diffusion and a linear sensor.
+    rules : Rules
+    times : ndarray, shape (K+1,)
+    grid : tuple of ndarray
+        Node times.
+
+    Returns
+    -------
+    start, fits, node_fits, prediction, design
+
+    Raises
+    ------
+    ValueError
+        A system that is not linear; the message says which part is not.
+    """
+    linear = _Linear(system)
+    joint = _Joint(rules, system.mean0, system.cov0)
+    start = joint.first(*linear.sensor(times[0]))
+    scores = [joint.score(times[0])]
+    fits, node_fits = [], []
+    for k, nodes in enumerate(grid):
+        t, found = times[k], []
+        for node in nodes:
+            joint.move(*linear.transition(t, node))
+            found.append(joint.node_fit())
+            scores.append((node, np.diagonal(found[-1].cov)))
+            t = node
+        node_fits.append(tuple(found))
+        if k + 1 < len(times):
+            joint.move(*linear.transition(t, times[k + 1]))
+            fits.append(joint.correct(*linear.sensor(times[k + 1])))
+            scores.append(joint.score(times[k + 1]))
+    stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
+    rms = np.sqrt(np.maximum(squares, 0.0))
+    predicted = Prediction(stamps, rms, np.zeros_like(rms), False)
+    return start, tuple(fits), tuple(node_fits), predicted, Design(0, 0, 0, (), 0, True)
+
+
+class _Linear:
+    """dX = (A X + a) dt + noise of intensity Sigma, Y = C X + c + noise of covariance R."""
+
+    def __init__(self, system):
+        import sympy
+
+        from seedslib.models.codegen import compile_array
+
+        if not system.symbolic:
+            raise ValueError("exact_moments: wanted a symbolic system, got array functions")
+        velocity, spread = system.moment_expressions
+        mean, cov, _ = system.sensor.conditional_expressions
+        origin = dict.fromkeys(system.state, 0)
+        parts = []
+        for name, value in (("drift", velocity), ("sensor", mean)):
+            slope = sympy.Matrix(list(value)).jacobian(system.state)
+            if slope.free_symbols & set(system.state):
+                raise ValueError(
+                    f"exact_moments: wanted a linear {name}, got {', '.join(map(str, value))}"
+                )
+            parts += [slope.tolist(), [entry.subs(origin) for entry in value]]
+        for name, value in (("diffusion", spread), ("sensor noise", cov)):
+            if set().union(*(sympy.sympify(e).free_symbols for e in value.flat)) & set(
+                system.state
+            ):
+                raise ValueError(f"exact_moments: wanted a {name} that is free of the state")
+            parts.append(value)
+        self.constant = all(
+            system.time not in sympy.sympify(e).free_symbols
+            for part in parts
+            for e in np.array(part, dtype=object).flat
+        )
+        self.functions = [compile_array((system.time,), part) for part in parts]
+
+    def transition(self, start, stop):
+        """Transition matrix, offset and noise covariance from one time to a later one."""
+
+        def extended(t):
+            """Coefficients of (X, 1), so that the offset comes out with the matrix."""
+            slope, shift, _, _, spread, _ = (f(t) for f in self.functions)
+            n = len(slope)
+            drift, diffusion = np.zeros((2, n + 1, n + 1))
+            drift[:n, :n], drift[:n, n], diffusion[:n, :n] = slope, shift, spread
+            return drift, diffusion
+
+        if self.constant:
+            matrix, noise = van_loan(*extended(start), stop - start)
+        else:
+            matrix, noise = integrated(extended, start, stop)
+        return matrix[:-1, :-1], matrix[:-1, -1], noise[:-1, :-1]
+
+    def sensor(self, t):
+        """Matrix, offset and noise covariance of the sensor."""
+        return tuple(self.functions[i](t) for i in (2, 3, 5))
+
+
+class _Joint:
+    """Mean and covariance of (X, U, Y): state, memory, last measurement."""
+
+    def __init__(self, rules, mean, cov):
+        self.rules, self.n = rules, len(mean)
+        self.mean, self.cov = np.array(mean), np.array(cov)
+        self.past, self.dimension = Past(), 0
+        self.error = None
+
+    def move(self, matrix, offset, noise):
+        """Let the state move on."""
+        n = self.n
+        self.mean[:n] = matrix @ self.mean[:n] + offset
+        self.cov[:n, n:] = matrix @ self.cov[:n, n:]
+        self.cov[n:, :n] = self.cov[:n, n:].T
+        self.cov[:n, :n] = matrix @ self.cov[:n, :n] @ matrix.T + noise
+
+    def first(self, matrix, offset, noise):
+        """First estimate, affine in the measurement."""
+        mean, cov = self.mean.copy(), self.cov.copy()
+        moments = _sensed(matrix, offset, noise, mean, cov)
+        constant = np.zeros((self.n, 0))
+        self._take(matrix, offset, noise, constant, mean, _gain(moments, self.rules.components))
+        return Start(mean, cov, moments)
+
+    def correct(self, matrix, offset, noise):
+        """Fit the forecast, correct it, remember; returns the fit."""
+        fit = regress(*self._chosen(self.n, self.dimension), self.n)
+        moments = _sensed(matrix, offset, noise, fit.mean(self.mean[self._memory]), fit.cov)
+        gain = _gain(moments, self.rules.components)
+        self._take(matrix, offset, noise, fit.gain, fit.offset, gain)
+        return fit
+
+    def node_fit(self):
+        """Fit of the estimated components at a node."""
+        rules, used = self.rules, self.dimension
+        if rules.measured_nodes and not rules.memory.measurements:
+            used = len(self.mean) - self.n
+        return regress(*self._chosen(rules.components, used), rules.components)
+
+    def score(self, t):
+        """Time and mean-square errors of the last estimate."""
+        return t, self.error
+
+    @property
+    def _memory(self):
+        return slice(self.n, self.n + self.dimension)
+
+    def _chosen(self, targets, used):
+        """Moments of the first `targets` components and of the first `used` of (U, Y)."""
+        index = np.r_[:targets, self.n : self.n + used]
+        return self.mean[index], self.cov[np.ix_(index, index)]
+
+    def _take(self, matrix, offset, noise, forecast, forecast_offset, gain):
+        """Put estimate and measurement in the memory, as rows over (X, U, noise, 1)."""
+        n, d, m = self.n, self.dimension, len(matrix)
+        base = np.eye(n + d + m + 1)
+        state, old, rest, one = np.split(base, [n, n + d, n + d + m])
+        shown = matrix @ state + rest + np.outer(offset, one)
+        expected = forecast @ old + np.outer(forecast_offset, one)
+        innovation = shown - matrix @ expected - np.outer(offset, one)
+        components = self.rules.components
+        estimate = expected[:components] + gain @ innovation
+        cut = np.cumsum([len(b) for b in self.past.estimates + self.past.measurements])[:-1]
+        blocks = tuple(np.split(old, cut)) if d else ()
+        count = len(self.past.estimates)
+        held = Past(blocks[:count], blocks[count:])
+        self.past = self.rules.memory.push(held, estimate=estimate, measurement=shown)
+        rows = np.concatenate([state, self.past.vector, shown])
+        mean = np.concatenate([self.mean[: n + d], np.zeros(m), [1.0]])
+        cov = np.zeros((len(base), len(base)))
+        cov[: n + d, : n + d] = self.cov[: n + d, : n + d]
+        cov[n + d : -1, n + d : -1] = noise
+        error = state[:components] - estimate
+        self.error = np.einsum("ij,jk,ik->i", error, cov, error) + (error @ mean) ** 2
+        self.mean, self.cov = rows @ mean, rows @ cov @ rows.T
+        self.dimension = len(self.past.vector)
+
+
+def _sensed(matrix, offset, noise, mean, cov) -> Moments:
+    cross = cov @ matrix.T
+    return Moments(matrix @ mean + offset, cross, matrix @ cross + noise)
+
+
+def _gain(moments, rows):
+    """Gain of the correction, found by correcting zero with unit innovations."""
+    m = len(moments.cov)
+    unit = Moments(np.zeros((m, 1)), moments.cross, moments.cov)
+    return correct(np.zeros((len(moments.cross), m)), None, np.eye(m), unit, rows)[0]

@@ -1,0 +1,218 @@
+"""One forward pass of a design: the filter runs on the paths, each forecast is fitted before it is
+used.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from operator import attrgetter
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.designed.finite_order_rules import FiniteOrderState, Prediction, Rules, Start
+from seedslib.designed.memory import Past
+from seedslib.designed.predictors import Affine
+from seedslib.designed.regression import ABSOLUTE
+from seedslib.linearization.moments import Moments
+
+DOMINATED = 0.35
+"""A root-mean-square error whose standard error is more than this part of it (0.5 where a single
+path makes up the mean) is no statistic."""
+
+_estimate = attrgetter("mean")
+
+
+class Found(NamedTuple):
+    """What a forward pass has found so far.
+
+    Attributes
+    ----------
+    start : Start
+    fits, node_fits : tuple
+        Forecasts for the measurements, and for the nodes of each interval.
+    scores : tuple of (time, rms, error)
+    size : ndarray, shape (n',)
+        Root mean squares of the estimated components, now.
+    """
+
+    start: Start
+    fits: tuple
+    node_fits: tuple
+    scores: tuple
+    size: np.ndarray
+
+
+class ForwardPass:
+    """The paths, the filter's state on them, and what was found so far.
+
+    Parameters
+    ----------
+    walk : Walk
+    rules : Rules
+    predictor : Affine, Polynomial or Continuous
+    """
+
+    def __init__(self, walk, rules, predictor):
+        self.walk, self.predictor = walk, predictor
+        self.memory, self.components = rules.memory, rules.components
+        self.continuous = rules.velocity is not None
+        self.extra = rules.measured_nodes and not rules.memory.measurements
+        self.rules = walk.each.share(rules)
+        self.states = []
+        self.start, self.fits, self.node_fits = None, [], []
+        self.scores, self.size = [], np.zeros(self.components)
+
+    def design(self, times, grid, keep=None):
+        """Start, fits for the measurements, fits for the nodes, and the predicted errors.
+
+        Parameters
+        ----------
+        times : ndarray, shape (K+1,)
+        grid : tuple of ndarray
+            Node times.
+        keep : callable, optional
+            Called with the pass and whether this was the last step, after each step.
+        """
+        if self.start is None:
+            self._start(times[0])
+        for k in range(len(self.node_fits), len(grid)):
+            nodes, last = grid[k], k + 1 == len(times)
+            if not self.continuous:
+                between, u = self._nodes(k, times[k], nodes)
+            else:
+                between, u = self._moves(times[k], nodes if last else [*nodes, times[k + 1]], last)
+            self.node_fits.append(tuple(between))
+            if not last:
+                self._tact(k + 1, times[k + 1], u)
+            if keep is not None:
+                keep(self, k + 1 == len(grid))
+        stamps, rms, error = (np.array(part) for part in zip(*self.scores, strict=True))
+        predicted = Prediction(stamps, rms, error, True)
+        return self.start, tuple(self.fits), tuple(self.node_fits), predicted
+
+    @property
+    def found(self) -> Found:
+        """What was found so far."""
+        return Found(
+            self.start, tuple(self.fits), tuple(self.node_fits), tuple(self.scores), self.size
+        )
+
+    def resume(self, found, states):
+        """Go on from what was found, with the filter's state on the paths."""
+        self.start, self.size = found.start, found.size
+        self.fits, self.node_fits = list(found.fits), list(found.node_fits)
+        self.scores = list(found.scores)
+        # in one map, which sends them where they are worked on
+        self.states = self.walk.each(lambda state: state, states)
+
+    def _start(self, t):
+        walk = self.walk
+        walk.begin(t)
+        y = walk.measure(t)
+        n = walk.n
+        found = walk.gather(lambda x, y: np.concatenate([x, y]), y)
+        mean, cov = found.mean, found.cov
+        moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
+        self.start = start = Start(mean[:n], cov[:n, :n], moments)
+
+        def first(rules, y):
+            here = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
+            state = FiniteOrderState(0, here, start.cov, Past(), None, 0.0, None, False)
+            return rules.first(state, y, moments, spread=False)
+
+        self.states = walk.kept(first, self.rules, y, array=_estimate)
+        self._score(t, walk.each(_estimate, self.states), corrected=True)
+
+    def _fit(self, predictor, u, targets, size):
+        """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
+        return predictor.fit(
+            lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u), targets, size
+        )
+
+    def _nodes(self, k, t, nodes):
+        """Fits of the discrete forecasts; also what the next measurement is forecast from."""
+        walk, n, fits = self.walk, self.components, []
+        u = walk.each(Rules.node_memory, self.rules, self.states)
+        size = self._sizes(k, extra=self.extra)
+        for node in nodes:
+            walk.advance(t, node)
+            t = node
+            fits.append(self._fit(Affine(), u, n, size))
+            self._score(t, walk.kept(fits[-1].mean, u))
+        return fits, walk.each(_remembered, self.states)
+
+    def _moves(self, t, stops, last):
+        """Fits of the continuous forecast at each integration step, and where it leads."""
+        walk, fits = self.walk, []
+        z = walk.each(_estimate, self.states)
+        for j, stop in enumerate(stops):
+            fit = self._fit(self.predictor, z, walk.n, self.size)
+            z = walk.kept(_mover(fit, t, stop - t), self.rules, z)
+            fits.append(fit)
+            if last or j + 1 < len(stops):
+                walk.advance(t, stop)
+                self._score(stop, z)
+                t = stop
+        return fits, z
+
+    def _tact(self, k, t, u):
+        walk = self.walk
+        walk.advance(self.scores[-1][0], t)
+        fit = self._fit(self.predictor, u, walk.n, self._sizes(k - 1))
+        y = walk.measure(t)
+
+        def step(rules, state, u, y):
+            mean, cov = fit.forecast(u)
+            state = state._replace(index=k, mean=mean, cov=cov, corrected=False)
+            return rules.correct(state, t, y, spread=False)
+
+        self.states = walk.kept(step, self.rules, self.states, u, y, array=_estimate)
+        self._score(t, walk.each(_estimate, self.states), corrected=True)
+        self.fits.append(fit)
+
+    def _sizes(self, k, extra=False):
+        """Magnitudes of the components of U_k; measurements are measured by themselves."""
+        measured = self.walk.system.sensor.size
+        known = np.tile(self.size, min(k + 1, self.memory.estimates))
+        total = self.memory.dimension(k, self.components, measured) + measured * extra
+        return np.concatenate([known, np.zeros(total - len(known))])
+
+    def _score(self, t, estimates, corrected=False):
+        """Note the error of the estimates, and how large state and estimate are."""
+        n = self.components
+
+        def rows(x, z):
+            return np.concatenate([(x[:n] - z) ** 2, x[:n] ** 2, x[:n], z])
+
+        found = self.walk.gather(rows, estimates)
+        mse, self.size = found.mean[:n], np.sqrt(found.mean[n : 2 * n])
+        rms = np.sqrt(mse)
+        spread = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
+        error = spread[:n] / math.sqrt(found.count)
+        error = np.divide(error, 2.0 * rms, out=np.zeros(n), where=rms > 0)
+        if np.any(error > DOMINATED * rms):
+            warnings.warn(
+                f"bound: the errors at time {t:g} rest on very few paths ({rms.max():.3g} ± "
+                f"{error.max():.3g}); a bound would leave out paths that diverge",
+                stacklevel=2,
+            )
+        if corrected:
+            moving = spread[2 * n : 3 * n] > ABSOLUTE * self.size
+            for i in np.flatnonzero(moving & (spread[3 * n :] <= ABSOLUTE * self.size)):
+                warnings.warn(
+                    f"memory: the estimate of component {i} at time {t:g} is the same on all "
+                    "paths; it carries no information",
+                    stacklevel=2,
+                )
+        self.scores.append((t, rms, error))
+
+
+def _remembered(state):
+    return state.past.vector
+
+
+def _mover(fit, t, h):
+    """Step of the continuous forecast, without anything else of the pass in it."""
+    return lambda rules, z: rules.move(fit, t, h, z)

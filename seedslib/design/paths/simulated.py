@@ -1,0 +1,254 @@
+"""Design of finite-order filters: one forward pass over simulated paths, a fit before each step.
+
+The design is a run of the filter on paths of the system itself, by the same lines that will run
+online; before each step the forecast it needs is fitted to the paths. Paths are not stored.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+
+from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
+from seedslib.base.checks import as_times
+from seedslib.design.paths.forward_pass import ForwardPass
+from seedslib.design.paths.walk import Walk, crew
+from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.finite_order_rules import Design, Rules
+from seedslib.designed.memory import Memory
+from seedslib.designed.predictors import Affine, Continuous, Polynomial
+from seedslib.linearization.moments import Linearization
+
+__all__ = ["Affine", "Continuous", "Polynomial", "synthesize"]
+
+PATHS_PER_COEFFICIENT = 50
+"""Fewer design paths than this for each dimension of the memory are worth a warning."""
+
+_AFFINE = Affine()
+
+
+def synthesize(
+    system, memory, linearization, times, *, predictor=_AFFINE, nodes=4, components=None,
+    paths=None, seed=None, workers=1, horizon=None, measured_nodes=False, exact_moments=False,
+    step=None, scheme="euler", bound=np.inf, checkpoint=None,
+    **switching,
+) -> FiniteOrderFilter:  # fmt: skip
+    """Design a filter of finite order for a system.
+
+    Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
+    regression, (6.3), and the correction takes Gaussian means, (6.2). With `Taylor` the filter
+    is the paper's linearised one, with `ExactGaussian` its Gaussian one.
+
+    Parameters
+    ----------
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
+        A switching system takes `paths`, `seed`, `workers` and `switching` only, and gives a
+        `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
+    memory : Memory
+    linearization : Linearization
+        How the moments of the sensor are taken.
+    times : array_like, shape (K+1,)
+        Times of the measurements; the first is that of the initial law.
+    predictor : Affine, Polynomial or Continuous
+    nodes : int or sequence of array_like
+        Number of evenly spaced nodes inside each interval between measurements, or the node
+        times of each. `Continuous` has a node at every integration step instead; a system in
+        discrete time has none.
+    components : int, optional
+        n': the first components of the state are estimated (default all).
+    paths : int
+        Design paths.
+    seed : int, SeedSequence or Generator
+        The design paths are ``system.simulate(stops, paths, seed)`` with all measurement times
+        and nodes as stops.
+    workers : int or Crew
+        Threads, or a crew such as `seedslib.extra.cluster` makes; the filter does not depend on
+        it, bit by bit.
+    horizon : float, optional
+        Last time to forecast, after the last measurement.
+    measured_nodes : bool
+        Let the forecasts at the nodes look at the last measurement as well as at the memory
+        that its estimate is in: remark 1 of the paper.
+    exact_moments : bool
+        Take exact moments instead of simulated ones, for a linear system with a linear sensor;
+        `paths` and `seed` are then not used.
+    step : float, optional
+        Largest integration step of the simulation; the system's own by default.
+    scheme : {"euler", "heun"}
+    bound : float
+        A design path with a component beyond it is left out from there on, as are paths that
+        overflow.
+    checkpoint : path, optional
+        File that a design is written to as it goes; the same call goes on from it.
+    **switching
+        `normalisation` and `split` of `SwitchingFilter`.
+
+    Returns
+    -------
+    FiniteOrderFilter or SwitchingFilter
+        The second for a switching system.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument that does not fit; too few paths; moments that are not finite; a checkpoint
+        that is damaged or belongs to another design.
+    RuntimeError
+        A crew elsewhere was lost, or has other versions of the libraries.
+    NoClosedForm
+        The linearization has no formulas for this sensor; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        Few paths for the memory's dimension; an estimate without information; paths left out.
+    """
+    if hasattr(system, "branches"):
+        from seedslib.design.paths.switching import synthesize_switching
+
+        for name, given, none in (
+            ("predictor", predictor, _AFFINE), ("components", components, None),
+            ("horizon", horizon, None), ("measured_nodes", measured_nodes, False),
+            ("exact_moments", exact_moments, False), ("checkpoint", checkpoint, None),
+        ):  # fmt: skip
+            if given != none:
+                raise ValueError(f"{name}: wanted none for a switching system, got {given!r}")
+        return synthesize_switching(
+            system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
+            **switching,
+        )  # fmt: skip
+    if switching:
+        raise TypeError(f"{next(iter(switching))}: wanted for a switching system only")
+    times = as_times("times", times)
+    n = system.state_size
+    _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments)
+    components = n if components is None else as_count("components", components)
+    if components > n:
+        raise ValueError(f"components: wanted 1 to {n}, got {components}")
+    options, size = {}, None
+    if hasattr(system, "dynamics"):
+        if horizon is not None or exact_moments or isinstance(predictor, Continuous):
+            raise ValueError(
+                "system: horizon, exact_moments and Continuous want a system in continuous time"
+            )
+        nodes = 0
+    else:
+        size = float(system.step if step is None else step)
+        if not 0 < size < np.inf:
+            raise ValueError(f"step: wanted a positive number, got {step}")
+        options = {"step": size, "scheme": scheme}
+    grid = _nodes(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
+    rules = Rules.of(system, memory, predictor, linearization, components, measured_nodes)
+    if exact_moments:
+        from seedslib.design.paths.exact_moments import linear_design
+
+        found = linear_design(system, rules, times, grid)
+    else:
+        paths = as_count("paths", paths)
+        _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
+        found = _simulated_design(
+            system, rules, linearization, predictor, times, grid, paths, as_seed_sequence(seed),
+            options, float(bound), crew(workers), checkpoint,
+        )  # fmt: skip
+    start, fits, node_fits, predicted, design = found
+    return FiniteOrderFilter(
+        system=system, memory=memory, predictor=predictor, linearization=linearization,
+        times=times, node_times=grid, components=components, start=start, fits=fits,
+        node_fits=node_fits, predicted=predicted, design=design, measured_nodes=measured_nodes,
+        rules=rules,
+    )  # fmt: skip
+
+
+def _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments):
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    if memory.indicators or memory.log_odds:
+        raise ValueError(
+            f"memory: wanted estimates and measurements, there are no modes here, got {memory}"
+        )
+    if not isinstance(linearization, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+    if not isinstance(predictor, Affine | Polynomial | Continuous):
+        raise TypeError(f"predictor: wanted Affine, Polynomial or Continuous, got {predictor!r}")
+    if isinstance(predictor, Continuous) and (memory != Memory(1) or measured_nodes):
+        raise ValueError(f"predictor: Continuous wants the memory of one estimate, got {memory}")
+    if exact_moments and not isinstance(predictor, Affine):
+        raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
+
+
+def _check_paths(paths, memory, predictor, components, measured, measured_nodes):
+    order = memory.order(components, measured)
+    coefficients = max(predictor.features(order), order + measured * measured_nodes)
+    if paths <= coefficients + 1:
+        raise ValueError(
+            f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
+            f"got {paths}"
+        )
+    if paths < PATHS_PER_COEFFICIENT * coefficients:
+        warnings.warn(
+            f"paths: {paths} are few for {coefficients} coefficients; "
+            f"{PATHS_PER_COEFFICIENT * coefficients} or more are advised",
+            stacklevel=3,
+        )
+
+
+def _nodes(times, nodes, horizon, step) -> tuple:
+    """Node times within each interval; with a horizon also after the last measurement."""
+    ends = list(times[1:])
+    if horizon is not None:
+        if not times[-1] < horizon < np.inf:
+            raise ValueError(
+                f"horizon: wanted a time after the last measurement at {times[-1]:g}, got {horizon}"
+            )
+        ends.append(float(horizon))
+    whole = isinstance(nodes, int | np.integer) and not isinstance(nodes, bool)
+    if whole and nodes < 0:
+        raise ValueError(f"nodes: wanted at least 0, got {nodes}")
+    if not whole and step is None:
+        nodes = list(nodes)
+        if len(nodes) != len(ends):
+            raise ValueError(f"nodes: wanted {len(ends)} lists of times, got {len(nodes)}")
+    found = []
+    for k, (start, end) in enumerate(zip(times, ends, strict=False)):
+        inside = k < len(times) - 1
+        if step is not None or whole:
+            parts = nodes + 1 if step is None else math.ceil((end - start) / step - 1e-9)
+            grid = start + (end - start) * np.arange(1, parts) / parts
+        else:
+            grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
+            if len(grid) and not (start < grid[0] and grid[-1] < end):
+                raise ValueError(
+                    f"nodes: wanted times between {start:g} and {end:g}, "
+                    f"got {grid[0]:g} to {grid[-1]:g}"
+                )
+        found.append(grid if inside else np.append(grid, end))
+    return tuple(found)
+
+
+def _simulated_design(
+    system, rules, linearization, predictor, times, grid, paths, root, options, bound, crew,
+    checkpoint,
+):  # fmt: skip
+    file = None
+    if checkpoint is not None:
+        from seedslib.design.paths.checkpoint import Checkpoint, arguments
+
+        file = Checkpoint(checkpoint, arguments(
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound
+        ))  # fmt: skip
+    stops = len(times) + sum(len(nodes) for nodes in grid)
+    with crew as each:
+        walk = Walk(system, paths, root, stops, each, options, bound)
+        forward = ForwardPass(walk, rules, predictor)
+        if file is not None:
+            file.restore(forward)
+        found = forward.design(times, grid, file and file.write)
+        lost = walk.lost
+    if lost:
+        warnings.warn(
+            f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
+        )
+    design = Design(paths, BLOCK, *seed_record(root), lost, False)
+    return *found, design

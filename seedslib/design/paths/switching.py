@@ -1,0 +1,185 @@
+"""Design of finite-order filters of switching systems: moments of the running filter, step by
+step.
+"""
+
+from __future__ import annotations
+
+import math
+import warnings
+from itertools import pairwise
+
+import numpy as np
+
+from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
+from seedslib.base.checks import as_times
+from seedslib.design.paths.walk import Walk, crew
+from seedslib.designed.prediction import SwitchingDesign, SwitchingPrediction
+from seedslib.designed.regression import merge, scatter
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching_fits import cell_count, cell_number, fit_cells, require_memory
+from seedslib.designed.switching_rules import compiled_rules
+from seedslib.linearization.moments import Linearization
+
+OFTEN = 0.05
+"""Part of thin pairs of cell and mode above which the design warns."""
+
+
+def synthesize_switching(
+    system, memory, linearization, times, *, paths, seed, workers=1, normalisation="consistent",
+    split=True,
+) -> SwitchingFilter:  # fmt: skip
+    """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
+
+    One pass over simulated paths. At each step the filter corrects on all paths and puts its
+    decisions on the memory; the moments of mode, state and memory on the paths, (6.31), are what
+    it will know of its memory online. While the memory fills it is shorter, not padded.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+    memory : Memory
+    linearization : Linearization
+    times : array_like, shape (K+1,)
+    paths : int
+        Design paths.
+    seed : int, SeedSequence or Generator
+        The design paths are ``system.simulate(times, paths, seed)``.
+    workers : int
+        Threads; the filter does not depend on it.
+    normalisation, split
+        As `SwitchingFilter`.
+
+    Returns
+    -------
+    SwitchingFilter
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument that does not fit; too few paths.
+    NoClosedForm
+        The linearization has no formulas for a branch.
+
+    Warns
+    -----
+    UserWarning
+        More than a twentieth of the pairs of cell and mode are thin; covariances were mended;
+        paths of the system or of the filter diverged and were left out.
+    """
+    times = as_times("times", times)
+    require_memory(memory, system)
+    if not isinstance(linearization, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+    paths, n = as_count("paths", paths), system.state_size
+    order = memory.order(n, system.measurement_size, system.modes)
+    if paths < n + order + 2:
+        raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
+    rules = compiled_rules(system, linearization, normalisation, split)
+    root = as_seed_sequence(seed)
+    with crew(workers) as each:
+        walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
+        found = _pass(walk, system, memory, rules, times)
+        lost = walk.lost
+    fits, scores, thin, pairs, raised = found
+    if thin > OFTEN * pairs:
+        warnings.warn(
+            f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
+            stacklevel=3,
+        )
+    if raised:
+        warnings.warn(
+            f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
+            stacklevel=3,
+        )
+    if lost:
+        warnings.warn(
+            f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
+        )
+    return SwitchingFilter(
+        system, linearization, memory, times, tuple(fits), normalisation, split,
+        SwitchingPrediction(times, *(np.array(part) for part in zip(*scores, strict=True))),
+        SwitchingDesign(
+            paths, BLOCK, *seed_record(root), thin, pairs, raised, lost,
+        ),
+        rules=rules,
+    )  # fmt: skip
+
+
+def _pass(walk, system, memory, rules, times):
+    """Run the filter on the paths, and fit it before each step."""
+    n, m = system.state_size, system.measurement_size
+    states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
+    for k, t in enumerate(times):
+        if k == 0:
+            walk.begin(t)
+            states = walk.each(lambda x: rules.start(x.shape[1:]), walk.states)
+        else:
+            walk.advance(times[k - 1], t)
+            fit, old = fits[-1], times[k - 1]
+
+            def predict(state, fit=fit, old=old):
+                cell = _cell(system, state)
+                law = rules.predict(old, fit.forecast(cell, state.past.vector))
+                return state._replace(law=law, corrected=False)
+
+            states = walk.each(predict, states)
+        shown = walk.measure(t)
+
+        def correct(state, y, k=k, t=t):
+            seen = y[m].astype(int) if system.has_indicator else None
+            return rules.correct(state._replace(index=k, time=t), y[:m], seen, memory)
+
+        states = walk.kept(correct, states, shown, array=lambda state: state.mean)
+        scores.append(_score(walk, n, states))
+        if k + 1 == len(times):
+            break
+        cells = cell_count(memory, system, k)
+        groups = walk.each(
+            lambda x, alive, state, cells=cells: _groups(system, x, alive, state, cells),
+            walk.states, walk.alive, states,
+        )  # fmt: skip
+        scatters = [
+            [merge([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
+            for c in range(cells)
+        ]
+        left = sum(part.count for row in scatters for part in row)
+        if not left:
+            raise ValueError(
+                f"paths: wanted some that stay finite, all {sum(map(sum, walk.counts))} diverged"
+            )
+        fit, few, bent = fit_cells(scatters, n, left)
+        fits.append(fit)
+        thin, pairs, raised = thin + few, pairs + cells * system.modes, raised + bent
+    return fits, scores, thin, pairs, raised + sum(state.floored for state in states)
+
+
+def _cell(system, state):
+    return cell_number(state.past, system.modes, system.indicators, state.mode.shape)
+
+
+def _groups(system, x, alive, state, cells):
+    """Moments of state and memory in each cell and mode of one bundle of paths."""
+    rows = np.concatenate([x[:-1], state.past.vector])
+    group = _cell(system, state) * system.modes + x[-1].astype(int)
+    if not alive.all():
+        rows, group = rows[:, alive], group[alive]
+    # equal groups side by side, in their order
+    order = np.argsort(group, kind="stable")
+    ends = np.searchsorted(group[order], np.arange(cells * system.modes + 1))
+    sorted_rows = rows[:, order]
+    parts = [scatter(sorted_rows[:, a:b]) for a, b in pairwise(ends)]
+    return [parts[c * system.modes : (c + 1) * system.modes] for c in range(cells)]
+
+
+def _score(walk, n, states):
+    """Root-mean-square errors, part of wrong modes, and their standard errors."""
+
+    def rows(x, state):
+        wrong = (state.mode != x[-1])[None]
+        return np.concatenate([(x[:-1] - state.mean) ** 2, wrong])
+
+    found = walk.gather(rows, states)
+    error = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0)) / math.sqrt(found.count)
+    rms = np.sqrt(found.mean[:n])
+    doubt = np.divide(error[:n], 2.0 * rms, out=np.zeros(n), where=rms > 0)
+    return rms, doubt, found.mean[n], error[n]

@@ -1,0 +1,1 @@
+"""Shelf: designs as tables, by regression on paths."""

@@ -1,0 +1,324 @@
+"""Finite-order filter: designed offline, it runs on a frozen table of forecasts."""
+
+from __future__ import annotations
+
+import copy
+from dataclasses import dataclass
+
+import numpy as np
+
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_real, as_times
+from seedslib.designed.between import FORECAST_KINDS, Interval, at
+from seedslib.designed.finite_order_rules import (
+    Course,
+    Design,
+    FiniteOrderState,
+    Prediction,
+    Rules,
+    Start,
+    freeze,
+    initial_moments,
+    positions,
+)
+from seedslib.designed.memory import Memory, Past
+from seedslib.designed.predictors import Fit
+from seedslib.designed.summary import headline, summary
+from seedslib.filters.estimates import Estimates, as_record
+from seedslib.linearization.moments import Linearization, Moments
+
+SAME_TIME = 1e-9
+"""Times that differ by less than this fraction of the shortest interval are one."""
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class FiniteOrderFilter:
+    """A designed filter of finite order; `seedslib.design.synthesize` makes it.
+
+    At measurement k the state is forecast from the memory, Lambda_k = Gamma_k U_{k-1} + kappa_k
+    with covariance T_k, and corrected by the lines that every filter uses; the first n'
+    components are the estimate Z_k, which is pushed on the memory. Equations (6.2).
+
+    Attributes
+    ----------
+    system : JumpDiffusion
+    memory : Memory
+    predictor : Affine, Polynomial or Continuous
+    linearization : Linearization
+    times : ndarray, shape (K+1,)
+        Times of the measurements.
+    node_times : tuple of ndarray
+        Nodes within each interval, and after the last measurement where a horizon was given.
+    components : int
+        n': the first components of the state are estimated.
+    start : Start
+    fits : tuple of AffineFit or PolynomialFit, length K
+    node_fits : tuple of tuple of AffineFit
+        Forecasts Z_k^i; for `Continuous` the fits at the start of each integration step.
+    predicted : Prediction
+    design : Design
+    measured_nodes : bool
+        Whether Z_k^i also looks at Y_k directly (remark 1 of the paper).
+    between : str
+        Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
+    rules : Rules
+        The compiled steps; made from the other fields.
+    """
+
+    system: object
+    memory: Memory
+    predictor: object
+    linearization: Linearization
+    times: np.ndarray
+    node_times: tuple
+    components: int
+    start: Start
+    fits: tuple[Fit, ...]
+    node_fits: tuple
+    predicted: Prediction
+    design: Design
+    measured_nodes: bool = False
+    between: str = "interpolated"
+    rules: Rules | None = None
+
+    def __post_init__(self):
+        if self.rules is None:
+            rules = Rules.of(
+                self.system, self.memory, self.predictor, self.linearization, self.components,
+                self.measured_nodes,
+            )  # fmt: skip
+            object.__setattr__(self, "rules", rules)
+        _known(self.between)
+        fits = [*self.fits, *(fit for row in self.node_fits for fit in row)]
+        for part in (self.times, *self.node_times, *self.start, *self.predicted, *fits):
+            freeze(part)
+        shortest = np.diff(self.times).min() if len(self.times) > 1 else 1.0
+        object.__setattr__(self, "_tolerance", float(SAME_TIME * shortest))
+        object.__setattr__(self, "_clock", self.times.tolist())
+
+    @property
+    def order(self) -> int:
+        """Dimension of the memory when it is full: l n' for the large-order filter."""
+        return self.memory.order(self.components, self.system.sensor.size)
+
+    @property
+    def horizon(self) -> float:
+        """Last time the filter can forecast."""
+        tail = self.node_times[len(self.fits) :]
+        return float(tail[0][-1] if tail else self.times[-1])
+
+    def forecasting(self, kind: str) -> FiniteOrderFilter:
+        """The same filter with another kind of forecast between measurements."""
+        other = copy.copy(self)
+        object.__setattr__(other, "between", _known(kind))
+        return other
+
+    # Step by step
+
+    def initial(self, batch=(), seed=None) -> FiniteOrderState:
+        """State before any measurement; the filter draws nothing from `seed`."""
+        mean = self.start.mean.reshape(-1, *(1,) * len(batch))
+        mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
+        return FiniteOrderState(-1, mean, self.start.cov, Past(), None, 0.0, None, False)
+
+    def predict(self, state: FiniteOrderState, t: float) -> FiniteOrderState:
+        """Forecast for the next measurement time, (n, *batch); the first has none to make.
+
+        Raises
+        ------
+        ValueError
+            Not the next measurement time of the design, or no more of them.
+        """
+        return self._predict(state, t)
+
+    def _predict(self, state, t, interval=None):
+        k = state.index + 1
+        if k >= len(self._clock):
+            raise ValueError(f"t: wanted at most the last measurement time {self.times[-1]:g}")
+        if abs(t - self._clock[k]) > self._tolerance:
+            raise ValueError(f"t: wanted the next measurement time {self.times[k]:g}, got {t:g}")
+        if k == 0:
+            return state._replace(index=0)
+        self._want_corrected(state)
+        u = self.rules.arriving(self._course(k - 1), state, interval)
+        mean, cov = self.fits[k - 1].forecast(u)
+        before = FiniteOrderState(*state[:6], None, True)
+        return FiniteOrderState(k, mean, cov, state.past, state.measurement, 0.0, before, False)
+
+    def correct(self, state: FiniteOrderState, y) -> FiniteOrderState:
+        """Correct the forecast by y, (m, *batch); NaN components are left out exactly.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A state without a forecast, a wrong shape, an infinite measurement.
+        """
+        y = np.asarray(y)
+        if y.dtype != np.float64 or np.isinf(y).any():
+            y = as_real("y", y, nan=True)
+        if y.shape != (self.system.sensor.size, *state.mean.shape[1:]):
+            wanted = (self.system.sensor.size, *state.mean.shape[1:])
+            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
+        return self._correct(state, y, True)
+
+    def _correct(self, state, y, spread):
+        self._want_forecast(state)
+        if state.index == 0:
+            return self.rules.first(state, y, self.start.moments, spread)
+        return self.rules.correct(state, self._clock[state.index], y, spread)
+
+    def expect(self, state: FiniteOrderState) -> Moments:
+        """Moments of the measurement that a forecast expects.
+
+        Raises
+        ------
+        ValueError
+            A state without a forecast.
+        """
+        self._want_forecast(state)
+        if state.index == 0:
+            return initial_moments(self.start.moments, state.mean.ndim - 1)
+        return self.rules.sensor(self._clock[state.index], state.mean, state.cov)
+
+    def _want_forecast(self, state):
+        if state.index < 0 or state.corrected:
+            raise ValueError("state: wanted a forecast, got a state without; call predict first")
+
+    def step(self, state: FiniteOrderState, t: float, y) -> FiniteOrderState:
+        """Forecast to the next measurement time t and correct by y, (m, *batch)."""
+        return self.correct(self.predict(state, t), y)
+
+    def forecast(self, state: FiniteOrderState, t: float, kind: str | None = None) -> Estimates:
+        """Estimate of the first n' components at a time up to the next measurement.
+
+        Parameters
+        ----------
+        state : FiniteOrderState
+            After a correction.
+        t : float
+            From the time of the state to the next measurement time (before that measurement),
+            or to the horizon.
+        kind : str, optional
+            One of `FORECAST_KINDS`; the filter's own `between` by default.
+
+        Raises
+        ------
+        ValueError
+            A time outside the interval, an unknown kind, a state that was not corrected.
+        """
+        self._want_corrected(state)
+        interval, k = self.interval(state), state.index
+        end = self.times[k + 1] if k + 1 < len(self.times) else self.horizon
+        if not self.times[k] - self._tolerance <= t <= end + self._tolerance:
+            raise ValueError(f"t: wanted a time from {self.times[k]:g} to {end:g}, got {t:g}")
+        return Estimates(at(interval, t, self.between if kind is None else kind))
+
+    def interval(self, state: FiniteOrderState) -> Interval:
+        """All that the filter knows from its last measurement to the next: Z_k, nodes, end."""
+        k, times = state.index, self.times
+        nodes = self.node_times[k] if k < len(self.node_times) else np.empty(0)
+        values, end = [state.mean], None
+        if k < len(self.node_times):
+            found, end = self.rules.nodes(self._course(k), state)
+            values += found
+        grid = [times[k], *nodes]
+        if k < len(self.fits):
+            if end is None:
+                end = self.fits[k].mean(state.past.vector)[: self.components]
+            grid, values = [*grid, times[k + 1]], [*values, end]
+        last = last_node = None
+        if k > 0:
+            before = state.before
+            last = last_node = (times[k - 1], before.mean)
+            if len(self.node_times[k - 1]):
+                nodes_before = self.rules.nodes(self._course(k - 1), before)[0]
+                last_node = (self.node_times[k - 1][-1], nodes_before[-1])
+        return Interval(np.array(grid), values, len(nodes), last, last_node)
+
+    def _course(self, k) -> Course:
+        nodes = self.node_times[k]
+        end = self.times[k + 1] if k < len(self.fits) else nodes[-1]
+        return Course(float(self.times[k]), nodes, float(end), self.node_fits[k])
+
+    def _want_corrected(self, state):
+        if not state.corrected:
+            raise ValueError("state: wanted a state after a correction, got a forecast")
+
+    # Whole records
+
+    def run(self, times, measurements, *, covariances=False, workers=1) -> Estimates:
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (J+1,)
+            The measurement times of the design up to some of them, and any times between.
+        measurements : array_like, shape (J+1, m, *batch)
+            NaN marks a missing component; between measurement times all must be NaN.
+        covariances : bool
+            Whether `cov` is wanted.
+        workers : int
+            Threads over blocks of paths.
+
+        Returns
+        -------
+        Estimates
+            ``mean`` (J+1, n', *batch), at measurement times after the correction and between
+            them the forecasts; ``loglik`` (J+1, *batch), zero between; ``diverged`` (*batch),
+            estimates that are not finite. ``cov`` (J+1, n', n', *batch), NaN between
+            measurement times, where the filter claims none.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Times that do not increase or leave out a measurement time of the design; a
+            measurement where the design has none; infinite measurements; wrong shapes.
+        """
+        times = as_times("times", times)
+        y = as_record(measurements, len(times), self.system.sensor.size)
+        index = positions(times, y, self.times, self.horizon, self._tolerance)
+        batch = y.shape[2:]
+        if not batch:
+            return self._run(times, y, index, covariances)
+        flat = y.reshape(*y.shape[:2], -1)
+        parts = in_blocks(
+            lambda a, b, _: self._run(times, flat[..., a:b], index, covariances),
+            flat.shape[2],
+            0,
+            workers=workers,
+        )
+        joined = (
+            None if column[0] is None else np.concatenate(column, axis=-1)
+            for column in zip(*parts, strict=True)
+        )
+        return Estimates(*(c if c is None else c.reshape(*c.shape[:-1], *batch) for c in joined))
+
+    def _run(self, times, y, index, covariances) -> Estimates:
+        batch, n = y.shape[2:], self.components
+        state = self.initial(batch)
+        mean = np.empty((len(times), n, *batch))
+        cov = np.full((len(times), n, n, *batch), np.nan) if covariances else None
+        loglik = np.zeros((len(times), *batch))
+        interval = None
+        for j, (t, k) in enumerate(zip(times, index, strict=True)):
+            if k >= 0:
+                state = self._correct(self._predict(state, t, interval), y[j], covariances)
+                mean[j], loglik[j], interval = state.mean, state.loglik, None
+                if covariances:
+                    cov[j] = state.cov.reshape(n, n, *(state.cov.shape[2:] or (1,) * len(batch)))
+            else:
+                interval = self.interval(state) if interval is None else interval
+                mean[j] = at(interval, t, self.between)
+        return Estimates(mean, cov, None, loglik, ~np.isfinite(mean).all(axis=(0, 1)))
+
+    def __repr__(self) -> str:
+        return f"<FiniteOrderFilter of {headline(self)}>"
+
+    def __str__(self) -> str:
+        return summary(self)
+
+
+def _known(kind):
+    if kind not in FORECAST_KINDS:
+        raise ValueError(f"between: wanted one of {', '.join(FORECAST_KINDS)}; got {kind!r}")
+    return kind

@@ -1,0 +1,264 @@
+"""The steps of a filter of a switching system as pure functions: the lemmas of the paper.
+
+Layout: components first, then the mode, then (for forecasts) the parts of a mode's law, then any
+batch axes: probabilities (L, *batch), means (n, L, *batch), covariances (n, n, L, *batch).
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.correction import correct
+from seedslib.filters.mixture import mix
+from seedslib.filters.weights import relative
+from seedslib.linearization.moments import Moments
+
+FLOOR = 1e-12
+"""A covariance with an eigenvalue below minus this, in units of the deviations, is mended."""
+
+
+class Law(NamedTuple):
+    """Law of mode and state: for each mode its probability and the moments of the state in it.
+
+    Forecasts have one more axis after the modes: the Gaussian parts of a mode's law, (6.19).
+    """
+
+    prob: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+
+
+class Sensed(NamedTuple):
+    """Law of mode and state given the indicator, and the moments of the measurement in each mode.
+
+    Attributes
+    ----------
+    prob : ndarray, shape (L, *batch)
+        Q, not normalised over the modes.
+    mean, cov : ndarray, shapes (n, L, *batch) and (n, n, L, *batch)
+    moments : Moments
+        mu (m, L, *batch), Delta (n, m, L, *batch), Phi (m, m, L, *batch).
+    """
+
+    prob: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    moments: Moments
+
+
+def propagate(rows, t, law: Law) -> Law:
+    """Forecast of mode and state from their law: lemmas 4 and 6, (6.35).
+
+    Parameters
+    ----------
+    rows : sequence of callable
+        For each old mode ``row(t, mean, cov)``, which gives for each new mode and each part a
+        `Weighted` with the moments of the next state, or None where it never switches there.
+    t : float
+        The old time.
+    law : Law
+        Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
+
+    Returns
+    -------
+    Law
+        Q (L, G, *batch), lambda (n, L, G, *batch), Psi (n, n, L, G, *batch).
+    """
+    n, modes, batch = len(law.mean), len(law.prob), law.prob.shape[1:]
+    made = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+    parts = len(made[0][0])
+    prob = np.empty((modes, parts, *batch))
+    mean = np.empty((n, modes, parts, *batch))
+    cov = np.empty((n, n, modes, parts, *batch))
+    for l in range(modes):
+        for g in range(parts):
+            found = [(i, made[i][l][g]) for i in range(modes) if made[i][l][g] is not None]
+            if not found:
+                prob[l, g], mean[:, l, g] = 0.0, 0.0
+                cov[:, :, l, g] = np.eye(n).reshape(n, n, *(1,) * len(batch))
+                continue
+            mass = np.empty((len(found), *batch))
+            means, covs = np.empty((n, len(found), *batch)), np.empty((n, n, len(found), *batch))
+            for p, (i, w) in enumerate(found):
+                mass[p] = law.prob[i] * w.mass
+                means[:, p] = _lifted(w.value.mean, 1, len(batch))
+                covs[:, :, p] = _lifted(w.value.cov, 2, len(batch))
+            prob[l, g], mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
+    return Law(prob, mean, cov)
+
+
+def sense(readings, t, law: Law, column=None) -> Sensed:
+    """Moments of the measurement from the forecast: lemma 3 in its consistent form.
+
+    Parameters
+    ----------
+    readings : sequence of callable
+        For each mode ``reading(t, mean, cov) -> Weighted``: the measurement together with the
+        value of the indicator that was seen.
+    t : float
+    law : Law
+        Forecast with its parts.
+    column : int, optional
+        Give (6.21) as it is printed, with this part of the forecast as the one of the indicator's
+        value: divided by the forecast probability, not by the mass of the mixture.
+
+    Returns
+    -------
+    Sensed
+    """
+    n, modes, batch = len(law.mean), len(law.prob), law.prob.shape[2:]
+    prob, joined = np.empty((modes, *batch)), []
+    for i, reading in enumerate(readings):
+        mean, cov = law.mean[:, i], law.cov[:, :, i]
+        if reading is None:
+            joined.append(None)
+            prob[i] = 0.0
+            continue
+        w = reading(t, mean, cov)
+        inner, depth = mean.shape[1:], mean.ndim - 1
+        mass, size = law.prob[i] * w.mass, n + len(w.value.mean)
+        both, spread = np.empty((size, *inner)), np.empty((size, size, *inner))
+        both[:n] = _lifted(w.state.mean, 1, depth)
+        both[n:] = _lifted(w.value.mean, 1, depth)
+        spread[:n, :n] = _lifted(w.state.cov, 2, depth)
+        cross = _lifted(w.value.cross, 2, depth)
+        spread[:n, n:], spread[n:, :n] = cross, np.swapaxes(cross, 0, 1)
+        spread[n:, n:] = _lifted(w.value.cov, 2, depth)
+        if column is not None:
+            part = Law(law.prob[i], mean, cov)
+            prob[i], *found = _printed(mass, both, spread, part, column)
+        elif len(mass) == 1 and (mass > 0).all():
+            prob[i], found = mass[0], (both[:, 0], spread[:, :, 0])
+        else:
+            prob[i], *found = mix(mass, both, spread)
+        joined.append(found)
+    size = next(len(found[0]) for found in joined if found is not None)
+    mean, cov = np.empty((size, modes, *batch)), np.empty((size, size, modes, *batch))
+    for i, found in enumerate(joined):
+        if found is None:
+            mean[:, i] = 0.0
+            cov[:, :, i] = np.eye(size).reshape(size, size, *(1,) * len(batch))
+        else:
+            mean[:, i], cov[:, :, i] = found
+    moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
+    return Sensed(prob, mean[:n], cov[:n, :n], moments)
+
+
+def _printed(mass, both, spread, part, column):
+    """(6.21) as printed, for one mode: sums over the parts, divided by the forecast Q^(ij)."""
+    n = part.mean.shape[0]
+    q = part.prob[column]
+    seen = q > 0
+    inverse = np.where(seen, 1.0, 0.0) / np.where(seen, q, 1.0)
+    share = np.where(mass > 0, mass * inverse, 0.0)
+    both, spread = np.nan_to_num(both), np.nan_to_num(spread)
+    x, mu = part.mean[:, column], (share * both[n:]).sum(axis=1)
+    raw = spread + both[:, None] * both[None, :]
+    second = (share * raw).sum(axis=2)
+    mean = np.concatenate([x, mu])
+    cov = second - mean[:, None] * mean[None, :]
+    cov[:n, :n] = part.cov[:, :, column]
+    unit = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * q.ndim)
+    return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
+
+
+def weigh(sensed: Sensed, y) -> tuple[Law, np.ndarray]:
+    """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
+
+    Parameters
+    ----------
+    sensed : Sensed
+    y : ndarray, shape (m, *batch)
+        NaN components are left out exactly.
+
+    Returns
+    -------
+    law : Law
+        P (L, *batch), rho (n, L, *batch), Upsilon (n, n, L, *batch).
+    loglik : ndarray, shape (*batch)
+        Logarithm of the density of the measurement, indicator included.
+    """
+    mean, cov, each = correct(sensed.mean, sensed.cov, y[:, None], sensed.moments)
+    with np.errstate(divide="ignore"):
+        score = np.log(sensed.prob) + each
+    score = np.where(sensed.prob > 0, score, -np.inf)
+    weight, highest, lost = relative(score, 0)
+    if np.any(lost):  # no mode explains the measurement: keep what was forecast
+        weight = np.where(lost, sensed.prob, weight)
+    total = weight.sum(axis=0)
+    return Law(weight / total, mean, cov), highest + np.log(total)
+
+
+def decide(law: Law) -> tuple[np.ndarray, np.ndarray]:
+    """Most probable mode (the first of equal ones) and mean of the state: lemma 2, (6.18)."""
+    return law.prob.argmax(axis=0), (law.prob * law.mean).sum(axis=1)
+
+
+def total_covariance(law: Law) -> np.ndarray:
+    """Covariance of the state over all modes, (n, n, *batch)."""
+    return mix(law.prob, law.mean, law.cov).cov if len(law.prob) > 1 else law.cov[:, :, 0]
+
+
+def floored(cov, variances=None) -> tuple[np.ndarray, int]:
+    """Covariances (n, n, *batch) whose eigenvalues are not negative, and how many had to be mended.
+
+    In units of the deviations an eigenvalue below -1e-12 is raised to 1e-12 and counts; what
+    rounding leaves between that and zero becomes zero. Semidefinite covariances pass. Each item
+    is looked at alone; one with a NaN is left as it is.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (n, n, *batch)
+    variances : ndarray, shape (n, *batch), optional
+        Squares of the deviations, by default the diagonal; for a posterior those before it.
+    """
+    suspect = _suspect(cov)
+    if not suspect.any():
+        return cov, 0
+    suspect &= np.isfinite(cov).all(axis=(0, 1))
+    squares = np.abs(np.einsum("ii...->i...", cov) if variances is None else variances)
+    unit = np.sqrt(squares[:, suspect]).T
+    unit = np.where(unit > 0, unit, 1.0)
+    unit = unit[:, :, None] * unit[:, None, :]
+    items = np.moveaxis(cov[:, :, suspect], -1, 0) / unit
+    values, vectors = np.linalg.eigh(0.5 * (items + np.swapaxes(items, 1, 2)))
+    negative = values < -FLOOR
+    mended = (values < 0).any(axis=1)
+    raised = np.where(negative, FLOOR, np.maximum(values, 0.0))
+    rebuilt = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    rebuilt = np.where(mended[:, None, None], rebuilt, items) * unit
+    result = cov.copy()
+    result[:, :, suspect] = np.moveaxis(rebuilt, 0, -1)
+    return result, int(np.count_nonzero(negative.any(axis=1)))
+
+
+def _suspect(cov):
+    """Where the elimination of a covariance (n, n, *batch) meets a pivot that is not positive.
+
+    A zero covariance is no suspect.
+    """
+    rows = [list(row[: i + 1]) for i, row in enumerate(cov)]
+    suspect = np.zeros(cov.shape[2:], dtype=bool)
+    for j in range(len(rows)):
+        bad = ~(rows[j][j] > 0)
+        if bad.any():
+            nothing = rows[j][j] == 0
+            for i in range(j + 1, len(rows)):
+                nothing &= rows[i][j] == 0
+            suspect |= bad & ~nothing
+        if j + 1 == len(rows):
+            break
+        inverse = 1.0 / np.where(bad, 1.0, rows[j][j])
+        for i in range(j + 1, len(rows)):
+            factor = rows[i][j] * inverse
+            for k in range(j + 1, i + 1):
+                rows[i][k] = rows[i][k] - factor * rows[k][j]
+    return suspect
+
+
+def _lifted(part, core, depth):
+    """The same array with batch axes of length one where it has none."""
+    part = np.asarray(part)
+    return part if part.ndim > core else part.reshape(*part.shape, *(1,) * depth)

@@ -1,0 +1,329 @@
+"""Filters of switching systems: the IMM filter, and filters of finite order designed offline."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_real, as_times
+from seedslib.designed.finite_order import SAME_TIME
+from seedslib.designed.finite_order_rules import freeze
+from seedslib.designed.lemmas import total_covariance
+from seedslib.designed.memory import Memory
+from seedslib.designed.prediction import SwitchingDesign, SwitchingPrediction, summary
+from seedslib.designed.switching_fits import (
+    CellFit,
+    cell_number,
+    fits_apart,
+    require_fits,
+    require_memory,
+)
+from seedslib.designed.switching_rules import SwitchingRules, SwitchingState, compiled_rules
+from seedslib.filters.estimates import Estimates, as_indicators, as_record
+from seedslib.filters.mixture import mix
+from seedslib.linearization.moments import Linearization
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SwitchingFilter:
+    """Mode and state of a switching system, by Gaussian laws in each mode.
+
+    Without a memory it carries the posterior laws of all modes: the normal approximation of the
+    optimal filter (AOF), an IMM filter with the timing of this model and state-dependent
+    switching. With a memory it is the filter of theorem 3 of the switching paper: only the memory
+    is carried (decided modes and estimates for the large-order filter, FBP; indicators and
+    measurements for the filter with finite memory, FKP), and the law given the memory comes from
+    a design; `seedslib.design.synthesize` makes it.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+    linearization : Linearization
+        `Taylor` gives the linearised filter (an IMM of extended Kalman filters), `ExactGaussian`
+        the Gaussian one.
+    memory : Memory, optional
+    times : array_like, shape (K+1,), optional
+        Times of the design.
+    fits : sequence of CellFit, length K
+        What the memory says after each measurement but the last. Anything with
+        ``forecast(cell, z) -> Law`` will do.
+    normalisation : {"consistent", "printed"}
+        How the moments of a measurement are formed where the indicator depends on the state: from
+        the moments of the mixture, or as (6.21) is printed, which is wrong there.
+    split : bool
+        Whether forecasts have one Gaussian part for each value of such an indicator.
+    predicted : SwitchingPrediction, optional
+    design : SwitchingDesign, optional
+    lasting : bool
+        Whether the last fit serves all later steps.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments that do not fit together.
+    NoClosedForm
+        The linearization has no formulas for a branch; the message offers one that works.
+    """
+
+    system: object
+    linearization: Linearization
+    memory: Memory | None = None
+    times: np.ndarray | None = None
+    fits: tuple[CellFit, ...] = ()
+    normalisation: str = "consistent"
+    split: bool = True
+    predicted: SwitchingPrediction | None = None
+    design: SwitchingDesign | None = None
+    lasting: bool = False
+    rules: SwitchingRules | None = field(default=None)
+
+    def __post_init__(self):
+        if not isinstance(self.linearization, Linearization):
+            raise TypeError(f"linearization: wanted a Linearization, got {self.linearization!r}")
+        if self.memory is not None:
+            self._check_memory()
+        if self.rules is None:
+            rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
+            object.__setattr__(self, "rules", rules)
+        object.__setattr__(self, "fits", tuple(self.fits))
+        for fit in self.fits:
+            freeze(tuple(fit) if isinstance(fit, tuple) else fit)
+
+    def _check_memory(self):
+        require_memory(self.memory, self.system)
+        if self.times is None:
+            raise ValueError("times: wanted the times of the design with a memory")
+        times = as_times("times", self.times)
+        object.__setattr__(self, "times", times)
+        if len(self.fits) != len(times) - 1:
+            raise ValueError(f"fits: wanted {len(times) - 1}, got {len(self.fits)}")
+        require_fits(self.fits, self.memory, self.system)
+        freeze(times)
+
+    @property
+    def order(self) -> int:
+        """Numbers that are remembered, modes and indicators included: l (n + 1) at full memory."""
+        n, memory = self.system.state_size, self.memory
+        if memory is None:
+            return self.system.modes * (1 + n + n * (n + 1) // 2) - 1
+        numbers = memory.order(n, self.system.measurement_size, self.system.modes)
+        return numbers + memory.estimates + memory.indicators
+
+    # Step by step
+
+    def initial(self, batch=(), seed=None) -> SwitchingState:
+        """State before any measurement; the filter draws nothing from `seed`."""
+        return self.rules.start(tuple(batch))
+
+    def predict(self, state: SwitchingState, t: float) -> SwitchingState:
+        """Forecast for time t, the next measurement time; a first state is only given it.
+
+        Raises
+        ------
+        ValueError
+            A time that is not later, or for a designed filter not the next one of the design; a
+            state that was not corrected.
+        """
+        t, k = float(t), state.index + 1
+        if self.memory is not None:
+            self._check_time(k, t)
+        if k == 0:
+            return state._replace(index=0, time=t)
+        if not state.corrected:
+            raise ValueError("state: wanted a state after a correction, got a forecast")
+        if not t > state.time:
+            raise ValueError(f"t: wanted a time after {state.time:g}, got {t:g}")
+        law = self.rules.predict(state.time, self.known(state))
+        return SwitchingState(k, t, law, None, None, state.past, 0.0, state.floored, False)
+
+    def known(self, state: SwitchingState):
+        """Law of mode and state that the forecast starts from: given the memory, if there is one.
+
+        Parameters
+        ----------
+        state : SwitchingState
+            After a correction.
+
+        Returns
+        -------
+        Law
+        """
+        if self.memory is None:
+            return state.law
+        system, past = self.system, state.past
+        cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
+        return self.fits[min(state.index, len(self.fits) - 1)].forecast(cell, past.vector)
+
+    def _check_time(self, k, t):
+        times = self.times
+        if k >= len(times):
+            if not self.lasting:
+                raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
+            return
+        tolerance = SAME_TIME * (np.diff(times).min() if len(times) > 1 else 1.0)
+        if abs(t - times[k]) > tolerance:
+            raise ValueError(f"t: wanted the next measurement time {times[k]:g}, got {t:g}")
+
+    def correct(self, state: SwitchingState, y, indicator=None) -> SwitchingState:
+        """Correct the forecast by a measurement and the indicator.
+
+        Parameters
+        ----------
+        state : SwitchingState
+        y : array_like, shape (m, *batch)
+            NaN components are left out exactly.
+        indicator : array_like of int, shape (*batch), optional
+            -1 where it is missing; wanted where the system has one.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A state without a forecast, a wrong shape, an infinite measurement, an indicator out
+            of range.
+        """
+        if state.index < 0 or state.corrected:
+            raise ValueError("state: wanted a forecast, got a state without; call predict first")
+        y = as_real("y", y, nan=True)
+        wanted = (self.system.measurement_size, *state.law.prob.shape[2:])
+        if y.shape != wanted:
+            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
+        if indicator is not None:
+            indicator = np.asarray(indicator)[None]
+        indicator = as_indicators(indicator, self.system, (1, *wanted[1:]), "indicator")
+        return self.rules.correct(
+            state, y, None if indicator is None else indicator[0], self.memory
+        )
+
+    def step(self, state: SwitchingState, t: float, y, indicator=None) -> SwitchingState:
+        """Forecast to time t and correct there."""
+        return self.correct(self.predict(state, t), y, indicator)
+
+    def forecast(self, state: SwitchingState, t: float) -> Estimates:
+        """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
+        law = self.predict(state, t).law
+        flat = [
+            part.reshape(*part.shape[:c], -1, *law.prob.shape[2:]) for c, part in enumerate(law)
+        ]
+        mixed = mix(*flat)
+        return Estimates(
+            mixed.mean, mixed.cov, law.prob.sum(axis=1), modes=law.prob.sum(1).argmax(0)
+        )
+
+    def run(
+        self, times, measurements, *, indicators=None, covariances=False, workers=1
+    ) -> Estimates:
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (J+1,)
+            For a designed filter the times of its design up to some of them.
+        measurements : array_like, shape (J+1, m, *batch)
+            NaN marks a missing component.
+        indicators : array_like of int, shape (J+1, *batch), optional
+            -1 marks a missing one; wanted where the system has an indicator.
+        covariances : bool
+            Whether `cov` is wanted.
+        workers : int
+            Threads over blocks of paths.
+
+        Returns
+        -------
+        Estimates
+            With ``mode_prob`` (J+1, L, *batch), ``modes`` and ``loglik`` (J+1, *batch).
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `predict` and `correct`.
+
+        Warns
+        -----
+        UserWarning
+            Covariances that had to be mended.
+        """
+        times = as_times("times", times)
+        y = as_record(measurements, len(times), self.system.measurement_size)
+        batch = y.shape[2:]
+        seen = as_indicators(indicators, self.system, (len(times), *batch))
+        flat = y.reshape(*y.shape[:2], -1)
+        seen = None if seen is None else seen.reshape(len(times), -1)
+
+        def work(a, b, _):
+            return self._run(
+                times, flat[..., a:b], None if seen is None else seen[:, a:b], covariances
+            )
+
+        *parts, raised = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
+        if sum(raised):
+            warnings.warn(
+                f"covariances: eigenvalues of {sum(raised)} were raised to 1e-12 of their scale",
+                stacklevel=2,
+            )
+        mean, cov, prob, loglik, modes = (
+            None if column[0] is None else np.concatenate(column, axis=-1) for column in parts
+        )
+        shaped = [
+            None if c is None else c.reshape(*c.shape[:-1], *batch)
+            for c in (mean, cov, prob, loglik, modes)
+        ]
+        diverged = ~np.isfinite(shaped[0]).all(axis=(0, 1))
+        return Estimates(*shaped[:4], diverged, shaped[4])
+
+    def _run(self, times, y, indicators, covariances):
+        batch, n = y.shape[2:], self.system.state_size
+        state = self.initial(batch)
+        mean = np.empty((len(times), n, *batch))
+        cov = np.empty((len(times), n, n, *batch)) if covariances else None
+        prob = np.empty((len(times), self.system.modes, *batch))
+        loglik, modes = np.empty((len(times), *batch)), np.empty((len(times), *batch), dtype=int)
+        for k, t in enumerate(times):
+            state = self.predict(state, t)
+            seen = None if indicators is None else indicators[k]
+            state = self.rules.correct(state, y[k], seen, self.memory)
+            mean[k], prob[k], modes[k], loglik[k] = (
+                state.mean, state.law.prob, state.mode, state.loglik
+            )  # fmt: skip
+            if covariances:
+                cov[k] = total_covariance(state.law)
+        return mean, cov, prob, loglik, modes, state.floored
+
+    def stationary(self, tolerance: float = 0.05) -> SwitchingFilter:
+        """The same filter with its last fit for all later steps.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest change of the gains and offsets over the last step, in units of the deviation
+            of the state in the design.
+
+        Raises
+        ------
+        ValueError
+            The fits have not converged within the design, or there are none to compare.
+        """
+        change = self.change()
+        if not change <= tolerance:
+            raise ValueError(
+                f"times: wanted a design that has converged to {tolerance:g}, got a change of "
+                f"{change:.3g} at its last step"
+            )
+        return replace(self, lasting=True)
+
+    def change(self) -> float:
+        """How far the forecasts of the last two fits are apart, see `fits_apart`."""
+        if self.memory is None or len(self.fits) < self.memory.depth + 2:
+            raise ValueError("times: wanted a design of more steps than the memory's depth")
+        if not all(isinstance(fit, CellFit) for fit in self.fits[-2:]):
+            raise ValueError("fits: wanted two CellFits to compare, got others")
+        return fits_apart(self.fits[-1], self.fits[-2])
+
+    def __repr__(self) -> str:
+        held = "laws of all modes" if self.memory is None else str(self.memory)
+        return f"<SwitchingFilter: {held}; {self.linearization}>"
+
+    def __str__(self) -> str:
+        return summary(self)

@@ -1,0 +1,260 @@
+"""The steps of a switching filter that its design and its run share, compiled for one system."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.designed.lemmas import Law, Sensed, decide, floored, propagate, sense, weigh
+from seedslib.designed.memory import Past
+from seedslib.designed.switching_branches import (
+    alone_moments,
+    each_moments,
+    plain_moments,
+    row_moments,
+    seen_branch,
+)
+from seedslib.linearization.moments import Moments
+from seedslib.linearization.points import PointRule
+
+NORMALISATIONS = ("consistent", "printed")
+
+SOFTEST = 8.0
+"""Remembered log-odds of the modes are cut to this range."""
+
+
+class SwitchingState(NamedTuple):
+    """What the filter remembers.
+
+    Attributes
+    ----------
+    index : int
+        Number k of the last measurement time reached; -1 before the first.
+    time : float or None
+        That time.
+    law : Law
+        After `predict` the forecast Q, lambda, Psi with its parts; after `correct` the posterior
+        P, rho, Upsilon.
+    mean : ndarray, shape (n, *batch), or None
+        Estimate after `correct`.
+    mode : ndarray of int, shape (*batch), or None
+        Decided mode.
+    past : Past
+        The memory; empty where nothing but the law is carried.
+    loglik : ndarray
+        Log-density of the last measurement and indicator.
+    floored : int
+        Covariances whose eigenvalues had to be raised so far.
+    corrected : bool
+    """
+
+    index: int
+    time: float | None
+    law: Law
+    mean: np.ndarray | None
+    mode: np.ndarray | None
+    past: Past
+    loglik: np.ndarray | float
+    floored: int
+    corrected: bool
+
+
+class SwitchingRules:
+    """Moment functions of a system under a linearization.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+    linearization : Linearization
+    normalisation : {"consistent", "printed"}
+    split : bool
+        Let a forecast have one Gaussian part for each value of an indicator that depends on the
+        state, as (6.19); one part for each mode otherwise.
+
+    Raises
+    ------
+    NoClosedForm
+        The linearization has no formulas for a branch; the message offers one that works.
+    """
+
+    def __init__(self, system, linearization, normalisation="consistent", split=True):
+        if normalisation not in NORMALISATIONS:
+            raise ValueError(
+                f"normalisation: wanted one of {', '.join(NORMALISATIONS)}, got {normalisation!r}"
+            )
+        self.system = system
+        self._made_of = (system, linearization, normalisation, split)
+        self.split = split and not system.indicator_is_blind
+        self.printed = self.split and normalisation == "printed"
+        # rules of points may have negative weights
+        self.guarded = isinstance(linearization, PointRule)
+        self.rows = [self._row(i, linearization) for i in range(system.modes)]
+        self.readings = [
+            [reading and alone_moments(reading, linearization) for reading in row]
+            for row in system.readings
+        ]
+        self.unseen = None
+        if system.has_indicator:
+            self.unseen = [plain_moments(sensor, 1.0, linearization) for sensor in system.sensors]
+
+    def __reduce__(self):
+        return compiled_rules, self._made_of
+
+    def _row(self, i, linearization):
+        """Moments of the next state in mode i, for each new mode and part."""
+        system = self.system
+        if not self.split:
+            found = row_moments(system.branches[i], linearization)
+            return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
+        table = [
+            [branch and seen_branch(branch, reading) for reading in system.readings[l]]
+            for l, branch in enumerate(system.branches[i])
+        ]
+        try:
+            found = each_moments([map for row in table for map in row], linearization)
+        except ValueError as error:
+            raise type(error)(f"{error}; or split=False, which asks for less") from None
+        width = len(table[0])
+
+        def row(t, mean, cov):
+            flat = found(t, mean, cov)
+            return [flat[a : a + width] for a in range(0, len(flat), width)]
+
+        return row
+
+    def initial(self, batch) -> Law:
+        """Law of mode and state before any measurement, one part for each mode."""
+        parts, tail = self.system.initial, (1,) * len(batch)
+
+        def spread(values):
+            values = np.stack(values, axis=-1)[..., None]
+            return np.broadcast_to(values.reshape(*values.shape, *tail), (*values.shape, *batch))
+
+        return Law(
+            spread([part.probability for part in parts]),
+            spread([part.mean for part in parts]),
+            spread([part.cov for part in parts]),
+        )
+
+    def start(self, batch) -> SwitchingState:
+        """State before any measurement."""
+        return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
+
+    def predict(self, t, law: Law) -> Law:
+        """Forecast for the next time from the law at time t."""
+        with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
+            return propagate(self.rows, t, law)
+
+    def sense(self, t, law: Law, indicator) -> Sensed:
+        """Law given the indicator, and moments of the measurement.
+
+        Parameters
+        ----------
+        t : float
+        law : Law
+            With parts.
+        indicator : ndarray of int, shape (*batch), or None
+            -1 where it is missing.
+        """
+        if indicator is None:
+            return sense([row[0] for row in self.readings], t, law, self._column(law, 0))
+        values = np.unique(indicator)
+        if len(values) <= 1:
+            return self._sense(t, law, int(values[0]) if len(values) else 0)
+        batch, pieces, places = indicator.shape, [], []
+        flat = Law(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
+        for j in values:
+            here = np.flatnonzero(indicator.ravel() == j)
+            piece = self._sense(t, Law(*(part[..., here] for part in flat)), int(j))
+            pieces.append((piece.prob, piece.mean, piece.cov, *piece.moments))
+            places.append(here)
+        count, joined = indicator.size, []
+        for parts in zip(*pieces, strict=True):
+            whole = np.empty((*parts[0].shape[:-1], count))
+            for here, part in zip(places, parts, strict=True):
+                whole[..., here] = part
+            joined.append(whole.reshape(*whole.shape[:-1], *batch))
+        prob, mean, cov, *moments = joined
+        return Sensed(prob, mean, cov, type(piece.moments)(*moments))
+
+    def _sense(self, t, law, j):
+        if j < 0:
+            return sense(self.unseen, t, law)
+        return sense([row[j] for row in self.readings], t, law, self._column(law, j))
+
+    def _column(self, law, j):
+        """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
+        return j if self.printed and law.prob.shape[1] > 1 else None
+
+    def correct(self, state: SwitchingState, y, indicator, memory) -> SwitchingState:
+        """State after a measurement y (m, *batch) and an indicator."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            return self._corrected(state, y, indicator, memory)
+
+    def _corrected(self, state, y, indicator, memory):
+        raised = 0
+        if self.guarded:
+            cov, raised = floored(state.law.cov)
+            total = state.law.prob.sum(axis=(0, 1))
+            state = state._replace(law=state.law._replace(prob=state.law.prob / total, cov=cov))
+        sensed = self.sense(state.time, state.law, indicator)
+        impossible = sensed.prob.sum(axis=0) == 0
+        if indicator is not None and impossible.any():  # what no mode can show says nothing
+            seen = np.where(impossible, -1, indicator)
+            sensed = self.sense(state.time, state.law, seen)
+        if self.printed:
+            spread, more = floored(sensed.moments.cov)
+            sensed = sensed._replace(moments=sensed.moments._replace(cov=spread))
+            raised += more
+        elif self.guarded:
+            sensed, more = _semidefinite(sensed)
+            raised += more
+        law, loglik = weigh(sensed, y)
+        if impossible.any():
+            loglik = np.where(impossible, -np.inf, loglik)
+        cov, more = floored(law.cov, np.einsum("ii...->i...", sensed.cov))
+        law = law._replace(cov=cov)
+        mode, mean = decide(law)
+        past = state.past
+        if memory is not None:
+            shown, missing = y, np.isnan(y)
+            if memory.measurements and missing.any():
+                # a missing measurement is remembered as what was expected
+                weight = sensed.prob / sensed.prob.sum(axis=0)
+                expected = (weight * sensed.moments.mean).sum(axis=1)
+                shown = np.where(missing, expected, y)
+            if memory.indicators and (indicator < 0).any():
+                raise ValueError("indicator: wanted by the memory, got a missing one")
+            past = memory.push(
+                past, estimate=mean, measurement=shown, mode=mode, indicator=indicator,
+                log_odds=log_odds(law.prob) if memory.log_odds else None,
+            )  # fmt: skip
+        return SwitchingState(
+            state.index, state.time, law, mean, mode, past, loglik,
+            state.floored + raised + more, True,
+        )  # fmt: skip
+
+
+@lru_cache(maxsize=16)
+def compiled_rules(system, linearization, normalisation, split) -> SwitchingRules:
+    """Rules of a system and a linearization, the same object for the same arguments."""
+    return SwitchingRules(system, linearization, normalisation, split)
+
+
+def _semidefinite(sensed):
+    """The same with joint covariances that are semidefinite, and how many had to be mended."""
+    n, (mean, cross, spread) = len(sensed.cov), sensed.moments
+    upper = np.concatenate([sensed.cov, cross], axis=1)
+    lower = np.concatenate([np.swapaxes(cross, 0, 1), spread], axis=1)
+    joint, raised = floored(np.concatenate([upper, lower]))
+    moments = Moments(mean, joint[:n, n:], joint[n:, n:])
+    return sensed._replace(cov=joint[:n, :n], moments=moments), raised
+
+
+def log_odds(prob) -> np.ndarray:
+    """Log-odds of the modes against mode 0, cut to ±8: (L - 1, *batch)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        odds = np.log(prob[1:]) - np.log(prob[0])
+    return np.clip(np.nan_to_num(odds, nan=0.0, posinf=SOFTEST, neginf=-SOFTEST), -SOFTEST, SOFTEST)

@@ -1,0 +1,18 @@
+"""What wants another package or another language: C, learned outputs, a cluster.
+
+`to_c` writes a designed filter as a C header, `learn` wants scikit-learn, `cluster` wants Dask.
+Nothing uses this room.
+
+May import: base, models, linearization, filters, designed, design.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.extra.c.header import to_c as to_c
+    from seedslib.extra.dask_crew import cluster as cluster
+    from seedslib.extra.learned import learn as learn
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,0 +1,1 @@
+"""Shelf: a designed filter as one C header."""

@@ -1,0 +1,301 @@
+"""C of a finite-order filter: state, first estimate, correction, memory, forecasts between."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seedslib.designed.between import SAME_TIME
+from seedslib.designed.predictors import Continuous, PolynomialFit
+from seedslib.designed.regression import AffineFit
+from seedslib.extra.c.forecasts import ahead, course, held
+from seedslib.extra.c.source import constants, function
+from seedslib.extra.c.tape import Tape
+from seedslib.extra.c.traced import (
+    check_formulas,
+    corrected_outputs,
+    map_moments,
+    record_correction,
+)
+
+KINDS = ("interpolated", "piecewise constant", "constant")
+"""Forecasts between measurements that need nothing from before the last one."""
+
+STATE = """\
+typedef struct {
+    int k; /* measurements taken in */
+    double mean[@NAME_ESTIMATE]; /* estimate at the last one */
+    double cov[@NAME_ESTIMATE][@NAME_ESTIMATE]; /* its covariance, as the filter sees it */
+    double loglik; /* log-density of the last measurement */
+    double memory[@NAME_MEMORY]; /* newest first: estimates, then measurements */
+    double shown[@NAME_MEASUREMENT]; /* last measurement, gaps filled */
+} @name_state;
+
+static inline void @name_init(@name_state *s)
+{
+    memset(s, 0, sizeof *s);
+}
+"""
+
+STEP = """\
+/* One measurement: forecast from the memory, correction, memory. NaN: component missing. */
+static inline int @name_step(@name_state *s, const double *y)
+{
+    double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
+    int i;
+    if (s->k >= @NAME_TIMES) return @NAME_END;
+    for (i = 0; i < @NAME_MEASUREMENT; i++) if (isinf(y[i])) return @NAME_INFINITE;
+    if (s->k == 0) {
+        @name_first_(s, y);
+    } else {
+        memcpy(u, s->memory, sizeof u);
+        @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
+        @name_correct_(@name_times[s->k], mean, cov, s, y);
+    }
+    @name_push_(s);
+    s->k++;
+    return @NAME_OK;
+}
+"""
+
+NODES = """\
+/* Forecasts of the estimated components at the nodes from the last measurement to the next,
+ * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+static inline int @name_nodes(const @name_state *s, double *out)
+{
+    int i, j, n;
+    if (s->k == 0) return 0;
+    for (n = @name_node_start[s->k - 1]; n < @name_node_start[s->k]; n++) {
+        for (i = 0; i < @NAME_ESTIMATE; i++) {
+            double sum = 0.0;
+            for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[n][i][j] * s->memory[j];
+            @MEASURED*out++ = sum + @name_node_offset[n][i];
+        }
+    }
+    return @name_node_start[s->k] - @name_node_start[s->k - 1];
+}
+"""
+
+_MEASURED = """\
+for (j = 0; j < @NAME_MEASUREMENT; j++) {
+                sum += @name_node_gain[n][i][@NAME_MEMORY + j] * s->shown[j];
+            }
+            """
+
+COURSE_NODES = """\
+/* Forecasts of the estimated components at the nodes from the last measurement to the next,
+ * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+static inline int @name_nodes(const @name_state *s, double *out)
+{
+    double z[@NAME_MEMORY];
+    int count, i;
+    if (s->k == 0) return 0;
+    count = @name_node_start[s->k] - @name_node_start[s->k - 1];
+    memcpy(z, s->memory, sizeof z);
+    for (i = 0; i < count; i++) {
+        @name_move_(@name_course_start[s->k - 1] + i, z);
+        memcpy(out + i * @NAME_ESTIMATE, z, sizeof z);
+    }
+    return count;
+}
+"""
+
+BETWEEN = """\
+/* Forecast of the estimated components at a time from the last measurement to the next. */
+static inline int @name_forecast(const @name_state *s, double t, double *out)
+{
+    double value[(@NAME_NODES + 2) * @NAME_ESTIMATE], when[@NAME_NODES + 2], slack, share;
+    int i = 0, j, count, nodes;
+    if (s->k == 0) return @NAME_TIME;
+    memcpy(value, s->mean, sizeof s->mean);
+    nodes = @name_nodes(s, value + @NAME_ESTIMATE);
+    when[0] = @name_times[s->k - 1];
+    for (j = 0; j < nodes; j++) when[j + 1] = @name_node_times[@name_node_start[s->k - 1] + j];
+    count = nodes + 1;
+    if (s->k < @NAME_TIMES) {
+        @name_end_(s, value + count * @NAME_ESTIMATE);
+        when[count++] = @name_times[s->k];
+    }
+    if (!(t >= when[0] - @SLACK && t <= when[count - 1] + @SLACK)) return @NAME_TIME;
+    slack = @SAME * (when[count - 1] - when[0]);
+    while (i < nodes && when[i + 1] <= t + slack) i++;
+    @SHARE
+    for (j = 0; j < @NAME_ESTIMATE; j++) {
+        const double now = value[i * @NAME_ESTIMATE + j];
+        out[j] = share == 0.0 ? now : now + share * (value[(i + 1) * @NAME_ESTIMATE + j] - now);
+    }
+    return @NAME_OK;
+}
+"""
+
+_SHARES = {
+    "interpolated": "share = i + 1 < count ? (t - when[i]) / (when[i + 1] - when[i]) : 0.0;",
+    "piecewise constant": "share = 0.0;",
+    "constant": "i = 0;\n    share = 0.0;",
+}
+
+END = """\
+static inline void @name_end_(const @name_state *s, double *out)
+{
+    double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
+    memcpy(u, s->memory, sizeof u);
+    @name_ahead_(s->k - 1, u, mean, cov);
+    memcpy(out, mean, @NAME_ESTIMATE * sizeof *out);
+}
+"""
+
+COURSE_END = """\
+static inline void @name_end_(const @name_state *s, double *out)
+{
+    int i;
+    memcpy(out, s->memory, sizeof s->memory);
+    for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, out);
+}
+"""
+
+_COURSE_ARRIVE = """\
+for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, u);
+        """
+
+
+def finite_order_source(filter) -> tuple[dict, str]:
+    """Macros and C of a `FiniteOrderFilter`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Forecasts or moments that have no C, see `seedslib.extra.to_c`.
+    """
+    check_formulas(filter.linearization, filter.system)
+    kinds = {type(fit) for fit in filter.fits}
+    if not kinds or not kinds <= {AffineFit, PolynomialFit}:
+        raise TypeError(
+            "predictor: wanted affine or polynomial forecasts for at least two measurements, got "
+            f"{filter.predictor}, {len(filter.fits)} forecasts"
+        )
+    continuous = isinstance(filter.predictor, Continuous)
+    text, macros = ahead(filter)
+    if continuous:
+        text += course(filter)
+    arrive = _COURSE_ARRIVE if continuous else ""
+    common, timing = frame(filter)
+    text = "\n".join([
+        timing, text, STATE, _first(filter), _correction(filter), push(filter),
+        STEP.replace("@ARRIVE", arrive),
+        COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
+        between(filter),
+    ])  # fmt: skip
+    return {**common, **macros}, text
+
+
+def frame(filter) -> tuple[dict, str]:
+    """Macros with the dimensions, and C of the times of measurements and nodes."""
+    times = filter.times
+    counts = [len(nodes) for nodes in filter.node_times]
+    counts += [0] * (len(times) - len(counts))
+    nodes = np.concatenate([*filter.node_times, []])
+    macros = {
+        "STATE": len(filter.start.mean),
+        "ESTIMATE": filter.components,
+        "MEASUREMENT": filter.system.sensor.size,
+        "MEMORY": filter.order,
+        "TIMES": len(times),
+        "NODES": max(counts),
+    }
+    text = constants("@name_times", times)
+    text += constants("@name_node_start", np.cumsum([0, *counts]), "int")
+    return macros, text + constants("@name_node_times", nodes if len(nodes) else [0.0])
+
+
+def between(filter) -> str:
+    """C of the forecast at any time.
+
+    Raises
+    ------
+    ValueError
+        A kind of forecast that looks further back than the last measurement.
+    """
+    if filter.between not in KINDS:
+        raise ValueError(
+            f"between: wanted one of {', '.join(KINDS)} for C, got {filter.between!r}; "
+            'use filter.forecasting("interpolated")'
+        )
+    text = BETWEEN.replace("@SHARE", _SHARES[filter.between])
+    shortest = np.diff(filter.times).min()
+    return text.replace("@SLACK", repr(float(SAME_TIME * shortest))).replace("@SAME", "1e-9")
+
+
+def push(filter) -> str:
+    """C that puts the newest estimate and measurement on the memory."""
+    lines, place = [], 0
+    for count, size, source in (
+        (filter.memory.estimates, filter.components, "mean"),
+        (filter.memory.measurements, filter.system.sensor.size, "shown"),
+    ):
+        start = f"s->memory + {place}" if place else "s->memory"
+        if count > 1:
+            moved = (count - 1) * size
+            lines.append(
+                f"    memmove(s->memory + {place + size}, {start}, {moved} * sizeof *s->memory);"
+            )
+        if count:
+            lines.append(f"    memcpy({start}, s->{source}, sizeof s->{source});")
+        place += count * size
+    return function("void @name_push_(@name_state *s)", lines)
+
+
+def _first(filter) -> str:
+    """C of the estimate from the first measurement, whose moments are fixed."""
+    start, tape = filter.start, Tape()
+    n, m, rows = len(start.mean), len(start.moments.mean), filter.components
+    y = tape.inputs("y[{}]", m)
+    moments = (
+        tape.inputs("@name_first_sensor[{}]", m),
+        tape.inputs("@name_first_cross[{}][{}]", n, m),
+        tape.inputs("@name_first_spread[{}][{}]", m, m),
+    )
+    lower = tape.inputs("@name_first_cov[{}]", n * (n + 1) // 2)
+    mean = tape.inputs("@name_first_mean[{}]", n)
+    text = constants("@name_first_mean", start.mean)
+    text += constants("@name_first_cov", start.cov[np.tril_indices(n)])
+    text += constants("@name_first_sensor", start.moments.mean)
+    text += constants("@name_first_cross", start.moments.cross)
+    text += constants("@name_first_spread", start.moments.cov)
+    found = record_correction(tape, mean, lower, y, moments, rows)
+    head = "void @name_first_(@name_state *s, const double *y)"
+    return text + function(head, tape.body(_stored(found)))
+
+
+def _correction(filter) -> str:
+    """C of the moments of the sensor and the correction, in one straight line."""
+    tape, n, m = Tape(), len(filter.start.mean), filter.system.sensor.size
+    y = tape.inputs("y[{}]", m)
+    mean, lower = tape.inputs("mean[{}]", n), tape.inputs("cov[{}]", n * (n + 1) // 2)
+    moments = map_moments(filter.linearization, filter.system.sensor)
+    moments = moments(tape.inputs("t")[()], mean, lower)
+    found = record_correction(tape, mean, lower, y, moments, filter.components)
+    head = (
+        "void @name_correct_(double t, const double *mean, const double *cov, @name_state *s,\n"
+        "                                 const double *y)"
+    )
+    return function(head, ["    (void)t;", *tape.body(_stored(found))])
+
+
+def _stored(found) -> dict:
+    shown = {f"s->shown[{j}]": part for j, part in enumerate(found[3])}
+    return {**corrected_outputs(found), **shown}
+
+
+def _nodes(filter) -> str:
+    """C of the affine forecasts at the nodes."""
+    order, rows = filter.order, [
+        (k, fit) for k, fits in enumerate(filter.node_fits) for fit in fits
+    ]  # fmt: skip
+    measured = filter.measured_nodes and not filter.memory.measurements
+    width = order + filter.system.sensor.size * measured
+    gain = np.zeros((max(1, len(rows)), filter.components, width))
+    offset = np.zeros(gain.shape[:2])
+    for i, (k, fit) in enumerate(rows):
+        places = [*held(filter, k), *range(order, width)]
+        gain[i][:, places], offset[i] = fit.gain, fit.offset
+    text = constants("@name_node_gain", gain) + constants("@name_node_offset", offset)
+    return text + NODES.replace("@MEASURED", _MEASURED if measured else "")

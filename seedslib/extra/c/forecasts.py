@@ -1,0 +1,259 @@
+"""C of the forecasts of a finite-order filter: affine, polynomial, continuous."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, roots
+from seedslib.extra.c.source import constants, function
+from seedslib.extra.c.tape import Tape, literal
+from seedslib.extra.c.traced import map_moments
+
+_AHEAD = "static inline void @name_ahead_(int k, const double *u, double *mean, double *cov)\n{\n"
+
+_AFFINE = (
+    _AHEAD
+    + """\
+    int i, j;
+    for (i = 0; i < @NAME_STATE; i++) {
+        double sum = 0.0;
+        for (j = 0; j < @NAME_MEMORY; j++) sum += @name_gain[k][i][j] * u[j];
+        mean[i] = sum + @name_offset[k][i];
+    }
+    memcpy(cov, @name_cov[k], sizeof @name_cov[k]);
+}
+"""
+)
+
+_POLYNOMIAL = (
+    _AHEAD
+    + """\
+    double point[@NAME_MEMORY], power[@NAME_POWERS + 1];
+    int i, j;
+    for (i = 0; i < @NAME_MEMORY; i++) {
+        const double p = (u[i] - @name_centre[k][i]) * @name_scale[k][i];
+        point[i] = p < -CLIP ? -CLIP : p > CLIP ? CLIP : p;
+    }
+    power[0] = 1.0;
+    for (j = 0; j < @NAME_POWERS; j++) {
+        power[j + 1] = point[@name_factor[j]] * power[@name_lower[j]];
+    }
+    for (i = 0; i < @NAME_STATE; i++) {
+        double sum = 0.0;
+        for (j = 0; j < @NAME_MEAN_POWERS; j++) sum += @name_gain[k][i][j] * power[j + 1];
+        mean[i] = sum + @name_offset[k][i];
+    }
+"""
+)
+
+_CONSTANT_COV = """\
+    memcpy(cov, @name_cov[k], sizeof @name_cov[k]);
+}
+"""
+
+_POLYNOMIAL_COV = """\
+    for (i = 0; i < @NAME_STATE * (@NAME_STATE + 1) / 2; i++) {
+        double sum = 0.0;
+        for (j = 0; j < @NAME_COV_POWERS; j++) sum += @name_cov_gain[k][i][j] * power[j + 1];
+        cov[i] = sum + @name_cov_offset[k][i];
+    }
+    @name_floor_(@name_root[k], @name_back[k], cov);
+}
+"""
+
+_FLOOR = """\
+/* Eigenvalues of a covariance, in units of the mean one, are not let below FLOOR: Jacobi
+ * rotations of back' cov back, then root V max(., FLOOR) V' root'. */
+static inline void @name_floor_(const double root[@NAME_STATE][@NAME_STATE],
+                                const double back[@NAME_STATE][@NAME_STATE], double *cov)
+{
+    double a[@NAME_STATE][@NAME_STATE], v[@NAME_STATE][@NAME_STATE];
+    int i, j, p, q, sweep;
+    for (p = 0; p < @NAME_STATE; p++) {
+        for (q = 0; q <= p; q++) {
+            double sum = 0.0;
+            for (i = 0; i < @NAME_STATE; i++) {
+                double inner = 0.0;
+                for (j = 0; j < @NAME_STATE; j++) {
+                    inner += cov[i > j ? i * (i + 1) / 2 + j : j * (j + 1) / 2 + i] * back[j][q];
+                }
+                sum += back[i][p] * inner;
+            }
+            a[p][q] = a[q][p] = sum;
+            v[p][q] = v[q][p] = p == q ? 1.0 : 0.0;
+        }
+    }
+    for (sweep = 0; sweep < 60; sweep++) {
+        double off = 0.0, all = 0.0;
+        for (p = 0; p < @NAME_STATE; p++) {
+            all += a[p][p] * a[p][p];
+            for (q = 0; q < p; q++) off += a[p][q] * a[p][q];
+        }
+        if (!(off > 1e-36 * all)) break;
+        for (p = 0; p < @NAME_STATE; p++) {
+            for (q = 0; q < p; q++) {
+                double turn, c, s;
+                if (a[p][q] == 0.0) continue;
+                turn = (a[q][q] - a[p][p]) / (2.0 * a[p][q]);
+                turn = (turn >= 0.0 ? 1.0 : -1.0) / (fabs(turn) + hypot(turn, 1.0));
+                c = 1.0 / sqrt(turn * turn + 1.0);
+                s = turn * c;
+                for (i = 0; i < @NAME_STATE; i++) {
+                    const double x = a[i][p], y = a[i][q];
+                    a[i][p] = c * x - s * y;
+                    a[i][q] = s * x + c * y;
+                }
+                for (i = 0; i < @NAME_STATE; i++) {
+                    const double x = a[p][i], y = a[q][i], w = v[i][p], z = v[i][q];
+                    a[p][i] = c * x - s * y;
+                    a[q][i] = s * x + c * y;
+                    v[i][p] = c * w - s * z;
+                    v[i][q] = s * w + c * z;
+                }
+            }
+        }
+    }
+    for (p = 0; p < @NAME_STATE; p++) {
+        const double length = sqrt(a[p][p] < FLOOR ? FLOOR : a[p][p]);
+        for (i = 0; i < @NAME_STATE; i++) {
+            double sum = 0.0;
+            for (q = 0; q < @NAME_STATE; q++) sum += root[i][q] * v[q][p];
+            a[i][p] = sum * length;
+        }
+    }
+    for (i = 0; i < @NAME_STATE; i++) {
+        for (j = 0; j <= i; j++) {
+            double sum = 0.0;
+            for (p = 0; p < @NAME_STATE; p++) sum += a[i][p] * a[j][p];
+            cov[i * (i + 1) / 2 + j] = sum;
+        }
+    }
+}
+"""
+
+_MOVE = """\
+/* One Euler step of the continuous forecast. */
+static inline void @name_move_(int i, double *z)
+{
+    double mean[@NAME_STATE], rate[@NAME_ESTIMATE];
+    int k, j;
+    for (k = 0; k < @NAME_STATE; k++) {
+        double sum = 0.0;
+        for (j = 0; j < @NAME_ESTIMATE; j++) sum += @name_course_gain[i][k][j] * z[j];
+        mean[k] = sum + @name_course_offset[i][k];
+    }
+    @name_velocity_(@name_course_time[i], mean, @name_course_cov[i], rate);
+    for (k = 0; k < @NAME_ESTIMATE; k++) z[k] += @name_course_step[i] * rate[k];
+}
+"""
+
+
+def held(filter, step) -> np.ndarray:
+    """Places in the full memory of the components that are there after step `step`."""
+    memory, n, m = filter.memory, filter.components, filter.system.sensor.size
+    estimates = np.arange(n * min(step + 1, memory.estimates))
+    measured = n * memory.estimates + np.arange(m * min(step + 1, memory.measurements))
+    return np.concatenate([estimates, measured])
+
+
+def _spread_out(values, places, size):
+    """Columns put at their places among `size`, zeros elsewhere."""
+    found = np.zeros((*values.shape[:-1], size))
+    found[..., places] = values
+    return found
+
+
+def _lower(cov):
+    return cov[np.tril_indices(len(cov))]
+
+
+def ahead(filter) -> tuple[str, dict]:
+    """C of the forecast for the next measurement, and macros that it wants."""
+    if isinstance(filter.fits[0], PolynomialFit):
+        return _polynomial(filter)
+    order, fits = filter.order, filter.fits
+    gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in enumerate(fits)]
+    text = constants("@name_gain", gains)
+    text += constants("@name_offset", [fit.offset for fit in fits])
+    text += constants("@name_cov", [_lower(fit.cov) for fit in fits])
+    return text + _AFFINE, {}
+
+
+def _polynomial(filter):
+    first, order, fits = filter.fits[0], filter.order, filter.fits
+    degree = max(first.mean_degree, first.cov_degree)
+    recipe, number = monomial_recipe(order, degree), _numbers(order, degree)
+    low = {name: len(monomial_recipe(order, getattr(first, name)))
+           for name in ("mean_degree", "cov_degree")}  # fmt: skip
+    macros = {"POWERS": len(recipe), "MEAN_POWERS": low["mean_degree"]}
+    tables: dict[str, list] = {key: [] for key in ("centre", "scale", "gain", "offset")}
+    if first.cov_degree:
+        macros["COV_POWERS"] = low["cov_degree"]
+        tables.update({key: [] for key in ("cov_gain", "cov_offset", "root", "back")})
+    else:
+        tables["cov"] = []
+    for k, fit in enumerate(fits):
+        there = held(filter, k)
+        own = [number[tuple(there[list(powers)])] for powers in _numbers(len(there), degree)]
+        mean_places, cov_places = own[: fit.gain.shape[1]], own[: fit.cov_gain.shape[1]]
+        # what is not yet remembered has the scale zero and the gains zero
+        tables["centre"].append(_spread_out(fit.centre, there, order))
+        tables["scale"].append(_spread_out(fit.scale, there, order))
+        tables["gain"].append(_spread_out(fit.gain, mean_places, low["mean_degree"]))
+        tables["offset"].append(fit.offset)
+        if first.cov_degree:
+            tables["cov_gain"].append(_spread_out(fit.cov_gain, cov_places, low["cov_degree"]))
+            tables["cov_offset"].append(fit.cov_offset)
+            root, back = (_square(part) for part in roots(fit.residual))
+            tables["root"].append(root)
+            tables["back"].append(back)
+        else:
+            tables["cov"].append(_lower(fit.residual))
+    text = "".join(constants(f"@name_{key}", values) for key, values in tables.items())
+    text += constants("@name_factor", [factor for factor, _ in recipe], "int")
+    lower = [0 if lower is None else lower + 1 for _, lower in recipe]
+    text += constants("@name_lower", lower, "int")
+    body = _POLYNOMIAL + (_POLYNOMIAL_COV if first.cov_degree else _CONSTANT_COV)
+    body = (_FLOOR if first.cov_degree else "") + body
+    return text + body.replace("FLOOR", literal(FLOOR)).replace("CLIP", literal(CLIP)), macros
+
+
+def _numbers(size, degree) -> dict[tuple, int]:
+    """Number of each monomial, known by the places of its factors."""
+    found: list[tuple] = []
+    for factor, lower in monomial_recipe(size, degree):
+        found.append((() if lower is None else found[lower]) + (factor,))
+    return {powers: number for number, powers in enumerate(found)}
+
+
+def _square(part):
+    """Columns of zeros added: they have the eigenvalue zero and no weight."""
+    return np.pad(part, ((0, 0), (0, len(part) - part.shape[1])))
+
+
+def course(filter) -> str:
+    """C of the Euler steps of `Continuous` through all intervals, and where each one starts."""
+    system, n = filter.system, filter.components
+    tape = Tape()
+    size = system.state_size
+    mean, lower = tape.inputs("mean[{}]", size), tape.inputs("cov[{}]", size * (size + 1) // 2)
+    moments = map_moments(filter.linearization, system.drift_map, spread=False)
+    velocity = moments(tape.inputs("t")[()], mean, lower)[0]
+    lines = tape.body({f"rate[{k}]": velocity[k] for k in range(n)})
+    head = "void @name_velocity_(double t, const double *mean, const double *cov, double *rate)"
+    times, sizes, starts = [], [], [0]
+    for k, row in enumerate(filter.node_fits):
+        end = filter.times[k + 1] if k < len(filter.fits) else filter.node_times[k][-1]
+        stops = np.array([filter.times[k], *filter.node_times[k], end])[: len(row) + 1]
+        times += stops[:-1].tolist()
+        sizes += np.diff(stops).tolist()
+        starts.append(len(times))
+    starts += [len(times)] * (len(filter.times) + 1 - len(starts))
+    fits = [fit for row in filter.node_fits for fit in row]
+    text = constants("@name_course_start", starts, "int")
+    text += constants("@name_course_time", times) + constants("@name_course_step", sizes)
+    text += constants("@name_course_gain", [fit.gain for fit in fits])
+    text += constants("@name_course_offset", [fit.offset for fit in fits])
+    text += constants("@name_course_cov", [_lower(fit.cov) for fit in fits])
+    unused = ["    (void)t; (void)mean; (void)cov;"]
+    return text + function(head, unused + lines) + _MOVE

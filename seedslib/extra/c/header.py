@@ -1,0 +1,146 @@
+"""From a designed filter to one C99 header."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.table import OutputFilter, TableFilter
+from seedslib.extra.c.source import checked_name, comment, model_lines, named
+from seedslib.filters.covariance import CovarianceFilter
+
+_HEAD = """\
+#ifndef @NAME_H
+#define @NAME_H
+
+#include <math.h>
+#include <string.h>
+
+#ifdef __FAST_MATH__
+#error "@name: wanted a compiler that keeps NaN and the order of sums; leave -ffast-math out"
+#endif
+
+#define @NAME_OK 0       /* what the functions return */
+#define @NAME_END 1      /* no more measurement times in the design */
+#define @NAME_INFINITE 2 /* a measurement that is infinite */
+#define @NAME_PARTLY 3   /* a measurement of which only some components are there */
+#define @NAME_TIME 4     /* a time that is not where it should be */
+
+"""
+
+_RULES = """\
+Use: declare a @name_state, call @name_init, then @name_step for each measurement. It \
+returns @NAME_OK, or why it refused; the state is then as before. \
+A component of a measurement is NaN where it is missing. Compile with -ffp-contract=off to get \
+the numbers of the Python library but for rounding; never with -ffast-math."""
+
+_REDUNDANT = """\
+A component of the measurement is left out exactly where it is missing: zero innovation, unit \
+pivot. One that the components before it determine (its pivot is at most 1e-13 of its variance) \
+gets the gain zero and is not counted in loglik; the Python library uses the pseudo-inverse \
+there, which is the same for measurements that do not contradict each other. A covariance of the \
+measurement that is clearly indefinite gives NaN."""
+
+_WHOLE = """\
+A measurement is missing as a whole or not at all; where the tables end their last values are \
+used. There is no likelihood; cov is the error covariance that the design found, NaN where the \
+measurement is missing."""
+
+
+def to_c(filter, path=None, name: str = "filter") -> str:
+    """Write a designed filter as a C99 header that needs <math.h> and <string.h> only.
+
+    The tables of the design are constants, the formulas of the sensor and of the forecast are
+    the library's own lines, recorded. All functions are ``static inline``. The header holds
+    ``<name>_state``, ``<name>_init(state *)`` and
+
+    - for a filter of finite order or a table ``<name>_step(state *, const double *y)``, one
+      measurement, ``<name>_nodes(state *, double *out)``, the forecasts at the nodes up to the
+      next measurement, and ``<name>_forecast(state *, double t, double *out)``, the forecast at
+      any time up to then;
+    - for a filter that carries a covariance ``<name>_step(state *, double t, const double *y)``,
+      and its halves ``<name>_predict(state *, double t)`` and ``<name>_correct(state *,
+      const double *y)``.
+
+    All but the first return ``<NAME>_OK`` (zero) or why they refused, ``<name>_nodes`` a number.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter, TableFilter or CovarianceFilter
+        Affine, polynomial or continuous forecasts, `Taylor` or `ExactGaussian` moments; the
+        integrators with fixed steps.
+    path : path_like, optional
+        Where to write the header as well.
+    name : str
+        Prefix of all names.
+
+    Returns
+    -------
+    str
+        The header. Equal filters give equal text.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A filter or a part of it that has no C; the message says what is wanted.
+    NoClosedForm
+        A mean of the model has no closed form.
+
+    Notes
+    -----
+    Without contraction of products and sums (-ffp-contract=off) C and Python run the same lines
+    and differ by the rounding of what Python leaves to BLAS and LAPACK: to 1e-14 of the largest
+    value, or of the largest term of a polynomial forecast.
+
+    Where a component of a measurement is a function of those before it the gain is zero, while
+    the library takes the pseudo-inverse: the same, unless the measurements contradict each other.
+
+    Examples
+    --------
+    >>> from seedslib.extra import to_c
+    >>> from seedslib.filters import extended_kalman
+    >>> from seedslib import zoo
+    >>> text = to_c(extended_kalman(zoo.van_der_pol()), name="oscillator")
+    >>> "oscillator_step" in text
+    True
+    """
+    name = checked_name(name)
+    macros, text, rule = _parts(filter)
+    rules = [named(part, name) for part in (_RULES, rule)]
+    sizes = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
+    head = comment([_described(filter), model_lines(filter.system), *rules])
+    whole = head + named(_HEAD + sizes + "\n" + text + "\n#endif\n", name)
+    if path is not None:
+        Path(path).write_text(whole, encoding="ascii", newline="\n")
+    return whole
+
+
+def _parts(filter):
+    """Macros, C, and what people should know about this kind of filter."""
+    if isinstance(filter, TableFilter):
+        from seedslib.extra.c.tables import table_source
+
+        return *table_source(filter), _WHOLE
+    if isinstance(filter, CovarianceFilter):
+        from seedslib.extra.c.covariance import covariance_source
+
+        return *covariance_source(filter), _REDUNDANT
+    if isinstance(filter, FiniteOrderFilter) and not isinstance(filter, OutputFilter):
+        from seedslib.extra.c.finite_order import finite_order_source
+
+        return *finite_order_source(filter), _REDUNDANT
+    hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
+    raise TypeError(
+        "filter: wanted a FiniteOrderFilter, a TableFilter or a CovarianceFilter, got "
+        f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
+    )
+
+
+def _described(filter) -> str:
+    """The filter in words, its predicted errors included where it has some."""
+    if not isinstance(filter, CovarianceFilter):
+        return str(filter)
+    lines = [f"Filter that carries mean and covariance: {filter.linearization}"]
+    if filter.continuous:
+        lines.append(f"  integrated   {filter.integrator}, steps of {filter.integration_step:g}")
+    return "\n".join(lines)

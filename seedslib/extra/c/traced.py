@@ -1,0 +1,152 @@
+"""The lines of the library, recorded: moments of maps, the correction, integration steps."""
+
+from __future__ import annotations
+
+from functools import reduce
+from operator import add
+
+import numpy as np
+
+from seedslib.base.correction import LOG_2PI, eliminate
+from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
+from seedslib.extra.c.tape import Scalar
+from seedslib.linearization.moments import symmetric
+
+
+def check_formulas(linearization, system) -> None:
+    """Raise TypeError or ValueError where moments are no formulas."""
+    if not hasattr(linearization, "formulas"):
+        raise TypeError(
+            f"linearization: wanted one with formulas, Taylor or ExactGaussian, got "
+            f"{linearization!r}; a rule with points has none to write in C"
+        )
+    if not system.sensor.symbolic:
+        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+
+
+def _symbols(n):
+    """Mean, entries of the covariance on and below the diagonal, the covariance."""
+    import sympy
+
+    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
+    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
+    return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
+
+
+def map_moments(linearization, map, spread=True):
+    """Moments of a map as ``f(t, mean, lower) -> (E y, cov(x, y), cov y)``, arrays of objects.
+
+    `mean` and `lower` are components and entries of the covariance on and below the diagonal;
+    cov y is None without `spread`.
+    """
+    from seedslib.models.codegen import compile_components
+
+    n, m = map.state_size, map.size
+    mean, lower, cov = _symbols(n)
+    parts = linearization.formulas(map, list(mean), cov, spread)
+    flat = [entry for part in parts[: 2 + spread] for entry in part]
+    evaluate = compile_components((map.time, mean, lower), flat)
+
+    def moments(t, mean, lower):
+        found = np.array(evaluate(t, list(mean), list(lower)), dtype=object)
+        h, cross, cov = np.split(found, [m, m + n * m])
+        return h, cross.reshape(n, m), cov.reshape(m, m) if spread else None
+
+    return moments
+
+
+def mean_rates(linearization, system):
+    """Rates of mean and covariance as ``f(t, components) -> list``, for the integrators."""
+    from seedslib.models.codegen import compile_components
+
+    n = system.state_size
+    mean, lower, cov = _symbols(n)
+    velocity, change = linearization.rate_formulas(system, list(mean), cov)
+    entries = [change[i, j] for i in range(n) for j in range(i + 1)]
+    return compile_components((system.drift_map.time, (*mean, *lower)), [*velocity, *entries])
+
+
+def record_correction(tape, mean, lower, y, moments, rows):
+    """Record the correction of the leading rows by a measurement of which parts may be missing.
+
+    A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
+    component that those before it determine has the gain zero; one whose variance given them is
+    clearly negative gives NaN.
+
+    Parameters
+    ----------
+    tape : Tape
+    mean : sequence, length n
+    lower : sequence
+        Entries of the covariance on and below the diagonal, row by row.
+    y : sequence of Scalar, length m
+    moments : tuple
+        E y (m,), cov(x, y) (n, m), cov y (m, m).
+    rows : int
+
+    Returns
+    -------
+    mean : list, length `rows`
+    cov : list of lists
+        On and below the diagonal.
+    loglik : Scalar
+        Of the components that were seen and are not redundant.
+    shown : list
+        The measurement, missing components filled with what was expected.
+    """
+    h, cross, spread = moments
+    m = len(y)
+    seen = [tape.node("!isnan({0})", part, kind="int") for part in y]
+    error = [tape.choose(seen[j], y[j] - h[j], 0.0) for j in range(m)]
+    cross = [[tape.choose(seen[j], cross[k, j], 0.0) for j in range(m)] for k in range(rows)]
+    both = [[_both(tape, seen[i], seen[j]) for j in range(i + 1)] for i in range(m)]
+    spread = [
+        [tape.choose(both[i][j], spread[i, j], 1.0 if i == j else 0.0) for j in range(i + 1)]
+        for i in range(m)
+    ]
+    regular = []
+
+    def reciprocal(pivot, variance):
+        if not isinstance(pivot, Scalar):
+            regular.append(pivot > ABSOLUTE)
+            return (1.0 / pivot, pivot) if regular[-1] else (0.0, 1.0)
+        least = ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE
+        regular.append(tape.infix(pivot, ">", least))
+        redundant = tape.node(
+            "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(INDEFINITE * variance + ABSOLUTE)
+        )  # fmt: skip
+        inverse = tape.choose(regular[-1], 1.0 / pivot, redundant)
+        return inverse, tape.choose(regular[-1], pivot, 1.0)
+
+    mean = list(mean[:rows])
+    entries = iter(lower)
+    cov = [[next(entries) for _ in range(k + 1)] for k in range(rows)]
+    terms, pivots = eliminate(mean, cov, error, cross, spread, reciprocal)
+    pairs = [a * b for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
+    terms += [np.log(p) for p in [*pairs, *pivots[len(pivots) & ~1 :]]]
+    counted = [
+        tape.node("{0} && {1} ? 1.0 : 0.0", a, b)
+        if isinstance(b, Scalar)
+        else tape.choose(a, 1.0 if b else 0.0, 0.0)
+        for a, b in zip(seen, regular, strict=True)
+    ]
+    terms.append(reduce(add, counted) * LOG_2PI)
+    shown = [tape.choose(seen[j], y[j], h[j]) for j in range(m)]
+    return mean, cov, -0.5 * reduce(add, terms), shown
+
+
+def _both(tape, first, second):
+    if first.name == second.name:
+        return first
+    return tape.node("{0} && {1}", first, second, kind="int")
+
+
+def corrected_outputs(found, place="s->") -> dict:
+    """Where a recorded correction is stored: mean, both halves of the covariance, likelihood."""
+    mean, cov, loglik, _ = found
+    outputs = {f"{place}mean[{k}]": part for k, part in enumerate(mean)}
+    for k, row in enumerate(cov):
+        for q, part in enumerate(row):
+            outputs[f"{place}cov[{k}][{q}]"] = part
+            outputs[f"{place}cov[{q}][{k}]"] = part
+    return {**outputs, f"{place}loglik": loglik}

@@ -1,0 +1,82 @@
+"""Checks of the mean and covariance of a Gaussian vector, with optional batch axes last."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from seedslib.base.checks import ASYMMETRY, NEGATIVE_EIGENVALUE, as_covariance, as_real
+
+
+def gaussian_arguments(mean: object, cov: object) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n, ...) and covariance (n, n) or (n, n, ...), checked.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real, not finite, shapes that do not fit, or a matrix that is no covariance.
+    """
+    mean = as_real("mean", mean)
+    if mean.ndim == 0 or mean.shape[0] == 0:
+        raise ValueError(f"mean: wanted shape (n, ...), got {mean.shape}")
+    n = mean.shape[0]
+    array = as_real("cov", cov)
+    if array.ndim == 2:
+        return mean, as_covariance("cov", array, n)
+    if array.ndim < 2 or array.shape[:2] != (n, n):
+        raise ValueError(f"cov: wanted shape ({n}, {n}, ...), got {array.shape}")
+    try:
+        np.broadcast_shapes(mean.shape[1:], array.shape[2:])
+    except ValueError:
+        raise ValueError(
+            f"cov: batch axes {array.shape[2:]} do not fit those of the mean {mean.shape[1:]}"
+        ) from None
+    if array.size == 0:
+        return mean, array
+    swapped = np.swapaxes(array, 0, 1)
+    scale = np.abs(array).max(axis=(0, 1))
+    asymmetry = np.abs(array - swapped).max(axis=(0, 1))
+    if (asymmetry > ASYMMETRY * scale).any():
+        raise ValueError(f"cov: wanted symmetric matrices, got asymmetry {asymmetry.max():.3g}")
+    array = 0.5 * (array + swapped)
+    values = np.linalg.eigvalsh(np.moveaxis(array, (0, 1), (-2, -1)))
+    low = values[..., 0] + NEGATIVE_EIGENVALUE * np.maximum(values[..., -1], 0.0)
+    if (low < -1e-300).any():
+        raise ValueError(
+            f"cov: wanted positive semidefinite matrices, got eigenvalue {values.min():.6g}"
+        )
+    return mean, array
+
+
+def variance_argument(name: str, value: object) -> np.ndarray:
+    """Nonnegative variances of any shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real, not finite, or negative.
+    """
+    array = as_real(name, value)
+    if (array < 0).any():
+        raise ValueError(f"{name}: wanted a nonnegative variance, got {array.min():.6g}")
+    return array
+
+
+def in_range(names: str, compute: Callable) -> object:
+    """Result of a computation, an array or a tuple of arrays, if all of it is finite.
+
+    Raises
+    ------
+    ValueError
+        The arguments `names` lead out of the range of float64.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = compute()
+    parts = result if isinstance(result, tuple) else (result,)
+    if not all(np.isfinite(part).all() for part in parts):
+        raise ValueError(
+            f"{names}: wanted arguments for which the result is in the range of float64, "
+            "got an overflow"
+        )
+    return result

@@ -1,0 +1,1 @@
+"""Shelf: exact mean-square errors of estimates of functions."""

@@ -1,0 +1,158 @@
+"""Errors of any function by a Hermite expansion: exact for polynomials, else with bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+import sympy as sp
+
+from seedslib.gaussian.errors.hermite import (
+    HermiteExpansion,
+    polynomial_expansion,
+    quadrature_expansion,
+)
+from seedslib.gaussian.errors.joint import as_joint_law
+from seedslib.gaussian.means.parse import as_symbols, check_symbols, components_of
+from seedslib.gaussian.means.symbolic import FunctionClass, classify, expectation_function
+
+
+def active_coordinates(f: object, variables: tuple[sp.Symbol, ...]) -> tuple[int, ...]:
+    """Indices of the variables that f contains; at least one."""
+    expressions, _ = components_of(f)
+    check_symbols(expressions, variables)
+    present = set().union(*(e.free_symbols for e in expressions))
+    return tuple(i for i, symbol in enumerate(variables) if symbol in present) or (0,)
+
+
+def marginal(
+    coordinates: Sequence[int], mean: np.ndarray, *covs: np.ndarray
+) -> tuple[np.ndarray, ...]:
+    """Mean and covariances of some components."""
+    pick = list(coordinates)
+    return (mean[pick], *(cov[pick][:, pick] for cov in covs))
+
+
+def hermite_expansion(
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: object,
+    cov: object,
+    error_cov: object,
+    *,
+    degree: int = 20,
+    nodes: int = 80,
+) -> HermiteExpansion:
+    """Hermite expansion of f under the prior: the hierarchy of polynomial estimators.
+
+    Exact for polynomials; for any other function by Gauss-Hermite quadrature with the largest
+    exponent `degree` per coordinate (see `quadrature_expansion`).
+
+    Parameters
+    ----------
+    f : expression, list or column Matrix of p expressions
+        Any real function of `variables` that NumPy and SciPy can evaluate.
+    variables : sequence of n Symbols
+        Components of the state.
+    mean, cov, error_cov : array_like (n,), (n, n), (n, n)
+        Prior mean, prior covariance C, error covariance P <= C.
+    degree, nodes : int
+        Of the quadrature.
+
+    Returns
+    -------
+    HermiteExpansion
+
+    Raises
+    ------
+    TypeError, ValueError
+        Unknown symbols, bad mean or covariances, too large a rule.
+    """
+    variables = as_symbols("variables", variables)
+    coordinates = active_coordinates(f, variables)
+    law = as_joint_law(mean, cov, error_cov, len(variables))
+    law = marginal(coordinates, *law)
+    active = [variables[i] for i in coordinates]
+    if classify(f, active) is FunctionClass.POLYNOMIAL:
+        polynomial = expectation_function(f, active).compiled().polynomial()
+        expansion = polynomial_expansion(polynomial, *law)
+    else:
+        numeric = _numeric(f, active)
+        expansion = quadrature_expansion(numeric, *law, degree=degree, nodes=nodes)
+    return replace(expansion, coordinates=coordinates)
+
+
+class ErrorBounds(NamedTuple):
+    """Approximate errors by quadrature.
+
+    ``lower <= optimal error <= upper`` up to the error of the rule, which is small for smooth
+    functions only; ``plugin`` is the error of the plug-in estimate, by the same rule.
+    """
+
+    lower: np.ndarray
+    upper: np.ndarray
+    plugin: np.ndarray
+
+
+def approximate_errors(
+    f: object,
+    variables: Sequence[sp.Symbol],
+    *,
+    degree: int = 20,
+    nodes: int = 80,
+) -> Callable[[object, object, object], ErrorBounds]:
+    """Bounds of the optimal error and the plug-in error of any function, by quadrature.
+
+    For functions outside the closed class. Never called in place of `mean_square_errors` by the
+    library itself.
+
+    Parameters
+    ----------
+    f : expression, list or column Matrix of p expressions
+        Any square-integrable function that NumPy and SciPy can evaluate.
+    variables : sequence of n Symbols
+        Components of the state.
+    degree : int
+        Largest exponent of one coordinate in the Hermite expansion.
+    nodes : int
+        Nodes of the Gauss-Hermite rule along each direction; ``nodes ** n`` at most two million.
+
+    Returns
+    -------
+    callable
+        ``(mean (n,), cov (n, n), error_cov (n, n)) -> ErrorBounds``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Unknown symbols; when called, bad mean or covariances or too large a rule.
+    """
+    variables = as_symbols("variables", variables)
+    coordinates = active_coordinates(f, variables)
+    numeric, scalar = _numeric(f, [variables[i] for i in coordinates]), components_of(f)[1]
+
+    def errors(mean: object, cov: object, error_cov: object) -> ErrorBounds:
+        law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, len(variables)))
+        expansion = quadrature_expansion(numeric, *law, degree=degree, nodes=nodes)
+        points, weights = expansion.estimate_rule(nodes)
+        gap = expansion.estimate(points, int(expansion.degrees.max())) - numeric(points)
+        upper = expansion.upper()
+        bounds = (expansion.lower(), upper, upper + (gap * weights) @ gap.T)
+        return ErrorBounds(*(float(b[0, 0]) if scalar else b for b in bounds))
+
+    return errors
+
+
+def _numeric(f: object, variables: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
+    """Vectorised values (p, N) of f at points (n, N)."""
+    expressions, _ = components_of(f)
+    function = sp.lambdify(variables, expressions, modules=["scipy", "numpy"], cse=True)
+
+    def values(point: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):  # a pole is found by its value
+            rows = np.broadcast_arrays(*function(*point), point[0])[:-1]
+        return np.array(rows, dtype=float)
+
+    return values

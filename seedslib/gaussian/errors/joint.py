@@ -1,0 +1,67 @@
+"""Checks and joint factor of a prior covariance C and an error covariance P."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from seedslib.base.checks import as_covariance, as_shape
+
+EXCESS = 1e-8
+SMALL_COMPONENT = 1e-6
+RANK = 1e-13
+UNINFORMED = 1e-14
+
+
+def as_joint_law(
+    mean: object, cov: object, error_cov: object, size: int | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Checked mean (n,), covariance C (n, n) and error covariance P (n, n) with P <= C.
+
+    The comparison P <= C is made in units of each component's own standard deviation
+    (components below 1e-6 of the largest variance in units of that), so that metres and radians
+    may stand side by side; eigenvalues of the scaled C - P down to -1e-8 count as rounding.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_covariance`; `ValueError` also "error_cov exceeds cov".
+    """
+    mean = as_shape("mean", mean, (-1 if size is None else size,))
+    cov = as_covariance("cov", cov, mean.size)
+    error_cov = as_covariance("error_cov", error_cov, mean.size)
+    variances = np.diag(cov)
+    largest = variances.max(initial=0.0)
+    if largest == 0.0:
+        smallest = -np.abs(error_cov).max(initial=0.0)
+    else:
+        scale = np.sqrt(np.maximum(variances, SMALL_COMPONENT * largest))
+        smallest = np.linalg.eigvalsh((cov - error_cov) / np.outer(scale, scale))[0]
+    if smallest < -EXCESS:
+        raise ValueError(
+            f"error_cov exceeds cov: wanted cov - error_cov positive semidefinite, "
+            f"got the scaled eigenvalue {smallest:.3g}"
+        )
+    return mean, cov, error_cov
+
+
+def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (n, rank) and shares (rank,) with ``C = T T'`` and ``P = T diag(shares) T'``.
+
+    The eigenvalues of the correlation matrix of C above 1e-13 of its largest are kept; shares
+    are clipped to [0, 1], those within 1e-14 of one (no information, up to rounding) set to one.
+    Small P keep their relative accuracy.
+    """
+    scale = np.sqrt(np.diag(cov))
+    scale = np.where(scale > 0, scale, 1.0)
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    keep = values > RANK * max(values[-1], 0.0)
+    root = np.sqrt(values[keep])
+    whiten = vectors[:, keep] / (scale[:, None] * root)
+    shares, rotation = np.linalg.eigh(_symmetric(whiten.T @ error_cov @ whiten))
+    # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
+    factor = (scale[:, None] * vectors[:, keep] * root) @ rotation
+    return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return 0.5 * (matrix + matrix.T)

@@ -1,0 +1,1 @@
+"""Shelf: closed forms of E f(x), from symbols to numbers."""

@@ -1,0 +1,230 @@
+"""Numeric Gaussian means of terms ``polynomial x exp(quadratic) x half-space``, in batches.
+
+Means are arrays (n, *batch), covariances (n, n) or (n, n, *batch). No SymPy here.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import erfcx, log_ndtr, ndtr
+
+from seedslib.gaussian.means.polynomial import (
+    Coefficients,
+    evaluate,
+    monomial_means,
+    polynomial_mean,
+    predecessors,
+)
+
+FAR = 1e100  # a switching function this many standard deviations away; its square is finite
+
+
+class HalfSpace(NamedTuple):
+    """``normal . x + offset > 0``; its indicator is `edge` on the boundary.
+
+    `blur` is the deviation of a normal number of its own that moves the boundary.
+    """
+
+    normal: np.ndarray
+    offset: float
+    edge: float
+    blur: float = 0.0
+
+
+class Group(NamedTuple):
+    """``factor Re[p(x) exp(-x'Mx/2 + a'x)] 1{half-space}`` with a polynomial p of p values.
+
+    ``quadratic`` is M (n, n) or None, ``linear`` is a (n,) or None; either may be complex.
+    """
+
+    polynomial: Coefficients
+    quadratic: np.ndarray | None = None
+    linear: np.ndarray | None = None
+    plane: HalfSpace | None = None
+
+
+def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Product of matrices (n, m) or (n, m, *batch) and vectors (m, *batch)."""
+    if matrix.ndim == 2:
+        return np.tensordot(matrix, vector, axes=1)
+    return np.einsum("ij...,j...->i...", matrix, vector)
+
+
+def dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """Sum over the first axis of left times right (no conjugation), batch axes last."""
+    if left.ndim == 1:
+        return np.tensordot(left, right, axes=1)
+    return np.einsum("i...,i...->...", left, right)
+
+
+def group_mean(
+    group: Group, mean: np.ndarray, cov: np.ndarray, batch: tuple[int, ...]
+) -> np.ndarray:
+    """Mean of one group under N(mean, cov), shape (p, *batch), real.
+
+    Raises
+    ------
+    ValueError
+        The mean is infinite: ``I + cov Re(M)`` has an eigenvalue that is not positive.
+    """
+    exponent = None
+    if group.quadratic is not None:
+        mean, cov, exponent = tilted(group.quadratic, group.linear, mean, cov)
+    elif group.linear is not None:
+        shift = times(cov, group.linear)
+        exponent = dot(group.linear, mean) + 0.5 * dot(group.linear, shift)
+        mean = mean + _aligned(shift, mean.ndim)
+    if group.plane is None:
+        means = monomial_means(tuple(group.polynomial), mean, cov)
+    else:
+        means, log_scale = half_space_means(tuple(group.polynomial), group.plane, mean, cov)
+        exponent = log_scale if exponent is None else exponent + log_scale
+    value = polynomial_mean(group.polynomial, means, batch)
+    if exponent is None:
+        return value.real
+    if not np.iscomplexobj(exponent):
+        return (np.exp(exponent) * value).real
+    # Re(v exp(r + i t)) in real arithmetic, without the sine or cosine that v does not need
+    total = np.zeros(value.shape)
+    if value.real.any():
+        total += value.real * np.cos(exponent.imag)
+    if np.iscomplexobj(value) and value.imag.any():
+        total -= value.imag * np.sin(exponent.imag)
+    return np.exp(exponent.real) * total
+
+
+def _aligned(vector: np.ndarray, ndim: int) -> np.ndarray:
+    """Vector (n,) or (n, *batch) with unit batch axes appended up to `ndim` axes."""
+    return vector.reshape(*vector.shape, *(1,) * (ndim - vector.ndim))
+
+
+def tilted(
+    quadratic: np.ndarray, linear: np.ndarray | None, mean: np.ndarray, cov: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mean, covariance and log-mass of ``exp(-x'Mx/2 + a'x) N(x; mean, cov)``.
+
+    With ``K = I + P M``: covariance ``K^-1 P``, mean ``K^-1 (m + P a)`` and log-mass
+    ``-m' M K^-1 m / 2 + a' K^-1 m + a' K^-1 P a / 2 - log|K| / 2``, each computed on the
+    coordinates that M touches only.
+    """
+    support = np.flatnonzero(quadratic.any(axis=0))
+    inner = quadratic[np.ix_(support, support)]
+    block = np.moveaxis(cov[np.ix_(support, support)], (0, 1), (-2, -1))
+    identity = np.eye(support.size)
+    convergent = np.linalg.eigvals(identity + block @ inner.real).real
+    if not (convergent > 0).all():
+        raise ValueError(
+            "the mean of the exponential is infinite: wanted positive eigenvalues of I + P M, "
+            f"got {convergent.min():.6g}"
+        )
+    kernel = identity + block @ inner
+    # W = M K^-1 solves K' W' = M' ; then K^-1 v = v - P W v
+    weight = np.swapaxes(
+        np.linalg.solve(np.swapaxes(kernel, -1, -2), np.broadcast_to(inner.T, kernel.shape)),
+        -1,
+        -2,
+    )
+    weight = np.moveaxis(weight, (-2, -1), (0, 1))
+    columns = cov[:, support]
+
+    def reduced(vector: np.ndarray) -> np.ndarray:
+        inside = times(columns, times(weight, vector[support]))
+        return vector - _aligned(inside, vector.ndim)
+
+    if weight.ndim == 2:
+        new_cov = cov - np.tensordot(np.tensordot(columns, weight, 1), columns.T, 1)
+    else:
+        new_cov = cov - np.einsum("ia...,ab...,jb...->ij...", columns, weight, columns)
+    short = mean[support]
+    log_mass = -0.5 * dot(short, times(weight, short)) - 0.5 * _log_det(kernel, inner)
+    new_mean = mean
+    if linear is not None:
+        shift = times(cov, linear)
+        new_mean = mean + _aligned(shift, mean.ndim)
+        spread = shift - times(columns, times(weight, shift[support]))
+        log_mass = log_mass + dot(linear, reduced(mean)) + 0.5 * dot(linear, spread)
+    return reduced(new_mean), new_cov, log_mass
+
+
+def _log_det(kernel: np.ndarray, inner: np.ndarray) -> np.ndarray:
+    """Logarithm of the determinant on the branch that is continuous from the identity.
+
+    For complex M the eigenvalues of K have positive real part where the mean is finite, so the
+    arguments of the eigenvalues choose the branch and the LU factors give the digits.
+    """
+    if not np.iscomplexobj(inner):
+        return np.linalg.slogdet(kernel)[1]
+    sign, log_modulus = np.linalg.slogdet(kernel)
+    turns = np.angle(np.linalg.eigvals(kernel)).sum(axis=-1) - np.angle(sign)
+    return log_modulus + 1j * (np.angle(sign) + 2 * np.pi * np.round(turns / (2 * np.pi)))
+
+
+def half_space_means(
+    indices: tuple, plane: HalfSpace, mean: np.ndarray, cov: np.ndarray
+) -> tuple[dict, np.ndarray]:
+    """``E x^alpha 1{u > 0}``, u = normal . x + offset, for the wanted and visited indices.
+
+    The Stein recursion gains a boundary term ``cov(x_i, u) E x^beta delta(u)``, a polynomial
+    mean under the law of x on the plane. Where u does not vary its indicator is a constant.
+
+    Returns
+    -------
+    means : dict
+        To be multiplied by ``exp(log_scale)``, which keeps the tail from underflowing beside a
+        large exponential.
+    log_scale : ndarray
+    """
+    direction = times(cov, plane.normal)
+    location = dot(plane.normal, mean) + plane.offset
+    variance = dot(plane.normal, direction) + plane.blur**2
+    varies = variance.real > 0
+    deviation = np.sqrt(np.where(varies, variance, 1.0))
+    ratio = location / deviation
+    if not np.iscomplexobj(ratio):
+        ratio = np.clip(ratio, -FAR, FAR)
+    log_height = -0.5 * ratio * ratio
+    log_scale = np.where(varies & (ratio.real < 0), log_height.real, 0.0)
+    fixed = np.where(location.real > 0, 1.0, np.where(location.real < 0, 0.0, plane.edge))
+    mass = np.where(varies, _scaled_tail(ratio, log_scale), fixed)
+    height = np.exp(log_height - log_scale) / (deviation * np.sqrt(2 * np.pi))
+    touched = varies & (height != 0)
+    height = np.where(touched, height, 0.0)
+    # the law on the plane; far from it the boundary mass is zero and its mean is not needed
+    gain = direction / (deviation * deviation)
+    gain = np.where(varies, gain, 0.0)
+    on_mean = mean - _aligned(gain, mean.ndim) * np.where(touched, location, 0.0)
+    on_cov = cov - _aligned(gain, direction.ndim)[:, None] * direction[None]
+    visited = predecessors(indices)
+    on_plane = monomial_means(visited, on_mean, on_cov)
+    boundary = (direction, {alpha: height * value for alpha, value in on_plane.items()})
+    return monomial_means(indices, mean, cov, zeroth=mass, boundary=boundary), log_scale
+
+
+def _scaled_tail(ratio: np.ndarray, log_scale: np.ndarray) -> np.ndarray:
+    """``Phi(ratio) exp(-log_scale)``, where the scale is the density's on the negative side."""
+    if np.iscomplexobj(ratio):
+        return np.exp(log_ndtr(ratio) - log_scale)
+    negative = np.minimum(ratio, 0.0)
+    return np.where(ratio < 0, 0.5 * erfcx(-negative / np.sqrt(2)), ndtr(ratio))
+
+
+def indicator(plane: HalfSpace, point: np.ndarray) -> np.ndarray:
+    """Value of the indicator at points (n, *batch), on average over its blur."""
+    u = dot(plane.normal, point) + plane.offset
+    if plane.blur:
+        return ndtr(u / plane.blur)
+    return np.where(u > 0, 1.0, np.where(u < 0, 0.0, plane.edge))
+
+
+def group_value(group: Group, point: np.ndarray, size: int) -> np.ndarray:
+    """Value (p, *batch) of a group at points (n, *batch)."""
+    value = evaluate(group.polynomial, point, size)
+    exponent = 0.0
+    if group.quadratic is not None:
+        exponent = -0.5 * dot(point, times(group.quadratic, point))
+    if group.linear is not None:
+        exponent = exponent + dot(group.linear, point)
+    value = (value * np.exp(exponent)).real
+    return value if group.plane is None else value * indicator(group.plane, point)

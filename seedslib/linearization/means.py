@@ -1,0 +1,152 @@
+"""Gaussian means of parts of a map, for the linearizations that are formulas."""
+
+from __future__ import annotations
+
+import numpy as np
+import sympy
+
+from seedslib.models.codegen import real_part
+
+
+class Names:
+    """Symbols that stand for large expressions, so that these are met once.
+
+    Called with an expression or a matrix of them it gives symbols in their place; `table` holds
+    the pairs of symbol and meaning in the order in which they can be evaluated.
+    """
+
+    def __init__(self):
+        self._known = {}
+
+    def __call__(self, expression):
+        """Symbol for an expression, the same for equal ones; short ones stay as they are."""
+        if isinstance(expression, sympy.MatrixBase):
+            return expression.applyfunc(self)
+        if not expression.args or (-expression).is_Symbol:
+            return expression
+        if expression not in self._known:
+            self._known[expression] = sympy.Symbol(f"part{len(self._known)}_", real=True)
+        return self._known[expression]
+
+    @property
+    def table(self):
+        """Pairs of symbol and meaning."""
+        return [(symbol, meaning) for meaning, symbol in self._known.items()]
+
+    def meaning(self, expression):
+        """What a symbol stands for; other expressions stand for themselves."""
+        return {symbol: part for part, symbol in self._known.items()}.get(expression, expression)
+
+
+def mentions(expression, symbols):
+    """Whether an expression contains one of the symbols."""
+    return bool(sympy.sympify(expression).free_symbols & set(symbols))
+
+
+def joined(map, mean, cov):
+    """State, value, its covariance given the state, and the law of the state of a branch.
+
+    Where the weight mentions the noise, the noise is the lower part of the state; its mean is
+    named, for derivatives by it, and given in numbers by the last entry.
+    """
+    noise = map.noise
+    if not mentions(map.weight_expression, noise.symbols):
+        expressions, spread, _ = map.conditional_expressions
+        return map.state, expressions, spread, mean, cov, {}
+    if not noise.gaussian:
+        from seedslib.gaussian.means.classes import NoClosedForm
+
+        raise NoClosedForm(
+            "ExactGaussian: wanted Gaussian noise where the weight depends on it; use GaussHermite"
+        )
+    known = [_number(c) for c in noise.cov.ravel()]
+    named = [sympy.Dummy(f"noise{k}", real=True) for k in range(noise.size)]
+    joint = sympy.diag(cov, sympy.Matrix(noise.size, noise.size, known))
+    still = {name: _number(c) for name, c in zip(named, noise.mean, strict=True)}
+    nothing = np.zeros((map.size, map.size), dtype=int)
+    return (*map.state, *noise.symbols), map.expressions, nothing, [*mean, *named], joint, still
+
+
+def _number(value):
+    """SymPy number; an integer where the float is one, which keeps formulas short."""
+    return sympy.Integer(int(value)) if float(value).is_integer() else sympy.Float(float(value))
+
+
+def affine_part(expressions, state):
+    """Slope (m, n), constant (m, 1) and rest (m,) of y = slope x + constant + rest(x)."""
+    flat, rest = [], []
+    for expression in expressions:
+        terms = sympy.Add.make_args(expand(sympy.sympify(expression)))
+        degree = [term.as_poly(*state) for term in terms]
+        low = [p is not None and p.total_degree() <= 1 for p in degree]
+        flat.append(sympy.Add(*(a for a, ok in zip(terms, low, strict=True) if ok)))
+        rest.append(sympy.Add(*(a for a, ok in zip(terms, low, strict=True) if not ok)))
+    flat = sympy.Matrix(flat)
+    return flat.jacobian(state), flat.subs(dict.fromkeys(state, 0)), rest
+
+
+def averager(state, mean, cov):
+    """Exact mean of an expression of the state; what does not depend on the state passes."""
+    from seedslib.gaussian.means.classes import NoClosedForm
+    from seedslib.gaussian.means.symbolic import mean_expression
+
+    known = {}
+
+    def average(expression):
+        expression = sympy.sympify(expression)
+        if not expression.free_symbols & set(state):
+            return expression
+        if expression not in known:
+            others = tuple(expression.free_symbols - set(state))
+            try:
+                result = mean_expression(expression, state, mean, cov, parameters=others)
+            except NoClosedForm as error:
+                raise NoClosedForm(
+                    f"{error}; GaussHermite, Unscented and Cubature take this map"
+                ) from error
+            result = real_part(result)
+            if result.has(sympy.I, sympy.re, sympy.im):
+                raise NoClosedForm(
+                    f"no closed form without complex numbers for {expression}; GaussHermite, "
+                    "Unscented and Cubature take this map"
+                )
+            known[expression] = result
+        return known[expression]
+
+    return average
+
+
+def expand(expression):
+    """Products multiplied out, exponentials left whole (their factors may overflow)."""
+    return sympy.expand(expression, power_exp=False, power_base=False, log=False)
+
+
+def centred_square(average, conditional, noise_cov, mean):
+    """Mean of cov(y | x) plus cov of E(y | x); what cancels does so before numbers are put in."""
+    size = len(conditional)
+    spread = sympy.zeros(size)
+    for i in range(size):
+        for j in range(i + 1):
+            product = average(expand(conditional[i] * conditional[j]))
+            inner = average(noise_cov[i, j])
+            spread[i, j] = spread[j, i] = inner + expand(product - mean[i] * mean[j])
+    return spread
+
+
+def raw_square(average, weight, conditional, noise_cov):
+    """Mean of the weight times the second moment of y given the state."""
+    size = len(conditional)
+    square = sympy.zeros(size)
+    for i in range(size):
+        for j in range(i + 1):
+            inner = conditional[i] * conditional[j] + noise_cov[i, j]
+            square[i, j] = square[j, i] = average(expand(weight * inner))
+    return square
+
+
+def noise_spread(map, value, here):
+    """Covariance of y by the expanded noise."""
+    if map.noise.size == 0:
+        return sympy.zeros(map.size)
+    slope = value.jacobian(map.noise.symbols).subs(here)
+    return slope * sympy.Matrix(map.noise.cov.tolist()) * slope.T

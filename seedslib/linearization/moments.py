@@ -1,0 +1,222 @@
+"""Conditional moments: what a map y = g(t, x, v) does to a Gaussian state.
+
+A linearization turns such a map and N(m, D) into the mean of y, its covariance with x, and its
+covariance; every filter that takes means uses nothing else. A new one has to write `moments`
+only: continuous-time flows and weighted branches follow from it.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import NamedTuple
+
+import numpy as np
+
+TINY = np.finfo(float).tiny
+"""Branches of a smaller mass count as empty."""
+
+
+class Moments(NamedTuple):
+    """Moments of y = g(t, x, v) for a state x with a given mean and covariance.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (m, *batch)
+        E y.
+    cross : ndarray, shape (n, m, *batch)
+        cov(x, y). It is the primitive rather than a gain matrix: it needs no inverse of the
+        covariance of x and exists for sigma points too.
+    cov : ndarray, shape (m, m, *batch), or None
+        cov y, the noise included; None where it was not asked for.
+    """
+
+    mean: np.ndarray
+    cross: np.ndarray
+    cov: np.ndarray | None
+
+
+class Gaussian(NamedTuple):
+    """Mean, shape (n, *batch), and covariance, shape (n, n, *batch)."""
+
+    mean: np.ndarray
+    cov: np.ndarray
+
+
+class Weighted(NamedTuple):
+    """What a branch of a switching map does to a Gaussian state.
+
+    Attributes
+    ----------
+    mass : ndarray, shape (*batch)
+        Probability of the branch, E w(x, v).
+    state : Gaussian
+        Moments of x in the branch.
+    value : Moments
+        Moments of y, and its covariance with x, in the branch.
+
+    Notes
+    -----
+    All moments are centred, so no digits are lost far from the origin. Where the mass is zero
+    they are NaN.
+    """
+
+    mass: np.ndarray
+    state: Gaussian
+    value: Moments
+
+
+class Linearization(ABC):
+    """How means of functions of a Gaussian state are taken."""
+
+    @abstractmethod
+    def moments(self, map, spread: bool = True) -> Callable[..., Moments]:
+        """Moments of y = g(t, x, v) for x ~ N(mean, cov).
+
+        Parameters
+        ----------
+        map : StochasticMap
+        spread : bool
+            Whether the covariance of y is wanted.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> Moments`` for arrays of shapes (n, *batch), (n, n, *batch); a
+            covariance common to all items comes as (n, n). `cross` and `cov` of the result need
+            batch axes only where they depend on them.
+
+        Raises
+        ------
+        ValueError
+            A map with a weight, for which `weighted` is meant.
+        """
+
+    def transition(self, map) -> Callable[..., Gaussian]:
+        """Mean and covariance of y alone, the forecast of a system in discrete time.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> Gaussian``.
+        """
+        moments = self.moments(map)
+
+        def forecast(t, mean, cov):
+            y = moments(t, mean, cov)
+            return Gaussian(y.mean, y.cov)
+
+        return forecast
+
+    def flow(self, system) -> Callable[..., Moments]:
+        """Rates of the moments of a jump-diffusion, (8.1) of the jump-diffusion paper.
+
+        With b = a + mu s̄ and Sigma = B Bᵀ + mu S₂ the mean changes by E b and the covariance by
+        cov(b, x) + cov(x, b) + E Sigma.
+
+        Parameters
+        ----------
+        system : JumpDiffusion
+            Or anything with a `drift_map` and a `spread_map`.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> Moments(E b, cov(x, b), E Sigma)``.
+        """
+        velocity = self.moments(system.drift_map, spread=False)
+        spread = self.moments(system.spread_map, spread=False)
+
+        def rates(t, mean, cov):
+            b, lower = velocity(t, mean, cov), spread(t, mean, cov).mean
+            return Moments(b.mean, b.cross, symmetric(lower, len(mean)))
+
+        return rates
+
+    def rate(self, system) -> Callable[..., list]:
+        """The same on a list of components, for the integration of many paths at once.
+
+        Returns
+        -------
+        callable
+            ``f(t, components) -> list`` of time derivatives; the components are those of the
+            mean, then of the covariance on and below the diagonal row by row.
+        """
+        flow, n = self.flow(system), system.state_size
+        rows, columns = np.tril_indices(n)
+
+        def derivative(t, components):
+            batch = np.broadcast_shapes(*(np.shape(c) for c in components))
+            full = np.stack([np.broadcast_to(c, batch) for c in components])
+            mean, cross, spread = flow(t, full[:n], symmetric(full[n:], n))
+            change = [
+                cross[i, j] + cross[j, i] + spread[i, j] for i, j in zip(rows, columns, strict=True)
+            ]
+            return [*mean, *change]
+
+        return derivative
+
+    def weighted(self, map) -> Callable[..., Weighted]:
+        """Moments of a branch that is taken with probability weight(t, x, v).
+
+        Parameters
+        ----------
+        map : StochasticMap
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> Weighted``.
+
+        Notes
+        -----
+        This general form takes raw means of products and loses digits far from the origin; the
+        linearizations of the library replace it by centred forms.
+        """
+        n, m = map.state_size, map.size
+        products = self.moments(map.products(), spread=False)
+        cut = np.cumsum([1, n, m, n * (n + 1) // 2, n * m])
+
+        def branch(t, mean, cov):
+            mass, x, y, xx, xy, yy = np.split(products(t, mean, cov).mean, cut)
+            mass = mass[0]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                x, y, xx, xy, yy = (part / mass for part in (x, y, xx, xy, yy))
+            xx = symmetric(xx, n) - x[:, None] * x[None, :]
+            xy = xy.reshape(n, m, *mass.shape) - x[:, None] * y[None, :]
+            yy = symmetric(yy, m) - y[:, None] * y[None, :]
+            return Weighted(mass, Gaussian(x, xx), Moments(y, xy, yy))
+
+        return branch
+
+    def row(self, maps) -> Callable[..., list[Weighted]]:
+        """Moments of several branches of one state, such as the moves from one mode.
+
+        Parameters
+        ----------
+        maps : sequence of StochasticMap
+            Branches of one state; those with the same value share its evaluation where the
+            linearization can.
+
+        Returns
+        -------
+        callable
+            ``f(t, mean, cov) -> list of Weighted``, one for each map.
+        """
+        branches = [self.weighted(map) for map in maps]
+        return lambda t, mean, cov: [branch(t, mean, cov) for branch in branches]
+
+
+def refuse_weight(map) -> None:
+    """Raise ValueError for a branch of a switching map where a whole map is wanted."""
+    if map.weighted:
+        raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
+
+
+def symmetric(lower, size: int) -> np.ndarray:
+    """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
+    lower = np.asarray(lower)
+    rows, columns = np.tril_indices(size)
+    index = np.empty((size, size), dtype=int)
+    index[rows, columns] = index[columns, rows] = np.arange(len(rows))
+    return lower[index]

@@ -1,0 +1,24 @@
+"""What is observed: jump-diffusions, switching systems, discrete systems.
+
+With their noise, their maps compiled from SymPy, their simulation and their chains on a grid. A
+model knows no filter and no estimate.
+
+May import: base, gaussian.
+"""
+
+from typing import TYPE_CHECKING
+
+from seedslib.base.lazy import lazy_names
+
+if TYPE_CHECKING:
+    from seedslib.models.chain_feller import FellerChain as FellerChain
+    from seedslib.models.chain_switching import SwitchingChain as SwitchingChain
+    from seedslib.models.discrete import DiscreteSystem as DiscreteSystem
+    from seedslib.models.jump_diffusion import JumpDiffusion as JumpDiffusion
+    from seedslib.models.maps import StochasticMap as StochasticMap
+    from seedslib.models.noise import Noise as Noise
+    from seedslib.models.propagation import van_loan as van_loan
+    from seedslib.models.switching import SwitchingSystem as SwitchingSystem
+    from seedslib.models.switching_average import averaged_switching as averaged_switching
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

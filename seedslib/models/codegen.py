@@ -1,0 +1,256 @@
+"""SymPy expressions to NumPy functions on lists of components.
+
+A vector is a list (or an array) of components; a component is a number or an array over paths.
+The generated code is straight-line arithmetic with common subexpressions computed once and
+integer powers written as products, which is faster than `**` and gives the same bits on every
+processor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import sympy
+from sympy.codegen.rewriting import create_expand_pow_optimization
+from sympy.printing.numpy import SciPyPrinter
+
+from seedslib.base.correction import joint_shape
+
+LARGEST_POWER = 40
+
+_products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)
+
+
+class _Printer(SciPyPrinter):
+    """NumPy code with divisions, roots and products in the place of floating-point powers."""
+
+    def _print_Pow(self, expr, rational=False):
+        if expr.exp == -1:
+            return f"(1.0/({self._print(expr.base)}))"
+        plain = expr.base.is_Symbol or abs(expr.exp) == sympy.S.Half
+        if expr.exp.is_Rational and expr.exp.q == 2 and plain:
+            base = self._print(expr.base)
+            product = "*".join([f"numpy.sqrt({base})", *[f"({base})"] * (abs(expr.exp.p) // 2)])
+            return f"(1.0/({product}))" if expr.exp.is_negative else f"({product})"
+        return super()._print_Pow(expr, rational=rational)
+
+    def _print_Float(self, expr):
+        return repr(float(expr))
+
+
+def fold(expression):
+    """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
+    numbers = {
+        part: sympy.Float(float(part))
+        for part in sympy.preorder_traversal(expression)
+        if part.is_number and part.is_real and not part.is_Rational
+    }
+    return expression.xreplace(numbers)
+
+
+def _share(expressions, named=()):
+    """Common subexpressions first, then products for powers: the other order hides powers.
+
+    `named` are pairs of a symbol in the expressions and what it stands for.
+    """
+    parts = [fold(e) for e in (*(part for _, part in named), *expressions)]
+    assignments, results = sympy.cse(parts, order="none")
+    results = [_products(r) for r in results]
+    assignments = [(name, _products(part)) for name, part in assignments]
+    if named:
+        names = [name for name, _ in named]
+        assignments = _in_order([*assignments, *zip(names, results, strict=False)])
+    return assignments, results[len(named) :]
+
+
+def _in_order(assignments):
+    """The same assignments, each after those it needs."""
+    waiting, ordered = dict(assignments), {}
+    stack = list(reversed(waiting))
+    while stack:
+        name = stack[-1]
+        needed = [s for s in waiting[name].free_symbols if s in waiting and s not in ordered]
+        if needed:
+            stack.extend(sorted(needed, key=str))
+            continue
+        ordered.setdefault(stack.pop(), waiting[name])
+    return list(ordered.items())
+
+
+def as_expressions(name: str, value: object) -> np.ndarray:
+    """Array (dtype object) of SymPy expressions from a nested list or a SymPy matrix.
+
+    Raises
+    ------
+    TypeError
+        An entry that SymPy cannot take as an expression.
+    """
+    if isinstance(value, sympy.MatrixBase):
+        value = value.tolist()
+    try:
+        array = np.array(value, dtype=object)
+        flat = [sympy.sympify(entry, strict=True) for entry in array.ravel()]
+    except (sympy.SympifyError, ValueError) as error:
+        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
+    if not all(isinstance(entry, sympy.Expr) for entry in flat):
+        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}")
+    result = np.empty(array.shape, dtype=object)
+    result.ravel()[:] = flat
+    return result
+
+
+def known_expressions(name, value, shape, values, allowed) -> np.ndarray:
+    """Expressions of a wanted shape with parameters put in and no unknown symbol left.
+
+    Parameters
+    ----------
+    name : str
+        The caller's name of the argument.
+    value : nested sequence of SymPy expressions
+    shape : tuple of int or None
+        Wanted lengths; None leaves one free.
+    values : mapping
+        Values of the parameters.
+    allowed : set of SymPy symbols
+
+    Raises
+    ------
+    TypeError, ValueError
+        No expressions, another shape, or an unknown symbol.
+    """
+    array = as_expressions(name, value)
+    if array.ndim != len(shape) or any(
+        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = ", ".join("any" if s is None else str(s) for s in shape)
+        raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
+    array.ravel()[:] = [entry.subs(values) for entry in array.ravel()]
+    unknown = set().union(*(e.free_symbols for e in array.ravel())) - set(allowed)
+    if unknown:
+        names = ", ".join(sorted(map(str, unknown)))
+        raise ValueError(f"{name}: wanted known symbols, got {names}; see parameters")
+    return array
+
+
+def real_part(expression: sympy.Expr) -> sympy.Expr:
+    """Real part of an expression in real symbols, written without the imaginary unit.
+
+    Means of sines and cosines come as sums of complex exponentials whose imaginary parts cancel.
+    """
+    return _split(expression)[0]
+
+
+def _split(expression):
+    if not expression.has(sympy.I):
+        return expression, sympy.S.Zero
+    if expression == sympy.I:
+        return sympy.S.Zero, sympy.S.One
+    if expression.is_Add:
+        real, imaginary = zip(*map(_split, expression.args), strict=True)
+        return sympy.Add(*real), sympy.Add(*imaginary)
+    if isinstance(expression, sympy.exp):
+        a, b = _split(expression.args[0])
+        return sympy.exp(a) * sympy.cos(b), sympy.exp(a) * sympy.sin(b)
+    if expression.is_Pow and expression.exp.is_Integer and expression.exp > 0:
+        factors = [expression.base] * int(expression.exp)
+    elif expression.is_Mul:
+        factors = expression.args
+    else:
+        return expression.as_real_imag()
+    real, imaginary = sympy.S.One, sympy.S.Zero
+    for factor in factors:
+        a, b = _split(factor)
+        real, imaginary = real * a - imaginary * b, real * b + imaginary * a
+    return real, imaginary
+
+
+def compile_components(
+    arguments: Sequence[object], expressions: Sequence[sympy.Expr], named: Sequence[tuple] = ()
+) -> Callable[..., list]:
+    """Function of the arguments that returns the list of the expressions' values.
+
+    Parameters
+    ----------
+    arguments : sequence
+        Each entry a symbol or a sequence of symbols (a vector given by its components).
+    expressions : sequence of SymPy expressions
+    named : sequence of (symbol, expression)
+        Symbols of the expressions that stand for others, evaluated once.
+
+    Returns
+    -------
+    callable
+        Called with a number or component for each symbol and a list or array of components for
+        each sequence; constants come back as plain numbers, not spread over the paths.
+
+    Raises
+    ------
+    ValueError
+        A symbol that is not among the arguments.
+    """
+    arguments = [tuple(a) if isinstance(a, Sequence | np.ndarray) else a for a in arguments]
+    listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
+    known = {*listed, *(name for name, _ in named)}
+    expressions = [sympy.sympify(e) for e in expressions]
+    parts = [*expressions, *(part for _, part in named)]
+    unknown = sorted(set().union(*(e.free_symbols for e in parts)) - known, key=str)
+    if unknown:
+        names = ", ".join(map(str, unknown))
+        raise ValueError(f"expressions: wanted only symbols of the model, got {names}")
+    # lambdify would rename dummies, which makes powers of the products again
+    plain = {
+        s: sympy.Symbol(f"u{k}_", **s.assumptions0)
+        for k, s in enumerate(listed)
+        if isinstance(s, sympy.Dummy)
+    }
+    arguments = [
+        tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
+        for a in arguments
+    ]
+    expressions = [e.xreplace(plain) for e in expressions]
+    named = [(name, part.xreplace(plain)) for name, part in named]
+    printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
+    return sympy.lambdify(
+        arguments,
+        expressions,
+        modules=["scipy", "numpy"],
+        printer=printer,
+        cse=lambda parts: _share(parts, named),
+    )
+
+
+def batch_shape(*arguments: object) -> tuple[int, ...]:
+    """Broadcast shape of the components of vectors (lists or arrays, components first)."""
+    return joint_shape(*[np.shape(c) for argument in arguments for c in argument])
+
+
+def stack(components: Sequence, shape: tuple[int, ...], batch: tuple[int, ...] | None = None):
+    """Array of the given component shape; batch axes last, those of the components by default."""
+    if batch is None:
+        batch = joint_shape(*[np.shape(c) for c in components])
+    result = np.empty((len(components), *batch))
+    for slot, component in enumerate(components):
+        result[slot] = component
+    return result.reshape((*shape, *batch))
+
+
+def compile_array(arguments: Sequence[object], expressions: object) -> Callable[..., np.ndarray]:
+    """Function that returns one array, components first and the batch axes of its arguments last.
+
+    Parameters
+    ----------
+    arguments : sequence
+        As in `compile_components`.
+    expressions : nested sequence of SymPy expressions
+        Its shape is the shape of the components of the result.
+    """
+    expressions = as_expressions("expressions", expressions)
+    function = compile_components(arguments, expressions.ravel().tolist())
+    vectors = [k for k, a in enumerate(arguments) if isinstance(a, Sequence | np.ndarray)]
+
+    def evaluate(*values):
+        batch = batch_shape(*(values[k] for k in vectors))
+        return stack(function(*values), expressions.shape, batch)
+
+    return evaluate

@@ -1,0 +1,151 @@
+"""A switching system seen as one with a mixed state: the mode is its last row.
+
+Simulation, designs and particle filters move paths of any system that can be sampled; in this
+form a switching system is one. Noises and choices of branches have streams of their own, so that
+path i of a small run is path i of a large one.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.random import Generator
+
+from seedslib.base.bundles import drawn, normal
+from seedslib.models.simulation import Simulation, simulate
+
+
+class Hybrid:
+    """Mixed state (n + 1, *batch) with the mode as last row, as a number.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+
+    Attributes
+    ----------
+    state_size : int
+        n + 1.
+    sensor : HybridSensor
+    mean0 : ndarray, shape (n + 1,)
+        A harmless mixed state.
+    """
+
+    def __init__(self, system):
+        self.system, self.state_size = system, system.state_size + 1
+        self.sensor = HybridSensor(system)
+        likely = system.initial[int(np.argmax(system.initial_probabilities))]
+        self.mean0 = np.append(likely.mean, float(np.argmax(system.initial_probabilities)))
+        self.initial_laws = [_law(part) for part in system.initial]
+
+    def initial_sample(self, rng, count) -> np.ndarray:
+        """Draws of mode and state, shape (n + 1, count)."""
+        bounds = np.cumsum(self.system.initial_probabilities)
+        moving, choosing = rng.spawn(2)
+        mode = _chosen(bounds[:-1, None], drawn(choosing, count, Generator.random))
+        noise = normal(moving, self.system.state_size, count)
+        x = np.empty((self.state_size, count))
+        for i, (mean, root) in enumerate(self.initial_laws):
+            here = mode == i
+            x[:-1, here] = mean[:, None] + root @ noise[:, here]
+        x[-1] = mode
+        return x
+
+    def advance(self, x, start, stop, rng) -> np.ndarray:
+        """Mixed states (n + 1, *batch) one step later; the noises are those of the old time."""
+        flat = x.reshape(len(x), -1)
+        moving, choosing = rng.spawn(2)
+        v = self.system.noise.draw(moving, flat.shape[1])
+        choice = drawn(choosing, flat.shape[1], Generator.random)
+        moved = np.empty_like(flat)
+        for i, row in enumerate(self.system.branches):
+            here = flat[-1] == i
+            old, noise = flat[:-1, here], v[:, here]
+            moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
+            moved[-1, here] = _branch(row, start, old, noise, choice[here])
+        return moved.reshape(x.shape)
+
+
+class HybridSensor:
+    """Measurement (m, *batch) of a mixed state, with the indicator as last row if there is one."""
+
+    def __init__(self, system):
+        self.system = system
+        self.size = system.measurement_size + system.has_indicator
+
+    @property
+    def has_log_density(self) -> bool:
+        """Whether all readings have a density in closed form."""
+        return all(b is None or b.has_log_density for row in self.system.readings for b in row)
+
+    def sample(self, t, x, rng) -> np.ndarray:
+        """One draw for each mixed state, shape (m or m + 1, *batch)."""
+        system, flat = self.system, x.reshape(len(x), -1)
+        sensing, choosing = rng.spawn(2)
+        w = system.sensor_noise.draw(sensing, flat.shape[1])
+        y = np.empty((self.size, flat.shape[1]))
+        choice = drawn(choosing, flat.shape[1], Generator.random) if system.has_indicator else None
+        for i, row in enumerate(system.readings):
+            here = flat[-1] == i
+            state, noise = flat[:-1, here], w[:, here]
+            y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
+            if system.has_indicator:
+                y[-1, here] = _branch(row, t, state, noise, choice[here])
+        return y.reshape(self.size, *x.shape[1:])
+
+    def log_density(self, t, y, x) -> np.ndarray:
+        """Logarithm of the density of a measurement with its indicator, shape (*batch).
+
+        NaN is a missing component; an indicator that is NaN is missing too.
+        """
+        system = self.system
+        batch = np.broadcast_shapes(y.shape[1:], x.shape[1:])
+        y, x = np.broadcast_to(y, (len(y), *batch)), np.broadcast_to(x, (len(x), *batch))
+        found = np.full(batch, -np.inf)
+        for i, row in enumerate(system.readings):
+            here = x[-1] == i
+            if not system.has_indicator:
+                found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
+                continue
+            unseen = here & np.isnan(y[-1])
+            if unseen.any():
+                found[unseen] = system.sensors[i].log_density(t, y[:-1, unseen], x[:-1, unseen])
+            for j, branch in enumerate(row):
+                both = here & (y[-1] == j)
+                if branch is not None and both.any():
+                    found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
+        return found
+
+
+def simulate_hybrid(system, times, paths, seed, *, measured=None, workers=1) -> Simulation:
+    """Simulate a switching system, its modes and indicators apart from the numbers."""
+    made = simulate(system.hybrid, times, paths, seed, measured=measured, workers=workers)
+    m, shown = system.measurement_size, made.measurements
+    indicators = None
+    if system.has_indicator:
+        indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
+    return made._replace(
+        states=made.states[:, :-1],
+        measurements=shown[:, :m],
+        modes=made.states[:, -1].astype(int),
+        indicators=indicators,
+    )
+
+
+def _branch(row, t, x, noise, choice):
+    """Number of the branch that each uniform number chooses."""
+    weights = np.zeros((len(row), x.shape[1]))
+    for weight, branch in zip(weights, row, strict=True):
+        if branch is not None:
+            weight[:] = branch.map.weight(t, x, noise)
+    return _chosen(np.cumsum(weights, axis=0)[:-1], choice)
+
+
+def _chosen(bounds, choice):
+    """How many of the bounds lie at or below each number."""
+    return (bounds <= choice).sum(axis=0)
+
+
+def _law(part):
+    from seedslib.base.semidefinite import factor
+
+    return part.mean, factor(part.cov)

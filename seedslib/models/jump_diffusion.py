@@ -1,0 +1,329 @@
+"""Jump-diffusion observed at discrete times: dX = a dt + B dW + jumps, Y_k = c(X_k, V_k)."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+
+from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.models.maps import StochasticMap, Travelling
+from seedslib.models.noise import Noise
+from seedslib.models.rates import closed_rates, numeric_rates
+from seedslib.models.simulation import Simulation, simulate
+from seedslib.models.stepping import SCHEMES, advance, compiled_increment
+
+
+class JumpDiffusion(Travelling):
+    """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
+
+    Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
+    s(t, X, z) with marks z; the sensor shows c(t, X, V), where V may enter nonlinearly.
+    Equations (1.1), (1.2) of the jump-diffusion paper.
+
+    Parameters
+    ----------
+    state : sequence of SymPy symbols, length n
+    drift : sequence of SymPy expressions, length n
+    diffusion : nested sequence of SymPy expressions, shape (n, number of Wiener processes)
+    sensor : sequence of SymPy expressions, length m
+    noise : Noise
+        The sensor noise V.
+    mean0, cov0 : array_like, shapes (n,) and (n, n)
+        Moments of the initial law, Gaussian unless `initial` is given.
+    intensity : SymPy expression
+        Jumps per unit of time (default 0).
+    jump : sequence of SymPy expressions, optional
+        The jump s as a function of the state before it and of the marks.
+    marks : Noise, optional
+        The marks z of a jump.
+    parameters : mapping, optional
+        Values of the other symbols.
+    initial : callable, optional
+        ``initial(rng, count) -> (n, count)``: sampler of an initial law that is not Gaussian.
+    step : float
+        Default step of simulation and of the filters' integration, in units of time.
+    time : SymPy symbol, optional
+        Name of the time, ``t`` by default.
+
+    Attributes
+    ----------
+    sensor, jump : StochasticMap
+        `jump` is None without jumps.
+    drift_map : StochasticMap
+        Without noise: the mean velocity b = a + mu s̄, s̄ the mean jump.
+    spread_map : StochasticMap
+        Without noise: Sigma = B Bᵀ + mu S₂ on and below the diagonal, row by row, with S₂ the
+        second moment of the jump.
+    law : Noise
+        The initial law.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Shapes that do not fit, unknown symbols, covariances that are not semidefinite.
+    """
+
+    def __init__(
+        self, state, drift, diffusion, sensor, noise, mean0, cov0, *, intensity=0, jump=None,
+        marks=None, parameters=None, initial=None, step=0.01, time=None,
+    ):  # fmt: skip
+        import sympy
+
+        from seedslib.models.codegen import known_expressions
+
+        self.state = tuple(state)
+        self.time = sympy.Symbol("t") if time is None else time
+        values = {} if parameters is None else dict(parameters)
+
+        def expressions(name, value, shape):
+            allowed = {self.time, *self.state}
+            if name in ("sensor", "jump"):
+                allowed |= set((noise if name == "sensor" else marks).symbols)
+            return known_expressions(name, value, shape, values, allowed)
+
+        n = len(self.state)
+        self.drift_expressions = expressions("drift", drift, (n,))
+        self.diffusion_expressions = expressions("diffusion", diffusion, (n, None))
+        self.intensity_expression = expressions("intensity", intensity, ())[()]
+        if (jump is None) != (self.intensity_expression == 0):
+            raise ValueError("jump, intensity: wanted both or neither, got one")
+        marks = Noise() if marks is None else marks
+        self.jump = None
+        if jump is not None:
+            self.jump = self._map(expressions("jump", jump, (n,)), marks)
+        self.sensor = self._map(expressions("sensor", sensor, (None,)), noise)
+        self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
+
+    @classmethod
+    def from_functions(
+        cls, drift, diffusion, sensor, mean0, cov0, *, intensity=None, jump=None, initial=None,
+        step=0.01, wiener_size=None,
+    ):  # fmt: skip
+        """Make a system of array functions.
+
+        It takes the sigma-point and quadrature approximations, and the Euler scheme.
+
+        Parameters
+        ----------
+        drift : callable
+            ``drift(t, x) -> (n, *batch)``.
+        diffusion : callable
+            ``diffusion(t, x) -> (n, number of Wiener processes, *batch)``.
+        sensor : StochasticMap
+        intensity : callable, optional
+            ``intensity(t, x) -> (*batch)``.
+        jump : StochasticMap, optional
+            The jump; its conditional moments or Gaussian marks are needed by filters.
+        wiener_size : int, optional
+            Number of Wiener processes, found by one call of `diffusion` by default.
+
+        Other parameters are those of the class.
+        """
+        self = object.__new__(cls)
+        self.state = self.time = self.drift_expressions = self.diffusion_expressions = None
+        self.intensity_expression = None
+        if (jump is None) != (intensity is None):
+            raise ValueError("jump, intensity: wanted both or neither, got one")
+        self.sensor, self.jump = sensor, jump
+        mean0 = as_real("mean0", mean0, ndim=1)
+        n, probe = len(mean0), np.tile(mean0[:, None], 3)
+        as_shape("drift", drift(0.0, probe), (n, 3))
+        found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
+        if intensity is not None:
+            as_shape("intensity", intensity(0.0, probe), (3,))
+        self.__dict__.update(_drift=drift, _diffusion=diffusion, _intensity=intensity)
+        self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
+        return self
+
+    def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
+        self.mean0 = as_shape("mean0", mean0, (n,))
+        self.cov0 = as_covariance("cov0", cov0, n)
+        self.law = Noise(n, self.mean0, self.cov0, initial)
+        if self.sensor.state_size != n or (self.jump and self.jump.size != n):
+            raise ValueError(f"sensor, jump: wanted maps of a state of {n} components")
+        self.state_size, self.wiener_size, self.measurement_size = n, wiener_size, self.sensor.size
+        self.step = float(step)
+        if not 0 < self.step < np.inf:
+            raise ValueError(f"step: wanted a positive number, got {step}")
+
+    def _map(self, value, noise=None):
+        return StochasticMap(self.state, value, noise, time=self.time)
+
+    @property
+    def symbolic(self) -> bool:
+        """Whether the system was given as SymPy expressions."""
+        return self.drift_expressions is not None
+
+    # Array functions of (t, x), components first and batch axes last
+
+    def _compiled(self, expression):
+        from seedslib.models.codegen import compile_array
+
+        return compile_array((self.time, self.state), expression)
+
+    @cached_property
+    def _drift(self):
+        return self._compiled(self.drift_expressions)
+
+    @cached_property
+    def _diffusion(self):
+        return self._compiled(self.diffusion_expressions)
+
+    @cached_property
+    def _intensity(self):
+        return self._compiled(self.intensity_expression)
+
+    def drift(self, t, x) -> np.ndarray:
+        """a(t, x), shape (n, *batch)."""
+        return self._drift(t, x)
+
+    def diffusion(self, t, x) -> np.ndarray:
+        """B(t, x), shape (n, number of Wiener processes, *batch)."""
+        return self._diffusion(t, x)
+
+    def intensity(self, t, x) -> np.ndarray:
+        """mu(t, x), shape (*batch); zero without jumps."""
+        return np.zeros(np.shape(x)[1:]) if self.jump is None else self._intensity(t, x)
+
+    @cached_property
+    def intensity_component(self):
+        """The intensity as a function of a list of components, constant where it is constant."""
+        if not self.symbolic:
+            return lambda t, x: self._intensity(t, np.stack(x))
+        from seedslib.models.codegen import compile_components
+
+        given = (self.time, self.state)
+        function = compile_components(given, [self.intensity_expression])
+        return lambda t, x: function(t, x)[0]
+
+    @cached_property
+    def jump_components(self):
+        """The jump as a function of (t, state components, mark components)."""
+        if not self.symbolic:
+            return lambda t, x, z: list(self.jump.value(t, np.stack(x), np.stack(z)))
+        from seedslib.models.codegen import compile_components
+
+        given = (self.time, self.state, self.jump.noise.symbols)
+        return compile_components(given, self.jump.expressions.tolist())
+
+    # Mean velocity and rate of covariance, jumps included
+
+    @cached_property
+    def moment_expressions(self):
+        """SymPy b = a + mu s̄ of shape (n,) and Sigma = B Bᵀ + mu S₂ of shape (n, n).
+
+        Raises
+        ------
+        NoClosedForm
+            The mean of the jump over its marks has no closed form.
+        """
+        return closed_rates(self)
+
+    @cached_property
+    def drift_map(self) -> StochasticMap:
+        """Mean velocity b(t, x) as a map without noise; array functions without a closed form."""
+        n = self.state_size
+        if self._closed_moments is not None:
+            return self._map(self._closed_moments[0])
+        return StochasticMap.from_functions(n, n, lambda t, x, v: numeric_rates(self, t, x)[0])
+
+    @cached_property
+    def spread_map(self) -> StochasticMap:
+        """Sigma(t, x) on and below the diagonal as a map without noise."""
+        rows, columns = np.tril_indices(self.state_size)
+        if self._closed_moments is not None:
+            return self._map(self._closed_moments[1][rows, columns])
+        return StochasticMap.from_functions(
+            self.state_size,
+            len(rows),
+            lambda t, x, v: numeric_rates(self, t, x)[1][rows, columns],
+        )
+
+    @cached_property
+    def _closed_moments(self):
+        if not self.symbolic:
+            return None
+        from seedslib.gaussian.means.classes import NoClosedForm
+
+        try:
+            return self.moment_expressions
+        except NoClosedForm:
+            return None
+
+    # Sampling
+
+    def increment(self, scheme="euler"):
+        """One step of the diffusion as ``f(t, h, sqrt(h), x, z) -> list of n components``.
+
+        Parameters
+        ----------
+        scheme : {"euler", "heun"}
+            Itô increment a h + B sqrt(h) z, or the Stratonovich increment with the drift
+            a - (1/2) sum_j (dB_j/dx) B_j, which a Heun step needs to converge to the Itô
+            solution.
+
+        Raises
+        ------
+        ValueError
+            An unknown scheme, or Heun for array functions, whose derivatives are unknown.
+        """
+        if scheme not in SCHEMES:
+            raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
+        if not self.symbolic:
+            if scheme == "heun":
+                raise ValueError("scheme: heun wants a symbolic system, got array functions")
+            return self._numeric_increment
+        cache = self.__dict__.setdefault("_increment_cache", {})
+        if scheme not in cache:
+            cache[scheme] = compiled_increment(self, scheme)
+        return cache[scheme]
+
+    def _numeric_increment(self, t, h, root, x, z):
+        x = np.stack(x)
+        noise = np.einsum("ij...,j...->i...", self.diffusion(t, x), root * z)
+        return list(self.drift(t, x) * h + noise)
+
+    def initial_sample(self, rng, count) -> np.ndarray:
+        """Draws of the initial state, shape (n, count)."""
+        return self.law.draw(rng, count)
+
+    def advance(self, x, start, stop, rng, *, step=None, scheme="euler") -> np.ndarray:
+        """Move states of shape (n, *batch) from one time to a later one; see `stepping.advance`.
+
+        Parameters
+        ----------
+        step : float, optional
+            Largest integration step; the system's own by default.
+        scheme : {"euler", "heun"}
+        """
+        return advance(self, x, start, stop, rng, self.step if step is None else step, scheme)
+
+    def simulate(
+        self, times, paths, seed, *, step=None, scheme="euler", measured=None, workers=1
+    ) -> Simulation:
+        """Simulate paths and measurements.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+            Output times; the first is the time of the initial law.
+        paths : int
+        seed : int, SeedSequence or Generator
+        step : float, optional
+            Largest integration step; the system's own by default.
+        scheme : {"euler", "heun"}
+        measured : array_like, optional
+            Mask or indices of the times with a measurement (default all); NaN at the others.
+        workers : int
+            Threads; the numbers do not depend on it, nor on the number of paths.
+
+        Returns
+        -------
+        Simulation
+            ``times``, ``states`` of shape (K+1, n, paths), ``measurements`` of shape
+            (K+1, m, paths).
+        """
+        return simulate(
+            self, times, paths, seed, measured=measured, workers=workers, step=step, scheme=scheme
+        )

@@ -1,0 +1,316 @@
+"""Maps with noise, y = g(t, x, v): sensors, discrete dynamics and jumps are all of this kind.
+
+A map offers what the approximations need: its value, its conditional mean and covariance given
+the state, for switching systems the probability weight of the branch it belongs to, samples, and
+its log-density where that has a closed form.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.correction import correct
+from seedslib.models.noise import HERMITE_ORDER, Noise, hermite_nodes
+
+__all__ = ["Conditional", "Noise", "StochasticMap"]
+
+
+class Conditional(NamedTuple):
+    """What a map does on average at a fixed state; SymPy expressions or array functions."""
+
+    mean: object
+    cov: object
+    weight: object
+
+
+class Travelling:
+    """A symbolic map or system is pickled as its expressions, which are compiled when needed.
+
+    What is made when it is first used is left behind. Given array functions travel themselves.
+    """
+
+    _functions = ("_value", "_weight", "conditional", "_drift", "_diffusion", "_intensity")
+
+    def __getstate__(self):
+        parts = vars(type(self)).items()
+        made = {name for name, part in parts if isinstance(part, cached_property)}
+        made.add("_increment_cache")
+        made = made.union(self._functions) if self.symbolic else made.difference(self._functions)
+        return {name: part for name, part in self.__dict__.items() if name not in made}
+
+
+class StochasticMap(Travelling):
+    """y = value(t, x, v), in a branch of probability weight(t, x, v).
+
+    Parameters
+    ----------
+    state : sequence of SymPy symbols
+    value : sequence of SymPy expressions
+        Components of y.
+    noise : Noise, optional
+        The vector v.
+    weight : SymPy expression
+        Probability of the branch given x and v (default 1: the map always applies).
+    time : SymPy symbol, optional
+        Name of the time, ``t`` by default.
+
+    Raises
+    ------
+    TypeError
+        Entries that are not SymPy expressions.
+    ValueError
+        Symbols other than the state, the noise and the time.
+    """
+
+    def __init__(self, state, value, noise=None, weight=1, *, time=None):
+        import sympy
+
+        from seedslib.models.codegen import as_expressions
+
+        self.state = tuple(state)
+        self.noise = Noise() if noise is None else noise
+        if self.noise.symbols is None:
+            raise ValueError("noise: wanted named components for a symbolic map, got a number")
+        self.time = sympy.Symbol("t") if time is None else time
+        self.expressions = as_expressions("value", value)
+        if self.expressions.ndim != 1:
+            raise ValueError(f"value: wanted a vector, got shape {self.expressions.shape}")
+        self.weight_expression = sympy.sympify(weight)
+        self.state_size, self.size = len(self.state), len(self.expressions)
+        self._log_density = None
+        self._compile()
+
+    @classmethod
+    def from_functions(
+        cls, state_size, size, value, noise=None, *, weight=None, mean=None, cov=None,
+        log_density=None,
+    ):  # fmt: skip
+        """Make a map of array functions; it takes the sigma-point and quadrature approximations.
+
+        Parameters
+        ----------
+        state_size, size : int
+            Numbers of components of x and y.
+        value : callable
+            ``value(t, x, v) -> (size, *batch)`` for x of shape (state_size, *batch) and v of
+            shape (noise size, *batch).
+        noise : Noise, optional
+        weight : callable, optional
+            ``weight(t, x, v) -> (*batch)``.
+        mean, cov : callable, optional
+            Conditional moments ``mean(t, x) -> (size, *batch)``, ``cov(t, x) -> (size, size,
+            *batch)``; where absent, points are laid in the joint space of x and v.
+        log_density : callable, optional
+            ``log_density(t, y, x) -> (*batch)``.
+        """
+        self = object.__new__(cls)
+        self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
+        self.noise = Noise() if noise is None else noise
+        self.state_size, self.size = int(state_size), int(size)
+        self._value, self._weight, self._log_density = value, weight, log_density
+        if (mean is None) != (cov is None):
+            raise ValueError("mean, cov: wanted both or neither, got one")
+        if mean is not None:
+            self.__dict__["conditional"] = Conditional(mean, cov, None)
+        return self
+
+    def _compile(self):
+        from seedslib.models.codegen import compile_array
+
+        given = (self.time, self.state, self.noise.symbols)
+        self._value = compile_array(given, self.expressions)
+        self._weight = compile_array(given, self.weight_expression)
+
+    def __setstate__(self, state):
+        self.__dict__.update(state)
+        if self.symbolic:
+            self._compile()
+
+    @property
+    def symbolic(self) -> bool:
+        """Whether the map was given as SymPy expressions."""
+        return self.expressions is not None
+
+    @property
+    def weighted(self) -> bool:
+        """Whether the branch has a probability other than one."""
+        if self.symbolic:
+            return self.weight_expression != 1
+        return self._weight is not None
+
+    def whole(self) -> StochasticMap:
+        """The map without its weight: what it does where it applies."""
+        if not self.weighted:
+            return self
+        if self.symbolic:
+            return StochasticMap(self.state, self.expressions, self.noise, time=self.time)
+        given = self.__dict__.get("conditional")
+        return StochasticMap.from_functions(
+            self.state_size, self.size, self._value, self.noise,
+            mean=given and given.mean, cov=given and given.cov, log_density=self._log_density,
+        )  # fmt: skip
+
+    def products(self) -> StochasticMap:
+        """Map of the products (w, w x, w y, w x xᵀ, w x yᵀ, w y yᵀ), symmetric ones lower.
+
+        Their plain means are the raw moments in the branch.
+        """
+        n, m = self.state_size, self.size
+
+        def terms(w, x, y):
+            pairs = [
+                *(x[i] * x[j] for i in range(n) for j in range(i + 1)),
+                *(x[i] * y[j] for i in range(n) for j in range(m)),
+                *(y[i] * y[j] for i in range(m) for j in range(i + 1)),
+            ]
+            return [w, *(w * part for part in (*x, *y, *pairs))]
+
+        if self.symbolic:
+            value = terms(self.weight_expression, self.state, self.expressions)
+            return StochasticMap(self.state, value, self.noise, time=self.time)
+        size = 1 + n + m + n * (n + 1) // 2 + n * m + m * (m + 1) // 2
+        return StochasticMap.from_functions(
+            n,
+            size,
+            lambda t, x, v: np.stack(terms(self.weight(t, x, v), x, self.value(t, x, v))),
+            self.noise,
+        )
+
+    def value(self, t, x, v) -> np.ndarray:
+        """Value y of shape (size, *batch) at states x and noises v (components first)."""
+        result = np.asarray(self._value(t, x, v), dtype=float)
+        if result.shape[:1] != (self.size,):
+            raise ValueError(
+                f"value: wanted shape ({self.size}, *batch) from the function, got {result.shape}"
+            )
+        return result
+
+    def weight(self, t, x, v) -> np.ndarray:
+        """Probability of the branch, shape (*batch)."""
+        return np.ones(np.shape(x)[1:]) if self._weight is None else self._weight(t, x, v)
+
+    @cached_property
+    def conditional_expressions(self) -> Conditional:
+        """SymPy mean (size,), covariance (size, size) and weight of the map given the state.
+
+        With a weight w(x, v) these are the moments in the branch, E[w y | x] / E[w | x].
+
+        Raises
+        ------
+        NoClosedForm
+            The means over the noise have no closed form, or the map is not symbolic.
+        """
+        if not self.symbolic:
+            from seedslib.gaussian.means.classes import NoClosedForm
+
+            raise NoClosedForm("map: array functions have no closed form; use a rule with points")
+        import sympy
+
+        average, y = self.noise.expectation, self.expressions
+        joint = self.weight_expression.free_symbols & set(self.noise.symbols)
+        w = self.weight_expression if joint else sympy.Integer(1)
+        mass = average(w)
+        mean = [average(sympy.expand(w * part)) / mass for part in y]
+        # in a branch the means are quotients, which only their names keep from being multiplied out
+        named = sympy.symbols(f"mean:{self.size}", cls=sympy.Dummy, real=True) if joint else mean
+        cov = np.empty((self.size, self.size), dtype=object)
+        for i in range(self.size):
+            for j in range(i + 1):
+                spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+                if joint:
+                    spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
+                cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
+        return Conditional(
+            np.array(mean, dtype=object), cov, mass if joint else self.weight_expression
+        )
+
+    @cached_property
+    def conditional(self) -> Conditional:
+        """Array functions of (t, x): mean (size, *batch), cov (size, size, *batch), weight.
+
+        Raises
+        ------
+        NoClosedForm
+            As `conditional_expressions`.
+        """
+        from seedslib.models.codegen import compile_array
+
+        given = (self.time, self.state)
+        return Conditional(*(compile_array(given, part) for part in self.conditional_expressions))
+
+    def conditional_moments(self, t, x) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (size, *batch) and covariance (size, size, *batch) of y given x, in numbers.
+
+        The closed forms where there are any; otherwise nine Gauss-Hermite nodes per component
+        of Gaussian noise.
+
+        Raises
+        ------
+        ValueError
+            No closed form, and noise that is not Gaussian.
+        """
+        try:
+            mean, cov, _ = self.conditional
+            return mean(t, x), cov(t, x)
+        except ValueError:
+            if not self.noise.gaussian:
+                raise
+        x = np.asarray(x, dtype=float)
+        nodes, weights = hermite_nodes(self.noise.size, HERMITE_ORDER)
+        points = self.noise.mean[:, None] + self.noise.root @ nodes
+        points = points.reshape(*points.shape, *(1,) * (x.ndim - 1))
+        batch = (len(weights), *x.shape[1:])
+        states = np.broadcast_to(x[:, None], (len(x), *batch))
+        y = self.value(t, states, np.broadcast_to(points, (self.noise.size, *batch)))
+        mean = np.einsum("is...,s->i...", y, weights)
+        centred = y - mean[:, None]
+        return mean, np.einsum("is...,js...,s->ij...", centred, centred, weights)
+
+    def sample(self, t, x, rng) -> np.ndarray:
+        """One draw of y for each state, shape (size, *batch).
+
+        Parameters
+        ----------
+        t : float
+        x : ndarray, shape (n, *batch)
+        rng : numpy.random.Generator
+        """
+        batch = np.shape(x)[1:]
+        v = self.noise.draw(rng, int(np.prod(batch, dtype=int))).reshape(self.noise.size, *batch)
+        return self.value(t, x, v)
+
+    @cached_property
+    def has_log_density(self) -> bool:
+        """Whether `log_density` exists: the given one, or y affine in Gaussian noise."""
+        if not self.symbolic:
+            return self._log_density is not None
+        import sympy
+
+        if not self.noise.gaussian:
+            return False
+        v = self.noise.symbols
+        return all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
+
+    def log_density(self, t, y, x) -> np.ndarray:
+        """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
+
+        Raises
+        ------
+        ValueError
+            There is no closed form: the noise enters nonlinearly or is not Gaussian.
+        """
+        if self._log_density is not None:
+            return self._log_density(t, y, x)
+        if not self.has_log_density:
+            raise ValueError(
+                "log_density: wanted y affine in Gaussian noise or a given log_density, "
+                "got a map without a closed form"
+            )
+        mean, cov, _ = self.conditional
+        predicted, spread = mean(t, x), cov(t, x)
+        blind = np.zeros((1, self.size, *(1,) * (predicted.ndim - 1)))
+        anchor = np.zeros((1, *(1,) * (predicted.ndim - 1)))
+        return correct(anchor, None, y, (predicted, blind, spread))[2]

@@ -1,0 +1,145 @@
+"""Random vectors that enter a map, and the Gauss-Hermite rule of a normal vector."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from seedslib.base.bundles import drawn, normal
+from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.semidefinite import factor
+from seedslib.gaussian.quadrature import gauss_hermite
+
+HERMITE_ORDER = 9
+
+
+def hermite_nodes(size: int, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Hermite product rule of a standard normal vector: nodes (size, S), weights (S,)."""
+    if size == 0:
+        return np.empty((0, 1)), np.ones(1)
+    rule = gauss_hermite(size, order)
+    return rule.points, rule.weights
+
+
+@dataclass(frozen=True)
+class Noise:
+    """A random vector that enters a map.
+
+    Parameters
+    ----------
+    symbols : sequence of SymPy symbols, or int
+        Names of the components; their number where the maps are array functions.
+    mean : float or array_like, shape (size,)
+        Mean (default 0).
+    cov : array_like, shape (size, size), optional
+        Covariance (default the identity).
+    sample : callable, optional
+        ``sample(rng, count) -> (size, count)`` draws the vector where it is not Gaussian; `mean`
+        and `cov` must be its moments. Gaussian by default.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Shapes that do not fit or a covariance that is not positive semidefinite.
+    """
+
+    symbols: Sequence | int = ()
+    mean: float | np.ndarray = 0.0
+    cov: np.ndarray | None = None
+    sample: Callable | None = None
+    size: int = field(init=False)
+    root: np.ndarray = field(init=False, repr=False)
+
+    def __post_init__(self):
+        if isinstance(self.symbols, int):
+            symbols, size = None, self.symbols
+        else:
+            symbols = tuple(self.symbols)
+            size = len(symbols)
+        if size < 0:
+            raise ValueError(f"symbols: wanted a nonnegative number of components, got {size}")
+        mean = np.broadcast_to(as_real("mean", self.mean), (size,)).copy()
+        cov = np.eye(size) if self.cov is None else as_covariance("cov", self.cov, size)
+        if self.sample is not None and not callable(self.sample):
+            raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
+        for name, value in (
+            ("symbols", symbols), ("size", size), ("mean", mean), ("cov", cov),
+            ("root", factor(cov)),
+        ):  # fmt: skip
+            object.__setattr__(self, name, value)
+
+    @property
+    def gaussian(self) -> bool:
+        """Whether the law is the Gaussian one."""
+        return self.sample is None
+
+    def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Independent draws, shape (size, count); the first of many are the draws of a few."""
+        if self.sample is None:
+            return self.mean[:, None] + _apply_root(self.root, normal(rng, self.size, count))
+        return drawn(rng, count, self._sampled)
+
+    def _sampled(self, rng, count):
+        return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
+
+    def expectation(self, expression):
+        """Mean of a SymPy expression over the noise.
+
+        Raises
+        ------
+        NoClosedForm
+            Neither of degree two in the noise nor (for Gaussian noise) of the class of
+            `seedslib.gaussian.expectation`.
+        """
+        import sympy
+
+        expression = sympy.sympify(expression)
+        if not expression.free_symbols & set(self.symbols):
+            return expression
+        polynomial = expression.as_poly(*self.symbols)
+        if polynomial is not None and polynomial.total_degree() <= 2:
+            return self._quadratic_mean(polynomial)
+        from seedslib.gaussian.means.classes import NoClosedForm
+        from seedslib.gaussian.means.symbolic import mean_expression
+        from seedslib.models.codegen import real_part
+
+        if not self.gaussian:
+            raise NoClosedForm(
+                f"noise: only its mean and covariance are known, so {expression} has no mean in "
+                "closed form; use GaussHermite or another rule with points"
+            )
+        others = tuple(expression.free_symbols - set(self.symbols))
+        mean, cov = self.mean.tolist(), self.cov.tolist()
+        cov = sympy.Matrix(cov)
+        return real_part(mean_expression(expression, self.symbols, mean, cov, parameters=others))
+
+    def _quadratic_mean(self, polynomial):
+        second = self.cov + np.outer(self.mean, self.mean)
+        total = 0
+        for powers, coefficient in polynomial.terms():
+            used = [k for k, power in enumerate(powers) for _ in range(power)]
+            if not used:
+                total += coefficient
+            else:
+                moment = self.mean[used[0]] if len(used) == 1 else second[used[0], used[1]]
+                total += coefficient * _tidy(moment)
+        return total
+
+
+def _tidy(number: float):
+    """The exact integer where a float is one: keeps formulas such as 1*x free of 1.0*x."""
+    return int(number) if float(number).is_integer() else float(number)
+
+
+def _apply_root(root, normal):
+    """Product of a lower triangular matrix with draws, component by component."""
+    if np.array_equal(root, np.eye(len(root))):
+        return normal
+    result = np.zeros(normal.shape)
+    for k, row in enumerate(root):
+        for q in range(k + 1):
+            if row[q] != 0.0:
+                result[k] += row[q] * normal[q]
+    return result

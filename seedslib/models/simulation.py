@@ -1,0 +1,103 @@
+"""Simulation of a system and its measurements, in blocks of paths with their own streams.
+
+Each block of paths has its own random stream and each interval between two times its own child
+of it, so the numbers do not depend on the number of threads, on the order of the blocks, or on
+how many paths follow: path i of a small run is path i of a large one.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.blocks import as_count, in_blocks
+from seedslib.base.checks import as_times
+
+
+class Simulation(NamedTuple):
+    """Simulated paths.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+    states : ndarray, shape (K+1, n, paths)
+    measurements : ndarray, shape (K+1, m, paths)
+        NaN at the times that are not measured.
+    modes, indicators : ndarray of int, shape (K+1, paths), or None
+        Of a switching system; -1 for an indicator that was not measured.
+    """
+
+    times: np.ndarray
+    states: np.ndarray
+    measurements: np.ndarray
+    modes: np.ndarray | None = None
+    indicators: np.ndarray | None = None
+
+
+def as_measured(measured: object, count: int) -> np.ndarray:
+    """Mask of the measured times, shape (K+1,), from None (all), a mask, or a list of indices.
+
+    Raises
+    ------
+    ValueError
+        A mask of another length or an index out of range.
+    """
+    if measured is None:
+        return np.ones(count, dtype=bool)
+    given = np.asarray(measured)
+    if given.dtype == bool:
+        if given.shape != (count,):
+            raise ValueError(f"measured: wanted a mask of shape ({count},), got {given.shape}")
+        return given
+    if given.ndim != 1 or given.dtype.kind not in "iu" or (np.abs(given) >= count).any():
+        raise ValueError(f"measured: wanted indices from 0 to {count - 1}, got {measured!r}")
+    mask = np.zeros(count, dtype=bool)
+    mask[given] = True
+    return mask
+
+
+def simulate(system, times, paths, seed, *, measured=None, workers=1, **options) -> Simulation:
+    """Simulate paths of any system that can be sampled, and what its sensor shows.
+
+    Parameters
+    ----------
+    system : object
+        With ``initial_sample(rng, count)``, ``advance(x, start, stop, rng, **options)`` and
+        ``sensor.sample(t, x, rng)``.
+    times : array_like, shape (K+1,)
+        Output times; the first is the time of the initial law.
+    paths : int
+    seed : int, SeedSequence or Generator
+    measured : array_like, optional
+        Mask or indices of the times with a measurement (default all); NaN at the others.
+    workers : int
+        Threads over blocks of paths.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Times that do not increase, a count below one, a wrong mask or seed.
+    """
+    times = as_times("times", times)
+    paths = as_count("paths", paths)
+    measured = as_measured(measured, len(times))
+    states = np.empty((len(times), system.state_size, paths))
+    measurements = np.full((len(times), system.sensor.size, paths), np.nan)
+
+    def work(start, stop, stream):
+        x = None
+        for k, child in enumerate(stream.spawn(len(times))):
+            moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
+            # a path that leaves the range of numbers shows as inf or NaN in the result
+            with np.errstate(over="ignore", invalid="ignore"):
+                if k == 0:
+                    x = system.initial_sample(moving, stop - start)
+                else:
+                    x = system.advance(x, times[k - 1], times[k], moving, **options)
+                states[k, :, start:stop] = x
+                if measured[k]:
+                    measurements[k, :, start:stop] = system.sensor.sample(times[k], x, sensing)
+
+    in_blocks(work, paths, seed, workers=workers)
+    return Simulation(times, states, measurements)

@@ -1,0 +1,271 @@
+"""Switching system: a mode chooses dynamics, sensor and indicator, and the state moves the mode."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.models.branches import Branch
+from seedslib.models.hybrid import Hybrid, simulate_hybrid
+from seedslib.models.maps import StochasticMap
+from seedslib.models.simulation import Simulation
+
+CLOSE = 1e-9
+"""Probabilities may miss their sum or their range by this much."""
+
+
+class InitialMode(NamedTuple):
+    """Initial law of one mode: its probability, and the Gaussian law of the state in it."""
+
+    probability: float
+    mean: np.ndarray
+    cov: np.ndarray
+
+
+class SwitchingSystem:
+    """Discrete-time system of several modes, with switching that may depend on the state.
+
+    In mode i the state moves as X_{k+1} = a_i(t_k, X_k, V_k), the next mode is l with probability
+    A_il(t_k, X_k, V_k), and the sensor shows Y_k = b_i(t_k, X_k, W_k) and, if there is one, an
+    indicator of value j with probability B_ij(t_k, X_k, W_k). Equations (1.1) to (1.4) of the
+    switching paper: the step from k to k + 1 uses the *old* mode and the old time. A probability
+    that mentions the noise describes dependent noises V' and V (W' and W). Modes and values of
+    the indicator are numbered from 0.
+
+    Parameters
+    ----------
+    state : sequence of SymPy symbols, length n
+    dynamics : nested sequence of SymPy expressions, shape (L, n)
+        a_i, of the state, the noise and the time.
+    noise : Noise
+        V.
+    switching : nested sequence of SymPy expressions, shape (L, L)
+        A_il; each row sums to one.
+    sensor : nested sequence of SymPy expressions, shape (L, m)
+        b_i, of the state, the sensor noise and the time.
+    sensor_noise : Noise
+        W.
+    initial : sequence of (probability, mean, cov), length L
+        Law of the mode at the start, and Gaussian law of the state in each.
+    indicator : nested sequence of SymPy expressions, shape (L, M), optional
+        B_ij; each row sums to one. None where there is no indicator.
+    parameters : mapping, optional
+        Values of the other symbols.
+    time : SymPy symbol, optional
+        Name of the time, ``t`` by default.
+
+    Attributes
+    ----------
+    modes, indicators : int
+        L and M; M is 1 without an indicator.
+    state_size, measurement_size : int
+    dynamics, sensors : tuple of StochasticMap, length L
+        The maps without their probabilities.
+    branches : tuple of tuple of Branch, shape (L, L)
+        Move to the next state together with a switch to mode l; None where it never happens.
+    readings : tuple of tuple of Branch, shape (L, M)
+        Measurement together with value j of the indicator; None where it never happens.
+    mean0, cov0 : ndarray, shapes (n,) and (n, n)
+        Moments of the initial state over all modes.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Shapes that do not fit, unknown symbols, covariances that are not semidefinite,
+        probabilities outside of [0, 1] or that do not sum to one (looked at on points about the
+        initial law, where they depend on the state).
+    """
+
+    def __init__(
+        self, state, dynamics, noise, switching, sensor, sensor_noise, initial, *, indicator=None,
+        parameters=None, time=None,
+    ):  # fmt: skip
+        import sympy
+
+        from seedslib.models.codegen import known_expressions
+
+        self.state = tuple(state)
+        self.time = sympy.Symbol("t") if time is None else time
+        values = {} if parameters is None else dict(parameters)
+
+        def expressions(name, value, shape, source):
+            allowed = {self.time, *self.state, *source.symbols}
+            return known_expressions(name, value, shape, values, allowed)
+
+        n = len(self.state)
+        moves = expressions("dynamics", dynamics, (None, n), noise)
+        modes = len(moves)
+        leave = expressions("switching", switching, (modes, modes), noise)
+        shows = expressions("sensor", sensor, (modes, None), sensor_noise)
+        if indicator is None:
+            tells = np.full((modes, 1), sympy.Integer(1), dtype=object)
+        else:
+            tells = expressions("indicator", indicator, (modes, None), sensor_noise)
+
+        def table(values, weights, source):
+            return [
+                [StochasticMap(self.state, row, source, w, time=self.time) for w in weight]
+                for row, weight in zip(values, weights, strict=True)
+            ]
+
+        self._set_up(
+            table(moves, leave, noise), table(shows, tells, sensor_noise), initial,
+            indicator is not None,
+        )  # fmt: skip
+
+    @classmethod
+    def from_maps(cls, moves, readings, initial, *, indicator=False) -> SwitchingSystem:
+        """Make a system of maps with probabilities, such as those of array functions.
+
+        Parameters
+        ----------
+        moves : nested sequence of StochasticMap, shape (L, L)
+            Maps of mode i, each with the weight of its switch to mode l; those of a row have the
+            same value and noise.
+        readings : nested sequence of StochasticMap, shape (L, M)
+            Measurement of mode i, each with the weight of value j of the indicator.
+        initial : as in the class
+        indicator : bool
+            Whether the indicator is seen.
+
+        Raises
+        ------
+        ValueError
+            As the class; maps of a row with several values, or maps with several noises.
+        """
+        self = object.__new__(cls)
+        self.state = moves[0][0].state
+        self.time = moves[0][0].time
+        self._set_up(moves, readings, initial, bool(indicator))
+        return self
+
+    def _set_up(self, moves, readings, initial, indicator):
+        self.modes, self.has_indicator = len(moves), indicator
+        self.indicators = len(readings[0])
+        if len(readings) != self.modes or any(len(row) != self.indicators for row in readings):
+            raise ValueError(f"sensor: wanted one row for each of {self.modes} modes")
+        if any(len(row) != self.modes for row in moves):
+            raise ValueError(f"switching: wanted {self.modes} next modes in each row")
+        if not indicator and self.indicators != 1:
+            raise ValueError("indicator: wanted one column of readings where it is not seen")
+        self.noise, self.sensor_noise = moves[0][0].noise, readings[0][0].noise
+        self.state_size, self.measurement_size = moves[0][0].state_size, readings[0][0].size
+        for name, table in (("dynamics", moves), ("sensor", readings)):
+            for each in (m for row in table for m in row):
+                if each.state_size != self.state_size:
+                    raise ValueError(f"{name}: wanted maps of {self.state_size} components")
+        self.initial = self._initial_modes(initial)
+        probability = np.array([part.probability for part in self.initial])
+        means = np.array([part.mean for part in self.initial])
+        self.mean0 = probability @ means
+        apart = means - self.mean0
+        self.cov0 = np.einsum("l,li,lj->ij", probability, apart, apart) + np.einsum(
+            "l,lij->ij", probability, np.array([part.cov for part in self.initial])
+        )
+        self.branches = self._branches("switching", moves, self.noise)
+        self.readings = self._branches("indicator", readings, self.sensor_noise)
+        self.dynamics = tuple(row[0].whole() for row in moves)
+        self.sensors = tuple(row[0].whole() for row in readings)
+
+    def _initial_modes(self, initial):
+        initial = list(initial)
+        if len(initial) != self.modes:
+            raise ValueError(f"initial: wanted {self.modes} modes, got {len(initial)}")
+        n, found = self.state_size, []
+        for i, part in enumerate(initial):
+            try:
+                probability, mean, cov = part
+            except (TypeError, ValueError):
+                raise TypeError(
+                    f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
+                ) from None
+            found.append(
+                InitialMode(
+                    float(as_real(f"initial[{i}] probability", probability, ndim=0)),
+                    as_shape(f"initial[{i}] mean", mean, (n,)),
+                    as_covariance(f"initial[{i}] cov", cov, n),
+                )
+            )
+        _want_probabilities("initial", np.array([part.probability for part in found]))
+        return tuple(found)
+
+    def _branches(self, name, table, noise):
+        """Branches without those of probability zero; all probabilities are looked at first."""
+        x, v = self._probe(noise)
+        found = []
+        for i, row in enumerate(table):
+            for other in row:
+                if not _same_law(other.noise, noise):
+                    raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
+                if other.size != table[0][0].size:
+                    raise ValueError(
+                        f"{name}: wanted maps of {table[0][0].size} values in mode {i}"
+                    )
+                if not np.allclose(
+                    other.value(0.0, x, v), row[0].value(0.0, x, v), rtol=CLOSE, equal_nan=True
+                ):
+                    raise ValueError(f"{name}: wanted maps of one value in mode {i}, got several")
+            weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
+            _want_probabilities(f"{name} of mode {i}", weight)
+            found.append(
+                tuple(None if m.symbolic and m.weight_expression == 0 else Branch(m) for m in row)
+            )
+        return tuple(found)
+
+    def _probe(self, noise):
+        """States and noises about the initial law, (n, 64) and (noise size, 64)."""
+        rng = np.random.default_rng(0)
+        spread = np.sqrt(np.diagonal(self.cov0)) + 1e-3
+        x = self.mean0[:, None] + 2.0 * spread[:, None] * rng.standard_normal((self.state_size, 64))
+        return x, noise.draw(rng, 64)
+
+    @property
+    def symbolic(self) -> bool:
+        """Whether the system was given as SymPy expressions."""
+        return self.state is not None
+
+    @property
+    def initial_probabilities(self) -> np.ndarray:
+        """Probabilities of the modes at the start, (L,)."""
+        return np.array([part.probability for part in self.initial])
+
+    @cached_property
+    def indicator_is_blind(self) -> bool:
+        """Whether the indicator does not depend on the state (corollaries 3 and 4)."""
+        return all(b is None or b.constant for row in self.readings for b in row)
+
+    @cached_property
+    def hybrid(self) -> Hybrid:
+        """The system as one whose state has the mode as last row, and the measurement J."""
+        return Hybrid(self)
+
+    def simulate(self, times, paths, seed, *, measured=None, workers=1) -> Simulation:
+        """Simulate paths, modes, measurements and indicators.
+
+        See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
+        `indicators` (K+1, paths) are whole numbers from 0, -1 for an indicator not measured.
+        """
+        return simulate_hybrid(self, times, paths, seed, measured=measured, workers=workers)
+
+
+def _same_law(one, other):
+    """Whether two noises have the same mean and covariance."""
+    return one is other or (
+        one.size == other.size
+        and np.array_equal(one.mean, other.mean)
+        and np.array_equal(one.cov, other.cov)
+    )
+
+
+def _want_probabilities(name, weights):
+    """Probabilities along the first axis, or ValueError."""
+    weights = np.asarray(weights, dtype=float)
+    if not (np.isfinite(weights).all() and (weights >= -CLOSE).all()):
+        raise ValueError(f"{name}: wanted probabilities of at least 0, got {np.min(weights):.6g}")
+    total = weights.sum(axis=0)
+    worst = np.ravel(total)[np.argmax(np.abs(total - 1.0))]
+    if abs(worst - 1.0) > CLOSE:
+        raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")

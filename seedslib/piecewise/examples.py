@@ -1,0 +1,66 @@
+"""The example of the piecewise-linear paper."""
+
+from __future__ import annotations
+
+
+def falling_body(
+    cells=100, *, partition="gradient", span=(5.0, 50.0), support="centroid", sensor_noise=1e-3
+):
+    """Body in free fall from rest, of which only the elevation angle is measured.
+
+    The example (24) to (30) of the piecewise-linear paper: the range X1 (in km) stays, the small
+    angle falls, X2 <- X2 - g (t - 1/2) / X1 at the new time t = 1, 2, ... s, and Y = X2 + H V.
+
+    Parameters
+    ----------
+    cells : int
+        Number n of cells of the range.
+    partition : {"gradient", "curvature"}
+        The slope g (t - 1/2) / x² of the tangents takes n intervals of equal length, the paper's
+        (27), or its change over a cell spreads the error of the tangents evenly, which makes
+        the edges equidistant in x^(-1/2).
+    span : (float, float)
+        First and last edge in km; the outer cells are extended to infinity.
+    support : str or array_like
+        As in `PiecewiseLinearSystem.from_functions`.
+    sensor_noise : float
+        H in radians.
+
+    Returns
+    -------
+    PiecewiseLinearSystem
+        Prior N((27.5, 0.1), diag(11.25², 1e-12)); its `functions.transition` and
+        `functions.sensor_map` are the nonlinear maps.
+
+    Raises
+    ------
+    ValueError
+        No cell, a span that is not 0 < low < high, or an unknown partition.
+    """
+    import numpy as np
+    import sympy
+
+    from seedslib.base.blocks import as_count
+    from seedslib.piecewise.system import PiecewiseLinearSystem
+
+    cells, (low, high) = as_count("cells", cells), span
+    if not 0.0 < low < high:
+        raise ValueError(f"span: wanted 0 < low < high, got {span!r}")
+    powers = {"gradient": -2.0, "curvature": -0.5}
+    if partition not in powers:
+        raise ValueError(f'partition: wanted "gradient" or "curvature", got {partition!r}')
+    power = powers[partition]
+    share = np.arange(cells + 1) / cells
+    edges = ((1.0 - share) * low**power + share * high**power) ** (1.0 / power)
+    x1, x2, v, t, g = sympy.symbols("x1 x2 v t g")
+    return PiecewiseLinearSystem.from_functions(
+        state=(x1, x2),
+        dynamics=[x1, x2 - g * (t - sympy.Rational(1, 2)) / x1],
+        sensor=[x2 + sensor_noise * v],
+        noise=v,
+        breakpoints=edges,
+        support=support,
+        time=t,
+        initial=([27.5, 0.1], np.diag([11.25**2, 1e-12])),
+        parameters={g: sympy.Rational(1, 100)},
+    )

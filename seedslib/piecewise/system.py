@@ -1,0 +1,262 @@
+"""Systems that are linear on every cell of a partition of their leading components."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from seedslib.base.blocks import as_count
+from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
+from seedslib.models.discrete import DiscreteSystem
+from seedslib.models.simulation import Simulation
+from seedslib.piecewise.cells import Intervals, Polygons, as_cells
+from seedslib.piecewise.coefficients import Coefficients, affine_map, as_coefficients
+from seedslib.piecewise.functions import Tangents, tangents
+
+
+@dataclass(frozen=True, eq=False)
+class PiecewiseLinearSystem:
+    """State and sensor that are affine on every cell Q_i of a partition.
+
+    In cell i: ``x(t) = a_i + A_i x(t-1) + G_i w(t)`` where x(t-1) lies in Q_i, and
+    ``y(t) = b_i + B_i x(t) + H_i v(t)`` where x(t) does, ``t = 1, 2, ...``; w and v are
+    independent standard normal. The cells restrict the leading one or two components only.
+    Kolessa, equation (21).
+
+    Parameters
+    ----------
+    regions : array_like or sequence
+        Edges from ``-inf`` to ``inf``, (n + 1,), or pairs (lower, upper); cells are half-open,
+        ``lower <= x < upper``. For two restricted components a list of convex cells, each the
+        table (V, 2) of its vertices or, where unbounded, `HalfPlanes`.
+    dynamics : (a, A) or callable
+        Arrays (k, n) and (k, k, n), cell last; arrays without a cell axis hold for every cell. A
+        callable takes the new time t and returns the pair.
+    sensor : (b, B) or callable
+        Arrays (m, n) and (m, k, n).
+    sensor_noise : array_like or callable
+        H, (m, q) or (m, q, n).
+    mean0 : array_like, shape (k,)
+    cov0 : array_like, shape (k, k)
+        Prior at the first time, where nothing is measured.
+    noise : array_like or callable, optional
+        G, (k, p) or (k, p, n); none by default.
+    functions : Tangents, optional
+        The nonlinear functions behind the coefficients; set by `from_functions`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Cells that overlap, are out of order or do not cover the space, shapes that do not fit,
+        entries that are not finite, an indefinite `cov0`.
+    """
+
+    regions: Intervals | Polygons
+    dynamics: tuple | Callable
+    sensor: tuple | Callable
+    sensor_noise: np.ndarray | Callable
+    mean0: np.ndarray
+    cov0: np.ndarray
+    noise: np.ndarray | Callable | None = None
+    functions: Tangents | None = None
+
+    def __post_init__(self):
+        mean0 = as_real("mean0", self.mean0, ndim=1)
+        cells = as_cells(self.regions)
+        if mean0.size < cells.size:
+            raise ValueError(
+                f"mean0: wanted at least {cells.size} components for these regions, "
+                f"got {mean0.size}"
+            )
+        fields = {
+            "regions": cells,
+            "mean0": mean0,
+            "cov0": as_covariance("cov0", self.cov0, mean0.size),
+        }
+        for name, value in fields.items():
+            object.__setattr__(self, name, value)
+        if self.functions is None:
+            if not callable(self.dynamics) and not callable(self.noise):
+                self.dynamics_at(0.0)
+            if not callable(self.sensor) and not callable(self.sensor_noise):
+                self.sensor_at(0.0)
+
+    @classmethod
+    def from_functions(
+        cls,
+        *,
+        state: Sequence,
+        dynamics: Sequence,
+        sensor: Sequence,
+        breakpoints: object,
+        initial: tuple,
+        noise: object = None,
+        support: object = "centroid",
+        time: object = None,
+        parameters: Mapping | None = None,
+    ) -> PiecewiseLinearSystem:
+        """Tangents of nonlinear SymPy functions on every cell, equations (21) to (23).
+
+        Parameters
+        ----------
+        state : sequence of Symbol
+            The k state symbols; the leading one or two are restricted by the cells.
+        dynamics, sensor : sequence of expressions
+            The next state and the measurement, in the state, the noise symbols and `time`.
+        breakpoints : array_like or sequence
+            Increasing finite edges (n + 1,) of n cells, of which the first and the last are
+            extended to infinity; or plane cells as in the constructor.
+        initial : (mean0, cov0)
+            Prior at the first time.
+        noise : Noise or Symbol or sequence of Symbol, optional
+            Noise symbols, standard normal unless a `Noise` says otherwise. They enter linearly,
+            each of them the dynamics or the sensor.
+        support : {"centroid", "estimate"} or array_like
+            Where the tangents are taken: the middle of the cell as given, so that an extended
+            cell keeps the middle of the bounded one, and the prior mean in the components that
+            are not restricted; "estimate" puts the current estimate in place of the support
+            point of the cell that holds it (predicted estimate for the sensor), and its
+            unrestricted components in every cell; or points (k1, n) or (k, n).
+        time : Symbol, optional
+            Symbol of the new time t, at which the state arrives.
+        parameters : mapping, optional
+            Values of further symbols.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Unknown symbols, noise that does not enter linearly or enters both functions, edges
+            that do not increase, support points outside their cells.
+        """
+        mean0 = as_real("initial[0]", initial[0], ndim=1)
+        model = tangents(
+            state=state, dynamics=dynamics, sensor=sensor, noise=noise, breakpoints=breakpoints,
+            support=support, time=time, mean0=as_shape("initial[0]", mean0, (len(tuple(state)),)),
+            parameters=parameters,
+        )  # fmt: skip
+        return cls(
+            regions=model.cells,
+            dynamics=model.dynamics,
+            sensor=model.sensor,
+            sensor_noise=None,
+            mean0=mean0,
+            cov0=initial[1],
+            functions=model,
+        )
+
+    @property
+    def n(self) -> int:
+        """Number of state components."""
+        return self.mean0.size
+
+    def dynamics_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
+        """Coefficients of the transition that arrives at time t.
+
+        Parameters
+        ----------
+        t : float
+            The new time.
+        estimate : ndarray, shape (k, N), optional
+            Estimates at the old time; used with ``support="estimate"`` only.
+        """
+        if self.functions is not None:
+            return as_coefficients(
+                "dynamics", self.functions.dynamics(t, estimate), self.regions.count, self.n, self.n
+            )
+        offset, matrix = self.dynamics(t) if callable(self.dynamics) else self.dynamics
+        noise = self.noise(t) if callable(self.noise) else self.noise
+        noise = np.zeros((self.n, 0)) if noise is None else noise
+        return as_coefficients(
+            "dynamics", (offset, matrix, noise), self.regions.count, self.n, self.n
+        )
+
+    def sensor_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
+        """Coefficients of the measurement at time t; `estimate` (k, N) is the predicted one."""
+        if self.functions is not None:
+            return as_coefficients(
+                "sensor", self.functions.sensor(t, estimate), self.regions.count, self.n, None
+            )
+        offset, matrix = self.sensor(t) if callable(self.sensor) else self.sensor
+        noise = self.sensor_noise(t) if callable(self.sensor_noise) else self.sensor_noise
+        return as_coefficients("sensor", (offset, matrix, noise), self.regions.count, self.n, None)
+
+    def simulate(
+        self,
+        times: object,
+        paths: int,
+        seed: object,
+        *,
+        start: object = None,
+        linear: bool = False,
+        workers: int = 1,
+    ) -> Simulation:
+        """Simulate independent paths and their measurements.
+
+        Parameters
+        ----------
+        times : int or array_like
+            Number of steps K, for the times 0, 1, ..., K, or the grid (K+1,) itself.
+        paths : int
+            Number of paths N.
+        seed : int, SeedSequence or Generator
+        start : array_like, shape (k,), optional
+            Initial state of every path; drawn from the prior by default.
+        linear : bool
+            Simulate the piecewise-linear model also where it approximates nonlinear functions,
+            which are simulated by default.
+        workers : int
+            Threads over blocks of paths; the numbers do not depend on it.
+
+        Returns
+        -------
+        Simulation
+            states (K+1, k, N), measurements (K+1, m, N) with NaN at the first time: the first
+            measurement follows the first transition.
+
+        Raises
+        ------
+        TypeError, ValueError
+            An illegal grid, `paths` not a positive integer, `start` of a wrong shape.
+        """
+        times = as_steps(times)
+        source = self.discrete(linear=linear, reference=float(times[-1]))
+        if start is not None:
+            start = as_shape("start", start, (self.n,))
+            source = replace(
+                source, initial=lambda rng, count: np.repeat(start[:, None], count, axis=1)
+            )
+        return source.simulate(
+            times, paths, seed, measured=np.arange(times.size) > 0, workers=workers
+        )
+
+    def discrete(self, *, linear: bool = False, reference: float = 1.0) -> DiscreteSystem:
+        """The system as a pair of maps, for simulation and for other filters.
+
+        Parameters
+        ----------
+        linear : bool
+            The piecewise-linear maps also where they approximate nonlinear functions; by
+            default the functions themselves.
+        reference : float
+            A time at which the coefficients exist; their shapes are looked up there.
+        """
+        if self.functions is not None and not linear:
+            maps = self.functions.transition, self.functions.sensor_map
+        else:
+            maps = (
+                affine_map(self.regions, self.n, coefficients, reference)
+                for coefficients in (self.dynamics_at, self.sensor_at)
+            )
+        return DiscreteSystem(*maps, self.mean0, self.cov0)
+
+
+def as_steps(times: object) -> np.ndarray:
+    """Grid of times (K+1,) from a number of steps K or from the grid itself."""
+    if isinstance(times, int | np.integer) and not isinstance(times, bool):
+        return np.arange(as_count("times", times) + 1.0)
+    times = as_times("times", times)
+    if times.size < 2:
+        raise ValueError(f"times: wanted at least two times, got {times.size}")
+    return times

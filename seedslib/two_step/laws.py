@@ -1,0 +1,212 @@
+"""Second step of the two-step estimator: a function of a Gaussian vector, its mean and errors."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.base.semidefinite import square_root
+from seedslib.gaussian.errors.functions import MeanSquareErrors
+from seedslib.gaussian.errors.joint import as_joint_law
+from seedslib.gaussian.quadrature import Rule, points_of
+
+BLOCK_POINTS = 1_000_000
+
+
+class Law(NamedTuple):
+    """A function of the state together with its means under Gaussian laws.
+
+    Attributes
+    ----------
+    kind : str
+        Class of functions whose formulas are used.
+    scalar : bool
+        Whether the function has one value, without a component axis.
+    plugin : callable
+        x̂ (n, ...) -> f(x̂), shape (...) or (p, ...).
+    mean : callable
+        (x̂, P) -> E f(x) under N(x̂, P).
+    variance : callable
+        (x̂, P) -> conditional variance of f(x), shape (...) or (p, p, ...).
+    errors : callable
+        (μ, C, P), one time -> `MeanSquareErrors` of the optimal and the plug-in estimate.
+    polynomial : dict or None
+        Coefficients, from multi-index to (p,), of a polynomial.
+    """
+
+    kind: str
+    scalar: bool
+    plugin: Callable
+    mean: Callable
+    variance: Callable
+    errors: Callable
+    polynomial: dict | None = None
+
+
+def closed_law(f: object, variables: Sequence) -> Law:
+    """Law of a SymPy expression by closed forms.
+
+    Parameters
+    ----------
+    f : SymPy expression, list or column Matrix of expressions
+    variables : sequence of Symbol
+
+    Returns
+    -------
+    Law
+
+    Raises
+    ------
+    NoClosedForm
+        The mean, the variance or the errors have none.
+    TypeError, ValueError
+        Unknown symbols in f, repeated variables, complex or infinite values.
+    """
+    from seedslib.gaussian.errors.exact import mean_square_errors, posterior_variance_function
+    from seedslib.gaussian.means.symbolic import FunctionClass, expectation_function
+
+    mean = expectation_function(f, variables)
+    compiled = mean.compiled()
+
+    def plugin(point: np.ndarray) -> np.ndarray:
+        value = compiled.value(point)
+        return value[0] if mean.scalar else value
+
+    return Law(
+        str(mean.kind),
+        mean.scalar,
+        plugin,
+        mean,
+        posterior_variance_function(f, variables),
+        mean_square_errors(f, variables),
+        compiled.polynomial() if mean.kind is FunctionClass.POLYNOMIAL else None,
+    )
+
+
+def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> Law:
+    """Law of any function by a quadrature rule; approximate, and named so.
+
+    Parameters
+    ----------
+    f : callable, or SymPy expression, list or column Matrix of expressions
+        A callable takes points (n, N) and returns (N,) or (p, N).
+    variables : sequence of Symbol or None
+        For an expression.
+    rule : Rule
+        Rule in n dimensions. The errors take the rule of the rule: L² values of f.
+
+    Returns
+    -------
+    Law
+
+    Raises
+    ------
+    TypeError, ValueError
+        Unknown symbols in f; when used, values of a wrong shape or not finite.
+    """
+    function = f if callable(f) else _numeric(f, variables)
+    n = len(rule.points)
+
+    def flat(points: np.ndarray) -> np.ndarray:
+        with np.errstate(all="ignore"):  # a pole is found by its value
+            sample = np.asarray(function(points))
+        if sample.ndim not in (1, 2) or sample.shape[-1] != points.shape[1]:
+            count = points.shape[1]
+            raise ValueError(
+                f"f: wanted values of shape ({count},) or (p, {count}), got {sample.shape}"
+            )
+        return sample
+
+    scalar = flat(np.zeros((n, 1))).ndim == 1
+
+    def values(points: np.ndarray) -> np.ndarray:
+        """Values (p, ...) at points (n, ...)."""
+        columns = points.reshape(n, math.prod(points.shape[1:]))
+        sample = np.atleast_2d(flat(columns))
+        if not np.isfinite(sample).all():
+            where = np.argwhere(~np.isfinite(sample))[0][1]
+            raise ValueError(f"f: wanted finite values, got none at {columns[:, where]}")
+        return sample.reshape(len(sample), *points.shape[1:])
+
+    def moments(mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (p, ...) and covariance (p, p, ...) of f."""
+        sample = values(points_of(mean, cov, rule))
+        first = np.einsum("l,pl...->p...", rule.weights, sample)
+        sample = sample - first[:, None]
+        return first, np.einsum("l,pl...,ql...->pq...", rule.weights, sample, sample)
+
+    def errors(mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray) -> MeanSquareErrors:
+        mean, cov, error_cov = as_joint_law(mean, cov, error_cov, n)
+        outer = mean[:, None] + square_root(cov - error_cov) @ rule.points
+        optimal = excess = 0.0
+        width = max(1, BLOCK_POINTS // rule.weights.size)
+        for start in range(0, rule.weights.size, width):
+            block = slice(start, start + width)
+            first, spread = moments(outer[:, block], error_cov)
+            gap = first - values(outer[:, block])
+            optimal = optimal + spread @ rule.weights[block]
+            excess = excess + np.einsum("l,pl,ql->pq", rule.weights[block], gap, gap)
+        pair = MeanSquareErrors(optimal, optimal + excess)
+        return MeanSquareErrors(*(float(e[0, 0]) for e in pair)) if scalar else pair
+
+    return Law(
+        "quadrature",
+        scalar,
+        lambda mean: values(mean)[0] if scalar else values(mean),
+        lambda mean, cov: moments(mean, cov)[0][0] if scalar else moments(mean, cov)[0],
+        lambda mean, cov: moments(mean, cov)[1][0, 0] if scalar else moments(mean, cov)[1],
+        errors,
+    )
+
+
+def with_estimate(law: Law) -> Law:
+    """Law of a function of the state and of its estimate, from one in twice as many variables.
+
+    Given the measurements the estimate is a constant: the pair has the singular covariance
+    diag(P, 0), and everything known of Gaussian laws applies (equations (2.3), (2.4) of Choi,
+    Song, Shin 2019).
+    """
+
+    def pair(mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return np.concatenate([mean, mean]), _corner(cov)
+
+    def errors(mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray) -> MeanSquareErrors:
+        known = cov - error_cov
+        joint = np.block([[cov, known], [known, known]])
+        return law.errors(np.concatenate([mean, mean]), joint, _corner(error_cov))
+
+    return Law(
+        law.kind,
+        law.scalar,
+        lambda mean: law.plugin(np.concatenate([mean, mean])),
+        lambda mean, cov: law.mean(*pair(mean, cov)),
+        lambda mean, cov: law.variance(*pair(mean, cov)),
+        errors,
+    )
+
+
+def _corner(cov: np.ndarray) -> np.ndarray:
+    n = len(cov)
+    large = np.zeros((2 * n, 2 * n, *cov.shape[2:]))
+    large[:n, :n] = cov
+    return large
+
+
+def _numeric(f: object, variables: Sequence) -> Callable:
+    """NumPy function of points (n, N), values (N,) or (p, N)."""
+    import sympy
+
+    from seedslib.gaussian.means.parse import check_symbols, components_of
+
+    (expressions, scalar), variables = components_of(f), tuple(variables)
+    check_symbols(expressions, variables, ())
+    lambdified = sympy.lambdify(variables, list(expressions), ["scipy", "numpy"], cse=True)
+
+    def function(points: np.ndarray) -> np.ndarray:
+        rows = [np.broadcast_to(row, points.shape[1:]) for row in lambdified(*points)]
+        return rows[0] if scalar else np.stack(rows)
+
+    return function

@@ -1,0 +1,81 @@
+"""What the tests of the harness share: a small project to plant faults in."""
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bookkit import execution
+
+ROOT = Path(__file__).resolve().parents[2]
+
+TINY = """---
+jupytext:
+  text_representation:
+    extension: .md
+    format_name: myst
+kernelspec:
+  display_name: Python 3
+  language: python
+  name: python3
+---
+
+# A small notebook
+
+```{code-cell} ipython3
+:tags: [parameters]
+
+gain: float = 2.0  # what the input is multiplied with
+count: int = 3  # how many terms
+```
+
+```{code-cell} ipython3
+from bookkit import check, integer, real
+
+check(globals(), gain=real(gt=0, le=10), count=integer(ge=1, le=5))
+```
+
+```{code-cell} ipython3
+from bookkit import claim, record
+
+if gain == 7.0:
+    raise ArithmeticError("seven is out of reach")
+total = sum(gain**k for k in range(count))
+record(total=total, terms=[gain**k for k in range(count)])
+claim("TS-X1", computed=total, printed=7.0, tolerance=1e-9)
+```
+"""
+
+LEDGER = """- id: TS-X1
+  paper: two-step
+  place: example 0
+  statement: The three terms of the sum make 7.
+  kind: number
+  notebook: notebooks/tiny.md
+  test: tests/test_tiny.py::test_sum
+  expected: 7.0
+  tolerance: 1.0e-9
+  verdict: reproduced
+"""
+
+
+@pytest.fixture(scope="session")
+def executed_project(tmp_path_factory):
+    """The small project with its notebook executed; not to be changed."""
+    root = tmp_path_factory.mktemp("project")
+    for folder in ("notebooks", "book", "tests"):
+        (root / folder).mkdir()
+    (root / "requirements.lock").write_text("nothing==1.0\n")
+    (root / "notebooks" / "tiny.md").write_text(TINY)
+    (root / "book" / "claims.yml").write_text(LEDGER)
+    (root / "tests" / "test_tiny.py").write_text("def test_sum():\n    assert 1 + 2 + 4 == 7\n")
+    shutil.copy(ROOT / "conftest.py", root)
+    (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")
+    assert execution.execute(root) == [execution.Outcome(root / "notebooks" / "tiny.md", "")]
+    return root
+
+
+@pytest.fixture
+def project(executed_project, tmp_path):
+    """A copy of the small project that a test may spoil."""
+    return shutil.copytree(executed_project, tmp_path / "project")

@@ -1,0 +1,37 @@
+"""Programs on pages: they run, a type checker reads them, and faults are named by their line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from bookkit import programs
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_program_of_the_readme_runs():
+    known = {}
+    exec(compile(programs.program((ROOT / "README.md").read_text()), "README.md", "exec"), known)
+    optimal, plugin = known["optimal"], known["plugin"]
+    assert (optimal > 0).all()
+    assert (optimal < plugin).all()
+    (steady,), (plugin,) = known["power"].errors([30.0])
+    loss = 0.5 / np.sqrt(1 + known["signal"].noise_intensity[0, 0] / 0.1)
+    np.testing.assert_allclose(plugin / steady - 1, loss, rtol=1e-6)
+
+
+def test_faults_are_named_by_page_and_line(tmp_path):
+    page = tmp_path / "page.md"
+    page.write_text(
+        "Text.\n\n```python\nfrom seedslib.models import Nose\n```\n\n- item\n\n"
+        "  ```python\n  wrong: int = 'text'\n  ```\n"
+    )
+    found = programs.faults(tmp_path, [page]) + programs.faults(ROOT, [ROOT / "README.md"])
+    assert [fault.split(" ")[0] for fault in found] == ["page.md:4:", "page.md:10:"]
+
+
+def test_a_page_without_a_program_is_refused(tmp_path):
+    (tmp_path / "page.md").write_text("nothing here\n")
+    with pytest.raises(ValueError, match=r"page\.md: wanted a program, found none"):
+        programs.faults(tmp_path, [tmp_path / "page.md"])

@@ -1,0 +1,233 @@
+import contextlib
+import csv
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+import time
+from types import SimpleNamespace
+
+import nbformat
+import pytest
+
+from bookkit import run_sweep, sweeps
+from bookkit.sweeps import execute_point
+
+GRID = "grid:\n  gain: [1.0, 3.0]\n  count: [2, 3]\n"
+
+
+def rows(table):
+    with table.open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.fixture
+def grid(project):
+    path = project / "grid.yaml"
+    path.write_text(GRID)
+    return path
+
+
+def notebook(project):
+    return project / "notebooks" / "tiny.ipynb"
+
+
+def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, grid, capsys):
+    report = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    assert "4 points, 0 already done, 4 to run" in capsys.readouterr().out
+    assert (report.total, report.already, report.failed) == (4, 0, 0)
+    table = rows(report.table)
+    assert [(float(r["gain"]), int(r["count"]), float(r["total"])) for r in table] == [
+        (1.0, 2, 2.0),
+        (1.0, 3, 3.0),
+        (3.0, 2, 4.0),
+        (3.0, 3, 13.0),
+    ]
+    assert [float(table[3][f"terms_{k}"]) for k in range(3)] == [1.0, 3.0, 9.0]
+    assert len(list((project / "out").glob("*.ipynb"))) == 4
+    before = report.table.read_bytes()
+    again = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    assert "4 points, 4 already done, 0 to run" in capsys.readouterr().out
+    assert again.table.read_bytes() == before
+
+
+def test_a_changed_notebook_or_lock_makes_new_points(project, grid, capsys):
+    out = project / "out"
+    grid.write_text("grid: {gain: [1.0]}\n")
+    run_sweep(notebook(project), grid, out, quiet=True)
+    (project / "requirements.lock").write_text("")
+    run_sweep(notebook(project), grid, out, quiet=True)
+    assert capsys.readouterr().out.count("1 points, 0 already done, 1 to run") == 2
+
+
+def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, capsys):
+    grid.write_text("grid: {gain: [7.0, 2.0]}\n")
+    out = project / "out"
+    report = run_sweep(notebook(project), grid, out, quiet=True)
+    assert report.failed == 1
+    assert [r["problem"] for r in rows(report.table)] == [
+        "ArithmeticError: seven is out of reach",
+        "",
+    ]
+    run_sweep(notebook(project), grid, out, quiet=True)
+    assert "2 points, 2 already done (1 of them failed), 0 to run" in capsys.readouterr().out
+    run_sweep(notebook(project), grid, out, quiet=True, retry=True)
+    assert "2 points, 1 already done, 1 to run" in capsys.readouterr().out
+
+
+def test_after_a_kill_the_finished_points_are_there(project):
+    slow = nbformat.read(notebook(project), as_version=4)
+    slow.cells[3].source = "import time\ntime.sleep(2)\n" + slow.cells[3].source
+    nbformat.write(slow, notebook(project))
+    grid = project / "grid.yaml"
+    grid.write_text("grid: {gain: [1.0, 2.0, 3.0, 4.0], count: [1]}\n")
+    arguments = [sys.executable, "-m", "bookkit", "sweep", str(notebook(project)), str(grid)]
+    arguments += ["--out", str(project / "out"), "--workers", "1"]
+    first = subprocess.Popen(
+        arguments, cwd=project, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+    )
+    deadline = time.monotonic() + 90
+    while not list((project / "out").glob("*.json")):
+        assert time.monotonic() < deadline, "no point was finished in time"
+        time.sleep(0.1)
+    os.kill(first.pid, signal.SIGKILL)
+    first.wait()
+    finished = len(list((project / "out").glob("*.json")))
+    assert 1 <= finished < 4
+    second = subprocess.run(arguments, cwd=project, capture_output=True, text=True, timeout=120)
+    assert second.returncode == 0, second.stderr
+    assert f"4 points, {finished} already done, {4 - finished} to run" in second.stdout
+    assert [float(r["total"]) for r in rows(project / "out" / "results.csv")] == [1.0] * 4
+
+
+def test_a_scheduler_and_workers_started_by_hand_serve_it(project, grid, tmp_path):
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
+    )
+    worker = subprocess.Popen(
+        [*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **common
+    )
+    try:
+        report = run_sweep(notebook(project), grid, project / "out", scheduler=address, quiet=True)
+    finally:
+        for process in (worker, scheduler):
+            process.terminate()
+            process.wait(30)
+    assert report.failed == 0
+    assert float(rows(report.table)[3]["total"]) == 13.0
+
+
+def test_missing_files_and_addresses_are_named(project, grid):
+    with pytest.raises(ValueError, match=r"absent\.ipynb"):
+        run_sweep(project / "absent.ipynb", grid, project / "out")
+    with pytest.raises(ValueError, match=r"absent\.yaml"):
+        run_sweep(notebook(project), project / "absent.yaml", project / "out")
+    with pytest.raises(ValueError, match="workers"):
+        run_sweep(notebook(project), grid, project / "out", workers=0)
+    (project / "empty.ipynb").write_text("no notebook")
+    with pytest.raises(ValueError, match="not a notebook"):
+        run_sweep(project / "empty.ipynb", grid, project / "out")
+
+
+def test_an_unreachable_scheduler_is_named(project, grid):
+    with pytest.raises(ValueError, match="no scheduler answers"):
+        run_sweep(
+            notebook(project), grid, project / "out", scheduler="tcp://127.0.0.1:9", quiet=True
+        )
+
+
+def test_a_point_that_cannot_start_says_why(project):
+    result = execute_point("{}", {"gain": 1.0})
+    assert result["problem"]
+    assert json.loads(json.dumps(result)) == result
+
+
+def change(project, code):
+    """The notebook with some code before that of its last cell."""
+    content = nbformat.read(notebook(project), as_version=4)
+    content.cells[3].source = f"{code}\n{content.cells[3].source}"
+    nbformat.write(content, notebook(project))
+
+
+@pytest.mark.parametrize(
+    ("code", "problem"),
+    [
+        (
+            "from bookkit import record; record(total=1.0)",
+            "ValueError: total is recorded twice in one notebook",
+        ),
+        (
+            "from bookkit import record; record(gain=99.0)",
+            "ValueError: gain: the name of another column of the table",
+        ),
+        (
+            "from bookkit import record; record(terms_0=1.0)",
+            "ValueError: terms_0: the name of another column of the table",
+        ),
+        ("import os; os._exit(1)", "DeadKernelError: Kernel died"),
+    ],
+)
+def test_a_point_that_spoils_its_records_fails_alone(project, grid, code, problem):
+    change(project, f"if gain == 3.0:\n    {code}")
+    grid.write_text("grid: {gain: [3.0, 2.0], count: [1]}")
+    report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
+    table = rows(report.table)
+    assert [r["problem"] for r in table] == [problem, ""]
+    assert [float(r["gain"]) for r in table] == [3.0, 2.0]
+    assert table[0]["total"] == ""
+
+
+@pytest.mark.parametrize("text", ["", "{", "{}", "[]", "null", '{"values": {}, "problem": null}'])
+def test_what_is_not_whole_in_the_folder_is_not_taken_for_a_point(tmp_path, text):
+    (tmp_path / "key.json").write_text(text)
+    assert sweeps._read(tmp_path, "key") is None
+
+
+def test_a_folder_that_cannot_hold_the_results_is_named(project, grid):
+    (project / "file").write_text("")
+    (project / "full" / "results.csv").mkdir(parents=True)
+    for out in ("file", "file/below", "full"):
+        with pytest.raises(ValueError, match=rf"{out}.*: wanted a f"):
+            run_sweep(notebook(project), grid, project / out, quiet=True)
+
+
+def test_a_grid_for_another_notebook_is_refused(project, grid):
+    grid.write_text("notebook: notebooks/other.md\n" + GRID)
+    with pytest.raises(ValueError, match=r"is for notebooks/other\.md, not for .*tiny\.ipynb"):
+        run_sweep(notebook(project), grid, project / "out", quiet=True)
+
+
+def test_points_that_a_lost_scheduler_cancelled_are_not_kept_as_failed(project, tmp_path):
+    class Cancelled:
+        def result(self):
+            raise RuntimeError("scheduler-connection-lost")
+
+        def cancelled(self):
+            return True
+
+    client = SimpleNamespace(submit=lambda *_, **__: Cancelled())
+    text = notebook(project).read_text()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("dask.distributed.as_completed", lambda running: list(running))
+        with pytest.raises(ValueError, match="the scheduler was lost"):
+            sweeps._run(client, text, {"key": {"gain": 1.0}}, tmp_path, True)
+    assert not list(tmp_path.glob("*.json"))
+
+
+def test_another_sweep_on_this_machine_is_no_hindrance(project, grid, recwarn):
+    grid.write_text("grid: {gain: [1.0]}")
+    with socket.socket() as taken:
+        with contextlib.suppress(OSError):
+            taken.bind(("", 8787))
+            taken.listen()
+        report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
+    assert report.failed == 0
+    assert [str(w.message) for w in recwarn if "already in use" in str(w.message)] == []

@@ -1,0 +1,35 @@
+"""The oscillator of the jump-diffusion paper without its noise."""
+
+import numpy as np
+import pytest
+from scipy.integrate import solve_ivp
+
+from seedslib import zoo
+
+
+@pytest.mark.parametrize(
+    ("reading", "period", "reach"),
+    [("A", 43.29, (2.019, 2.958)), ("I", 2.050, (2.004, 7.342))],
+)
+def test_limit_cycle(reading, period, reach):
+    """A turn takes 43.29, and 2.050 for a frequency of pi."""
+    system = zoo.van_der_pol(reading)
+
+    def upward(t, x):
+        return x[0]
+
+    upward.direction = 1
+    found = solve_ivp(
+        lambda t, x: system.drift(t, x[:, None])[:, 0], (0, 5 * period), [2.0, 0.0], rtol=1e-9,
+        atol=1e-10, events=upward, max_step=period / 400,
+    )  # fmt: skip
+    turns = found.t_events[0]
+    assert turns[-1] - turns[-2] == pytest.approx(period, rel=5e-4)
+    late = found.y[:, found.t > turns[-2]]
+    np.testing.assert_allclose(np.abs(late).max(axis=1), reach, rtol=2e-3)
+
+
+def test_disturbed_motion_stays_about_the_cycle():
+    path = zoo.van_der_pol().simulate(np.linspace(0, 60, 601), 4, 5).states
+    assert 1.5 < np.abs(path[:, 0]).max() < 8
+    assert np.abs(path[:, 1]).max() < 12
