@@ -5,7 +5,7 @@ PY     := $(VENV)/bin/python
 export OPENBLAS_NUM_THREADS := 1
 export JUPYTER_PLATFORM_DIRS := 1
 
-.PHONY: book test lab sweep execute lint clean setup
+.PHONY: book test portable lab sweep execute lint clean setup
 
 book: setup execute
 	@$(PY) -m bookkit claims --page book/claims.md
@@ -13,8 +13,14 @@ book: setup execute
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
 
+# PROCESSOR=farthest runs the notebooks again with the oldest kernels this machine can use.
+PROCESSOR ?= own
 test: setup lint
-	@$(PY) -m pytest -q -n 2 --dist=loadscope
+	@$(PY) -m pytest -q -n 2 --dist=loadscope --processor=$(PROCESSOR)
+
+# Everything that draws random numbers, as on other processors; about ten minutes a setting.
+portable: setup
+	@$(PY) -m bookkit portable --table benchmarks/portable.csv
 
 lab: setup
 	@$(VENV)/bin/jupyter lab notebooks

@@ -5,19 +5,36 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
-from nbval.plugin import IPyNbCell
+from unittest.mock import patch
 
-from bookkit.comparison import differences, without_records
+from nbval.plugin import IPyNbCell, IPyNbFile
+
+from bookkit import portable
+from bookkit.comparison import deviation, differences, without_records
 
 _compare_to_the_letter = IPyNbCell.compare_outputs
+_start_kernel = IPyNbFile.setup
+
+
+def pytest_addoption(parser):
+    parser.addoption("--processor", default="own", help="as which one notebooks are run again")
+    parser.addoption("--deviations", help="file to which the deviations of numbers are added")
 
 
 def _compare_outputs(self, test, ref, skip_compare=None):
     found = differences(ref, test)
     same = _compare_to_the_letter(self, without_records(test), without_records(ref), skip_compare)
+    if log := self.config.getoption("--deviations"):
+        portable.note(log, self.parent.name, deviation(ref, test))
     if found:
         self.comparison_traceback.extend(found)
     return same and not found
 
 
+def _setup(self):
+    with patch.dict(os.environ, portable.environment(self.config.getoption("--processor"))):
+        _start_kernel(self)
+
+
 IPyNbCell.compare_outputs = _compare_outputs
+IPyNbFile.setup = _setup

@@ -68,6 +68,19 @@ def _typecheck(options: argparse.Namespace) -> int:
     return 1 if found else 0
 
 
+def _portable(options: argparse.Namespace) -> int:
+    from bookkit import fingerprint, portable
+
+    root = fingerprint.project_root(Path.cwd())
+    names = options.settings or list(portable.settings())
+    rows, passed = portable.try_all(root, names, not options.notebooks_only)
+    for row in rows:
+        print("{:24}{:36}{:>9}  {}".format(*row))
+    if options.table:
+        portable.write(rows, Path(options.table))
+    return 0 if passed else 1
+
+
 def _check_html(options: argparse.Namespace) -> int:
     from bookkit import html_check
 
@@ -104,6 +117,12 @@ def _parser() -> argparse.ArgumentParser:
     typecheck = commands.add_parser("typecheck", help="look over the types of pages' programs")
     typecheck.add_argument("pages", nargs="+", help="Markdown files with Python programs")
     typecheck.set_defaults(run=_typecheck)
+
+    portable = commands.add_parser("portable", help="run again as on other processors")
+    portable.add_argument("settings", nargs="*", help="which; all that this processor can be")
+    portable.add_argument("--notebooks-only", action="store_true", help="leave the tests out")
+    portable.add_argument("--table", metavar="FILE", help="write the deviations as CSV")
+    portable.set_defaults(run=_portable)
 
     check_html = commands.add_parser("check-html", help="look over a built book")
     check_html.add_argument("folder", help="folder of the built HTML")

@@ -44,6 +44,30 @@ def differences(stored: Sequence[Mapping], computed: Sequence[Mapping]) -> list[
     return found
 
 
+def deviation(stored: Sequence[Mapping], computed: Sequence[Mapping]) -> tuple[float, str]:
+    """Largest distance of a number from the stored one, in units of its tolerance, and its name.
+
+    Above one the number fails; (0, "") where a cell records no numbers.
+    """
+    before, after = _flat(payloads(stored)), _flat(payloads(computed))
+    far = [
+        (_distance(value, after[name][0], rtol, atol), name)
+        for name, (value, rtol, atol) in before.items()
+        if name in after
+    ]
+    return max(far, default=(0.0, ""))
+
+
+def _distance(a: object, b: object, rtol: float, atol: float) -> float:
+    if isinstance(a, list) and isinstance(b, list) and len(a) == len(b):
+        return max((_distance(x, y, rtol, atol) for x, y in zip(a, b, strict=True)), default=0.0)
+    if _agree(a, b, 0.0, 0.0):
+        return 0.0
+    if _agree(a, b, rtol, atol) or all(isinstance(part, int | float) for part in (a, b)):
+        return abs(a - b) / max(rtol * max(abs(a), abs(b)), atol, 5e-324)
+    return math.inf
+
+
 def _misprints(stored: Sequence[Mapping]) -> list[str]:
     """Where what a page shows of a record is not what is in the record."""
     found, glued = [], {}

@@ -61,6 +61,7 @@ def _range_root(spread):
     )
     positive = deviations**2 > ABSOLUTE
     scale = np.where(positive, 1.0, 0.0) / np.where(positive, deviations, 1.0)
+    # the basis is free, but RᵀR, the determinant and the rank do not depend on it
     values, vectors = np.linalg.eigh(spread * scale[:, :, None] * scale[:, None, :])
     kept = values > RELATIVE
     finite &= (values > -INDEFINITE).all(axis=1)
@@ -117,10 +118,23 @@ def factor(cov):
 
 
 def square_root(cov: np.ndarray) -> np.ndarray:
-    """Factor L with L Lᵀ = P of one or more covariances (..., n, n), batch axes first.
+    """Lower triangular L with L Lᵀ = P of one or more covariances (..., n, n), batch axes first.
 
-    Its columns are scaled eigenvectors; eigenvalues that rounding has made negative count as
-    zero. `factor` is triangular, takes batch axes last, and gives NaN where they are no rounding.
+    With its diagonal not negative L is unique, so that what is drawn or integrated along its
+    columns does not depend on the processor, as eigenvectors would where eigenvalues repeat. A
+    pivot at or below 1e-13 of its variance gives a zero column. What rounding has made indefinite
+    is bent back: a negative pivot counts as zero, and no entry exceeds what its variance allows.
+    `factor` takes batch axes last and gives NaN where a covariance is clearly none.
     """
-    values, vectors = np.linalg.eigh(cov)
-    return vectors * np.sqrt(np.maximum(values, 0.0))[..., None, :]
+    rest = np.array(cov, dtype=float)
+    least = RELATIVE * np.abs(np.einsum("...ii->...i", rest)) + ABSOLUTE
+    lower = np.zeros_like(rest)
+    for j in range(rest.shape[-1]):
+        pivot = rest[..., j, j]
+        root = np.sqrt(np.where(pivot > least[..., j], pivot, 0.0))
+        left = np.sqrt(np.maximum(np.einsum("...ii->...i", rest)[..., j + 1 :], 0.0))
+        below = rest[..., j + 1 :, j] / np.where(root > 0, root, np.inf)[..., None]
+        below = np.clip(below, -left, left)
+        lower[..., j, j], lower[..., j + 1 :, j] = root, below
+        rest[..., j + 1 :, j + 1 :] -= below[..., :, None] * below[..., None, :]
+    return lower

@@ -66,6 +66,7 @@ def advance(
     # the order of the columns is free; with the large ones first the elimination keeps the digits
     # of the small ones
     order = np.argsort(-np.abs(array).max(axis=0), kind="stable")
+    # the signs of its columns are free, and cancel in every product that leaves this function
     low = np.linalg.qr(array[:, order].T, mode="r").T
     pivot, root = low[:m, :m], low[m:, m:]
     if not np.abs(np.diag(pivot)).min() > 0.0:

@@ -95,6 +95,7 @@ def start(system: DelaySystem) -> LowRankChange:
     if blocks > 1:
         parts[1, :, 2 * n :] = np.eye(n)
         middle[2 * n :, 2 * n :] = spread[0] - spread[1]
+    # the bases are free: the recursion goes on with change @ middle @ changeᵀ, which is not
     basis, mixed = np.linalg.qr(parts.reshape(blocks * n, 3 * n))
     inner = mixed @ middle @ mixed.T
     values, vectors = np.linalg.eigh(_symmetric(inner))

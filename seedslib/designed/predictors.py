@@ -219,6 +219,7 @@ def floored(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
     """
     root, back = roots(mean_cov)
     relative = np.einsum("ia,ijN,jb->Nab", back, cov, back, optimize=True)
+    # a function of the matrix, A f(d) Aᵀ: the same for every basis A of its eigenvectors
     inner, axes = np.linalg.eigh(relative)
     bent = np.einsum("ia,Nab->Nib", root, axes) * np.sqrt(np.maximum(inner, FLOOR))[:, None, :]
     return np.moveaxis(bent @ np.swapaxes(bent, 1, 2), 0, -1)
@@ -226,6 +227,7 @@ def floored(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
 
 def roots(mean_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """L and L⁻ᵀ, (n, rank), on the range of a covariance L Lᵀ."""
+    # another basis turns L and L⁻ᵀ by one rotation, which `floored` undoes
     values, vectors = np.linalg.eigh(mean_cov)
     kept = values > 1e-13 * max(values[-1], 0.0)
     lengths = np.sqrt(values[kept])

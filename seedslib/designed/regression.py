@@ -121,6 +121,7 @@ def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
     if kept.size == 0:
         return root
     scale = deviation[kept]
+    # only W Wᵀ is used, in sums of squares too: another basis turns W by a rotation
     values, vectors = np.linalg.eigh(cov[np.ix_(kept, kept)] / np.outer(scale, scale))
     good = values > RELATIVE * values[-1]
     root = np.zeros((len(cov), np.count_nonzero(good)))
@@ -159,6 +160,7 @@ def regress(mean: np.ndarray, cov: np.ndarray, targets: int, size=None) -> Affin
 def _semidefinite(residual, total):
     """Residual covariance, exactly symmetric, without the negative eigenvalues of rounding."""
     residual = 0.5 * (residual + residual.T)
+    # a function of the matrix: the same for every basis of its eigenvectors
     values, vectors = np.linalg.eigh(residual)
     if values[0] >= 0.0:
         return residual

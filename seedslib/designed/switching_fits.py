@@ -262,6 +262,7 @@ def _cell(weights, moments, basis, n, jitter):
         centre[:, i] = part.mean[n:]
         offset[:, i] = part.mean[:n] - gain[:, :, i] @ part.mean[n:]
         rest = part.cov[:n, :n] - half.T @ half
+        # a function of the matrix: the same for every basis of its eigenvectors
         values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
         least = FLOOR * max(np.trace(part.cov[:n, :n]), 0.0)
         negative = values < -least

@@ -33,6 +33,7 @@ class Hybrid:
     def __init__(self, system):
         self.system, self.state_size = system, system.state_size + 1
         self.sensor = HybridSensor(system)
+        # of the numbers the user gave, so no rounding decides; it is a stand-in for lost paths only
         likely = system.initial[int(np.argmax(system.initial_probabilities))]
         self.mean0 = np.append(likely.mean, float(np.argmax(system.initial_probabilities)))
         self.initial_laws = [_law(part) for part in system.initial]

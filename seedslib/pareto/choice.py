@@ -114,6 +114,7 @@ def _improving(values: np.ndarray, rows: np.ndarray, noise: Callable) -> np.ndar
     relative = noise(own).reshape(values.shape) / np.maximum(np.ptp(values, axis=0), 1e-300)
     quiet = int(np.argmin(relative[rows].max(axis=0)))
     kept: list[int] = []
+    # of equal values the smallest index first
     for i in rows[np.argsort(values[rows, quiet], kind="stable")]:
         for j in kept:
             pair = np.zeros((count, *values.shape))
@@ -180,6 +181,7 @@ def _inseparable(
     The loss of choice i in criterion k depends on three table entries: its own, and those
     that make the utopia and the nadir.
     """
+    # of equal losses the first criterion; their propagated noise is compared, not their order
     worst = losses.argmax(axis=1)
     weights = np.zeros((len(values), *values.shape))
     for i, k in enumerate(worst):

@@ -139,6 +139,7 @@ def least_in_box(
     The second stage, least `tie` where `f` is least, runs only if different starts end in
     different points of equal value: at a sharp minimum its slack would cost digits.
     """
+    # starting points: of equal ones the first, and every end is compared again below
     order = np.argsort([f(x) for x in scan], kind="stable")[:STARTS]
     size = upper - lower
     problem = {"bounds": [(0.0, 1.0)] * len(lower), "method": "SLSQP", "jac": "3-point"}

@@ -151,6 +151,7 @@ class Polygons:
                 for cell in self.cells
             ]
         )
+        # on a common edge the cell of the smallest index
         return np.argmin(np.maximum(slack, 0.0), axis=0).T
 
     def _check_tiling(self) -> None:

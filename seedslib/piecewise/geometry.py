@@ -227,6 +227,7 @@ def whole_images(cells: Intervals | Polygons, offset: np.ndarray, slope: np.ndar
     slack = SLIVER * np.where(np.isfinite(cells.edges), np.abs(cells.edges), 0.0)
     inside = (low[:, None] >= cells.lower - slack[:-1]) & (high[:, None] <= cells.upper + slack[1:])
     fits = inside.any(axis=1) & (slope != 0.0)
+    # sets on a common edge go to the cell of the smallest index, with slack against rounding
     target[fits] = np.argmax(inside, axis=1)[fits]
     return target
 

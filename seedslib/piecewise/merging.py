@@ -79,6 +79,7 @@ def merge(
     pieces = pieces.at(alive)
     held = pieces.log_weight > -np.inf
     # a piece has one interval, the same for every data set that holds it
+    # any that holds it will do: it is the same interval
     first = np.argmax(held, axis=1)[:, None]
     ends = (np.take_along_axis(e, first, axis=1)[:, 0] for e in (pieces.lower, pieces.upper))
     merged = branches.take(origin[alive])._replace(

@@ -116,7 +116,8 @@ def prune(
     lost : ndarray, shape (N,)
         Weight of what is dropped.
     """
-    order = np.argsort(weight, axis=0, kind="stable")
+    # in single precision, so that of weights that differ by rounding the smallest index goes first
+    order = np.argsort(weight.astype(np.float32), axis=0, kind="stable")
     held = np.take_along_axis(weight, order, axis=0).cumsum(axis=0)
     dropped = np.empty(weight.shape, dtype=bool)
     small = held <= share

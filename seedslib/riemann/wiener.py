@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.semidefinite import square_root
 from seedslib.riemann.fourier import (
     ZERO,
     UnresolvedError,
@@ -95,8 +96,7 @@ def wiener_gain(
     if c.ndim == 2 and len(c) > 1:
         raise ValueError(f"sensor: wanted one measurement, got {len(c)}; use a Riccati equation")
     c = as_shape("sensor", c.reshape(-1) if c.ndim == 2 else c, (size,))
-    eigenvalues, vectors = np.linalg.eigh(as_covariance("state_noise", state_noise, size))
-    factor = vectors * np.sqrt(np.clip(eigenvalues, 0.0, None))
+    factor = square_root(as_covariance("state_noise", state_noise, size))
     r = as_real("sensor_noise", sensor_noise)
     if r.size != 1:
         raise ValueError(f"sensor_noise: wanted one number, got shape {r.shape}")

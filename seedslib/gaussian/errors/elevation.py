@@ -81,6 +81,7 @@ def _concentrated(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def _wide(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    # any whitening basis will do: below only lengths and products of whitened vectors are used
     values, vectors = np.linalg.eigh(cov)
     if values[0] <= 1e-14 * values[-1]:
         raise ValueError(

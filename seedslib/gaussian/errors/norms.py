@@ -78,8 +78,7 @@ def norm_variance(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     part = np.broadcast_to(
         cov.reshape(*cov.shape, *(1,) * (len(batch) + 2 - cov.ndim)), (*cov.shape[:2], *batch)
     )[..., narrow]
-    values, vectors = np.linalg.eigh(np.moveaxis(part, -1, 0))
-    root = vectors * np.sqrt(np.maximum(values, 0.0))[:, None, :]
+    root = square_root(np.moveaxis(part, -1, 0))
     rule = fifth_degree(len(mean))
     gap = _lengthening(centre[..., None], np.einsum("kij,jq->ikq", root, rule.points))
     weights = rule.weights

@@ -156,6 +156,7 @@ def _check_conjugates(waves: Sequence[Group], n: int) -> None:
     scale = max(np.abs(c).max() for wave in waves for c in wave.polynomial.values())
     for place, wave in zip(places, waves, strict=True):
         gaps = np.abs(places - place.conj()).max(axis=1)
+        # a tie is one of equal waves, whose tables are equal as well
         twin = waves[int(gaps.argmin())]
         table = twin.polynomial if gaps.min() <= CONJUGATE * np.abs(place).max() else {}
         for alpha, c in wave.polynomial.items():
@@ -196,6 +197,7 @@ def stretched(array: np.ndarray, axes: int, batch: int) -> np.ndarray:
 
 def _rows(gram: np.ndarray) -> np.ndarray:
     """Rows R with ``R' R = gram``, those of rounding size left out."""
+    # any rows will do: only RᵀR is used
     values, vectors = np.linalg.eigh(gram)
     keep = values > 1e-14 * values[-1]
     return (vectors[:, keep] * np.sqrt(values[keep])).T

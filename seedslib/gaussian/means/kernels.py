@@ -113,6 +113,7 @@ def tilted(
     inner = quadratic[np.ix_(support, support)]
     block = np.moveaxis(cov[np.ix_(support, support)], (0, 1), (-2, -1))
     identity = np.eye(support.size)
+    # eigenvalues alone: nothing about them is free
     convergent = np.linalg.eigvals(identity + block @ inner.real).real
     if not (convergent > 0).all():
         raise ValueError(

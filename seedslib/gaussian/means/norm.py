@@ -56,6 +56,7 @@ def norm_mean(mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     """
     mean, cov = gaussian_arguments(mean, cov)
     if cov.ndim == 2:
+        # any basis will do: of equal eigenvalues only the length of the mean in their space counts
         spread, vectors = np.linalg.eigh(cov)
         centre = np.tensordot(vectors.T, mean, 1)
         spread = np.broadcast_to(spread.reshape(-1, *[1] * (mean.ndim - 1)), mean.shape)

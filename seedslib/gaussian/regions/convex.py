@@ -83,6 +83,7 @@ def _nearest(
     along = where(along.hi <= 0.0, zero, where(along.hi >= length.hi, length, along))
     x, y = zx + tx * along, zy + ty * along
     square = np.where(real, dot(x, y, x, y).hi, np.inf)
+    # ties are points equally near: any of them is a good place to start from
     index = np.argmin(square, axis=0)[None]
     inside = ((cross(zx, zy, tx, ty).hi >= 0.0) | ~real).all(axis=0)
     origin = Twofold.of(np.zeros(inside.shape))
@@ -111,6 +112,7 @@ def _frame(
     inside = np.minimum(start + length.hi, half) - np.maximum(start, -half)
     # where no edge comes near, the longest one
     score = np.maximum(inside, 0.0) + 1e-9 * length.hi / length.hi.max(axis=0)
+    # a tie turns the frame by another edge: the integral is the same up to rounding
     index = np.argmax(np.where(real, score, -1.0), axis=0)[None]
     return tx.along(index)[0], ty.along(index)[0]
 

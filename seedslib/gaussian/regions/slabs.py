@@ -184,6 +184,7 @@ def trapezoids(zx: Twofold, zy: Twofold) -> tuple[np.ndarray, Twofold, Twofold]:
     """
     ex, ey = zx.roll() - zx, zy.roll() - zy
     length = dot(ex, ey, ex, ey).sqrt()
+    # a tie turns the frame by another edge: the integral is the same up to rounding
     longest = np.argmax(length.hi, axis=0)[None]
     norm = length.along(longest)[0]
     tx, ty = ex.along(longest)[0] / norm, ey.along(longest)[0] / norm
@@ -274,6 +275,7 @@ def _mixture(
         log_piece = np.log(mass)
     rough = log_piece - 0.5 * square.hi
     # the heaviest piece is the reference, for exponents as for positions
+    # only a reference for exponents: pieces that tie serve alike
     order = np.lexsort((rough, owner))
     best = order[np.flatnonzero(np.diff(owner[order], append=size))]
     reference = best[owner]
