@@ -4,6 +4,8 @@ VENV   := .venv
 PY     := $(VENV)/bin/python
 export OPENBLAS_NUM_THREADS := 1
 export JUPYTER_PLATFORM_DIRS := 1
+# Every kernel and test process would compile the library again.
+unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: book test portable lab sweep execute lint clean setup
 

@@ -3,6 +3,7 @@
 import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other burn time
 os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
 from unittest.mock import patch

@@ -76,7 +76,7 @@ def main() -> None:
         for workers in (1, 2):
             local = LocalCluster(
                 n_workers=workers, threads_per_worker=1, dashboard_address=None,
-                scheduler_kwargs={"dashboard_address": ":0"}, silence_logs=50,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"}, silence_logs=50,
             )  # fmt: skip
             stack.enter_context(local)
             client = stack.enter_context(Client(local))

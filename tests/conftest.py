@@ -2,6 +2,7 @@
 
 import csv
 import json
+import os
 import re
 import subprocess
 import sys
@@ -11,6 +12,33 @@ import numpy as np
 import pytest
 
 from seedslib import zoo
+
+QUICK = str(Path(__file__).with_name("quick"))  # what tests' own processes had better not import
+if QUICK not in os.environ.get("PYTHONPATH", ""):
+    given = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = os.pathsep.join([QUICK, given] if given else [QUICK])
+
+
+LONGEST = (
+    "bookkit/test_sweeps", "bookkit/test_execution", "extra/test_c_export", "extra/test_cluster",
+    "piecewise/test_plane", "gaussian/test_errors", "designed/test_switching_target",
+    "test_setup", "gaussian/test_functions", "linearization/test_weighted", "test_pareto",
+    "piecewise/test_filter", "two_step/test_kalman_bucy", "test_planted_faults",
+    "bookkit/test_comparison", "design/test_grid", "extra/test_learned", "two_step/test_estimator",
+)  # fmt: skip
+"""Modules that take longest, the longest first; the order of the others does not matter."""
+
+
+def pytest_collection_modifyitems(items):
+    """Long modules and notebooks first, so that two processes end at the same time."""
+    root = Path(__file__).parent
+    order = {root / f"{name}.py": k for k, name in enumerate(LONGEST)}
+    notebooks = len(LONGEST)
+
+    def place(item):
+        return notebooks if item.path.suffix == ".ipynb" else order.get(item.path, notebooks + 1)
+
+    items.sort(key=place)
 
 
 @pytest.fixture
@@ -56,6 +84,7 @@ def same():
             parts.append(
                 [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
                 + [np.asarray(part) for fit in fits for part in fit]
+                + [part for part in filter.held_out or () if part is not None]
             )
         equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
         return all(equal) and one.design == two.design

@@ -147,14 +147,14 @@ def test_convex_criteria_on_a_line():
             rng.uniform(-1, 1, 2),
         )
         criteria = [
-            lambda x, s=s, o=o, c=c: float(np.max(s * x + o) + (x - c) ** 2)
+            lambda x, s=s, o=o, c=c: np.max(s * np.asarray(x)[..., None] + o, -1) + (x - c) ** 2
             for s, o, c in zip(slopes, offsets, tops, strict=True)
         ]
         found = compromise(criteria, -2.0, 2.0)
         assert (found.status, found.efficiency, found.unimodal) == ("equal losses", "full", True)
         low, high = sorted(found.minimizers)
         assert low < found.x < high
-        values = np.array([[c(x) for c in criteria] for x in grid])
+        values = np.stack([c(grid) for c in criteria], axis=1)
         worst = ((values - found.utopia) / (found.nadir - found.utopia)).max(axis=1)
         assert found.worst <= worst.min() + 1e-12
         assert abs(grid[worst.argmin()] - found.x) <= 2 * (grid[1] - grid[0])
@@ -241,7 +241,7 @@ def test_random_waves_and_steps_against_a_fine_scan():
         if trial % 2:
             knots = np.linspace(-2, 2, 9)
             levels = rng.integers(-2, 3, (2, 9)).astype(float)  # plateaus, also of both at once
-            criteria = [lambda x, k=knots, y=y: float(np.interp(x, k, y)) for y in levels]
+            criteria = [lambda x, k=knots, y=y: np.interp(x, k, y) for y in levels]
         else:
             size, speed, phase = (
                 rng.normal(size=(2, 4)),
@@ -249,10 +249,11 @@ def test_random_waves_and_steps_against_a_fine_scan():
                 rng.uniform(0, 6, 4),
             )
             criteria = [
-                lambda x, c=c, w=speed, p=phase: float((c * np.sin(w * x + p)).sum()) for c in size
+                lambda x, c=c, w=speed, p=phase: np.sin(np.asarray(x)[..., None] * w + p) @ c
+                for c in size
             ]
         found = compromise(criteria, -2.0, 2.0)
-        values = np.array([[c(x) for c in criteria] for x in grid])
+        values = np.stack([c(grid) for c in criteria], axis=1)
         spread = np.ptp(values, axis=0)
         assert (found.utopia <= values.min(axis=0) + 1e-9 * spread).all()
         if found.status == "ideal point":
@@ -360,13 +361,12 @@ def test_second_stage_removes_weak_efficiency_in_a_box():
 
 
 def brute_choice(values):
-    keep = [
-        i for i, v in enumerate(values)
-        if not any((w <= v).all() and (w < v).any() for w in values)
-    ]  # fmt: skip
+    below = values[:, None] <= values[None]
+    beaten = (below.all(axis=2) & ~below.transpose(1, 0, 2).all(axis=2)).any(axis=0)
+    keep = np.flatnonzero(~beaten)
     low = values[keep].min(axis=0)
-    ends = [max(values[i][k] for i in keep if (values[i] == low).any()) for k in (0, 1)]
-    scale = [b - a or np.inf for a, b in zip(low, ends, strict=True)]
+    ends = values[keep][(values[keep] == low).any(axis=1)].max(axis=0)
+    scale = np.where(ends > low, ends - low, np.inf)
     losses = (values - low) / scale
     return min(keep, key=lambda i: (losses[i].max(), losses[i].sum(), i))
 

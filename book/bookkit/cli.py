@@ -45,10 +45,11 @@ def _sweep(options: argparse.Namespace) -> int:
 
 def _claims(options: argparse.Namespace) -> int:
     from bookkit import fingerprint, ledger
+    from bookkit.files import replace
 
     root = fingerprint.project_root(Path.cwd())
     if options.page:
-        Path(options.page).write_text(ledger.page(root))
+        replace(Path(options.page), ledger.page(root))
         return 0
     found = ledger.faults(root)
     for fault in found:

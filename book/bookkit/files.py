@@ -2,25 +2,17 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from seedslib.base.atomic import write_whole
+
 
 def replace(path: Path, text: str) -> None:
-    """Write by a temporary file and a rename, so that a reader never sees half a file.
-
-    The temporary name is this process's own: two of them may write the same file.
-    """
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    try:
-        partial.write_text(text, encoding="utf-8", newline="")
-        os.replace(partial, path)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
+    """Write a text, in the place of an old one when all is there."""
+    write_whole(path, text.encode())
 
 
 def read_yaml(path: Path, what: str) -> Any:

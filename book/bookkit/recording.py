@@ -204,15 +204,35 @@ def read_records(notebook: Mapping) -> Records:
     Raises
     ------
     ValueError
-        A name was recorded twice.
+        A name was recorded twice, or an output of this kind that neither `record` nor `claim`
+        made.
     """
     values: dict[str, object] = {}
     claims: dict[str, dict] = {}
     for cell in notebook["cells"]:
         for payload in payloads(cell.get("outputs", [])):
+            _check_payload(payload)
             for kind, into in (("values", values), ("claims", claims)):
                 for name, value in payload.get(kind, {}).items():
                     if name in into:
                         raise ValueError(f"{name} is recorded twice in one notebook")
                     into[name] = value
     return Records(values, claims)
+
+
+def _check_payload(payload: object) -> None:
+    """Refuse an output that says it is a record and has another shape."""
+    if not isinstance(payload, Mapping):
+        raise ValueError(f"a record of another shape: wanted a mapping, got {payload!r:.40}")
+    for kind in ("values", "claims"):
+        entries = payload.get(kind, {})
+        if not isinstance(entries, Mapping):
+            raise ValueError(f"a record of another shape: {kind}: wanted a mapping")
+        for name, entry in entries.items():
+            if kind == "claims" and not isinstance(entry, Mapping):
+                raise ValueError(f"a record of another shape: claim {name}: wanted a mapping")
+            if kind == "values":
+                try:
+                    plain(name, entry)
+                except TypeError as error:
+                    raise ValueError(f"a record of another shape: {error}") from None

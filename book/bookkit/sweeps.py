@@ -22,7 +22,7 @@ import nbformat
 from bookkit import fingerprint
 from bookkit.files import replace
 from bookkit.grids import check_points, read_grid
-from bookkit.recording import read_records
+from bookkit.recording import plain, read_records
 
 TABLE = "results.csv"
 PROBLEM = "problem"
@@ -108,8 +108,9 @@ def run_sweep(
     ------
     ValueError
         A missing or ill-formed file, an unknown or refused parameter, an unreachable
-        scheduler: before anything is run. Also a worker whose library differs from this one,
-        and a scheduler that is lost on the way; what was finished is kept.
+        scheduler, a kept point that is not of its place: before anything is run. Also a worker
+        whose library differs from this one, and a scheduler that is lost on the way; what was
+        finished is kept.
     """
     notebook, grid, out = Path(notebook), Path(grid), Path(out)
     if notebook.suffix != ".ipynb" or not notebook.is_file():
@@ -128,7 +129,7 @@ def run_sweep(
     check_points(content, points)
     _make_folder(out)
     files = {_key(notebook, content, point): point for point in points}
-    finished = {key: _read(out, key) for key in files}
+    finished = {key: _read(out, key, point) for key, point in files.items()}
     failed_before = [k for k, r in finished.items() if r is not None and r["problem"]]
     todo = [k for k, r in finished.items() if r is None or (retry and r["problem"])]
     already = len(files) - len(todo)
@@ -141,7 +142,7 @@ def run_sweep(
     if todo:
         with _client(scheduler, min(workers, len(todo))) as client:
             _run(client, text, {key: files[key] for key in todo}, out, quiet)
-    results = {key: _read(out, key) for key in files}
+    results = {key: _read(out, key, point) for key, point in files.items()}
     table = out / TABLE
     _write_table(table, files, results)
     failed = sum(1 for r in results.values() if r is None or r["problem"])
@@ -172,15 +173,30 @@ def _make_folder(out: Path) -> None:
         raise ValueError(f"{out}: wanted a folder that can be written to")
 
 
-def _read(out: Path, key: str) -> dict[str, Any] | None:
-    """What is kept of a point; None when there is nothing, or nothing whole."""
+def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | None:
+    """What is kept of a point; None when there is nothing, or nothing whole.
+
+    Raises
+    ------
+    ValueError
+        A file that is whole and not what a sweep writes there: of another point, or with values
+        that no notebook records.
+    """
+    path = out / f"{key}.json"
     try:
-        entry = json.loads((out / f"{key}.json").read_text())
-        if isinstance(entry["values"], dict) and isinstance(entry["problem"], str):
-            return entry
+        entry = json.loads(path.read_text())
+        if not (isinstance(entry["values"], dict) and isinstance(entry["problem"], str)):
+            return None
     except (FileNotFoundError, ValueError, TypeError, KeyError):
-        pass
-    return None
+        return None
+    if entry.get("parameters") != json.loads(json.dumps(dict(point))):
+        raise ValueError(f"{path}: wanted the point {dict(point)}, got another; remove the file")
+    try:
+        for name, value in entry["values"].items():
+            plain(name, value)
+    except (TypeError, ValueError) as error:
+        raise ValueError(f"{path}: {error}; remove the file") from None
+    return entry
 
 
 def _run(client: Any, text: str, todo: Mapping[str, dict], out: Path, quiet: bool) -> None:
@@ -247,7 +263,9 @@ def _client(scheduler: str | None, workers: int):
             n_workers=workers,
             threads_per_worker=1,
             dashboard_address=None,
-            scheduler_kwargs={"dashboard_address": ":0"},  # two sweeps want two ports
+            # this machine only, nobody asks who is there; two sweeps want two ports
+            host="127.0.0.1",
+            scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
             silence_logs=50,
         ) as cluster,
         Client(cluster) as client,

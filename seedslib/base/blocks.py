@@ -46,6 +46,13 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
     raise TypeError(f"seed: wanted an int, a SeedSequence or a Generator, got {seed!r}")
 
 
+def child(root: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
+    """Descendant of a root by a key of one's own; `spawn` numbers its children from 0."""
+    return np.random.SeedSequence(
+        root.entropy, spawn_key=(*root.spawn_key, *key), pool_size=root.pool_size
+    )
+
+
 def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
     """Entropy (a whole number or a list of them) and spawn key: what a file keeps of a root."""
     entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()

@@ -2,10 +2,47 @@
 
 from __future__ import annotations
 
+import sys
+
 import numpy as np
 
 ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
+
+
+def unmasked(name: str, value: object, *, missing: float | None = None) -> object:
+    """What was passed, without a mask: NumPy would drop it and pass on what lies under it.
+
+    Parameters
+    ----------
+    name : str
+        The caller's name of the argument, for the message.
+    value : array_like
+        What the caller passed; anything but a masked array, or a list of some, comes back as it
+        is.
+    missing : float, optional
+        What the argument has for a missing entry. Where it has none, a masked entry is refused.
+
+    Raises
+    ------
+    TypeError
+        A masked entry where nothing may be missing.
+    """
+    if type(value) is np.ndarray:
+        return value
+    if isinstance(value, list | tuple) and any(isinstance(v, np.ma.MaskedArray) for v in value):
+        value = np.ma.array(value)
+    if not isinstance(value, np.ma.MaskedArray):
+        return value
+    if not np.ma.is_masked(value):
+        return value.data
+    if missing is None:
+        raise TypeError(
+            f"{name}: wanted numbers everywhere, got a masked array with masked entries"
+        )
+    if missing != missing and value.dtype.kind in "iub":  # NaN wants a float
+        value = value.astype(float)
+    return value.filled(missing)
 
 
 def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = False) -> np.ndarray:
@@ -20,17 +57,17 @@ def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = Fa
     ndim : int, optional
         Wanted number of axes.
     nan : bool
-        Whether NaN (a missing value) is allowed; infinities never are.
+        Whether NaN (a missing value) is allowed; infinities never are. A masked entry is NaN.
 
     Raises
     ------
     TypeError
-        `value` is complex, an object array, text, or ragged.
+        `value` is complex, an object array, text, ragged, or masked where nothing may be missing.
     ValueError
         Wrong number of axes, or an entry that is not finite.
     """
     try:
-        array = np.asarray(value)
+        array = np.asarray(unmasked(name, value, missing=np.nan if nan else None))
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
     if array.dtype.kind not in "fiub":
@@ -68,15 +105,16 @@ def as_covariance(
 ) -> np.ndarray:
     """Symmetric positive semidefinite (or definite) matrix, returned exactly symmetric.
 
-    Negative eigenvalues within rounding (1e-10 of the largest) are accepted and left alone:
-    nothing is silently regularised.
+    Eigenvalues are those of the matrix scaled to unit diagonal, so that units do not matter.
+    Negative ones within rounding (1e-10 of the largest) are accepted and left alone: nothing is
+    silently regularised. A negative variance is never rounding.
 
     Raises
     ------
     TypeError, ValueError
         As `as_real`; `ValueError` also when the matrix is not square, not of the wanted `size`,
-        not symmetric (relative 1e-10), or has a negative eigenvalue (below -1e-10 of the
-        largest), or is not positive definite where `definite` asks for it.
+        not symmetric (relative 1e-10), or has a negative variance or a negative eigenvalue
+        (below -1e-10 of the largest), or is not positive definite where `definite` asks for it.
     """
     matrix = as_real(name, value, ndim=2)
     if matrix.shape[0] != matrix.shape[1]:
@@ -89,17 +127,52 @@ def as_covariance(
         raise ValueError(f"{name}: wanted a symmetric matrix, got asymmetry {asymmetry:.3g}")
     matrix = 0.5 * (matrix + matrix.T)
     if matrix.size:
-        eigenvalues = np.linalg.eigvalsh(matrix)
-        if eigenvalues[0] < -NEGATIVE_EIGENVALUE * max(eigenvalues[-1], 0.0) - 1e-300:
+        smallest = require_semidefinite(name, matrix)
+        if definite and smallest <= 0.0:
             raise ValueError(
-                f"{name}: wanted a positive semidefinite matrix, "
-                f"got eigenvalue {eigenvalues[0]:.6g}"
-            )
-        if definite and eigenvalues[0] <= 0.0:
-            raise ValueError(
-                f"{name}: wanted a positive definite matrix, got eigenvalue {eigenvalues[0]:.6g}"
+                f"{name}: wanted a positive definite matrix, got eigenvalue {smallest:.6g}"
             )
     return matrix
+
+
+def require_semidefinite(name: str, matrices: np.ndarray) -> float:
+    """Smallest eigenvalue of symmetric matrices (..., n, n), scaled to unit diagonal.
+
+    Raises
+    ------
+    ValueError
+        A negative variance, or an eigenvalue below -1e-10 of the largest of its matrix.
+    """
+    several = matrices.ndim > 2
+    wanted = f"positive semidefinite {'matrices' if several else 'matrix'}"
+    wanted = wanted if several else f"a {wanted}"
+    variances = np.einsum("...ii->...i", matrices)
+    if (variances < 0).any():
+        raise ValueError(f"{name}: wanted {wanted}, got variance {variances.min():.6g}")
+    units = np.sqrt(np.where(variances > 0, variances, 1.0))
+    values = np.linalg.eigvalsh(matrices / units[..., :, None] / units[..., None, :])
+    low = values[..., 0] + NEGATIVE_EIGENVALUE * np.maximum(values[..., -1], 0.0)
+    smallest = float(values.min())
+    if (low < -1e-300).any():
+        raise ValueError(
+            f"{name}: wanted {wanted}, got eigenvalue {smallest:.6g} when scaled to unit diagonal"
+        )
+    return smallest
+
+
+def require_one_size(names: str, mean: np.ndarray, cov: np.ndarray) -> None:
+    """Refuse a mean and a square matrix of two sizes, without saying which of them is wrong.
+
+    Raises
+    ------
+    ValueError
+        The message names both arguments.
+    """
+    square = cov.ndim >= 2 and cov.shape[0] == cov.shape[1]
+    if square and mean.ndim and mean.shape[0] != cov.shape[0]:
+        raise ValueError(
+            f"{names}: wanted shapes (n, ...) and (n, n, ...), got {mean.shape} and {cov.shape}"
+        )
 
 
 def as_times(name: str, value: object) -> np.ndarray:
@@ -122,3 +195,11 @@ def as_times(name: str, value: object) -> np.ndarray:
             f"got {times[where]:g} then {times[where + 1]:g} at index {where}"
         )
     return times
+
+
+def outside() -> int:
+    """Level on the stack of the first caller outside the library, for a warning given here."""
+    frame, level = sys._getframe(1), 1
+    while frame is not None and frame.f_globals.get("__name__", "").startswith("seedslib."):
+        frame, level = frame.f_back, level + 1
+    return level

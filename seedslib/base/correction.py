@@ -13,6 +13,8 @@ from operator import add
 
 import numpy as np
 
+from seedslib.base.checks import unmasked
+from seedslib.base.diffuse import correct_diffuse, narrowed
 from seedslib.base.semidefinite import ABSOLUTE, RELATIVE, factor, pseudo_correct
 
 __all__ = ["correct", "eliminate", "factor", "joint_shape"]
@@ -20,7 +22,7 @@ __all__ = ["correct", "eliminate", "factor", "joint_shape"]
 LOG_2PI = math.log(2.0 * math.pi)
 
 
-def correct(mean, cov, y, moments, rows=None):
+def correct(mean, cov, y, moments, rows=None, noise=None):
     """Correct a predicted mean and covariance by one measurement.
 
     With e = y - E y, C = cov(x, y) and S = cov y the result is m + C S⁺ e and P - C S⁺ Cᵀ: the
@@ -35,12 +37,15 @@ def correct(mean, cov, y, moments, rows=None):
     cov : array_like, shape (n, n, *batch), or None
         Predicted covariance. None where only the mean and the likelihood are wanted.
     y : array_like, shape (m, *batch)
-        Measurement. NaN marks a missing component, which is left out exactly.
+        Measurement. NaN, or a mask, marks a missing component, which is left out exactly.
     moments : Moments
         E y of shape (m, *batch), cov(x, y) of shape (n, m, *batch), cov y of shape
         (m, m, *batch).
     rows : int, optional
         Correct only the leading rows of the state (a partial estimate); all rows otherwise.
+    noise : callable, optional
+        ``noise() -> (m, m, *batch)``, the covariance of y at a known state. It is asked where a
+        variance falls below 1e-8 of itself: there the noise has been rounded off in cov y.
 
     Returns
     -------
@@ -94,10 +99,16 @@ def correct(mean, cov, y, moments, rows=None):
         if np.isinf(y).any():
             where = tuple(int(i) for i in np.argwhere(np.isinf(y))[0])
             raise ValueError(f"y: wanted finite numbers or NaN, got {y[where]} at index {where}")
+        cross_before = cross
         error, cross, spread, missing = _without_missing(present, error, cross, spread)
         if missing.any():
             cov_batch = joint_shape(cov_batch, y.shape[1:]) if cov is not None else ()
     new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing)
+    if noise is not None and len(error) and (suspect := narrowed(cov, new_cov)).any():
+        apart = _align(np.asarray(noise(), dtype=float), 2, depth)
+        if not present.all():
+            apart = _without_missing(present, y, cross_before, apart)[2]
+        correct_diffuse(cov, cross, spread, apart, suspect, new_cov)
     return (
         new_mean.reshape(rows, *mean_batch),
         None if cov is None else new_cov.reshape(rows, rows, *cov_batch),
@@ -117,7 +128,9 @@ def joint_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
 
 
 def _numbers(name, value) -> np.ndarray:
-    array = np.asarray(value)
+    array = value
+    if type(value) is not np.ndarray:
+        array = np.asarray(unmasked(name, value, missing=np.nan if name == "y" else None))
     if array.dtype.kind not in "fiuO":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
     return array

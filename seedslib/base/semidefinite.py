@@ -28,7 +28,7 @@ def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
         return np.moveaxis(whole[..., np.broadcast_to(bad, batch)], -1, 0)
 
     def gains(batch):
-        root, log_det, rank = _range_root(pick(spread, 2, batch))
+        root, log_det, rank = range_root(pick(spread, 2, batch))
         return root, root @ np.swapaxes(pick(cross, 2, batch), 1, 2), log_det, rank
 
     batch = loglik.shape
@@ -46,7 +46,7 @@ def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
         new_cov[:, :, np.broadcast_to(bad, batch)] = np.moveaxis(reduced, 0, -1)
 
 
-def _range_root(spread):
+def range_root(spread):
     """Matrices R with Rᵀ R = S⁺, the log pseudo-determinant of S and its rank, item by item.
 
     `spread` has shape (items, m, m). Rank and range are decided on S scaled to unit diagonal, so
@@ -79,19 +79,22 @@ def _range_root(spread):
     return root, log_det, kept.sum(axis=1)
 
 
-def factor(cov):
+def factor(cov, scale=None):
     """Lower triangular L with L Lᵀ = P, item by item; a zero pivot gives a zero column.
 
     Parameters
     ----------
     cov : ndarray, shape (n, n, *batch)
         Symmetric positive semidefinite; only the part on and below the diagonal is read.
+    scale : ndarray, shape (n, *batch), optional
+        Variances that a negative pivot is judged by: of a corrected covariance those before
+        the correction. The diagonal by default.
 
     Returns
     -------
     ndarray, shape (n, n, *batch)
-        NaN in the items that are not positive semidefinite: a pivot below -1e-9 of its variance
-        (between that and 1e-13 of it a pivot counts as zero).
+        NaN in the items that are not positive semidefinite: a pivot below -1e-9 of the scale
+        (between that and 1e-13 of its variance a pivot counts as zero).
     """
     cov = np.asarray(cov, dtype=float)
     n = len(cov)
@@ -104,7 +107,7 @@ def factor(cov):
             root = np.sqrt(pivot)
             inverse = 1.0 / root
         else:
-            broken = ~(pivot >= -INDEFINITE * variance)
+            broken = ~(pivot >= -INDEFINITE * (variance if scale is None else scale[j]))
             root = np.sqrt(np.where(regular, pivot, 0.0))
             inverse = np.where(regular, 1.0, 0.0) / np.where(regular, root, 1.0)
             root = np.where(broken, np.nan, root)
@@ -115,6 +118,28 @@ def factor(cov):
             for q in range(j + 1, k + 1):
                 rest[k][q] = rest[k][q] - lower[k, j] * lower[q, j]
     return lower
+
+
+def settled(cov, before):
+    """Corrected covariances without what rounding has left of directions that are known exactly.
+
+    Items whose factor meets no zero pivot are returned as they are, and so are those that are
+    clearly indefinite.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (n, n, *batch)
+    before : ndarray, shape (n, n, *batch) or (n, n)
+        Those before the correction, whose variances rounding is judged by.
+    """
+    scale = np.einsum("ii...->i...", before)
+    root = factor(cov, scale.reshape(*scale.shape, *(1,) * (cov.ndim - before.ndim)))
+    zero = np.zeros((), dtype=bool)
+    for k in range(len(cov)):
+        zero = zero | (root[k, k] == 0)
+    if not zero.any():
+        return cov
+    return np.where(zero, np.einsum("ij...,kj...->ik...", root, root), cov)
 
 
 def square_root(cov: np.ndarray) -> np.ndarray:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 DESCRIPTION = """\
 Design a finite-order filter for a model and write it to a file. MODEL.py is a Python file, run as
@@ -68,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     from seedslib import linearization
     from seedslib.commands import words
     from seedslib.commands.models import load_model
+    from seedslib.commands.outputs import as_output
 
     memory = words.as_memory(options.memory)
     rule = words.as_choice(
@@ -78,9 +78,7 @@ def run(options: argparse.Namespace) -> int:
     )
     times = None if options.times is None else words.as_grid(options.times)
     tables = None if options.table is None else words.as_tables(options.table)
-    out = Path(options.out)
-    if not out.parent.is_dir():
-        raise ValueError(f"out: no such folder as {out.parent}")
+    out = as_output(options.out, model=options.model)
     if options.seed < 0:
         raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")
     system, own = load_model(options.model)

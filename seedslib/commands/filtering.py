@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 
 DESCRIPTION = """\
 Run a designed filter on a record of measurements. The CSV file has a first row t,y1,y2,... and one
@@ -13,7 +14,10 @@ with an indicator has one more column, j, whole numbers from 0, empty where it i
 The result has the columns t,x1,x2,... and sd1,sd2,..., the standard deviations that the filter
 claims at the measurements (between them it claims none). Of a switching system, whose filters make
 no forecasts between measurements, mode comes before x1, the decided mode from 0 on, and p1,p2,...,
-the probabilities of the modes 0,1,..."""
+the probabilities of the modes 0,1,...
+
+Where a filter diverges there are no numbers from some row on: its cells are empty, a line on stderr
+says from which time, and the exit code is 1."""
 
 EPILOG = """\
 A filter of tables runs from its file alone. Any other evaluates the sensor of the model that it was
@@ -37,25 +41,40 @@ def add(commands: argparse._SubParsersAction) -> None:
 
 
 def run(options: argparse.Namespace) -> int:
-    """Read filter and record, run, write.
+    """Read filter and record, run, write; 1 where the filter diverged.
 
     Raises
     ------
     OSError, ValueError
         A file that is missing or not what it should be; the message names it.
     """
+    import numpy as np
+
     from seedslib.commands.models import load_model
+    from seedslib.commands.outputs import as_output
     from seedslib.commands.records import read_record, write_estimates
     from seedslib.designed import load
 
+    out = as_output(
+        options.out, filter=options.filter, measurements=options.data, model=options.model
+    )
     system = None if options.model is None else load_model(options.model)[0]
     designed = load(options.filter, system)
     record = read_record(options.data, designed)
     shown = {} if record.indicators is None else {"indicators": record.indicators}
     try:
-        found = designed.run(record.times, record.measurements, covariances=True, **shown)
+        # what a filter that diverges computes is said in one line below, not by NumPy in many
+        with np.errstate(all="ignore"):
+            found = designed.run(record.times, record.measurements, covariances=True, **shown)
     except ValueError as error:
         raise ValueError(f"{options.data}: {error}") from None
-    write_estimates(options.out, record.times, found)
+    write_estimates(out, record.times, found)
     print(f"{len(record.times)} rows written to {options.out}")
-    return 0
+    lost = ~np.isfinite(found.mean).all(axis=1)
+    if not (lost.any() or np.any(found.diverged)):
+        return 0
+    since = f"{lost.sum()} of {len(lost)} rows are no numbers"
+    if lost.any():
+        since += f", the first at t = {record.times[lost][0]:.12g}"
+    print(f"seedslib: {options.data}: the filter diverged: {since}", file=sys.stderr)
+    return 1

@@ -33,7 +33,8 @@ def load_model(path) -> tuple[System, np.ndarray | None]:
     FileNotFoundError
         There is no such file.
     ValueError
-        The file fails, the message says where; no `system` in it, or one of another kind.
+        The file fails or ends the program, the message says where; no `system` in it, or one of
+        another kind.
     """
     path = Path(path)
     source = path.read_bytes()
@@ -46,7 +47,7 @@ def load_model(path) -> tuple[System, np.ndarray | None]:
         system = getattr(module, "system", None)
         if callable(system):
             system = system()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise ValueError(f"{path}: {_told(error, str(path))}") from None
     finally:
         sys.path.remove(str(path.resolve().parent))
@@ -71,4 +72,6 @@ def _told(error, place):
     line = error.lineno if isinstance(error, SyntaxError) else lines[-1] if lines else None
     where = f" (line {line})" if line else ""
     text = error.msg if isinstance(error, SyntaxError) else str(error)
+    if isinstance(error, SystemExit):
+        return f"wanted a file that runs to its end, got sys.exit({error.code!r}){where}"
     return " ".join(f"{type(error).__name__}: {text}{where}".split())

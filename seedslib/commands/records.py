@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.designed.finite_order import SAME_TIME
+from seedslib.base.atomic import write_whole
 from seedslib.filters.estimates import Estimates
 
 
@@ -85,7 +85,7 @@ def write_estimates(path, times: np.ndarray, found: Estimates) -> None:
     times : ndarray, shape (J,)
     found : Estimates
         Of one record: mean (J, n), cov (J, n, n) or None. Where it is NaN, between measurements,
-        the cell is empty.
+        and where the filter diverged, the cell is empty.
     """
     n = found.mean.shape[1]
     columns, names = [times[:, None]], ["t"]
@@ -99,15 +99,16 @@ def write_estimates(path, times: np.ndarray, found: Estimates) -> None:
         columns.append(np.sqrt(np.maximum(variances, 0.0)))
         names += [f"sd{i + 1}" for i in range(n)]
     rows = [
-        ["" if math.isnan(value) else repr(value) for value in row]
+        [repr(value) if math.isfinite(value) else "" for value in row]
         for row in np.concatenate(columns, axis=1).tolist()
     ]
     if found.modes is not None:
         names.insert(1, "mode")
-        for row, mode in zip(rows, found.modes.tolist(), strict=True):
-            row.insert(1, str(mode))
+        known = np.isfinite(found.mean).all(axis=1)
+        for row, mode, good in zip(rows, found.modes.tolist(), known, strict=True):
+            row.insert(1, str(mode) if good else "")
     lines = [",".join(row) for row in [names, *rows]]
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="")
+    write_whole(path, ("\n".join(lines) + "\n").encode())
 
 
 def _rows(path) -> list[tuple[int, list[str]]]:
@@ -129,6 +130,8 @@ def _numbers(path, number, row, count) -> list[float]:
     values = []
     for i, cell in enumerate(row):
         try:
+            if "_" in cell:  # a number in Python, and in no table
+                raise ValueError
             values.append(float(cell) if cell else math.nan)
         except ValueError:
             raise ValueError(f"{path}, row {number}: wanted a number, got {cell[:40]!r}") from None
@@ -139,8 +142,7 @@ def _numbers(path, number, row, count) -> list[float]:
 
 def _check_times(path, numbers, times, measured, designed):
     """Refuse a row at a time that the design does not know, and measurement times left out."""
-    clock = designed.times
-    tolerance = SAME_TIME * (np.diff(clock).min() if len(clock) > 1 else 1.0)
+    clock, tolerance = designed.times, designed.clock.tolerance
     horizon = getattr(designed, "horizon", clock[-1])
     lasting = getattr(designed, "lasting", False)
     due = 0

@@ -9,6 +9,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from seedslib.base.checks import as_times
+from seedslib.base.clock import slack
 from seedslib.base.tables import Axis
 from seedslib.designed.memory import Memory, finite_memory, large_order, small_order
 
@@ -93,7 +94,8 @@ def as_grid(text: str) -> np.ndarray:
         steps = (stop - start) / step
         if not (0 <= steps < 1e6 and step > 0):
             raise ValueError
-        times = start + step * np.arange(math.floor(steps + 1e-9) + 1)
+        steps += slack(step, max(abs(start), abs(stop))) / step  # the stop may be rounded
+        times = start + step * np.arange(math.floor(steps) + 1)
     except (ValueError, ZeroDivisionError) as error:
         reason = str(error) if str(error).startswith("times:") else ""
         raise ValueError(

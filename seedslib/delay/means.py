@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_real, unmasked
 from seedslib.delay.coefficients import require_finite
 from seedslib.delay.gains import DelayGains, StepGains
 from seedslib.delay.system import DelaySystem
@@ -44,7 +44,7 @@ def as_flags(value: object, shape: tuple[int, int]) -> np.ndarray:
         A ragged list; not booleans; a wrong shape.
     """
     try:
-        flags = np.asarray(value)
+        flags = np.asarray(unmasked("missing", value))
     except ValueError:
         raise TypeError("missing: wanted an array of booleans, got a ragged list") from None
     if flags.dtype != bool or flags.shape != shape:

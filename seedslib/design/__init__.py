@@ -3,7 +3,7 @@
 Shelves: `paths` (regression over simulated paths), `law` (the law of memory and state on a grid),
 `tables` (tables by regression). Nothing here runs on data: that is `designed`.
 
-May import: base, models, linearization, designed.
+May import: base, models, linearization, filters, designed.
 """
 
 from typing import TYPE_CHECKING

@@ -13,12 +13,14 @@ from pathlib import Path
 
 import numpy as np
 
+from seedslib.base.atomic import write_whole
+
 FORMAT = "seedslib designed filter"
-VERSION = 1
+VERSION = 2
 
 
 def write(path, header: dict, arrays: dict) -> None:
-    """Write a header and arrays of numbers."""
+    """Write a header and arrays of numbers, in the place of an old file when all is there."""
     whole = io.BytesIO()
     header = {"format": FORMAT, "version": VERSION, **header}
     with zipfile.ZipFile(whole, "w") as archive:
@@ -26,7 +28,7 @@ def write(path, header: dict, arrays: dict) -> None:
         _write(archive, "header", np.frombuffer(text, dtype=np.uint8))
         for name, array in arrays.items():
             _write(archive, name, np.asarray(array, dtype="<f8", order="C"))
-    Path(path).write_bytes(whole.getvalue())
+    write_whole(path, whole.getvalue())
 
 
 def _write(archive, name, array):
@@ -61,15 +63,19 @@ def read(path: Path, kinds) -> tuple[dict, dict]:
     try:
         arrays = {}
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            # members are not compressed: together they are smaller than the file
+            size = sum(entry.file_size for entry in archive.infolist())
+            if size > len(content):
+                raise ValueError(f"{size} bytes in a file of {len(content)}")
             for entry in archive.infolist():
-                if entry.file_size > len(content):
-                    raise ValueError(f"{entry.file_size} bytes in a file of {len(content)}")
-                buffer = io.BytesIO(archive.read(entry))
                 name = entry.filename.removesuffix(".npy")
+                if name in arrays:
+                    raise ValueError(f"two members called {name}")
+                buffer = io.BytesIO(archive.read(entry))
                 arrays[name] = np.lib.format.read_array(buffer, allow_pickle=False)
     except (
         zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError,
-        NotImplementedError, KeyError, MemoryError, UnicodeDecodeError,
+        NotImplementedError, KeyError, MemoryError, UnicodeDecodeError, OverflowError,
     ) as error:  # fmt: skip
         raise ValueError(f"{path.name}: damaged or cut short ({error})") from None
     header = arrays.pop("header", None)

@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.clock import slack
+
 FORECAST_KINDS = (
     "interpolated",
     "piecewise constant",
@@ -14,9 +16,6 @@ FORECAST_KINDS = (
     "constant",
     "linear",
 )
-
-SAME_TIME = 1e-9
-"""A time this fraction of the interval before a node is the node: grids are rounded."""
 
 
 class Interval(NamedTuple):
@@ -43,6 +42,19 @@ class Interval(NamedTuple):
     last_node: tuple | None = None
 
 
+def known_kind(name: str, kind: str) -> str:
+    """The kind of a forecast.
+
+    Raises
+    ------
+    ValueError
+        None of `FORECAST_KINDS`.
+    """
+    if kind not in FORECAST_KINDS:
+        raise ValueError(f"{name}: wanted one of {', '.join(FORECAST_KINDS)}; got {kind!r}")
+    return kind
+
+
 def at(interval: Interval, t: float, kind: str) -> np.ndarray:
     """Forecast (n', *batch) at a time of the interval.
 
@@ -58,15 +70,16 @@ def at(interval: Interval, t: float, kind: str) -> np.ndarray:
     ValueError
         An unknown kind.
     """
-    if kind not in FORECAST_KINDS:
-        raise ValueError(f"kind: wanted one of {', '.join(FORECAST_KINDS)}; got {kind!r}")
+    known_kind("kind", kind)
     times, values = interval.times, interval.values
     if kind == "constant":
         return values[0]
     if kind == "linear":
         return _extended(interval.last, times[0], values[0], t)
-    slack = SAME_TIME * (times[-1] - times[0])
-    i = max(0, int(np.searchsorted(times[: interval.nodes + 1], t + slack, side="right")) - 1)
+    # a time that is a node but for rounding is the node
+    first, last = times.item(0), times.item(-1)
+    room = slack(last - first, abs(last))
+    i = max(0, int(np.searchsorted(times[: interval.nodes + 1], t + room, side="right")) - 1)
     if kind == "interpolated":
         if i + 1 >= len(times):
             return values[i]

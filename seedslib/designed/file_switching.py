@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from seedslib.base.tables import Axis, Labels
-from seedslib.designed.file_arrays import measurement_times, shaped
+from seedslib.designed.file_arrays import held_out, held_out_arrays, measurement_times, shaped
 from seedslib.designed.finite_order_rules import Design
 from seedslib.designed.identity import (
     described,
@@ -30,6 +30,9 @@ TABLES = "switching, tables"
 KINDS = (KIND, TABLES)
 FILTERS = (SwitchingFilter, SwitchingTableFilter)
 
+MOST = 128
+"""Modes, values of an indicator and components of a model that is known from a file only."""
+
 NODES = 5
 """Gauss-Hermite nodes of the noise at which a branch is looked at."""
 
@@ -46,18 +49,23 @@ class UnknownModes:
 
     @classmethod
     def of(cls, header) -> UnknownModes:
-        """From the header of a file."""
+        """From the header of a file, or ValueError."""
         n, m = map(int, header["shape"])
-        told = int(header["indicators"])
-        return cls(n, m, int(header["modes"]), max(told, 1), told > 0)
+        told, modes = int(header["indicators"]), int(header["modes"])
+        # tables hold the decided mode in a byte, and no table has as many arguments
+        for name, value, least in (("shape", n, 1), ("shape", m, 1), ("modes", modes, 1),
+                                   ("indicators", told, 0)):  # fmt: skip
+            if not least <= value <= MOST:
+                raise ValueError(f"{name}: wanted {least} to {MOST}, got {value}")
+        return cls(n, m, modes, max(told, 1), told > 0)
 
 
 @np.errstate(all="ignore")  # a model may have no value at a point
 def probe_switching(system, points: np.ndarray) -> dict[str, np.ndarray]:
     """What the branches of a system do at points (1 + n, P), by name; see `identity.probe`.
 
-    Of each branch its probability and the first two moments of its value in it, over nodes of
-    the noise, so that equal laws are equal models however they are written.
+    Of each branch its probability, and mean and covariance of its value weighed by it, over nodes
+    of the noise, so that equal laws are equal models however they are written.
     """
     found = {}
     for name, table, noise in (
@@ -66,20 +74,25 @@ def probe_switching(system, points: np.ndarray) -> dict[str, np.ndarray]:
     ):
         nodes, weights = hermite_nodes(noise.size, NODES)
         v = noise.mean[:, None] + noise.root @ nodes
-        rows = []
-        for t, *x in points.T:
+        branches, count = [b for row in table for b in row], points.shape[1]
+        size = next(b.map.size for b in branches if b is not None)
+        shape = (count, len(branches))
+        prob, mean = np.zeros(shape), np.zeros((*shape, size))
+        cov = np.zeros((*shape, size, size))
+        for place in np.ndindex(*shape):
+            branch, (t, *x) = branches[place[1]], points[:, place[0]]
+            if branch is None:
+                continue
             x = np.repeat(np.array(x)[:, None], len(weights), axis=1)
-            for branch in (b for row in table for b in row):
-                if branch is None:
-                    rows.append(np.zeros(1))
-                    continue
-                y, share = branch.map.value(t, x, v), branch.map.weight(t, x, v) * weights
-                sums = [share.sum(), *(y @ share), *np.ravel((y * share) @ y.T)]
-                rows.append(np.array(sums))
-        width = max(map(len, rows))
-        found[name] = np.stack([np.pad(row, (0, width - len(row))) for row in rows])
+            y, share = branch.map.value(t, x, v), branch.map.weight(t, x, v) * weights
+            prob[place], mean[place] = share.sum(), y @ share
+            # about the mean: beside a large mean a small variance would not be seen
+            apart = y - (mean[place] / prob[place])[:, None] if prob[place] else y
+            cov[place] = (apart * share) @ apart.T
+        found |= {f"{name} (probability)": prob, f"{name} (mean)": mean, f"{name} (cov)": cov}
     for name in ("probability", "mean", "cov"):
-        found[f"initial {name}"] = np.array([getattr(part, name) for part in system.initial])
+        parts = np.array([[getattr(part, name) for part in system.initial]])
+        found[f"initial ({name})"] = parts
     return found
 
 
@@ -90,6 +103,7 @@ def _header(filter) -> dict:
         "kind": TABLES if isinstance(filter, SwitchingTableFilter) else KIND,
         "memory": dataclasses.asdict(filter.memory),
         "lasting": filter.lasting,
+        "held_out": held_out_arrays(filter.held_out)[0],
         "shape": [filter.system.state_size, filter.system.measurement_size],
         "modes": filter.system.modes,
         "indicators": filter.system.indicators if filter.system.has_indicator else 0,
@@ -137,6 +151,7 @@ def _arrays(filter) -> dict[str, np.ndarray]:
         {f"predicted/{name}": part for name, part in filter.predicted._asdict().items()}
         if filter.predicted is not None else {}
     )  # fmt: skip
+    found.update(held_out_arrays(filter.held_out)[1])
     if isinstance(filter, SwitchingTableFilter):
         found.update(changes=filter.changes, covariances=filter.covariances)
         for k, step in enumerate(filter.tables):
@@ -195,7 +210,7 @@ def switching_filter(name, header, arrays, system, linearization):
         return _filter(header, arrays, system, linearization)
     except _OtherModel:
         raise
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as error:
         raise ValueError(f"{name}: the file contradicts itself ({error})") from None
 
 
@@ -217,7 +232,7 @@ def _other_model(header, arrays, system) -> str:
         if wanted != got:
             return f"it has {wanted} {what}, not {got}"
     points, known = probe_values(arrays, n)
-    return difference(known, probe_switching(system, points))
+    return difference(known, probe_switching(system, points), points)
 
 
 def _filter(header, arrays, system, linearization):
@@ -238,7 +253,7 @@ def _filter(header, arrays, system, linearization):
     design = header["design"]
     if design is not None:
         design = {**design, "spawn_key": tuple(design["spawn_key"])}
-    lasting = bool(header["lasting"])
+    lasting, held = bool(header["lasting"]), held_out(header, arrays, times)
     if header["kind"] == TABLES:
         tables = tuple(
             StepTables(
@@ -257,7 +272,7 @@ def _filter(header, arrays, system, linearization):
         return SwitchingTableFilter(
             system, memory, times, tables, str(header["method"]), predicted, changes,
             shaped(arrays, "covariances", (len(times), components, components)),
-            Design(**design), lasting,
+            Design(**design), lasting, held,
         )  # fmt: skip
     fits = []
     for k in range(len(times) - 1):
@@ -275,7 +290,7 @@ def _filter(header, arrays, system, linearization):
         )
     return SwitchingFilter(
         system, linearization, memory, times, tuple(fits), header["normalisation"],
-        bool(header["split"]), predicted, design and SwitchingDesign(**design), lasting,
+        bool(header["split"]), predicted, design and SwitchingDesign(**design), lasting, held,
     )  # fmt: skip
 
 
@@ -303,7 +318,7 @@ def _table(arrays, place, axes, modes):
     )
     shape = tuple(axis.count for axis in axes)
     decided = shaped(arrays, f"{place}/mode", shape)
-    if not np.isin(decided, np.arange(modes)).all():
+    if not ((decided >= 0) & (decided < modes) & (decided == np.floor(decided))).all():
         raise ValueError(f"{place}/mode with a number that is no mode")
     prob = f"{place}/prob"
     return ModeTable(

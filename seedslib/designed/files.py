@@ -16,6 +16,7 @@ from seedslib import linearization as linearizations
 from seedslib.designed import file_switching as switching
 from seedslib.designed.archive import read, write
 from seedslib.designed.between import FORECAST_KINDS
+from seedslib.designed.file_arrays import held_out, held_out_arrays
 from seedslib.designed.file_finite_order import filter_arrays, filter_parts
 from seedslib.designed.file_tables import KIND as TABLE
 from seedslib.designed.file_tables import UnknownModel, probed, table_arrays, table_parts
@@ -63,6 +64,7 @@ def save(filter, path) -> None:
     points = probe_points(filter.system, float(filter.times[0]), filter.horizon)
     known = _probe(filter.system, filter.linearization, points)
     design = filter.design
+    counts, beside = held_out_arrays(filter.held_out)
     header = {
         "kind": TABLE if table else KIND,
         "memory": dataclasses.asdict(filter.memory),
@@ -74,10 +76,11 @@ def save(filter, path) -> None:
         "model": model_text(filter.system),
         "design": {**design._asdict(), "spawn_key": list(design.spawn_key)},
         "in_sample": filter.predicted.in_sample,
+        "held_out": counts,
         "tail": len(filter.node_times) > len(filter.fits),
     }
     held = table_arrays(filter) if table else filter_arrays(filter)
-    return _store(path, header, {**probe_arrays(points, known), **held})
+    return _store(path, header, {**probe_arrays(points, known), **held, **beside})
 
 
 def _store(path, header, arrays) -> None:
@@ -128,9 +131,10 @@ def load(path, system=None, *, linearization: Linearization | None = None):
     try:
         parts = table_parts(header, arrays) if table else filter_parts(header, arrays)
         parts.update(between=_between(header), design=_design(header))
+        parts["held_out"] = held_out(header, arrays, parts["times"])
         n = len(parts["start"].mean)
         points, known = probe_values(arrays, n)
-    except (KeyError, TypeError, IndexError, ValueError) as error:
+    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as error:
         raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None
     if system is None:
         system = UnknownModel(n, len(parts["predictor"].measurement))
@@ -140,7 +144,7 @@ def load(path, system=None, *, linearization: Linearization | None = None):
             f"{system.state_size}"
         )
     else:
-        reason = difference(known, _probe(system, linearization, points))
+        reason = difference(known, _probe(system, linearization, points), points)
         if reason:
             raise ValueError(f"{path.name}: designed for another model: {reason}")
     kind = TableFilter if table else FiniteOrderFilter
@@ -176,5 +180,5 @@ def _linearization(path, options):
     try:
         options = {key: value for key, value in options.items() if key != "name"}
         return getattr(linearizations, name)(**options)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None

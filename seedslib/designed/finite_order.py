@@ -8,8 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times
-from seedslib.designed.between import FORECAST_KINDS, Interval, at
+from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.clock import Clock
+from seedslib.designed.between import Interval, at, known_kind
 from seedslib.designed.finite_order_rules import (
     Course,
     Design,
@@ -22,13 +23,11 @@ from seedslib.designed.finite_order_rules import (
     positions,
 )
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.prediction import HeldOut, dropouts, step_unclaimed, unclaimed, unexpected
 from seedslib.designed.predictors import Fit
 from seedslib.designed.summary import headline, summary
-from seedslib.filters.estimates import Estimates, as_record
+from seedslib.filters.estimates import Estimates, as_record, gathered
 from seedslib.linearization.moments import Linearization, Moments
-
-SAME_TIME = 1e-9
-"""Times that differ by less than this fraction of the shortest interval are one."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -61,8 +60,11 @@ class FiniteOrderFilter:
         Whether Z_k^i also looks at Y_k directly (remark 1 of the paper).
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
+    held_out : HeldOut, optional
     rules : Rules
         The compiled steps; made from the other fields.
+    clock : Clock
+        The measurement times, and what else is one of them.
     """
 
     system: object
@@ -79,6 +81,7 @@ class FiniteOrderFilter:
     design: Design
     measured_nodes: bool = False
     between: str = "interpolated"
+    held_out: HeldOut | None = None
     rules: Rules | None = None
 
     def __post_init__(self):
@@ -88,13 +91,12 @@ class FiniteOrderFilter:
                 self.measured_nodes,
             )  # fmt: skip
             object.__setattr__(self, "rules", rules)
-        _known(self.between)
+        known_kind("between", self.between)
         fits = [*self.fits, *(fit for row in self.node_fits for fit in row)]
-        for part in (self.times, *self.node_times, *self.start, *self.predicted, *fits):
+        parts = self.times, *self.node_times, *self.start, *self.predicted, self.held_out, *fits
+        for part in parts:
             freeze(part)
-        shortest = np.diff(self.times).min() if len(self.times) > 1 else 1.0
-        object.__setattr__(self, "_tolerance", float(SAME_TIME * shortest))
-        object.__setattr__(self, "_clock", self.times.tolist())
+        object.__setattr__(self, "clock", Clock(self.times, self.horizon))
 
     @property
     def order(self) -> int:
@@ -110,7 +112,7 @@ class FiniteOrderFilter:
     def forecasting(self, kind: str) -> FiniteOrderFilter:
         """The same filter with another kind of forecast between measurements."""
         other = copy.copy(self)
-        object.__setattr__(other, "between", _known(kind))
+        object.__setattr__(other, "between", known_kind("between", kind))
         return other
 
     # Step by step
@@ -133,9 +135,9 @@ class FiniteOrderFilter:
 
     def _predict(self, state, t, interval=None):
         k = state.index + 1
-        if k >= len(self._clock):
+        if k >= len(self.clock.times):
             raise ValueError(f"t: wanted at most the last measurement time {self.times[-1]:g}")
-        if abs(t - self._clock[k]) > self._tolerance:
+        if abs(t - self.clock.times[k]) > self.clock.tolerance:
             raise ValueError(f"t: wanted the next measurement time {self.times[k]:g}, got {t:g}")
         if k == 0:
             return state._replace(index=0)
@@ -146,29 +148,30 @@ class FiniteOrderFilter:
         return FiniteOrderState(k, mean, cov, state.past, state.measurement, 0.0, before, False)
 
     def correct(self, state: FiniteOrderState, y) -> FiniteOrderState:
-        """Correct the forecast by y, (m, *batch); NaN components are left out exactly.
+        """Correct the forecast by y, (m, *batch); of NaN components see `run`.
 
         Raises
         ------
         TypeError, ValueError
             A state without a forecast, a wrong shape, an infinite measurement.
         """
-        y = np.asarray(y)
-        if y.dtype != np.float64 or np.isinf(y).any():
+        y, gap = np.asarray(unmasked("y", y, missing=np.nan)), False
+        if y.dtype != np.float64 or not np.isfinite(y).all():
             y = as_real("y", y, nan=True)
+            gap = np.isnan(y).any(axis=0)
         if y.shape != (self.system.sensor.size, *state.mean.shape[1:]):
             wanted = (self.system.sensor.size, *state.mean.shape[1:])
             raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
-        return self._correct(state, y, True)
+        return step_unclaimed(self._correct(state, y, True), state, gap)
 
     def _correct(self, state, y, spread):
         self._want_forecast(state)
         if state.index == 0:
             return self.rules.first(state, y, self.start.moments, spread)
-        return self.rules.correct(state, self._clock[state.index], y, spread)
+        return self.rules.correct(state, self.clock.times[state.index], y, spread)
 
     def expect(self, state: FiniteOrderState) -> Moments:
-        """Moments of the measurement that a forecast expects.
+        """Moments of the measurement that a forecast expects; after a gap the mean alone.
 
         Raises
         ------
@@ -178,7 +181,8 @@ class FiniteOrderFilter:
         self._want_forecast(state)
         if state.index == 0:
             return initial_moments(self.start.moments, state.mean.ndim - 1)
-        return self.rules.sensor(self._clock[state.index], state.mean, state.cov)
+        moments = self.rules.sensor(self.clock.times[state.index], state.mean, state.cov)
+        return unexpected(moments, state)
 
     def _want_forecast(self, state):
         if state.index < 0 or state.corrected:
@@ -209,7 +213,8 @@ class FiniteOrderFilter:
         self._want_corrected(state)
         interval, k = self.interval(state), state.index
         end = self.times[k + 1] if k + 1 < len(self.times) else self.horizon
-        if not self.times[k] - self._tolerance <= t <= end + self._tolerance:
+        room = self.clock.tolerance
+        if not self.times[k] - room <= t <= end + room:
             raise ValueError(f"t: wanted a time from {self.times[k]:g} to {end:g}, got {t:g}")
         return Estimates(at(interval, t, self.between if kind is None else kind))
 
@@ -265,33 +270,35 @@ class FiniteOrderFilter:
         Estimates
             ``mean`` (J+1, n', *batch), at measurement times after the correction and between
             them the forecasts; ``loglik`` (J+1, *batch), zero between; ``diverged`` (*batch),
-            estimates that are not finite. ``cov`` (J+1, n', n', *batch), NaN between
-            measurement times, where the filter claims none.
+            estimates that are not finite. ``cov`` (J+1, n', n', *batch), NaN where the filter
+            claims none: between measurement times, and from a missing component to the end of
+            its record; so is ``loglik`` after it.
 
         Raises
         ------
         TypeError, ValueError
             Times that do not increase or leave out a measurement time of the design; a
             measurement where the design has none; infinite measurements; wrong shapes.
+
+        Warns
+        -----
+        UserWarning
+            Records with missing components: how many, and from which time.
         """
         times = as_times("times", times)
         y = as_record(measurements, len(times), self.system.sensor.size)
-        index = positions(times, y, self.times, self.horizon, self._tolerance)
+        index = positions(times, y, self.clock, self.horizon)
         batch = y.shape[2:]
+        lost = dropouts(y, index >= 0)
         if not batch:
-            return self._run(times, y, index, covariances)
+            return unclaimed(self._run(times, y, index, covariances), lost, times)
         flat = y.reshape(*y.shape[:2], -1)
-        parts = in_blocks(
-            lambda a, b, _: self._run(times, flat[..., a:b], index, covariances),
-            flat.shape[2],
-            0,
-            workers=workers,
-        )
-        joined = (
-            None if column[0] is None else np.concatenate(column, axis=-1)
-            for column in zip(*parts, strict=True)
-        )
-        return Estimates(*(c if c is None else c.reshape(*c.shape[:-1], *batch) for c in joined))
+
+        def work(a, b, _):
+            return self._run(times, flat[..., a:b], index, covariances)
+
+        columns = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
+        return unclaimed(Estimates(*gathered(columns, batch)), lost, times)
 
     def _run(self, times, y, index, covariances) -> Estimates:
         batch, n = y.shape[2:], self.components
@@ -316,9 +323,3 @@ class FiniteOrderFilter:
 
     def __str__(self) -> str:
         return summary(self)
-
-
-def _known(kind):
-    if kind not in FORECAST_KINDS:
-        raise ValueError(f"between: wanted one of {', '.join(FORECAST_KINDS)}; got {kind!r}")
-    return kind

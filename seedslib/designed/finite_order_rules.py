@@ -204,7 +204,7 @@ class Rules:
         return self.nodes(course, state)[1] if interval is None else interval.values[-1]
 
 
-def positions(times, y, designed, horizon, tolerance) -> np.ndarray:
+def positions(times, y, clock, horizon) -> np.ndarray:
     """Number of the measurement time at each time of a grid, -1 between them.
 
     Parameters
@@ -212,9 +212,9 @@ def positions(times, y, designed, horizon, tolerance) -> np.ndarray:
     times : ndarray, shape (J+1,)
     y : ndarray, shape (J+1, m, *batch)
         Must be NaN between the measurement times.
-    designed : ndarray, shape (K+1,)
+    clock : Clock
         Measurement times of the filter.
-    horizon, tolerance : float
+    horizon : float
 
     Raises
     ------
@@ -222,14 +222,14 @@ def positions(times, y, designed, horizon, tolerance) -> np.ndarray:
         A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
         measurement at another time.
     """
-    reach = times[-1] + tolerance
-    wanted = designed[designed <= reach]
-    if len(wanted) == 0 or abs(times[0] - designed[0]) > tolerance:
-        raise ValueError(f"times: wanted to begin at {designed[0]:g}, got {times[0]:g}")
-    if times[-1] > horizon + tolerance:
+    wanted = np.array(clock.times)
+    wanted = wanted[wanted <= times[-1] + clock.tolerance]
+    if not clock.same(times[0], clock.times[0]):
+        raise ValueError(f"times: wanted to begin at {clock.times[0]:g}, got {times[0]:g}")
+    if times[-1] > horizon + clock.tolerance:
         raise ValueError(f"times: wanted at most {horizon:g}, got {times[-1]:g}")
-    place = np.abs(times[:, None] - wanted).argmin(axis=0)
-    missed = np.abs(times[place] - wanted) > tolerance
+    place = clock.rows(times)[: len(wanted)]
+    missed = place < 0
     if missed.any():
         raise ValueError(
             f"times: wanted all measurement times of the design, {wanted[missed][0]:g} is not "

@@ -2,6 +2,7 @@
 
 Layout: components first, then the mode, then (for forecasts) the parts of a mode's law, then any
 batch axes: probabilities (L, *batch), means (n, L, *batch), covariances (n, n, L, *batch).
+Probabilities are carried as logarithms, so that none is lost however small it becomes.
 """
 
 from __future__ import annotations
@@ -12,8 +13,11 @@ import numpy as np
 
 from seedslib.base.correction import correct
 from seedslib.filters.mixture import mix
-from seedslib.filters.weights import relative
+from seedslib.filters.weights import logarithm, most_probable, normalised, relative
 from seedslib.linearization.moments import Moments
+
+FAINT = 1e-200
+"""A sum of weights below this part of the largest weight is formed again by itself."""
 
 FLOOR = 1e-12
 """A covariance with an eigenvalue below minus this, in units of the deviations, is mended."""
@@ -23,11 +27,27 @@ class Law(NamedTuple):
     """Law of mode and state: for each mode its probability and the moments of the state in it.
 
     Forecasts have one more axis after the modes: the Gaussian parts of a mode's law, (6.19).
+
+    Attributes
+    ----------
+    log_prob : ndarray, shape (L, *batch)
+        Logarithms of the probabilities.
+    mean, cov : ndarray, shapes (n, L, *batch) and (n, n, L, *batch)
     """
 
-    prob: np.ndarray
+    log_prob: np.ndarray
     mean: np.ndarray
     cov: np.ndarray
+
+    @classmethod
+    def of(cls, prob, mean, cov) -> Law:
+        """Law from the probabilities themselves."""
+        return cls(logarithm(prob), mean, cov)
+
+    @property
+    def prob(self) -> np.ndarray:
+        """Probabilities, (L, *batch)."""
+        return np.exp(self.log_prob)
 
 
 class Sensed(NamedTuple):
@@ -35,17 +55,22 @@ class Sensed(NamedTuple):
 
     Attributes
     ----------
-    prob : ndarray, shape (L, *batch)
-        Q, not normalised over the modes.
+    log_prob : ndarray, shape (L, *batch)
+        Logarithms of Q, not normalised over the modes.
     mean, cov : ndarray, shapes (n, L, *batch) and (n, n, L, *batch)
     moments : Moments
         mu (m, L, *batch), Delta (n, m, L, *batch), Phi (m, m, L, *batch).
     """
 
-    prob: np.ndarray
+    log_prob: np.ndarray
     mean: np.ndarray
     cov: np.ndarray
     moments: Moments
+
+    @property
+    def prob(self) -> np.ndarray:
+        """Q, (L, *batch)."""
+        return np.exp(self.log_prob)
 
 
 def propagate(rows, t, law: Law) -> Law:
@@ -66,27 +91,36 @@ def propagate(rows, t, law: Law) -> Law:
     Law
         Q (L, G, *batch), lambda (n, L, G, *batch), Psi (n, n, L, G, *batch).
     """
-    n, modes, batch = len(law.mean), len(law.prob), law.prob.shape[1:]
+    n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[1:]
+    heavy, highest, lost = relative(law.log_prob, 0)
+    highest = np.where(lost, 0.0, highest)
     made = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
     parts = len(made[0][0])
-    prob = np.empty((modes, parts, *batch))
+    log_prob = np.empty((modes, parts, *batch))
     mean = np.empty((n, modes, parts, *batch))
     cov = np.empty((n, n, modes, parts, *batch))
     for l in range(modes):
         for g in range(parts):
             found = [(i, made[i][l][g]) for i in range(modes) if made[i][l][g] is not None]
             if not found:
-                prob[l, g], mean[:, l, g] = 0.0, 0.0
+                log_prob[l, g], mean[:, l, g] = -np.inf, 0.0
                 cov[:, :, l, g] = np.eye(n).reshape(n, n, *(1,) * len(batch))
                 continue
             mass = np.empty((len(found), *batch))
             means, covs = np.empty((n, len(found), *batch)), np.empty((n, n, len(found), *batch))
             for p, (i, w) in enumerate(found):
-                mass[p] = law.prob[i] * w.mass
+                mass[p] = heavy[i] * w.mass
                 means[:, p] = _lifted(w.value.mean, 1, len(batch))
                 covs[:, :, p] = _lifted(w.value.cov, 2, len(batch))
-            prob[l, g], mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
-    return Law(prob, mean, cov)
+            total, mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
+            log_prob[l, g] = highest + logarithm(total)
+            faint = total < FAINT
+            if faint.any():
+                logs = np.stack([law.log_prob[i] + logarithm(w.mass) for i, w in found])
+                log_prob[l, g, faint], mean[:, l, g][..., faint], cov[:, :, l, g][..., faint] = (
+                    mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
+                )
+    return Law(log_prob, mean, cov)
 
 
 def sense(readings, t, law: Law, column=None) -> Sensed:
@@ -108,17 +142,17 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
     -------
     Sensed
     """
-    n, modes, batch = len(law.mean), len(law.prob), law.prob.shape[2:]
-    prob, joined = np.empty((modes, *batch)), []
+    n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[2:]
+    log_prob, joined = np.empty((modes, *batch)), []
     for i, reading in enumerate(readings):
         mean, cov = law.mean[:, i], law.cov[:, :, i]
         if reading is None:
             joined.append(None)
-            prob[i] = 0.0
+            log_prob[i] = -np.inf
             continue
         w = reading(t, mean, cov)
         inner, depth = mean.shape[1:], mean.ndim - 1
-        mass, size = law.prob[i] * w.mass, n + len(w.value.mean)
+        logs, size = law.log_prob[i] + logarithm(w.mass), n + len(w.value.mean)
         both, spread = np.empty((size, *inner)), np.empty((size, size, *inner))
         both[:n] = _lifted(w.state.mean, 1, depth)
         both[n:] = _lifted(w.value.mean, 1, depth)
@@ -127,12 +161,12 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
         spread[:n, n:], spread[n:, :n] = cross, np.swapaxes(cross, 0, 1)
         spread[n:, n:] = _lifted(w.value.cov, 2, depth)
         if column is not None:
-            part = Law(law.prob[i], mean, cov)
-            prob[i], *found = _printed(mass, both, spread, part, column)
-        elif len(mass) == 1 and (mass > 0).all():
-            prob[i], found = mass[0], (both[:, 0], spread[:, :, 0])
+            part = Law(law.log_prob[i], mean, cov)
+            log_prob[i], *found = _printed(logs, both, spread, part, column)
+        elif len(logs) == 1 and (logs > -np.inf).all():
+            log_prob[i], found = logs[0], (both[:, 0], spread[:, :, 0])
         else:
-            prob[i], *found = mix(mass, both, spread)
+            log_prob[i], *found = mix_logs(logs, both, spread)
         joined.append(found)
     size = next(len(found[0]) for found in joined if found is not None)
     mean, cov = np.empty((size, modes, *batch)), np.empty((size, size, modes, *batch))
@@ -143,16 +177,22 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
         else:
             mean[:, i], cov[:, :, i] = found
     moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
-    return Sensed(prob, mean[:n], cov[:n, :n], moments)
+    return Sensed(log_prob, mean[:n], cov[:n, :n], moments)
 
 
-def _printed(mass, both, spread, part, column):
+def mix_logs(log_mass, mean, cov):
+    """As `mix`, from and to logarithms of masses, which may be too small for numbers."""
+    mass, highest, lost = relative(log_mass, 0)
+    total, mean, cov = mix(mass, mean, cov)
+    return np.where(lost, 0.0, highest) + logarithm(total), mean, cov
+
+
+def _printed(logs, both, spread, part, column):
     """(6.21) as printed, for one mode: sums over the parts, divided by the forecast Q^(ij)."""
     n = part.mean.shape[0]
-    q = part.prob[column]
-    seen = q > 0
-    inverse = np.where(seen, 1.0, 0.0) / np.where(seen, q, 1.0)
-    share = np.where(mass > 0, mass * inverse, 0.0)
+    q = part.log_prob[column]
+    seen = q > -np.inf
+    share = np.where(seen & (logs > -np.inf), np.exp(logs - np.where(seen, q, 0.0)), 0.0)
     both, spread = np.nan_to_num(both), np.nan_to_num(spread)
     x, mu = part.mean[:, column], (share * both[n:]).sum(axis=1)
     raw = spread + both[:, None] * both[None, :]
@@ -164,7 +204,7 @@ def _printed(mass, both, spread, part, column):
     return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
 
 
-def weigh(sensed: Sensed, y) -> tuple[Law, np.ndarray]:
+def weigh(sensed: Sensed, y, noise=None) -> tuple[Law, np.ndarray]:
     """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters
@@ -172,6 +212,8 @@ def weigh(sensed: Sensed, y) -> tuple[Law, np.ndarray]:
     sensed : Sensed
     y : ndarray, shape (m, *batch)
         NaN components are left out exactly.
+    noise : callable, optional
+        ``noise() -> (m, m, L, *batch)``, see `correct`.
 
     Returns
     -------
@@ -180,25 +222,24 @@ def weigh(sensed: Sensed, y) -> tuple[Law, np.ndarray]:
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    mean, cov, each = correct(sensed.mean, sensed.cov, y[:, None], sensed.moments)
-    with np.errstate(divide="ignore"):
-        score = np.log(sensed.prob) + each
-    score = np.where(sensed.prob > 0, score, -np.inf)
-    weight, highest, lost = relative(score, 0)
+    mean, cov, each = correct(sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise)
+    score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + each, -np.inf)
+    log_prob, loglik = normalised(score, 0)
+    lost = ~np.isfinite(loglik)
     if np.any(lost):  # no mode explains the measurement: keep what was forecast
-        weight = np.where(lost, sensed.prob, weight)
-    total = weight.sum(axis=0)
-    return Law(weight / total, mean, cov), highest + np.log(total)
+        log_prob = np.where(lost, normalised(sensed.log_prob, 0)[0], log_prob)
+    return Law(log_prob, mean, cov), loglik
 
 
 def decide(law: Law) -> tuple[np.ndarray, np.ndarray]:
-    """Most probable mode (the first of equal ones) and mean of the state: lemma 2, (6.18)."""
-    return law.prob.argmax(axis=0), (law.prob * law.mean).sum(axis=1)
+    """Most probable mode (`most_probable`) and mean of the state: lemma 2, (6.18)."""
+    prob = law.prob
+    return most_probable(prob), (prob * law.mean).sum(axis=1)
 
 
 def total_covariance(law: Law) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
-    return mix(law.prob, law.mean, law.cov).cov if len(law.prob) > 1 else law.cov[:, :, 0]
+    return mix(law.prob, law.mean, law.cov).cov if len(law.log_prob) > 1 else law.cov[:, :, 0]
 
 
 def floored(cov, variances=None) -> tuple[np.ndarray, int]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.designed.memory import Past
+from seedslib.designed.prediction import held_out_words, with_held_out
 from seedslib.designed.summary import ROWS
 
 
@@ -180,6 +181,7 @@ def summary(filter) -> str:
         f"  designed on  {made}",
         "  predicted root-mean-square errors and probability of a wrong mode"
         + ("" if filter.design.exact else " (with standard errors)"),
+        *held_out_words(filter.held_out),
     ]
     at = np.arange(len(times))
     if len(at) > ROWS:
@@ -191,5 +193,5 @@ def summary(filter) -> str:
             f"{value:.4f}" + ("" if filter.design.exact else f" ± {error:.4f}")
             for value, error in pairs
         )
-        lines.append(f"    t = {times[j]:<8g} {row}")
+        lines += with_held_out(f"    t = {times[j]:<8g} {row}", filter.held_out, j)
     return "\n".join(lines)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from seedslib.designed.prediction import held_out_words, with_held_out
+
 ROWS = 12
 
 
@@ -31,13 +33,16 @@ def summary(designed) -> str:
         f"  designed on  {made}",
         "  predicted root-mean-square errors"
         + (" (in-sample, with standard errors)" if predicted.in_sample else ""),
+        *held_out_words(designed.held_out),
     ]
-    tacts = np.searchsorted(predicted.times, times - 1e-9 * max(1.0, abs(times[-1])))
-    shown = tacts if len(tacts) <= ROWS else tacts[np.linspace(0, len(tacts) - 1, ROWS).astype(int)]
-    for j in shown:
+    tacts = designed.clock.rows(predicted.times)
+    shown = np.arange(len(tacts))
+    if len(tacts) > ROWS:
+        shown = np.linspace(0, len(tacts) - 1, ROWS).astype(int)
+    for k, j in zip(shown, tacts[shown], strict=True):
         row = "  ".join(
             f"{rms:.4f}" + (f" ± {error:.4f}" if predicted.in_sample else "")
             for rms, error in zip(predicted.rms[j], predicted.error[j], strict=True)
         )
-        lines.append(f"    t = {predicted.times[j]:<8g} {row}")
+        lines += with_held_out(f"    t = {predicted.times[j]:<8g} {row}", designed.held_out, k)
     return "\n".join(lines)

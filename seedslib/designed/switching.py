@@ -8,12 +8,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times
-from seedslib.designed.finite_order import SAME_TIME
+from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.clock import Clock
+from seedslib.designed import prediction
 from seedslib.designed.finite_order_rules import freeze
 from seedslib.designed.lemmas import total_covariance
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import SwitchingDesign, SwitchingPrediction, summary
 from seedslib.designed.switching_fits import (
     CellFit,
     cell_number,
@@ -22,9 +22,11 @@ from seedslib.designed.switching_fits import (
     require_memory,
 )
 from seedslib.designed.switching_rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
+from seedslib.filters.estimates import Estimates, as_indicators, as_record, gathered
 from seedslib.filters.mixture import mix
+from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
+from seedslib.models.kinds import as_grid, require_kind
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,6 +61,7 @@ class SwitchingFilter:
     design : SwitchingDesign, optional
     lasting : bool
         Whether the last fit serves all later steps.
+    held_out : HeldOut, optional
 
     Raises
     ------
@@ -75,12 +78,14 @@ class SwitchingFilter:
     fits: tuple[CellFit, ...] = ()
     normalisation: str = "consistent"
     split: bool = True
-    predicted: SwitchingPrediction | None = None
-    design: SwitchingDesign | None = None
+    predicted: prediction.SwitchingPrediction | None = None
+    design: prediction.SwitchingDesign | None = None
     lasting: bool = False
+    held_out: prediction.HeldOut | None = None
     rules: SwitchingRules | None = field(default=None)
 
     def __post_init__(self):
+        require_kind(self.system, "SwitchingSystem")
         if not isinstance(self.linearization, Linearization):
             raise TypeError(f"linearization: wanted a Linearization, got {self.linearization!r}")
         if self.memory is not None:
@@ -89,7 +94,7 @@ class SwitchingFilter:
             rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        for fit in self.fits:
+        for fit in (self.held_out, *self.fits):
             freeze(tuple(fit) if isinstance(fit, tuple) else fit)
 
     def _check_memory(self):
@@ -98,6 +103,7 @@ class SwitchingFilter:
             raise ValueError("times: wanted the times of the design with a memory")
         times = as_times("times", self.times)
         object.__setattr__(self, "times", times)
+        object.__setattr__(self, "clock", Clock(times))
         if len(self.fits) != len(times) - 1:
             raise ValueError(f"fits: wanted {len(times) - 1}, got {len(self.fits)}")
         require_fits(self.fits, self.memory, self.system)
@@ -137,7 +143,8 @@ class SwitchingFilter:
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {state.time:g}, got {t:g}")
         law = self.rules.predict(state.time, self.known(state))
-        return SwitchingState(k, t, law, None, None, state.past, 0.0, state.floored, False)
+        kept = state.past, 0.0, state.floored, False, state.gap
+        return SwitchingState(k, t, law, None, None, *kept)
 
     def known(self, state: SwitchingState):
         """Law of mode and state that the forecast starts from: given the memory, if there is one.
@@ -163,8 +170,7 @@ class SwitchingFilter:
             if not self.lasting:
                 raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
             return
-        tolerance = SAME_TIME * (np.diff(times).min() if len(times) > 1 else 1.0)
-        if abs(t - times[k]) > tolerance:
+        if not self.clock.same(t, times[k]):
             raise ValueError(f"t: wanted the next measurement time {times[k]:g}, got {t:g}")
 
     def correct(self, state: SwitchingState, y, indicator=None) -> SwitchingState:
@@ -174,7 +180,7 @@ class SwitchingFilter:
         ----------
         state : SwitchingState
         y : array_like, shape (m, *batch)
-            NaN components are left out exactly.
+            NaN components are left out exactly; with a memory see `run`.
         indicator : array_like of int, shape (*batch), optional
             -1 where it is missing; wanted where the system has one.
 
@@ -187,15 +193,15 @@ class SwitchingFilter:
         if state.index < 0 or state.corrected:
             raise ValueError("state: wanted a forecast, got a state without; call predict first")
         y = as_real("y", y, nan=True)
-        wanted = (self.system.measurement_size, *state.law.prob.shape[2:])
+        wanted = (self.system.measurement_size, *state.law.log_prob.shape[2:])
         if y.shape != wanted:
             raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
         if indicator is not None:
-            indicator = np.asarray(indicator)[None]
+            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
         indicator = as_indicators(indicator, self.system, (1, *wanted[1:]), "indicator")
-        return self.rules.correct(
-            state, y, None if indicator is None else indicator[0], self.memory
-        )
+        seen = None if indicator is None else indicator[0]
+        found = self.rules.correct(state, y, seen, self.memory)
+        return found if self.memory is None else prediction.law_unclaimed(found, state, y, seen)
 
     def step(self, state: SwitchingState, t: float, y, indicator=None) -> SwitchingState:
         """Forecast to time t and correct there."""
@@ -204,13 +210,11 @@ class SwitchingFilter:
     def forecast(self, state: SwitchingState, t: float) -> Estimates:
         """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
         law = self.predict(state, t).law
-        flat = [
-            part.reshape(*part.shape[:c], -1, *law.prob.shape[2:]) for c, part in enumerate(law)
-        ]
-        mixed = mix(*flat)
-        return Estimates(
-            mixed.mean, mixed.cov, law.prob.sum(axis=1), modes=law.prob.sum(1).argmax(0)
-        )
+        parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
+        mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
+        prob = parts[0].sum(axis=1)
+        cov = np.where(state.gap, np.nan, mixed.cov) if np.any(state.gap) else mixed.cov
+        return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
     def run(
         self, times, measurements, *, indicators=None, covariances=False, workers=1
@@ -233,7 +237,9 @@ class SwitchingFilter:
         Returns
         -------
         Estimates
-            With ``mode_prob`` (J+1, L, *batch), ``modes`` and ``loglik`` (J+1, *batch).
+            With ``mode_prob`` (J+1, L, *batch), ``modes``, ``loglik`` (J+1, *batch), and
+            ``diverged`` (*batch): what became NaN, or what no mode can have shown. With a memory
+            ``cov`` is NaN from a gap on, and ``loglik`` after it: the design knows none.
 
         Raises
         ------
@@ -243,35 +249,31 @@ class SwitchingFilter:
         Warns
         -----
         UserWarning
-            Covariances that had to be mended.
+            Covariances that had to be mended; records with gaps of a filter with a memory.
         """
-        times = as_times("times", times)
+        designed = self.memory is not None  # then they are those of the design
+        times = as_times("times", times) if designed else as_grid("times", times, self.system)
         y = as_record(measurements, len(times), self.system.measurement_size)
         batch = y.shape[2:]
-        seen = as_indicators(indicators, self.system, (len(times), *batch))
+        told = as_indicators(indicators, self.system, (len(times), *batch))
         flat = y.reshape(*y.shape[:2], -1)
-        seen = None if seen is None else seen.reshape(len(times), -1)
+        seen = None if told is None else told.reshape(len(times), -1)
 
         def work(a, b, _):
-            return self._run(
-                times, flat[..., a:b], None if seen is None else seen[:, a:b], covariances
-            )
+            shown = None if seen is None else seen[:, a:b]
+            return self._run(times, flat[..., a:b], shown, covariances)
 
-        *parts, raised = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
+        *columns, raised = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
         if sum(raised):
             warnings.warn(
                 f"covariances: eigenvalues of {sum(raised)} were raised to 1e-12 of their scale",
                 stacklevel=2,
             )
-        mean, cov, prob, loglik, modes = (
-            None if column[0] is None else np.concatenate(column, axis=-1) for column in parts
-        )
-        shaped = [
-            None if c is None else c.reshape(*c.shape[:-1], *batch)
-            for c in (mean, cov, prob, loglik, modes)
-        ]
-        diverged = ~np.isfinite(shaped[0]).all(axis=(0, 1))
-        return Estimates(*shaped[:4], diverged, shaped[4])
+        mean, cov, prob, loglik, modes = gathered(columns, batch)
+        diverged = ~np.isfinite(mean).all(axis=(0, 1)) | (loglik == -np.inf).any(axis=0)
+        found = Estimates(mean, cov, prob, loglik, diverged, modes)
+        lost = None if self.memory is None else prediction.dropouts(y, None, told)
+        return prediction.unclaimed(found, lost, times)
 
     def _run(self, times, y, indicators, covariances):
         batch, n = y.shape[2:], self.system.state_size
@@ -284,9 +286,8 @@ class SwitchingFilter:
             state = self.predict(state, t)
             seen = None if indicators is None else indicators[k]
             state = self.rules.correct(state, y[k], seen, self.memory)
-            mean[k], prob[k], modes[k], loglik[k] = (
-                state.mean, state.law.prob, state.mode, state.loglik
-            )  # fmt: skip
+            mean[k], prob[k] = state.mean, state.law.prob
+            modes[k], loglik[k] = state.mode, state.loglik
             if covariances:
                 cov[k] = total_covariance(state.law)
         return mean, cov, prob, loglik, modes, state.floored
@@ -315,15 +316,11 @@ class SwitchingFilter:
 
     def change(self) -> float:
         """How far the forecasts of the last two fits are apart, see `fits_apart`."""
-        if self.memory is None or len(self.fits) < self.memory.depth + 2:
-            raise ValueError("times: wanted a design of more steps than the memory's depth")
-        if not all(isinstance(fit, CellFit) for fit in self.fits[-2:]):
-            raise ValueError("fits: wanted two CellFits to compare, got others")
-        return fits_apart(self.fits[-1], self.fits[-2])
+        return fits_apart(self.fits, self.memory)
 
     def __repr__(self) -> str:
         held = "laws of all modes" if self.memory is None else str(self.memory)
         return f"<SwitchingFilter: {held}; {self.linearization}>"
 
     def __str__(self) -> str:
-        return summary(self)
+        return prediction.summary(self)

@@ -104,14 +104,13 @@ class CellFit(NamedTuple):
                 residual = residual + factor * part
             score -= 0.5 * residual * residual
         score -= score.max(axis=0)
-        prob = np.exp(score)
-        prob /= prob.sum(axis=0)
-        mean = np.empty((len(offset), *prob.shape))
+        score -= np.log(np.exp(score).sum(axis=0))
+        mean = np.empty((len(offset), *score.shape))
         for slot, row, start in zip(mean, gain, offset, strict=True):
             slot[...] = start
             for factor, part in zip(row, z, strict=True):
                 slot += factor * part
-        return Law(prob, mean, np.broadcast_to(cov, (*cov.shape[:2], *prob.shape)))
+        return Law(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
     def _take(self, part, cell, z):
         if part.shape[-1] == 1:
@@ -173,12 +172,22 @@ def require_fits(fits, memory, system) -> None:
             )
 
 
-def fits_apart(last, before) -> float:
-    """How far the forecasts of two fits are apart, in deviations of the state given the memory.
+def fits_apart(fits, memory) -> float:
+    """How far the last two forecasts are apart, in deviations of the state given the memory.
 
     Root of the mean square over cells and modes, at the means of the memory, with the
     probabilities of the last fit.
+
+    Raises
+    ------
+    ValueError
+        No two fits of a whole memory, or fits of another kind.
     """
+    if memory is None or len(fits) < memory.depth + 2:
+        raise ValueError("times: wanted a design of more steps than the memory's depth")
+    before, last = fits[-2:]
+    if not (isinstance(before, CellFit) and isinstance(last, CellFit)):
+        raise ValueError("fits: wanted two CellFits to compare, got others")
     weight = np.exp(last.log_weight - last.log_weight.max())
     weight /= weight.sum()
     size = np.sqrt(np.einsum("iilc,lc->i", last.cov, weight))

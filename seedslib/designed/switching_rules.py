@@ -16,6 +16,7 @@ from seedslib.designed.switching_branches import (
     row_moments,
     seen_branch,
 )
+from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Moments
 from seedslib.linearization.points import PointRule
 
@@ -48,6 +49,9 @@ class SwitchingState(NamedTuple):
     floored : int
         Covariances whose eigenvalues had to be raised so far.
     corrected : bool
+    gap : ndarray of bool or bool
+        Whether something was missing so far, which the design of a filter with a memory does not
+        know.
     """
 
     index: int
@@ -59,6 +63,7 @@ class SwitchingState(NamedTuple):
     loglik: np.ndarray | float
     floored: int
     corrected: bool
+    gap: np.ndarray | bool = False
 
 
 class SwitchingRules:
@@ -132,7 +137,7 @@ class SwitchingRules:
             values = np.stack(values, axis=-1)[..., None]
             return np.broadcast_to(values.reshape(*values.shape, *tail), (*values.shape, *batch))
 
-        return Law(
+        return Law.of(
             spread([part.probability for part in parts]),
             spread([part.mean for part in parts]),
             spread([part.cov for part in parts]),
@@ -168,7 +173,7 @@ class SwitchingRules:
         for j in values:
             here = np.flatnonzero(indicator.ravel() == j)
             piece = self._sense(t, Law(*(part[..., here] for part in flat)), int(j))
-            pieces.append((piece.prob, piece.mean, piece.cov, *piece.moments))
+            pieces.append((piece.log_prob, piece.mean, piece.cov, *piece.moments))
             places.append(here)
         count, joined = indicator.size, []
         for parts in zip(*pieces, strict=True):
@@ -176,31 +181,51 @@ class SwitchingRules:
             for here, part in zip(places, parts, strict=True):
                 whole[..., here] = part
             joined.append(whole.reshape(*whole.shape[:-1], *batch))
-        prob, mean, cov, *moments = joined
-        return Sensed(prob, mean, cov, type(piece.moments)(*moments))
+        log_prob, mean, cov, *moments = joined
+        return Sensed(log_prob, mean, cov, type(piece.moments)(*moments))
 
     def _sense(self, t, law, j):
         if j < 0:
             return sense(self.unseen, t, law)
+        if not any(row[j] for row in self.readings):  # a value that no mode ever shows
+            blind = sense(self.unseen, t, law)
+            return blind._replace(log_prob=np.full_like(blind.log_prob, -np.inf))
         return sense([row[j] for row in self.readings], t, law, self._column(law, j))
+
+    def _noise(self, t, sensed):
+        """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
+        readings = self.unseen or [row[0] for row in self.readings]
+        still = np.zeros_like(sensed.cov[:, :, 0])
+        found = [
+            reading(t, sensed.mean[:, i, None], still[:, :, None]).value.cov
+            for i, reading in enumerate(readings)
+        ]
+        size = len(sensed.moments.mean)
+        batch = (1, *sensed.log_prob.shape[1:])
+        wide = [
+            np.broadcast_to(part.reshape(*part.shape, *(1,) * (2 + len(batch) - part.ndim)),
+                            (size, size, *batch))
+            for part in found
+        ]  # fmt: skip
+        return np.concatenate(wide, axis=2)
 
     def _column(self, law, j):
         """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
-        return j if self.printed and law.prob.shape[1] > 1 else None
+        return j if self.printed and law.log_prob.shape[1] > 1 else None
 
     def correct(self, state: SwitchingState, y, indicator, memory) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
-        with np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._corrected(state, y, indicator, memory)
 
     def _corrected(self, state, y, indicator, memory):
         raised = 0
         if self.guarded:
             cov, raised = floored(state.law.cov)
-            total = state.law.prob.sum(axis=(0, 1))
-            state = state._replace(law=state.law._replace(prob=state.law.prob / total, cov=cov))
+            scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
+            state = state._replace(law=state.law._replace(log_prob=scaled, cov=cov))
         sensed = self.sense(state.time, state.law, indicator)
-        impossible = sensed.prob.sum(axis=0) == 0
+        impossible = (sensed.log_prob == -np.inf).all(axis=0)
         if indicator is not None and impossible.any():  # what no mode can show says nothing
             seen = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, state.law, seen)
@@ -211,7 +236,7 @@ class SwitchingRules:
         elif self.guarded:
             sensed, more = _semidefinite(sensed)
             raised += more
-        law, loglik = weigh(sensed, y)
+        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed))
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
         cov, more = floored(law.cov, np.einsum("ii...->i...", sensed.cov))
@@ -222,14 +247,15 @@ class SwitchingRules:
             shown, missing = y, np.isnan(y)
             if memory.measurements and missing.any():
                 # a missing measurement is remembered as what was expected
-                weight = sensed.prob / sensed.prob.sum(axis=0)
+                weight = relative(sensed.log_prob, 0)[0]
+                weight = weight / weight.sum(axis=0)
                 expected = (weight * sensed.moments.mean).sum(axis=1)
                 shown = np.where(missing, expected, y)
             if memory.indicators and (indicator < 0).any():
                 raise ValueError("indicator: wanted by the memory, got a missing one")
             past = memory.push(
                 past, estimate=mean, measurement=shown, mode=mode, indicator=indicator,
-                log_odds=log_odds(law.prob) if memory.log_odds else None,
+                log_odds=log_odds(law.log_prob) if memory.log_odds else None,
             )  # fmt: skip
         return SwitchingState(
             state.index, state.time, law, mean, mode, past, loglik,
@@ -253,8 +279,8 @@ def _semidefinite(sensed):
     return sensed._replace(cov=joint[:n, :n], moments=moments), raised
 
 
-def log_odds(prob) -> np.ndarray:
+def log_odds(log_prob) -> np.ndarray:
     """Log-odds of the modes against mode 0, cut to ±8: (L - 1, *batch)."""
-    with np.errstate(divide="ignore", invalid="ignore"):
-        odds = np.log(prob[1:]) - np.log(prob[0])
+    with np.errstate(invalid="ignore"):
+        odds = log_prob[1:] - log_prob[0]
     return np.clip(np.nan_to_num(odds, nan=0.0, posinf=SOFTEST, neginf=-SOFTEST), -SOFTEST, SOFTEST)

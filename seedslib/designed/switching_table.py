@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times
-from seedslib.designed.finite_order import SAME_TIME
+from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.clock import Clock
 from seedslib.designed.finite_order_rules import Design, freeze
 from seedslib.designed.lookup import StepTables, TableState, arguments, summary
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import SwitchingPrediction
+from seedslib.designed.prediction import HeldOut, SwitchingPrediction, dropouts, unclaimed
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 
 
@@ -45,6 +45,8 @@ class SwitchingTableFilter:
     design : Design
     lasting : bool
         Whether the last table serves all later steps.
+    held_out : HeldOut, optional
+        Errors on paths that the design has not seen; none where it took no paths.
     """
 
     system: object
@@ -57,9 +59,11 @@ class SwitchingTableFilter:
     covariances: np.ndarray
     design: Design
     lasting: bool = False
+    held_out: HeldOut | None = None
 
     def __post_init__(self):
-        for part in (self.times, self.changes, self.covariances, tuple(self.predicted)):
+        object.__setattr__(self, "clock", Clock(self.times))
+        for part in (self.times, self.changes, self.covariances, self.predicted, self.held_out):
             freeze(part)
         for step in self.tables:
             for table in step:
@@ -131,7 +135,7 @@ class SwitchingTableFilter:
         if np.isinf(y).any():
             raise ValueError("y: wanted finite numbers or NaN, got an infinite one")
         if indicator is not None:
-            indicator = np.asarray(indicator)[None]
+            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
         indicator = as_indicators(indicator, self.system, (1, *state.batch), "indicator")
         return self._correct(state, y, None if indicator is None else indicator[0])
 
@@ -180,14 +184,13 @@ class SwitchingTableFilter:
 
     def _check_time(self, k, t, before):
         times = self.times
-        step = np.diff(times).min() if len(times) > 1 else 1.0
         if k < len(times):
             wanted = times[k]
         elif self.lasting:
             wanted = before + (times[-1] - times[-2])
         else:
             raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
-        if abs(t - wanted) > SAME_TIME * step:
+        if not self.clock.same(t, wanted):
             raise ValueError(f"t: wanted the next measurement time {wanted:g}, got {t:g}")
 
     def run(
@@ -205,7 +208,9 @@ class SwitchingTableFilter:
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         covariances : bool
-            Whether `cov` is wanted, the unconditional one that the design found: (J+1, n', n').
+            Whether `cov` is wanted, the unconditional one that the design found: (J+1, n', n'),
+            or, with missing measurements or indicators, (J+1, n', n', *batch), NaN from the first
+            missing one to the end of its record.
         workers : int
             Threads over blocks of paths.
 
@@ -218,6 +223,11 @@ class SwitchingTableFilter:
         ------
         TypeError, ValueError
             As `predict` and `correct`.
+
+        Warns
+        -----
+        UserWarning
+            Records with missing measurements where `covariances` are wanted.
         """
         times, size = as_times("times", times), self.system.measurement_size
         y = as_record(measurements, len(times), size)
@@ -228,6 +238,7 @@ class SwitchingTableFilter:
             self._check_time(k, t, before)
             before = t
         flat = y.reshape(len(times), size, -1)
+        lost = dropouts(y, indicators=seen)
         seen = None if seen is None else seen.reshape(len(times), -1)
         paths = flat.shape[2]
         mean = np.empty((len(times), self.components, paths))
@@ -252,7 +263,8 @@ class SwitchingTableFilter:
         shaped = [
             None if a is None else a.reshape(*a.shape[:-1], *batch) for a in (mean, prob, modes)
         ]
-        return Estimates(shaped[0], cov, shaped[1], None, None, shaped[2])
+        found = Estimates(shaped[0], cov, shaped[1], None, None, shaped[2])
+        return unclaimed(found, lost, times)
 
     def stationary(self, tolerance: float = 0.02) -> SwitchingTableFilter:
         """The same filter with its last table for all later steps, evenly on in time.

@@ -11,6 +11,7 @@ import numpy as np
 from seedslib.base.tables import Axis, interpolate
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules
+from seedslib.designed.prediction import held_out_words, with_held_out
 from seedslib.designed.summary import ROWS
 from seedslib.filters.estimates import Estimates
 
@@ -87,7 +88,7 @@ class OutputFilter(FiniteOrderFilter):
 
     Z_k = f_k(Y_k, U_{k-1}) and Z_k^i = g_k^i(U_k), theorem 1 of the jump-diffusion paper. The
     verbs are those of `FiniteOrderFilter`; there is no likelihood, and the covariance is the
-    unconditional one that the design found, NaN where a measurement is missing.
+    unconditional one that the design found, NaN from a missing measurement on.
     """
 
     def output(self, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -156,16 +157,19 @@ class OutputFilter(FiniteOrderFilter):
             f"  designed on  {made}",
             "  predicted root-mean-square errors"
             + ("" if self.design.exact else " (with standard errors)"),
+            *held_out_words(self.held_out),
         ]
-        at = np.searchsorted(predicted.times, times - 1e-9 * max(1.0, abs(times[-1])))
+        at = self.clock.rows(predicted.times)
+        shown = np.arange(len(at))
         if len(at) > ROWS:
-            at = at[np.linspace(0, len(at) - 1, ROWS).astype(int)]
-        for j in at:
+            shown = np.linspace(0, len(at) - 1, ROWS).astype(int)
+        for k, j in zip(shown, at[shown], strict=True):
             row = "  ".join(
                 f"{rms:.4f}" + ("" if self.design.exact else f" ± {error:.4f}")
                 for rms, error in zip(predicted.rms[j], predicted.error[j], strict=True)
             )
-            lines.append(f"    t = {predicted.times[j]:<8g} {row}")
+            row = f"    t = {predicted.times[j]:<8g} {row}"
+            lines += with_held_out(row, self.held_out, k)
         return "\n".join(lines)
 
 

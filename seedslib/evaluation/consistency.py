@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from seedslib.base.semidefinite import range_root, square_root
+
 CONFIDENCE = 0.95
 
 
@@ -31,11 +33,14 @@ def mahalanobis(error, cov) -> tuple[np.ndarray, int] | None:
         known = np.isfinite(matrices).all(axis=(2, 3)) & np.isfinite(vectors).all(axis=2)
     safe = np.where(known[..., None, None], matrices, np.eye(error.shape[1]))
     vectors = np.where(known[..., None], vectors, 0.0)
-    try:
-        solved = np.linalg.solve(safe, vectors[..., None])[..., 0]
-    except np.linalg.LinAlgError:
-        solved = (np.linalg.pinv(safe, hermitian=True) @ vectors[..., None])[..., 0]
+    # which ones are singular is told by pivots, not by what a solver happens to divide by
+    singular = (np.einsum("...ii->...i", square_root(safe)) == 0.0).any(axis=-1)
+    regular = np.where(singular[..., None, None], np.eye(error.shape[1]), safe)
+    solved = np.linalg.solve(regular, vectors[..., None])[..., 0]
     squares = np.einsum("jNc,jNc->jN", vectors, solved)
+    if singular.any():
+        roots = range_root(safe[singular])[0]
+        squares[singular] = np.square(np.einsum("brc,bc->br", roots, vectors[singular])).sum(1)
     return np.where(known, squares, np.nan), error.shape[1]
 
 

@@ -10,16 +10,22 @@ from __future__ import annotations
 
 import inspect
 import time
+import warnings
 from collections.abc import Mapping
 
 import numpy as np
 
-from seedslib.base.blocks import as_count, in_blocks
+from seedslib.base.blocks import as_count, child, in_blocks
 from seedslib.base.checks import as_times
+from seedslib.base.clock import Clock
 from seedslib.evaluation.consistency import bounds, mahalanobis
 from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
+from seedslib.models.kinds import KINDS, require_kind
 from seedslib.models.simulation import as_measured
+
+FILTERS = 0x46494C54
+"""Key of the filters' own streams among the children of a block's: no block of paths has it."""
 
 BLOCK = 2048
 """Paths in a block of an evaluation, where whole trajectories of all filters are held."""
@@ -58,7 +64,8 @@ def compare(
     bound : float
         A path on which an estimate is beyond it in any component counts as diverged.
     consistency : bool
-        Whether `nees` and `nis` are wanted.
+        Whether `nees` and `nis` are wanted. At each time they are means over the paths on which
+        there is something to compare: not, for a designed filter, after a missing measurement.
     workers : int
         Threads over blocks of paths; errors do not depend on it, the time per step does.
     **options
@@ -73,13 +80,28 @@ def compare(
     TypeError, ValueError
         No filters, arguments that do not fit, or fewer than two paths without divergence.
 
+    Warns
+    -----
+    UserWarning
+        Consistency was wanted and is known at a time on some of the paths only.
+
     Notes
     -----
     Standard errors come from the squared errors of single paths, which are independent; that of
-    a root-mean-square is the one of the mean square divided by twice the root.
+    a root-mean-square is the one of the mean square divided by twice the root. A filter whose
+    `run` takes a `seed` has a stream of its own in every block of 2048 paths, by its place among
+    the filters: the paths are common, the random numbers of two filters are not.
     """
     if not isinstance(filters, Mapping) or not filters:
         raise TypeError("filters: wanted a mapping of names to filters with at least one entry")
+    for name, each in filters.items():
+        if not hasattr(each, "run"):
+            raise TypeError(
+                f"{name}: wanted a filter with run(times, measurements), got a "
+                f"{type(each).__name__}; filters come before the system"
+            )
+    if "measured" not in inspect.signature(getattr(system, "simulate", int)).parameters:
+        require_kind(system, *KINDS)
     times, paths = as_times("times", times), as_count("paths", paths)
     measured = as_measured(_measured(filters, times) if measured is None else measured, len(times))
     if components is not None:
@@ -88,7 +110,7 @@ def compare(
 
     def work(start, stop, stream):
         data = system.simulate(times, stop - start, stream, measured=measured, **options)
-        return _block(filters, data, measured, components, window, bound, consistency)
+        return _block(filters, data, measured, components, window, bound, consistency, stream)
 
     return _summed(
         filters, times, paths, in_blocks(work, paths, seed, workers=workers, block=BLOCK)
@@ -101,8 +123,9 @@ def _measured(filters, times):
     if not wanted:
         return None
     mask = np.zeros(len(times), dtype=bool)
-    for t in np.concatenate(wanted):
-        mask |= np.abs(times - t) <= 1e-9 * max(1.0, abs(t))
+    for known in wanted:
+        rows = Clock(known).rows(times)
+        mask[rows[rows >= 0]] = True
     return mask
 
 
@@ -126,15 +149,17 @@ def _window(given, count):
     return mask
 
 
-def _block(filters, data, measured, components, window, bound, consistency):
+def _block(filters, data, measured, components, window, bound, consistency, stream):
     errors, normalised, seconds, wrong = [], [], [], []
     truth = np.isfinite(data.states).all(axis=(0, 1))
     truth &= ~np.isinf(data.measurements).any(axis=(0, 1))
-    if not truth.all():  # no filter is asked about a path that left the range of numbers
-        data.measurements[..., ~truth] = np.nan
+    if not truth.all():  # what is shown on a path that left the range of numbers is not scored
+        data.measurements[np.ix_(measured, np.ones(data.measurements.shape[1], bool), ~truth)] = 0.0
     astray = []
-    for each in filters.values():
+    for number, each in enumerate(filters.values()):
         wants = _wanted(each, data)
+        if _takes(each, "seed"):
+            wants["seed"] = child(stream, FILTERS, number)
         if consistency and _takes(each, "covariances"):
             wants["covariances"] = True
         begin = time.perf_counter()
@@ -223,8 +248,8 @@ def _summed(filters, times, paths, tallies) -> Comparison:
                 "average_mode_error": float(share[-1]),
                 "average_mode_error_error": float(width[-1]),
             }
-        nees, nees_bounds = _consistency(total.normalised[f], 0)
-        nis, nis_bounds = _consistency(total.normalised[f], 1)
+        nees, nees_bounds = _consistency(total.normalised[f], 0, name, "nees", count)
+        nis, nis_bounds = _consistency(total.normalised[f], 1, name, "nis", count)
         evaluations[name] = Evaluation(
             times=times,
             rms=rms[:-1, :-1],
@@ -251,8 +276,18 @@ def _summed(filters, times, paths, tallies) -> Comparison:
     return Comparison(evaluations, total.mean, cov, count)
 
 
-def _consistency(pair, which):
+def _consistency(pair, which, name, what, paths):
+    """Means over the paths with a covariance, and bounds for the least number of them."""
     if pair is None or pair[which] is None:
         return None, None
     sums, count, freedom = pair[which]
-    return sums / count, bounds(freedom, count)
+    known = count > 0
+    least = int(count[known].min()) if known.any() else paths
+    if least < paths:
+        warnings.warn(
+            f"consistency: {what} of {name!r} is known on {least} of {paths} paths only at some "
+            "times, since measurements are missing; it is the mean over those",
+            stacklevel=4,
+        )
+    mean = np.divide(sums, count, out=np.full(len(sums), np.nan), where=known)
+    return mean, bounds(freedom, least)

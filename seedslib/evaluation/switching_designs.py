@@ -78,7 +78,7 @@ def model_changes(first, second) -> list[tuple[str, str, str]]:
             return [(f"model ({name.replace('_', ' ')})", str(a), str(b))]
     points = probe_points(one, float(first.times[0]), float(first.times[-1]))
     with np.errstate(all="ignore"):
-        reason = difference(probe_switching(one, points), probe_switching(two, points))
+        reason = difference(probe_switching(one, points), probe_switching(two, points), points)
     if not reason:
         return []
     a, b = switching_text(one), switching_text(two)

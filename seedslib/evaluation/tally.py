@@ -83,11 +83,13 @@ def tally(
 
 
 def _sum(values, good):
-    """Sum over the good paths, their number, and the degrees of freedom."""
+    """Sums over the good paths, the numbers of those that are known, degrees of freedom."""
     if values is None:
         return None
     squares, freedom = values
-    return squares[:, good].sum(axis=1), int(np.count_nonzero(good)), freedom
+    squares = squares[:, good]
+    known = ~np.isnan(squares)
+    return np.where(known, squares, 0.0).sum(axis=1), np.count_nonzero(known, axis=1), freedom
 
 
 def merged(a, b) -> Tally:

@@ -14,6 +14,7 @@ from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.predictors import Polynomial
 from seedslib.designed.regression import ABSOLUTE, scatter
 from seedslib.designed.table import OutputFilter, OutputRules, TableFilter
+from seedslib.models.kinds import require_kind
 
 FORECAST = Polynomial(3, 0)
 """How the memory forecasts the state where there is no measurement."""
@@ -101,7 +102,7 @@ def learn(
 
     Parameters
     ----------
-    system : JumpDiffusion
+    system : JumpDiffusion or DiscreteSystem
     memory : Memory
     times : array_like, shape (K+1,)
         Times of the measurements; the first is that of the initial law.
@@ -137,6 +138,7 @@ def learn(
     TypeError, ValueError
         An argument that does not fit.
     """
+    require_kind(system, "JumpDiffusion", "DiscreteSystem")
     draws = as_count("draws", draws)
     regressor = _boosting() if regressor is None else regressor
     if not (hasattr(regressor, "fit") and hasattr(regressor, "predict")):
@@ -166,14 +168,14 @@ def learn(
     rules = OutputRules(
         memory, components, sensor=None, outputs=tuple(outputs), covariances=carriers.covariances
     )
-    return LearnedFilter(
+    return carriers.examined(LearnedFilter(
         system=system, memory=memory, predictor=Learned(type(regressor).__name__, draws),
         linearization=None, times=carriers.times,
         node_times=tuple(s[:-1] for s in carriers.stops),
         components=components, start=Start(system.mean0, system.cov0, None), fits=tuple(ends),
         node_fits=tuple(between), predicted=carriers.prediction(), design=carriers.design(),
         rules=rules,
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def _output(regressor, sensor, t, lesson, components, draws, joint, rng, fitting):

@@ -8,11 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, as_count, in_blocks
-from seedslib.base.checks import as_times
 from seedslib.base.correction import correct
+from seedslib.base.semidefinite import settled
+from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, as_record, require_time, stays
 from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.linearization.points import PointRule
+from seedslib.models.kinds import as_grid, require_kind
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -59,10 +62,15 @@ class CovarianceFilter:
     Raises
     ------
     TypeError, ValueError
-        Something that is no linearization; an unknown integrator; a step or bound that is not
-        positive.
+        Another system, something that is no linearization; an unknown integrator; a step or
+        bound that is not positive.
     NoClosedForm
         The linearization has no formulas for this system; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        A measurement that is uncorrelated with the state wherever that is: it moves no estimate.
     """
 
     def __init__(
@@ -75,6 +83,7 @@ class CovarianceFilter:
             raise ValueError(
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
             )
+        require_kind(system, "JumpDiffusion", "DiscreteSystem")
         self.system, self.linearization, self.integrator = system, linearization, integrator
         self.continuous = hasattr(system, "drift_map")
         self.integration_step = float(getattr(system, "step", 1.0) if step is None else step)
@@ -84,6 +93,9 @@ class CovarianceFilter:
                 raise ValueError(f"{name}: wanted a positive number, got {value}")
         self.n = len(system.mean0)
         self._sensor = linearization.moments(system.sensor)
+        # a rule of points wants a factor of the covariance
+        self._by_points = isinstance(linearization, PointRule)
+        warn_blind(self._sensor, system)
         if self.continuous:
             self._rate = linearization.rate(system)
             advance = INTEGRATORS[integrator]
@@ -119,7 +131,7 @@ class CovarianceFilter:
             return state._replace(time=float(t))
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                mean, cov = self._dynamics(t, state.mean, state.cov)
+                mean, cov = self._dynamics(state.time, state.mean, state.cov)
                 return state._replace(time=float(t), mean=mean, cov=cov)
             rows, columns = np.tril_indices(self.n)
             lower = state.cov[rows, columns]
@@ -148,7 +160,13 @@ class CovarianceFilter:
         require_time(state)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             moments = Moments(*self._sensor(state.time, state.mean, state.cov))
-            return FilterState(state.time, *correct(state.mean, state.cov, y, moments))
+            mean, cov, loglik = correct(
+                state.mean, state.cov, y, moments,
+                noise=lambda: self._sensor(state.time, state.mean, np.zeros_like(state.cov)).cov,
+            )  # fmt: skip
+            if self._by_points:
+                cov = settled(cov, state.cov)
+            return FilterState(state.time, mean, cov, loglik)
 
     def expect(self, state: FilterState) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
@@ -187,7 +205,7 @@ class CovarianceFilter:
         TypeError, ValueError
             Times that do not increase, infinite measurements, shapes that do not fit.
         """
-        times = as_times("times", times)
+        times = as_grid("times", times, self.system)
         y = as_record(measurements, len(times), self.system.sensor.size)
         flat = y.reshape(*y.shape[:2], -1)
         paths, batch = flat.shape[2], y.shape[2:]

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_real, unmasked
 
 
 class Estimates(NamedTuple):
@@ -37,8 +37,17 @@ class Estimates(NamedTuple):
     modes: np.ndarray | None = None
 
 
+def gathered(columns, batch: tuple[int, ...]) -> list:
+    """Results of blocks of paths, a column for each kind, put together along their batch axes.
+
+    A column of None stays None.
+    """
+    whole = (None if c[0] is None else np.concatenate(c, axis=-1) for c in columns)
+    return [None if c is None else c.reshape(*c.shape[:-1], *batch) for c in whole]
+
+
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
-    """Measurements of shape (count, size, *batch); NaN is a missing component.
+    """Measurements of shape (count, size, *batch); NaN, or a mask, is a missing component.
 
     A float64 array is passed on without a copy.
 
@@ -47,7 +56,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = np.asarray(measurements)
+    record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
     if record.dtype != np.float64:
         record = as_real("measurements", measurements, nan=True)
     if record.ndim < 2 or record.shape[:2] != (count, size):
@@ -105,7 +114,7 @@ def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
     TypeError, ValueError
         Other numbers, another shape.
     """
-    numbers = np.asarray(value)
+    numbers = np.asarray(unmasked(name, value))
     if numbers.dtype.kind not in "iu":
         raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
     if numbers.shape != shape:
@@ -114,7 +123,7 @@ def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
 
 
 def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | None:
-    """Indicators of a switching system, whole numbers of the given shape; -1 is a missing one.
+    """Indicators of a switching system, whole numbers in the shape; -1, or a mask, is missing.
 
     Raises
     ------
@@ -128,7 +137,7 @@ def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | 
         return None
     if not system.has_indicator:
         raise ValueError(f"{name}: wanted none, the system has no indicator")
-    seen = as_whole(name, indicators, shape)
+    seen = as_whole(name, unmasked(name, indicators, missing=-1), shape)
     if seen.size and not (seen.min() >= -1 and seen.max() < system.indicators):
         worst = seen.max() if seen.max() >= system.indicators else seen.min()
         raise ValueError(

@@ -6,25 +6,32 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.checks import unmasked
 from seedslib.base.tables import Axis
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
 from seedslib.filters.verbs import run_in_blocks
-from seedslib.filters.weights import relative
+from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chain_switching import SwitchingChain
-from seedslib.models.switching import SwitchingSystem
+from seedslib.models.kinds import require_kind
+
+FAINT = -460.0
+"""Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
 
 BLOCK = 512
 """Records in a block: the laws of a block stay in the processor's cache."""
 
 
 class GridState(NamedTuple):
-    """Law of mode and state on the nodes, (L, S, *batch), and the last estimate.
+    """Law of mode and state on the nodes, and the last estimate.
 
+    ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none is
+    lost however small it becomes; ``law`` (L, S, *batch) is the law of the state in each mode.
     ``mode_prob`` has shape (L, *batch), ``mean`` (1, *batch), ``cov`` (1, 1, *batch);
     ``diverged`` marks the records with a measurement that no node explains.
     """
 
     time: float | None
+    log_prob: np.ndarray
     law: np.ndarray
     mode_prob: np.ndarray
     mean: np.ndarray
@@ -55,8 +62,7 @@ class GridBayesFilter:
     """
 
     def __init__(self, system, x=(-8.0, 8.0, 161)):
-        if not isinstance(system, SwitchingSystem):
-            raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
+        require_kind(system, "SwitchingSystem")
         self.system, self.axis = system, Axis.of("x", x)
         self._chain = SwitchingChain(system, self.axis)
 
@@ -64,10 +70,11 @@ class GridBayesFilter:
         """State before any measurement; `seed` is not used, every filter has the same verbs."""
         shape = (self.system.modes, self.axis.count)
         law = self._chain.start().reshape(*shape, *(1,) * len(batch))
-        law = np.broadcast_to(law, (*shape, *batch))
+        log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
         return GridState(
-            None, law, *self._moments(law), np.zeros(batch), np.zeros(batch, dtype=bool)
-        )
+            None, log_prob, law, *self._moments(log_prob, law), np.zeros(batch),
+            np.zeros(batch, dtype=bool),
+        )  # fmt: skip
 
     def predict(self, state: GridState, t: float) -> GridState:
         """One step of the system, to time t; a state without a time is only given one.
@@ -81,9 +88,27 @@ class GridBayesFilter:
             return state._replace(time=float(t))
         shape = state.law.shape
         move = self._chain.transition(state.time, float(t))
-        law = (move @ state.law.reshape(len(move), -1)).reshape(shape)
-        prob, mean, cov = self._moments(law)
-        return state._replace(time=float(t), law=law, mode_prob=prob, mean=mean, cov=cov)
+        weight, highest, _ = relative(state.log_prob, 0)
+        joint = weight[:, None] * state.law
+        log_prob, law = _split((move @ joint.reshape(len(move), -1)).reshape(shape))
+        faint = log_prob < FAINT
+        log_prob += highest
+        for l in np.flatnonzero(faint.any(axis=tuple(range(1, faint.ndim)))):
+            here = faint[l]
+            log_prob[l, here], law[l][:, here] = self._alone(
+                move, l, state.log_prob[:, here], state.law[:, :, here]
+            )
+        prob, mean, cov = self._moments(log_prob, law)
+        return GridState(float(t), log_prob, law, prob, mean, cov, state.loglik, state.diverged)
+
+    def _alone(self, move, l, log_prob, law):
+        """Logarithm of the probability of the next mode l, and the law in it, formed by itself."""
+        modes, count = self.system.modes, self.axis.count
+        rows = move[l * count : (l + 1) * count].reshape(count, modes, count)
+        masses, parts = _split(np.stack([rows[:, i] @ law[i] for i in range(modes)]))
+        share, highest, lost = relative(log_prob + masses, 0)
+        total, mixed = _split((share[:, None] * parts).sum(axis=0)[None])
+        return np.where(lost, 0.0, highest) + total[0], mixed[0]
 
     def correct(self, state: GridState, y, indicator=None) -> GridState:
         """Weight the law by a measurement.
@@ -102,23 +127,27 @@ class GridBayesFilter:
             A state without a time: `predict` gives it one.
         """
         require_time(state)
-        y = np.asarray(y, dtype=float)
+        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
         shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         seen = y if shown is None else np.concatenate([shown[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            weight = self._chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
-        weight = np.where(np.isfinite(weight), weight, -np.inf)
-        weight = weight.reshape(state.law.shape)
-        weight, highest, lost = relative(weight, (0, 1))
+            score = self._chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
+        score = np.where(np.isfinite(score), score, -np.inf).reshape(state.law.shape)
+        weight, highest, lost = relative(np.moveaxis(score, 1, 0), 0)
+        weight = np.moveaxis(weight, 0, 1)
         weight *= state.law
-        total = weight.sum(axis=(0, 1))
-        lost |= ~(total > 0)
+        evidence, law = _split(weight)
+        each = np.where(lost, -np.inf, highest + evidence) + state.log_prob
+        log_prob, loglik = normalised(each, 0)
+        lost = ~np.isfinite(loglik)
         if lost.any():
-            weight = np.where(lost, state.law, weight)
-        weight /= np.where(lost, 1.0, total)
-        with np.errstate(divide="ignore"):
-            loglik = np.where(lost, -np.inf, highest + np.log(total))
-        return GridState(state.time, weight, *self._moments(weight), loglik, state.diverged | lost)
+            loglik = np.where(lost, -np.inf, loglik)
+            log_prob = np.where(lost, state.log_prob, log_prob)
+        law = np.where((evidence == -np.inf)[:, None] | lost, state.law, law)
+        return GridState(
+            state.time, log_prob, law, *self._moments(log_prob, law), loglik,
+            state.diverged | lost,
+        )  # fmt: skip
 
     def step(self, state: GridState, t: float, y, indicator=None) -> GridState:
         """One step of the system to time t, and the correction there."""
@@ -155,8 +184,21 @@ class GridBayesFilter:
         """
         return run_in_blocks(self, times, measurements, indicators, block=BLOCK, workers=workers)
 
-    def _moments(self, law):
-        prob, marginal, x = law.sum(axis=1), law.sum(axis=0), self.axis.nodes
-        mean = np.tensordot(x, marginal, 1)
-        variance = np.tensordot(x**2, marginal, 1) - mean**2
-        return prob, mean[None], np.maximum(variance, 0.0)[None, None]
+    def _moments(self, log_prob, law):
+        prob, x = np.exp(log_prob), self.axis.nodes
+        marginal = np.einsum("l...,ls...->s...", prob, law)
+        # about a node, so that no digits are lost far from the origin
+        apart = x - x[len(x) // 2]
+        shift = np.tensordot(apart, marginal, 1)
+        centred = apart.reshape(-1, *(1,) * shift.ndim) - shift
+        return prob, (shift + x[len(x) // 2])[None], (centred**2 * marginal).sum(axis=0)[None, None]
+
+
+def _split(joint):
+    """Logarithms of the masses of the modes (L, *batch), and the law in each, from (L, S, *batch).
+
+    The law of a mode without mass is zero.
+    """
+    mass = joint.sum(axis=1)
+    law = joint / np.where(mass > 0, mass, 1.0)[:, None]
+    return logarithm(mass), law

@@ -7,12 +7,14 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_times
+from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
+from seedslib.base.semidefinite import settled
 from seedslib.filters.estimates import Estimates, as_indicators, as_record, require_time, stays
 from seedslib.filters.verbs import as_modes
 from seedslib.linearization.moments import Gaussian, Linearization
-from seedslib.models.switching import SwitchingSystem
+from seedslib.linearization.points import PointRule
+from seedslib.models.kinds import as_grid, require_kind
 
 
 class KnownModeState(NamedTuple):
@@ -48,8 +50,7 @@ class KnownModeFilter:
     """
 
     def __init__(self, system, linearization=None):
-        if not isinstance(system, SwitchingSystem):
-            raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
+        require_kind(system, "SwitchingSystem")
         if linearization is None:
             from seedslib.linearization.symbolic import Taylor
 
@@ -128,7 +129,7 @@ class KnownModeFilter:
             A state without a time: `predict` gives it one.
         """
         require_time(state)
-        y = np.asarray(y, dtype=float)
+        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
         shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
@@ -142,7 +143,13 @@ class KnownModeFilter:
                     moments = self._sensors[i](state.time, *prior)
                 else:
                     _, prior, moments = reading(state.time, *prior)
-                *found, loglik[here] = correct(*prior, y[:, here], moments)
+                plain, still = self._sensors[i], np.zeros_like(prior[1])
+                *found, loglik[here] = correct(
+                    *prior, y[:, here], moments,
+                    noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
+                )  # fmt: skip
+                if isinstance(self.linearization, PointRule):
+                    found[1] = settled(found[1], prior[1])
                 _put(mean, cov, here, found)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
@@ -177,7 +184,7 @@ class KnownModeFilter:
             Times that do not increase, infinite measurements, shapes that do not fit, modes out
             of range or switches that never happen.
         """
-        times = as_times("times", times)
+        times = as_grid("times", times, self.system)
         y = as_record(measurements, len(times), self.system.measurement_size)
         batch, count = y.shape[2:], len(times)
         modes = as_modes("modes", modes, (count, *batch), self.system.modes)

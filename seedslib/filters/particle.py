@@ -7,9 +7,11 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
+from seedslib.base.checks import unmasked
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
 from seedslib.filters.verbs import run_in_blocks
 from seedslib.filters.weights import relative
+from seedslib.models.kinds import require_sampled
 
 
 class ParticleState(NamedTuple):
@@ -50,10 +52,11 @@ class ParticleFilter:
     Raises
     ------
     TypeError, ValueError
-        A count below one, or a sensor without a log-density.
+        Another system, a count below one, or a sensor without a log-density.
     """
 
     def __init__(self, system, particles=1000, **options):
+        require_sampled(getattr(system, "hybrid", system))
         self.system, self.options = system, options
         self.particles = as_count("particles", particles)
         self._modes = getattr(system, "modes", None)
@@ -100,7 +103,8 @@ class ParticleFilter:
             A state without a time: `predict` gives it one.
         """
         require_time(state)
-        y, x = np.asarray(y, dtype=float), state.particles
+        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        x = state.particles
         shown = None
         if self._modes is not None:
             shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")

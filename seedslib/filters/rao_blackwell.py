@@ -7,26 +7,28 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
+from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
 from seedslib.filters.mixture import mix
 from seedslib.filters.particle import choose, stream
 from seedslib.filters.verbs import run_in_blocks
-from seedslib.filters.weights import relative
-from seedslib.models.switching import SwitchingSystem
+from seedslib.filters.weights import logarithm, normalised
+from seedslib.models.kinds import require_kind
 
 
 class RaoBlackwellState(NamedTuple):
     """Histories of modes with their weights and Gaussian laws, and the last estimate.
 
-    Each of P drawn histories is continued by every mode, so for ``prob`` (L, P, *batch), ``law``
+    Each of P drawn histories is continued by every mode, so for the logarithms of their
+    probabilities ``log_prob`` (L, P, *batch), ``law``
     = means (n, L, P, *batch) and covariances (n, n, L, P, *batch) the mode of the present is the
     first of the two axes. ``seed`` and ``draws`` fix the random numbers that come next.
     ``mode_prob`` has shape (L, *batch).
     """
 
     time: float | None
-    prob: np.ndarray
+    log_prob: np.ndarray
     law: tuple
     seed: np.random.SeedSequence
     draws: int
@@ -72,9 +74,8 @@ class RaoBlackwellFilter:
         """State before any measurement: one history for each mode of the start."""
         modes, n, parts = self.system.modes, self.system.state_size, self.system.initial
         tail = (1,) * (1 + len(batch))
-        prob = np.broadcast_to(
-            self.system.initial_probabilities.reshape(-1, *tail), (modes, 1, *batch)
-        )
+        prob = logarithm(self.system.initial_probabilities)
+        prob = np.broadcast_to(prob.reshape(-1, *tail), (modes, 1, *batch))
         mean = np.stack([part.mean for part in parts], axis=1).reshape(n, modes, *tail)
         cov = np.stack([part.cov for part in parts], axis=2).reshape(n, n, modes, *tail)
         law = (
@@ -96,8 +97,8 @@ class RaoBlackwellFilter:
         """
         if stays(state, t):
             return state._replace(time=float(t))
-        modes, n, batch = self.system.modes, self.system.state_size, state.prob.shape[2:]
-        prob = state.prob.reshape(-1, *batch)
+        modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
+        prob = state.log_prob.reshape(-1, *batch)
         count = len(prob)
         mean = state.law[0].reshape(n, count, *batch)
         cov = state.law[1].reshape(n, n, count, *batch)
@@ -106,28 +107,34 @@ class RaoBlackwellFilter:
         )
         draws = state.draws
         if count > self.particles:
-            chosen = choose(prob, self.particles, stream(state.seed, draws))
+            chosen = choose(np.exp(prob), self.particles, stream(state.seed, draws))
             mean, cov = (_taken(part, chosen) for part in (mean, cov))
             mode = np.take_along_axis(mode, chosen, axis=0)
-            prob = np.full(mode.shape, 1.0 / self.particles)
+            prob = np.full(mode.shape, -np.log(self.particles))
             draws += 1
         moved, spread = np.empty(mean.shape), np.empty(cov.shape)
-        leave = np.zeros((modes, *prob.shape))
+        leave = np.full((modes, *prob.shape), -np.inf)
         for i, row in enumerate(self.system.branches):
             here = mode == i
             y, square = self._move[i](state.time, mean[:, here], cov[:, :, here])
             moved[:, here], spread[:, :, here] = y, _wide(square, y)
             for l, branch in enumerate(row):
                 if branch is not None:
-                    leave[l, here] = _chance(branch, state.time, n)
+                    leave[l, here] = logarithm(_chance(branch, state.time, n))
         law = (
             np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
             np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
         )
-        prob = prob * leave
+        prob = prob + leave
         mean, cov, mode_prob = _estimate(prob, law)
         return state._replace(
-            time=float(t), prob=prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
+            time=float(t),
+            log_prob=prob,
+            law=law,
+            draws=draws,
+            mean=mean,
+            cov=cov,
+            mode_prob=mode_prob,
         )
 
     def correct(self, state: RaoBlackwellState, y, indicator=None) -> RaoBlackwellState:
@@ -147,26 +154,28 @@ class RaoBlackwellFilter:
             A state without a time: `predict` gives it one.
         """
         require_time(state)
-        y, n, t = np.asarray(y, dtype=float), self.system.state_size, state.time
+        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        n, t = self.system.state_size, state.time
         shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         mean, cov = (np.empty(part.shape) for part in state.law)
-        score = np.empty(state.prob.shape)
+        score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
             prior = state.law[0][:, i], state.law[1][:, :, i]
-            mean[:, i], square, score[i] = correct(*prior, y[:, None], sense(t, *prior))
+            mean[:, i], square, score[i] = correct(
+                *prior, y[:, None], sense(t, *prior),
+                noise=lambda f=sense, m=prior[0], d=prior[1]: f(t, m, np.zeros_like(d)).cov,
+            )  # fmt: skip
             cov[:, :, i] = _wide(square, mean[:, i])
             if shown is not None:
                 chances = [0.0 if b is None else _chance(b, t, n) for b in self.system.readings[i]]
-                with np.errstate(divide="ignore"):  # the last entry is that of a missing one
-                    score[i] += np.log([*chances, 1.0])[shown]
-        known = np.where(state.prob > 0, score, -np.inf)
-        weight, highest, lost = relative(known, (0, 1))
-        weight = np.where(lost, 1.0, weight) * state.prob
-        total = weight.sum(axis=(0, 1))
-        prob, law = weight / total, (mean, cov)
-        loglik = np.where(lost, -np.inf, highest + np.log(total))
+                score[i] += logarithm([*chances, 1.0])[shown]  # the last one is that of a missing
+        known = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
+        prob, loglik = normalised(known, (0, 1))
+        lost, law = ~np.isfinite(loglik), (mean, cov)
+        if lost.any():  # no history explains the measurement: keep what was forecast
+            prob, loglik = np.where(lost, state.log_prob, prob), np.where(lost, -np.inf, loglik)
         return state._replace(
-            prob=prob, law=law, loglik=loglik, diverged=state.diverged | lost,
+            log_prob=prob, law=law, loglik=loglik, diverged=state.diverged | lost,
             **dict(zip(("mean", "cov", "mode_prob"), _estimate(prob, law), strict=True)),
         )  # fmt: skip
 
@@ -218,8 +227,7 @@ def require_jump_linear(system) -> None:
     TypeError, ValueError
         What is missing is named.
     """
-    if not isinstance(system, SwitchingSystem):
-        raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
+    require_kind(system, "SwitchingSystem")
     for name, maps, table, odds in (
         ("dynamics", system.dynamics, system.branches, "switching"),
         ("sensor", system.sensors, system.readings, "indicator"),
@@ -268,7 +276,7 @@ def _taken(part, chosen):
 
 def _estimate(prob, law):
     """Mean, covariance and mode probabilities of a weighted mixture."""
-    batch, n = prob.shape[2:], len(law[0])
+    prob, batch, n = np.exp(prob), prob.shape[2:], len(law[0])
     found = mix(
         prob.reshape(-1, *batch), law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
     )

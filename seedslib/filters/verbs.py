@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record, as_whole
+from seedslib.filters.weights import most_probable
+from seedslib.models.kinds import as_grid
 
 
 def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np.ndarray:
@@ -22,11 +23,6 @@ def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np
     if bad.any():
         raise ValueError(f"{name}: wanted numbers from 0 to {count - 1}, got {modes[bad][0]}")
     return modes
-
-
-def decided(mode_prob: np.ndarray) -> np.ndarray:
-    """Most probable mode (*batch), the first of equal ones, from (L, *batch): (3.1)."""
-    return mode_prob.argmax(axis=0)
 
 
 def run_in_blocks(
@@ -48,7 +44,7 @@ def run_in_blocks(
     -------
     Estimates
     """
-    times = as_times("times", times)
+    times = as_grid("times", times, filter.system)
     system = filter.system
     switching = hasattr(system, "modes")
     size = system.measurement_size if switching else system.sensor.size
@@ -77,5 +73,5 @@ def run_in_blocks(
     mean, cov, loglik, *prob, diverged = joined
     found = Estimates(mean, cov, loglik=loglik, diverged=diverged)
     if switching:
-        found = found._replace(mode_prob=prob[0], modes=decided(prob[0].swapaxes(0, 1)))
+        found = found._replace(mode_prob=prob[0], modes=most_probable(prob[0], axis=1))
     return found

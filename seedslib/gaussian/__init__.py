@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     )
     from seedslib.gaussian.errors.functions import abs_errors as abs_errors
     from seedslib.gaussian.errors.functions import abs_moments as abs_moments
-    from seedslib.gaussian.errors.functions import max_errors as max_errors
-    from seedslib.gaussian.errors.functions import max_moments as max_moments
     from seedslib.gaussian.errors.functions import sine_errors as sine_errors
     from seedslib.gaussian.errors.functions import sine_moments as sine_moments
+    from seedslib.gaussian.errors.maximum import max_errors as max_errors
+    from seedslib.gaussian.errors.maximum import max_moments as max_moments
     from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
     from seedslib.gaussian.means.norm import norm_errors as norm_errors
     from seedslib.gaussian.means.norm import norm_mean as norm_mean

@@ -6,11 +6,19 @@ from collections.abc import Callable
 
 import numpy as np
 
-from seedslib.base.checks import ASYMMETRY, NEGATIVE_EIGENVALUE, as_covariance, as_real
+from seedslib.base.checks import (
+    ASYMMETRY,
+    as_covariance,
+    as_real,
+    require_one_size,
+    require_semidefinite,
+)
 
 
-def gaussian_arguments(mean: object, cov: object) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n, ...) and covariance (n, n) or (n, n, ...), checked.
+def gaussian_arguments(
+    mean: object, cov: object, size: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n, ...) and covariance (n, n) or (n, n, ...), checked; n is `size` where it is known.
 
     Raises
     ------
@@ -21,7 +29,11 @@ def gaussian_arguments(mean: object, cov: object) -> tuple[np.ndarray, np.ndarra
     if mean.ndim == 0 or mean.shape[0] == 0:
         raise ValueError(f"mean: wanted shape (n, ...), got {mean.shape}")
     n = mean.shape[0]
+    if size not in (None, n):
+        raise ValueError(f"mean: wanted {size} components, got shape {mean.shape}")
     array = as_real("cov", cov)
+    if size is None:
+        require_one_size("mean, cov", mean, array)
     if array.ndim == 2:
         return mean, as_covariance("cov", array, n)
     if array.ndim < 2 or array.shape[:2] != (n, n):
@@ -40,12 +52,7 @@ def gaussian_arguments(mean: object, cov: object) -> tuple[np.ndarray, np.ndarra
     if (asymmetry > ASYMMETRY * scale).any():
         raise ValueError(f"cov: wanted symmetric matrices, got asymmetry {asymmetry.max():.3g}")
     array = 0.5 * (array + swapped)
-    values = np.linalg.eigvalsh(np.moveaxis(array, (0, 1), (-2, -1)))
-    low = values[..., 0] + NEGATIVE_EIGENVALUE * np.maximum(values[..., -1], 0.0)
-    if (low < -1e-300).any():
-        raise ValueError(
-            f"cov: wanted positive semidefinite matrices, got eigenvalue {values.min():.6g}"
-        )
+    require_semidefinite("cov", np.moveaxis(array, (0, 1), (-2, -1)))
     return mean, array
 
 

@@ -66,7 +66,9 @@ class PointRule(Linearization):
             noise = map.noise if given is None else None
             unit, root, x, v, weights, centred = self._points(mean, cov, size, noise)
             y = map.value(t, x, v) if given is None else given.mean(t, x)
-            h = np.einsum("is...,s->i...", y, weights)
+            # about one of the values, so that equal ones are exactly their mean
+            start = y[:, :1]
+            h = start[:, 0] + np.einsum("is...,s->i...", y - start, weights)
             apart = y - h[:, None]
             slope = np.einsum("js,is...,s->ji...", unit[:n], apart, centred)
             cross = np.einsum("kj...,ji...->ki...", root, slope)

@@ -6,6 +6,7 @@ from functools import cached_property
 
 import numpy as np
 
+from seedslib.base.checks import unmasked
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import HERMITE_ORDER, hermite_nodes
 
@@ -117,7 +118,8 @@ class Branch:
             determined by the measurement although the probability depends on it.
         """
         plain = self.whole.log_density(t, y, x)
-        y, x = np.asarray(y, dtype=float), np.asarray(x, dtype=float)
+        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        x = np.asarray(x, dtype=float)
         with np.errstate(divide="ignore"):
             if not self.depends_on_noise:
                 return plain + np.log(self.probability(t, x))

@@ -7,6 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from seedslib.base.clock import lengths_alike
 from seedslib.base.tables import Axis
 
 OUTSIDE = 1e-6
@@ -117,7 +118,7 @@ class FellerChain:
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {start:g}, got {stop:g}")
         steady = self._steady(start, stop)
-        key = round(stop - start, 12) if steady else (start, stop)
+        key = float(lengths_alike(stop - start)) if steady else (start, stop)
         if key not in self._known:
             if steady:
                 found = self._exponential(start, stop)

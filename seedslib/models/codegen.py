@@ -9,13 +9,16 @@ processor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import count
 
 import numpy as np
 import sympy
 from sympy.codegen.rewriting import create_expand_pow_optimization
+from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
 from seedslib.base.correction import joint_shape
+from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 
 LARGEST_POWER = 40
 
@@ -42,11 +45,21 @@ class _Printer(SciPyPrinter):
 def fold(expression):
     """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
     numbers = {
-        part: sympy.Float(float(part))
+        part: sympy.Float(_in_range(part))
         for part in sympy.preorder_traversal(expression)
         if part.is_number and part.is_real and not part.is_Rational
     }
     return expression.xreplace(numbers)
+
+
+def _in_range(constant) -> float:
+    try:
+        value = float(constant)
+    except OverflowError:
+        value = np.inf
+    if not np.isfinite(value):
+        raise ValueError(f"expressions: wanted numbers in the range of float64, got {constant}")
+    return value
 
 
 def _share(expressions, named=()):
@@ -84,19 +97,16 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     Raises
     ------
     TypeError
-        An entry that SymPy cannot take as an expression.
+        An entry that is a string, or that SymPy cannot take as an expression.
     """
     if isinstance(value, sympy.MatrixBase):
         value = value.tolist()
     try:
         array = np.array(value, dtype=object)
-        flat = [sympy.sympify(entry, strict=True) for entry in array.ravel()]
-    except (sympy.SympifyError, ValueError) as error:
+    except ValueError as error:
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
-    if not all(isinstance(entry, sympy.Expr) for entry in flat):
-        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}")
     result = np.empty(array.shape, dtype=object)
-    result.ravel()[:] = flat
+    result.ravel()[:] = [as_expression(name, entry) for entry in array.ravel()]
     return result
 
 
@@ -110,14 +120,15 @@ def known_expressions(name, value, shape, values, allowed) -> np.ndarray:
     value : nested sequence of SymPy expressions
     shape : tuple of int or None
         Wanted lengths; None leaves one free.
-    values : mapping
-        Values of the parameters.
+    values : dict
+        Values of the parameters, from `seedslib.base.symbols.parameter_values`.
     allowed : set of SymPy symbols
 
     Raises
     ------
     TypeError, ValueError
-        No expressions, another shape, or an unknown symbol.
+        No expressions, another shape, an unknown symbol, a parameter that is one of `allowed`,
+        or no finite real number.
     """
     array = as_expressions(name, value)
     if array.ndim != len(shape) or any(
@@ -125,11 +136,11 @@ def known_expressions(name, value, shape, values, allowed) -> np.ndarray:
     ):
         wanted = ", ".join("any" if s is None else str(s) for s in shape)
         raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
+    require_distinct(model=allowed, parameters=values)
     array.ravel()[:] = [entry.subs(values) for entry in array.ravel()]
-    unknown = set().union(*(e.free_symbols for e in array.ravel())) - set(allowed)
-    if unknown:
-        names = ", ".join(sorted(map(str, unknown)))
-        raise ValueError(f"{name}: wanted known symbols, got {names}; see parameters")
+    require_known(name, array.ravel(), allowed, "; see parameters")
+    for entry in array.ravel():
+        require_number(name, entry)
     return array
 
 
@@ -187,22 +198,18 @@ def compile_components(
     Raises
     ------
     ValueError
-        A symbol that is not among the arguments.
+        A symbol that is not among the arguments, or a function that has no NumPy code.
     """
     arguments = [tuple(a) if isinstance(a, Sequence | np.ndarray) else a for a in arguments]
     listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
     known = {*listed, *(name for name, _ in named)}
-    expressions = [sympy.sympify(e) for e in expressions]
-    parts = [*expressions, *(part for _, part in named)]
-    unknown = sorted(set().union(*(e.free_symbols for e in parts)) - known, key=str)
-    if unknown:
-        names = ", ".join(map(str, unknown))
-        raise ValueError(f"expressions: wanted only symbols of the model, got {names}")
+    expressions = [as_expression("expressions", e) for e in expressions]
+    require_known("expressions", [*expressions, *(part for _, part in named)], known)
     # lambdify would rename dummies, which makes powers of the products again
+    taken = {str(s) for s in known if not isinstance(s, sympy.Dummy)}
+    free = (name for k in count() if (name := f"u{k}_") not in taken)
     plain = {
-        s: sympy.Symbol(f"u{k}_", **s.assumptions0)
-        for k, s in enumerate(listed)
-        if isinstance(s, sympy.Dummy)
+        s: sympy.Symbol(next(free), **s.assumptions0) for s in listed if isinstance(s, sympy.Dummy)
     }
     arguments = [
         tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
@@ -211,13 +218,32 @@ def compile_components(
     expressions = [e.xreplace(plain) for e in expressions]
     named = [(name, part.xreplace(plain)) for name, part in named]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
-    return sympy.lambdify(
-        arguments,
-        expressions,
-        modules=["scipy", "numpy"],
-        printer=printer,
-        cse=lambda parts: _share(parts, named),
-    )
+    try:
+        return sympy.lambdify(
+            arguments,
+            expressions,
+            modules=["scipy", "numpy"],
+            printer=printer,
+            cse=lambda parts: _share(parts, named),
+        )
+    except (PrintMethodNotImplementedError, ValueError):
+        _require_code(printer, [*expressions, *(part for _, part in named)])
+        raise
+
+
+def _require_code(printer, expressions) -> None:
+    """Name the first part of the expressions that has no NumPy code."""
+    for expression in expressions:
+        for part in sympy.postorder_traversal(expression):
+            try:
+                if isinstance(part, sympy.Expr):
+                    printer.doprint(part)
+            except (PrintMethodNotImplementedError, ValueError):
+                raise ValueError(
+                    f"expressions: wanted functions with NumPy code, got {part} in {expression}; "
+                    "where it is the derivative of a step (sign, Heaviside, floor, Mod), take a "
+                    "rule with points such as Unscented or GaussHermite"
+                ) from None
 
 
 def batch_shape(*arguments: object) -> tuple[int, ...]:

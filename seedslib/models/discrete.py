@@ -14,12 +14,15 @@ from seedslib.models.simulation import Simulation, simulate
 
 @dataclass(frozen=True, eq=False)
 class DiscreteSystem:
-    """X_k = f(t_k, X_{k-1}, W_k), Y_k = h(t_k, X_k, V_k).
+    """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
+
+    The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
+    sensor at the time of the measurement.
 
     Parameters
     ----------
     dynamics : StochasticMap
-        Evaluated at the time it leads to; one application per step of the time grid.
+        f, evaluated at the time it leaves; one application per step of the time grid.
     sensor : StochasticMap
     mean0, cov0 : array_like, shapes (n,) and (n, n)
         Moments of the initial law, Gaussian unless `initial` is given.
@@ -29,7 +32,8 @@ class DiscreteSystem:
     Raises
     ------
     TypeError, ValueError
-        Maps of different states, a covariance that is not semidefinite.
+        Maps of different states, a state of one map that is a noise of the other, a covariance
+        that is not semidefinite.
     """
 
     dynamics: StochasticMap
@@ -47,6 +51,7 @@ class DiscreteSystem:
                 f"dynamics, sensor: wanted maps of a state of {n} components, got "
                 f"{self.dynamics.state_size} and {self.sensor.state_size}"
             )
+        self._require_names()
         mean0 = as_shape("mean0", self.mean0, (n,))
         cov0 = as_covariance("cov0", self.cov0, n)
         law = Noise(n, mean0, cov0, self.initial)
@@ -55,13 +60,22 @@ class DiscreteSystem:
         ):
             object.__setattr__(self, name, value)
 
+    def _require_names(self):
+        maps = [map for map in (self.dynamics, self.sensor) if map.symbolic]
+        if maps:
+            from seedslib.base.symbols import require_distinct
+
+            parts = ([m.state for m in maps], [m.noise.symbols for m in maps])
+            state, noise = (dict.fromkeys(s for part in group for s in part) for group in parts)
+            require_distinct(state=state, noise=noise)
+
     def initial_sample(self, rng, count) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
         return self.law.draw(rng, count)
 
     def advance(self, x, start, stop, rng) -> np.ndarray:
-        """States of shape (n, *batch) one step later, at time `stop`."""
-        return self.dynamics.sample(stop, x, rng)
+        """States of shape (n, *batch) one step later; the dynamics are those of time `start`."""
+        return self.dynamics.sample(start, x, rng)
 
     def simulate(self, times, paths, seed, *, measured=None, workers=1) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""

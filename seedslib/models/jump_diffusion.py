@@ -6,9 +6,9 @@ from functools import cached_property
 
 import numpy as np
 
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.checks import as_covariance, as_shape
 from seedslib.models.maps import StochasticMap, Travelling
-from seedslib.models.noise import Noise
+from seedslib.models.noise import Noise, named_noise
 from seedslib.models.rates import closed_rates, numeric_rates
 from seedslib.models.simulation import Simulation, simulate
 from seedslib.models.stepping import SCHEMES, advance, compiled_increment
@@ -61,25 +61,25 @@ class JumpDiffusion(Travelling):
     Raises
     ------
     TypeError, ValueError
-        Shapes that do not fit, unknown symbols, covariances that are not semidefinite.
+        Shapes that do not fit, unknown symbols, one symbol with two meanings, covariances that
+        are not semidefinite.
     """
 
     def __init__(
         self, state, drift, diffusion, sensor, noise, mean0, cov0, *, intensity=0, jump=None,
         marks=None, parameters=None, initial=None, step=0.01, time=None,
     ):  # fmt: skip
-        import sympy
-
+        from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
-        self.state = tuple(state)
-        self.time = sympy.Symbol("t") if time is None else time
-        values = {} if parameters is None else dict(parameters)
+        noise, marks = named_noise("noise", noise), named_noise("marks", marks)
+        names = {"noise": noise.symbols, "marks": marks.symbols}
+        self.state, self.time, values = named_model(state, time, parameters, **names)
 
         def expressions(name, value, shape):
             allowed = {self.time, *self.state}
             if name in ("sensor", "jump"):
-                allowed |= set((noise if name == "sensor" else marks).symbols)
+                allowed |= set(names["noise" if name == "sensor" else "marks"])
             return known_expressions(name, value, shape, values, allowed)
 
         n = len(self.state)
@@ -88,7 +88,6 @@ class JumpDiffusion(Travelling):
         self.intensity_expression = expressions("intensity", intensity, ())[()]
         if (jump is None) != (self.intensity_expression == 0):
             raise ValueError("jump, intensity: wanted both or neither, got one")
-        marks = Noise() if marks is None else marks
         self.jump = None
         if jump is not None:
             self.jump = self._map(expressions("jump", jump, (n,)), marks)
@@ -126,7 +125,7 @@ class JumpDiffusion(Travelling):
         if (jump is None) != (intensity is None):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.sensor, self.jump = sensor, jump
-        mean0 = as_real("mean0", mean0, ndim=1)
+        mean0 = as_shape("mean0", mean0, (sensor.state_size,))
         n, probe = len(mean0), np.tile(mean0[:, None], 3)
         as_shape("drift", drift(0.0, probe), (n, 3))
         found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.correction import correct
-from seedslib.models.noise import HERMITE_ORDER, Noise, hermite_nodes
+from seedslib.models.missing import told
+from seedslib.models.noise import HERMITE_ORDER, Noise, hermite_nodes, named_noise
 
 __all__ = ["Conditional", "Noise", "StochasticMap"]
 
@@ -62,23 +63,32 @@ class StochasticMap(Travelling):
     TypeError
         Entries that are not SymPy expressions.
     ValueError
-        Symbols other than the state, the noise and the time.
+        Symbols other than the state, the noise and the time, or one symbol as two of them; an
+        expression without a finite value.
     """
 
     def __init__(self, state, value, noise=None, weight=1, *, time=None):
         import sympy
 
+        from seedslib.base.symbols import (
+            as_expression,
+            as_symbols,
+            require_distinct,
+            require_number,
+        )
         from seedslib.models.codegen import as_expressions
 
-        self.state = tuple(state)
-        self.noise = Noise() if noise is None else noise
-        if self.noise.symbols is None:
-            raise ValueError("noise: wanted named components for a symbolic map, got a number")
+        self.noise = named_noise("noise", noise)
         self.time = sympy.Symbol("t") if time is None else time
+        self.state = as_symbols("state", state)
+        require_distinct(state=self.state, noise=self.noise.symbols, time=(self.time,))
         self.expressions = as_expressions("value", value)
         if self.expressions.ndim != 1:
             raise ValueError(f"value: wanted a vector, got shape {self.expressions.shape}")
-        self.weight_expression = sympy.sympify(weight)
+        self.weight_expression = as_expression("weight", weight)
+        for name, parts in (("value", self.expressions), ("weight", (self.weight_expression,))):
+            for part in parts:
+                require_number(name, part)
         self.state_size, self.size = len(self.state), len(self.expressions)
         self._log_density = None
         self._compile()
@@ -104,7 +114,8 @@ class StochasticMap(Travelling):
             Conditional moments ``mean(t, x) -> (size, *batch)``, ``cov(t, x) -> (size, size,
             *batch)``; where absent, points are laid in the joint space of x and v.
         log_density : callable, optional
-            ``log_density(t, y, x) -> (*batch)``.
+            ``log_density(t, y, x) -> (*batch)``; it is asked about measurements with a missing
+            (NaN) component, never believed about those that are missing altogether.
         """
         self = object.__new__(cls)
         self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
@@ -300,10 +311,11 @@ class StochasticMap(Travelling):
         Raises
         ------
         ValueError
-            There is no closed form: the noise enters nonlinearly or is not Gaussian.
+            There is no closed form: the noise enters nonlinearly or is not Gaussian. A part of a
+            measurement is missing and the given log-density cannot do without it.
         """
         if self._log_density is not None:
-            return self._log_density(t, y, x)
+            return told(self._log_density, t, y, x)
         if not self.has_log_density:
             raise ValueError(
                 "log_density: wanted y affine in Gaussian noise or a given log_density, "

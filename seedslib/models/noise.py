@@ -23,7 +23,7 @@ def hermite_nodes(size: int, order: int) -> tuple[np.ndarray, np.ndarray]:
     return rule.points, rule.weights
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Noise:
     """A random vector that enters a map.
 
@@ -42,7 +42,7 @@ class Noise:
     Raises
     ------
     TypeError, ValueError
-        Shapes that do not fit or a covariance that is not positive semidefinite.
+        Repeated symbols, shapes that do not fit or a covariance that is not positive semidefinite.
     """
 
     symbols: Sequence | int = ()
@@ -56,11 +56,14 @@ class Noise:
         if isinstance(self.symbols, int):
             symbols, size = None, self.symbols
         else:
-            symbols = tuple(self.symbols)
+            symbols = _named(self.symbols)
             size = len(symbols)
         if size < 0:
             raise ValueError(f"symbols: wanted a nonnegative number of components, got {size}")
-        mean = np.broadcast_to(as_real("mean", self.mean), (size,)).copy()
+        mean = as_real("mean", self.mean)
+        if mean.ndim > 1 or mean.size not in (1, size):
+            raise ValueError(f"mean: wanted a number or shape ({size},), got {mean.shape}")
+        mean = np.broadcast_to(mean, (size,)).copy()
         cov = np.eye(size) if self.cov is None else as_covariance("cov", self.cov, size)
         if self.sample is not None and not callable(self.sample):
             raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
@@ -69,6 +72,19 @@ class Noise:
             ("root", factor(cov)),
         ):  # fmt: skip
             object.__setattr__(self, name, value)
+
+    def __eq__(self, other: object) -> bool:
+        """Whether names, moments and sampler are the same."""
+        if not isinstance(other, Noise):
+            return NotImplemented
+        return (
+            (self.symbols, self.size, self.sample) == (other.symbols, other.size, other.sample)
+            and np.array_equal(self.mean, other.mean)
+            and np.array_equal(self.cov, other.cov)
+        )
+
+    def __hash__(self) -> int:
+        return hash((self.symbols, self.size, *self.mean.tolist(), *self.cov.ravel().tolist()))
 
     @property
     def gaussian(self) -> bool:
@@ -93,14 +109,16 @@ class Noise:
             Neither of degree two in the noise nor (for Gaussian noise) of the class of
             `seedslib.gaussian.expectation`.
         """
-        import sympy
+        from seedslib.base.symbols import as_expression
 
-        expression = sympy.sympify(expression)
+        expression = as_expression("expression", expression)
         if not expression.free_symbols & set(self.symbols):
             return expression
         polynomial = expression.as_poly(*self.symbols)
         if polynomial is not None and polynomial.total_degree() <= 2:
             return self._quadratic_mean(polynomial)
+        from sympy import Matrix
+
         from seedslib.gaussian.means.classes import NoClosedForm
         from seedslib.gaussian.means.symbolic import mean_expression
         from seedslib.models.codegen import real_part
@@ -111,8 +129,7 @@ class Noise:
                 "closed form; use GaussHermite or another rule with points"
             )
         others = tuple(expression.free_symbols - set(self.symbols))
-        mean, cov = self.mean.tolist(), self.cov.tolist()
-        cov = sympy.Matrix(cov)
+        mean, cov = self.mean.tolist(), Matrix(self.cov.tolist())
         return real_part(mean_expression(expression, self.symbols, mean, cov, parameters=others))
 
     def _quadratic_mean(self, polynomial):
@@ -126,6 +143,32 @@ class Noise:
                 moment = self.mean[used[0]] if len(used) == 1 else second[used[0], used[1]]
                 total += coefficient * _tidy(moment)
         return total
+
+
+def named_noise(name: str, noise: Noise | None) -> Noise:
+    """The noise of a symbolic map, without components where there is None.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No noise, or one whose components have no names.
+    """
+    noise = Noise() if noise is None else noise
+    if not isinstance(noise, Noise):
+        raise TypeError(f"{name}: wanted a Noise, got {noise!r}")
+    if noise.symbols is None:
+        raise ValueError(f"{name}: wanted named components for a symbolic map, got a number")
+    return noise
+
+
+def _named(symbols) -> tuple:
+    """Distinct symbols; a noise without components needs no SymPy."""
+    if not isinstance(symbols, tuple | list) or symbols:
+        from seedslib.base.symbols import as_symbols, require_distinct
+
+        symbols = as_symbols("symbols", symbols)
+        require_distinct(symbols=symbols)
+    return tuple(symbols)
 
 
 def _tidy(number: float):

@@ -8,6 +8,8 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
+from seedslib.base.clock import lengths_alike
+
 RTOL = 1e-11
 ATOL = 1e-14
 
@@ -193,7 +195,5 @@ def distinct_steps(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         Shape (K,), ``lengths[index]`` are the steps.
     """
     steps = np.diff(times)
-    mantissa, exponent = np.frexp(steps)
-    rounded = np.ldexp(np.round(mantissa * 2.0**39), exponent - 39)
-    _, first, index = np.unique(rounded, return_index=True, return_inverse=True)
+    _, first, index = np.unique(lengths_alike(steps), return_index=True, return_inverse=True)
     return steps[first], index

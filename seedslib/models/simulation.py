@@ -12,7 +12,8 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import as_count, in_blocks
-from seedslib.base.checks import as_times
+from seedslib.base.checks import unmasked
+from seedslib.models.kinds import as_grid
 
 
 class Simulation(NamedTuple):
@@ -45,7 +46,7 @@ def as_measured(measured: object, count: int) -> np.ndarray:
     """
     if measured is None:
         return np.ones(count, dtype=bool)
-    given = np.asarray(measured)
+    given = np.asarray(unmasked("measured", measured))
     if given.dtype == bool:
         if given.shape != (count,):
             raise ValueError(f"measured: wanted a mask of shape ({count},), got {given.shape}")
@@ -77,9 +78,10 @@ def simulate(system, times, paths, seed, *, measured=None, workers=1, **options)
     Raises
     ------
     TypeError, ValueError
-        Times that do not increase, a count below one, a wrong mask or seed.
+        Times that do not increase, unequal steps of a system in discrete time, a count below
+        one, a wrong mask or seed.
     """
-    times = as_times("times", times)
+    times = as_grid("times", times, system)
     paths = as_count("paths", paths)
     measured = as_measured(measured, len(times))
     states = np.empty((len(times), system.state_size, paths))

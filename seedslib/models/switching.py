@@ -11,6 +11,7 @@ from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.models.branches import Branch
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
+from seedslib.models.noise import named_noise
 from seedslib.models.simulation import Simulation
 
 CLOSE = 1e-9
@@ -85,11 +86,16 @@ class SwitchingSystem:
     ):  # fmt: skip
         import sympy
 
+        from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
-        self.state = tuple(state)
-        self.time = sympy.Symbol("t") if time is None else time
-        values = {} if parameters is None else dict(parameters)
+        noise = named_noise("noise", noise)
+        sensor_noise = named_noise("sensor_noise", sensor_noise)
+        # dynamics and sensor are two maps: a symbol may name the noise of each
+        for name, source in (("noise", noise), ("sensor_noise", sensor_noise)):
+            self.state, self.time, values = named_model(
+                state, time, parameters, **{name: source.symbols}
+            )
 
         def expressions(name, value, shape, source):
             allowed = {self.time, *self.state, *source.symbols}
@@ -133,9 +139,13 @@ class SwitchingSystem:
 
         Raises
         ------
-        ValueError
-            As the class; maps of a row with several values, or maps with several noises.
+        TypeError, ValueError
+            As the class; no rows of maps, maps of a row with several values, or maps with several
+            noises.
         """
+        moves, readings = _rows("moves", moves), _rows("readings", readings)
+        if not isinstance(indicator, bool | np.bool_):
+            raise TypeError(f"indicator: wanted True where it is seen or False, got {indicator!r}")
         self = object.__new__(cls)
         self.state = moves[0][0].state
         self.time = moves[0][0].time
@@ -211,7 +221,9 @@ class SwitchingSystem:
             weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
             _want_probabilities(f"{name} of mode {i}", weight)
             found.append(
-                tuple(None if m.symbolic and m.weight_expression == 0 else Branch(m) for m in row)
+                tuple(
+                    None if m.symbolic and m.weight_expression.is_zero else Branch(m) for m in row
+                )
             )
         return tuple(found)
 
@@ -249,6 +261,17 @@ class SwitchingSystem:
         `indicators` (K+1, paths) are whole numbers from 0, -1 for an indicator not measured.
         """
         return simulate_hybrid(self, times, paths, seed, measured=measured, workers=workers)
+
+
+def _rows(name, table):
+    """Rows of maps, as tuples."""
+    try:
+        rows = tuple(tuple(row) for row in table)
+    except TypeError:
+        rows = ()
+    if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
+        raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
+    return rows
 
 
 def _same_law(one, other):

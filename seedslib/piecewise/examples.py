@@ -9,14 +9,14 @@ def falling_body(
     """Body in free fall from rest, of which only the elevation angle is measured.
 
     The example (24) to (30) of the piecewise-linear paper: the range X1 (in km) stays, the small
-    angle falls, X2 <- X2 - g (t - 1/2) / X1 at the new time t = 1, 2, ... s, and Y = X2 + H V.
+    angle falls, X2 <- X2 - g (t + 1/2) / X1 in the second after t = 0, 1, ... s, and Y = X2 + H V.
 
     Parameters
     ----------
     cells : int
         Number n of cells of the range.
     partition : {"gradient", "curvature"}
-        The slope g (t - 1/2) / x² of the tangents takes n intervals of equal length, the paper's
+        The slope g (t + 1/2) / x² of the tangents takes n intervals of equal length, the paper's
         (27), or its change over a cell spreads the error of the tangents evenly, which makes
         the edges equidistant in x^(-1/2).
     span : (float, float)
@@ -55,7 +55,7 @@ def falling_body(
     x1, x2, v, t, g = sympy.symbols("x1 x2 v t g")
     return PiecewiseLinearSystem.from_functions(
         state=(x1, x2),
-        dynamics=[x1, x2 - g * (t - sympy.Rational(1, 2)) / x1],
+        dynamics=[x1, x2 - g * (t + sympy.Rational(1, 2)) / x1],
         sensor=[x2 + sensor_noise * v],
         noise=v,
         breakpoints=edges,

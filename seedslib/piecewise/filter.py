@@ -176,7 +176,7 @@ class PiecewiseLinearFilter:
         times, y = self._checked(times, measurements)
         batch = y.shape[2:]
         flat = y.reshape(*y.shape[:2], -1)
-        width = self._block(float(times[1]), flat.shape[2])
+        width = self._block(float(times[0]), flat.shape[2])
         blocks = [
             self._stacked(times, flat[:, :, start : start + width] if batch else y)
             for start in range(0, flat.shape[2], width)
@@ -221,7 +221,7 @@ class PiecewiseLinearFilter:
         """Branches at time t before its measurement, and the bound of the lost mass."""
         system = self.system
         estimate = state.mean.reshape(system.n, -1) if self._adaptive else None
-        c = system.dynamics_at(t, estimate)
+        c = system.dynamics_at(state.time, estimate)
         reason = obstacle(c, system.regions.size)
         if self.method == "exact" and reason:
             raise ValueError(f'method: "exact" is impossible at t = {t:g}, {reason}')

@@ -75,22 +75,18 @@ def tangents(
     *, state, dynamics, sensor, noise, breakpoints, support, time, mean0, parameters
 ) -> Tangents:
     """Compile the model of `PiecewiseLinearSystem.from_functions`; see there."""
-    import sympy as sp
+    from seedslib.base.symbols import named_model
+    from seedslib.models.codegen import known_expressions
 
-    state, time = tuple(state), time if time is not None else sp.Symbol("t")
-    values = {sp.sympify(symbol): value for symbol, value in dict(parameters or {}).items()}
-    f = sp.Matrix([sp.sympify(item).subs(values) for item in dynamics])
-    h = sp.Matrix([sp.sympify(item).subs(values) for item in sensor])
-    if len(f) != len(state):
-        raise ValueError(f"dynamics: wanted {len(state)} expressions, got {len(f)}")
+    noise = _as_noise(noise)
+    state, time, values = named_model(state, time, parameters, noise=noise.symbols)
+    allowed = {*state, *noise.symbols, time}
+    f = known_expressions("dynamics", dynamics, (len(state),), values, allowed)
+    h = known_expressions("sensor", sensor, (None,), values, allowed)
     if not len(h):
         raise ValueError("sensor: wanted at least one expression, got none")
-    noise = _as_noise(noise)
-    for name, expression in (("dynamics", f), ("sensor", h)):
-        unknown = expression.free_symbols - {*state, *noise.symbols, time}
-        if unknown:
-            raise ValueError(f"{name}: unknown symbols {sorted(map(str, unknown))}")
-    moving, seen = ([s in e.free_symbols for s in noise.symbols] for e in (f, h))
+    used = [set().union(*(e.free_symbols for e in part)) for part in (f, h)]
+    moving, seen = ([s in part for s in noise.symbols] for part in used)
     if noise.cov[np.ix_(moving, seen)].any():
         raise ValueError("noise: wanted independent noises in the dynamics and in the sensor")
     transition = StochasticMap(state, list(f), _part(noise, moving), time=time)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
+from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, require_one_size
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.simulation import Simulation
 from seedslib.piecewise.cells import Intervals, Polygons, as_cells
@@ -20,9 +20,10 @@ from seedslib.piecewise.functions import Tangents, tangents
 class PiecewiseLinearSystem:
     """State and sensor that are affine on every cell Q_i of a partition.
 
-    In cell i: ``x(t) = a_i + A_i x(t-1) + G_i w(t)`` where x(t-1) lies in Q_i, and
-    ``y(t) = b_i + B_i x(t) + H_i v(t)`` where x(t) does, ``t = 1, 2, ...``; w and v are
-    independent standard normal. The cells restrict the leading one or two components only.
+    In cell i: ``x(t+1) = a_i(t) + A_i(t) x(t) + G_i(t) w(t)`` where x(t) lies in Q_i, and
+    ``y(t) = b_i(t) + B_i(t) x(t) + H_i(t) v(t)`` where x(t) does; w and v are independent
+    standard normal. Coefficients of the dynamics are those of the time they leave. The cells
+    restrict the leading one or two components only.
     Kolessa, equation (21).
 
     Parameters
@@ -33,7 +34,7 @@ class PiecewiseLinearSystem:
         table (V, 2) of its vertices or, where unbounded, `HalfPlanes`.
     dynamics : (a, A) or callable
         Arrays (k, n) and (k, k, n), cell last; arrays without a cell axis hold for every cell. A
-        callable takes the new time t and returns the pair.
+        callable takes the time t that is left and returns the pair.
     sensor : (b, B) or callable
         Arrays (m, n) and (m, k, n).
     sensor_noise : array_like or callable
@@ -70,10 +71,12 @@ class PiecewiseLinearSystem:
                 f"mean0: wanted at least {cells.size} components for these regions, "
                 f"got {mean0.size}"
             )
+        cov0 = as_real("cov0", self.cov0)
+        require_one_size("mean0, cov0", mean0, cov0)
         fields = {
             "regions": cells,
             "mean0": mean0,
-            "cov0": as_covariance("cov0", self.cov0, mean0.size),
+            "cov0": as_covariance("cov0", cov0, mean0.size),
         }
         for name, value in fields.items():
             object.__setattr__(self, name, value)
@@ -120,7 +123,7 @@ class PiecewiseLinearSystem:
             point of the cell that holds it (predicted estimate for the sensor), and its
             unrestricted components in every cell; or points (k1, n) or (k, n).
         time : Symbol, optional
-            Symbol of the new time t, at which the state arrives.
+            Symbol of the time: in the dynamics the one they leave.
         parameters : mapping, optional
             Values of further symbols.
 
@@ -152,14 +155,13 @@ class PiecewiseLinearSystem:
         return self.mean0.size
 
     def dynamics_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
-        """Coefficients of the transition that arrives at time t.
+        """Coefficients of the transition that leaves time t.
 
         Parameters
         ----------
         t : float
-            The new time.
         estimate : ndarray, shape (k, N), optional
-            Estimates at the old time; used with ``support="estimate"`` only.
+            Estimates at time t; used with ``support="estimate"`` only.
         """
         if self.functions is not None:
             return as_coefficients(
@@ -221,7 +223,7 @@ class PiecewiseLinearSystem:
             An illegal grid, `paths` not a positive integer, `start` of a wrong shape.
         """
         times = as_steps(times)
-        source = self.discrete(linear=linear, reference=float(times[-1]))
+        source = self.discrete(linear=linear, times=(times[0], times[-1]))
         if start is not None:
             start = as_shape("start", start, (self.n,))
             source = replace(
@@ -231,7 +233,7 @@ class PiecewiseLinearSystem:
             times, paths, seed, measured=np.arange(times.size) > 0, workers=workers
         )
 
-    def discrete(self, *, linear: bool = False, reference: float = 1.0) -> DiscreteSystem:
+    def discrete(self, *, linear: bool = False, times=(0.0, 1.0)) -> DiscreteSystem:
         """The system as a pair of maps, for simulation and for other filters.
 
         Parameters
@@ -239,15 +241,16 @@ class PiecewiseLinearSystem:
         linear : bool
             The piecewise-linear maps also where they approximate nonlinear functions; by
             default the functions themselves.
-        reference : float
-            A time at which the coefficients exist; their shapes are looked up there.
+        times : (float, float)
+            A time at which there are dynamics, and one at which there is a sensor: the shapes of
+            their coefficients are looked up there.
         """
         if self.functions is not None and not linear:
             maps = self.functions.transition, self.functions.sensor_map
         else:
             maps = (
-                affine_map(self.regions, self.n, coefficients, reference)
-                for coefficients in (self.dynamics_at, self.sensor_at)
+                affine_map(self.regions, self.n, coefficients, float(t))
+                for coefficients, t in zip((self.dynamics_at, self.sensor_at), times, strict=True)
             )
         return DiscreteSystem(*maps, self.mean0, self.cov0)
 

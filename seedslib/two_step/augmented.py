@@ -51,15 +51,16 @@ class AugmentedDiffusion:
     def __post_init__(self) -> None:
         import sympy
 
+        from seedslib.base.symbols import as_expression, as_symbols, require_distinct
+
         if not self.system.constant:
             raise ValueError("system: wanted constant coefficients, got functions of time")
-        variables = tuple(self.variables)
+        variables = as_symbols("variables", self.variables)
         if len(variables) != self.system.n:
             raise ValueError(f"variables: wanted {self.system.n} symbols, got {len(variables)}")
-        if self.symbol in variables:
-            raise ValueError(f"symbol: wanted one that is not in variables, got {self.symbol}")
+        require_distinct(variables=variables, symbol=(self.symbol,))
         object.__setattr__(self, "variables", variables)
-        object.__setattr__(self, "f", sympy.sympify(self.f))
+        object.__setattr__(self, "f", as_expression("f", self.f))
         self._known("f", self.f, variables)
         for expression in (self.ito_drift, *self.noise):
             if expression.has(sympy.DiracDelta, sympy.Derivative, sympy.Subs):
@@ -67,7 +68,7 @@ class AugmentedDiffusion:
         if self.drift is None:
             object.__setattr__(self, "drift", self.ito_drift)
             return
-        object.__setattr__(self, "drift", sympy.sympify(self.drift))
+        object.__setattr__(self, "drift", as_expression("drift", self.drift))
         self._known("drift", self.drift, (*variables, self.symbol))
         gap = sympy.expand(self.drift.subs(self.symbol, self.f) - self.ito_drift)
         if not _vanishes(gap, variables):
@@ -160,9 +161,10 @@ class AugmentedDiffusion:
         return float(first), np.array(mixed) - first * mean0, float(variance)
 
     def _known(self, name: str, expression: object, allowed: Sequence) -> None:
-        unknown = sorted(str(s) for s in expression.free_symbols - set(allowed))
-        if unknown:
-            raise ValueError(f"{name}: unknown symbols {', '.join(unknown)}")
+        from seedslib.base.symbols import require_known, require_number
+
+        require_known(name, [expression], allowed)
+        require_number(name, expression)
 
 
 def _number(value: float) -> object:

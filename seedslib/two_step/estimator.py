@@ -187,14 +187,19 @@ class TwoStepEstimator:
     def steady_errors(self) -> MeanSquareErrors:
         """Steady mean-square errors: numbers, or matrices (p, p).
 
+        Components that the function neither uses nor depends on need no steady law.
+
         Raises
         ------
         ValueError
             No steady state: see `KalmanBucyFilter.steady_moments`.
         """
-        steady = self.filter.steady_moments()
+        steady = self.filter.steady_moments(self._used())
         if self.lead:
-            steady = LinearMoments(*steady[:2], self._ahead(steady.error_cov[0], 0.0)[1][None])
+            ahead = self._ahead(steady.error_cov[0], 0.0)[1]
+            there = steady.cov[0].diagonal() != 0.0  # the others have no steady law
+            ahead = np.where(there & there[:, None], ahead, 0.0)
+            steady = LinearMoments(*steady[:2], ahead[None])
         optimal, plugin = self._errors(steady)
         return MeanSquareErrors(optimal[0], plugin[0])
 
@@ -267,6 +272,16 @@ class TwoStepEstimator:
         as_shape("mean", mean, (self.system.n, *mean.shape[1:]))
         return gaussian_arguments(mean, cov)
 
+    def _used(self) -> np.ndarray:
+        """Which components of the state f contains, (n,) bool; all for a Python function."""
+        n, symbols = self.system.n, self._symbols()
+        if symbols is None:
+            return np.ones(n, bool)
+        from seedslib.gaussian.means.parse import components_of
+
+        free = set().union(*(e.free_symbols for e in components_of(self.f)[0]))
+        return np.array([s in free for s in symbols]).reshape(-1, n).any(axis=0)
+
     def _symbols(self) -> tuple | None:
         """Symbols of the state, and of its estimate where f depends on it."""
         if callable(self.f) and not hasattr(self.f, "free_symbols"):
@@ -276,7 +291,7 @@ class TwoStepEstimator:
                     "quadrature rule, for instance quadrature=gauss_hermite(n, 20)"
                 )
             return None
-        from seedslib.gaussian.means.parse import as_symbols
+        from seedslib.base.symbols import as_symbols
 
         groups = [("variables", self.variables)]
         if self.estimate_variables is not None:

@@ -14,7 +14,7 @@ from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
 from seedslib.filters.estimates import Estimates
 from seedslib.models.propagation import balanced, bounded, distinct_steps, solve, van_loan
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, make_design
-from seedslib.two_step.linear import LinearDiffusion, Matrices
+from seedslib.two_step.linear import LinearDiffusion, Matrices, needed
 from seedslib.two_step.riccati import information_rate, riccati_step
 
 UNDAMPED = 1e-10
@@ -158,26 +158,53 @@ class KalmanBucyFilter:
             ) from error
         return 0.5 * (cov + cov.T) * unit[:, None] * unit
 
-    def steady_moments(self) -> LinearMoments:
+    def steady_moments(self, components: ArrayLike | None = None) -> LinearMoments:
         """Steady mean (zero), prior covariance and error covariance, arrays (1, ...).
+
+        Parameters
+        ----------
+        components : array_like of bool, shape (n,), optional
+            Which components are wanted, all by default. Where the state has no steady law, only
+            they and what moves them have moments; the others are zero, and may grow.
 
         Raises
         ------
         ValueError
-            As `steady_error_cov`; also when the drift is not Hurwitz, so that the covariance of
-            the state has no limit.
+            As `steady_error_cov`; also when the drift of the wanted components is not Hurwitz, so
+            that their covariance has no limit.
         """
-        known = self._steady_matrices("steady_moments")
-        values = np.linalg.eigvals(known.drift)
+        known, n = self._steady_matrices("steady_moments"), self.system.n
+        here = np.ones(n, bool)
+        if components is not None and np.linalg.eigvals(known.drift).real.max() >= 0:
+            here = needed(known.drift, np.asarray(components, bool))
+        block = np.ix_(here, here)
+        drift, diffusion = known.drift[block], known.diffusion[block]
+        values = np.linalg.eigvals(drift)
         if values.real.max() >= 0:
             raise ValueError(
                 "drift: wanted eigenvalues with negative real parts (Hurwitz) for a steady "
                 f"covariance of the state, got {values[values.real.argmax()]:.4g}"
             )
-        cov = solve_continuous_lyapunov(known.drift, -known.diffusion)
-        cov = 0.5 * (cov + cov.T)
-        mean = np.zeros((1, self.system.n))
-        return LinearMoments(mean, cov[None], self.steady_error_cov()[None])
+        cov = solve_continuous_lyapunov(drift, -diffusion)
+        moments = LinearMoments(*np.zeros((1, 1, n)), *np.zeros((2, 1, n, n)))
+        moments.cov[0][block] = 0.5 * (cov + cov.T)
+        moments.error_cov[0][block] = self._steady_errors_of(here)[block]
+        return moments
+
+    def _steady_errors_of(self, here: np.ndarray) -> np.ndarray:
+        """Steady error covariance without the components that neither these nor the sensor see."""
+        if here.all():
+            return self.steady_error_cov()
+        known = self.system.matrices(0.0)
+        kept = needed(known.drift, here | (known.sensor != 0.0).any(axis=0))
+        block = np.ix_(kept, kept)
+        part = LinearDiffusion(
+            known.drift[block], known.diffusion[block], known.sensor[:, kept],
+            known.sensor_intensity, self.system.mean0[kept], self.system.cov0[block],
+        )  # fmt: skip
+        cov = np.zeros_like(known.drift)
+        cov[block] = KalmanBucyFilter(part).steady_error_cov()
+        return cov
 
     def run(self, times: ArrayLike, increments: ArrayLike) -> Estimates:
         """Estimates along measured paths.

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import as_count, in_blocks
-from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
+from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, require_one_size
 from seedslib.base.semidefinite import square_root
 from seedslib.models.propagation import distinct_steps, integrated, van_loan
 
@@ -83,7 +83,9 @@ class LinearDiffusion:
         mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), ndim=1)
         if mean0.size == 0:
             raise ValueError("mean0: wanted at least one state component, got none")
-        cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), mean0.size)
+        cov0 = np.atleast_2d(as_real("cov0", self.cov0))
+        require_one_size("mean0, cov0", mean0, cov0)
+        cov0 = as_covariance("cov0", cov0, mean0.size)
         for name, value in (("mean0", mean0), ("cov0", cov0)):
             object.__setattr__(self, name, _frozen(value))
         for name in ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input"):
@@ -230,8 +232,18 @@ class LinearDiffusion:
         return Matrices(drift, diffusion, sensor, noise)
 
 
+def needed(drift: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Components that the motion of the wanted ones depends on, themselves included, (n,) bool."""
+    found = wanted
+    while True:
+        more = found | (drift[found] != 0.0).any(axis=0)
+        if (more == found).all():
+            return found
+        found = more
+
+
 def _at(value: Coefficient, t: float) -> np.ndarray:
-    return np.atleast_2d(np.asarray(value(t))) if callable(value) else value
+    return np.atleast_2d(value(t)) if callable(value) else value
 
 
 def _frozen(array: np.ndarray) -> np.ndarray:

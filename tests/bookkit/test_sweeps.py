@@ -56,24 +56,24 @@ def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, grid,
 def test_a_changed_notebook_or_lock_makes_new_points(project, grid, capsys):
     out = project / "out"
     grid.write_text("grid: {gain: [1.0]}\n")
-    run_sweep(notebook(project), grid, out, quiet=True)
+    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
     (project / "requirements.lock").write_text("")
-    run_sweep(notebook(project), grid, out, quiet=True)
+    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
     assert capsys.readouterr().out.count("1 points, 0 already done, 1 to run") == 2
 
 
 def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, capsys):
     grid.write_text("grid: {gain: [7.0, 2.0]}\n")
     out = project / "out"
-    report = run_sweep(notebook(project), grid, out, quiet=True)
+    report = run_sweep(notebook(project), grid, out, quiet=True, workers=1)
     assert report.failed == 1
     assert [r["problem"] for r in rows(report.table)] == [
         "ArithmeticError: seven is out of reach",
         "",
     ]
-    run_sweep(notebook(project), grid, out, quiet=True)
+    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
     assert "2 points, 2 already done (1 of them failed), 0 to run" in capsys.readouterr().out
-    run_sweep(notebook(project), grid, out, quiet=True, retry=True)
+    run_sweep(notebook(project), grid, out, quiet=True, retry=True, workers=1)
     assert "2 points, 1 already done, 1 to run" in capsys.readouterr().out
 
 
@@ -150,45 +150,41 @@ def test_a_point_that_cannot_start_says_why(project):
     assert json.loads(json.dumps(result)) == result
 
 
-def change(project, code):
-    """The notebook with some code before that of its last cell."""
+SPOILT = {
+    3.0: (
+        "from bookkit import record; record(total=1.0)",
+        "ValueError: total is recorded twice in one notebook",
+    ),
+    4.0: (
+        "from bookkit import record; record(gain=99.0)",
+        "ValueError: gain: the name of another column of the table",
+    ),
+    5.0: (
+        "from bookkit import record; record(terms_0=1.0)",
+        "ValueError: terms_0: the name of another column of the table",
+    ),
+    6.0: ("import os; os._exit(1)", "DeadKernelError: Kernel died"),
+}
+
+
+def test_points_that_spoil_their_records_fail_alone(project, grid):
     content = nbformat.read(notebook(project), as_version=4)
-    content.cells[3].source = f"{code}\n{content.cells[3].source}"
+    spoilt = [f"if gain == {gain}:\n    {code}\n" for gain, (code, _) in SPOILT.items()]
+    content.cells[3].source = "".join(spoilt) + content.cells[3].source
     nbformat.write(content, notebook(project))
-
-
-@pytest.mark.parametrize(
-    ("code", "problem"),
-    [
-        (
-            "from bookkit import record; record(total=1.0)",
-            "ValueError: total is recorded twice in one notebook",
-        ),
-        (
-            "from bookkit import record; record(gain=99.0)",
-            "ValueError: gain: the name of another column of the table",
-        ),
-        (
-            "from bookkit import record; record(terms_0=1.0)",
-            "ValueError: terms_0: the name of another column of the table",
-        ),
-        ("import os; os._exit(1)", "DeadKernelError: Kernel died"),
-    ],
-)
-def test_a_point_that_spoils_its_records_fails_alone(project, grid, code, problem):
-    change(project, f"if gain == 3.0:\n    {code}")
-    grid.write_text("grid: {gain: [3.0, 2.0], count: [1]}")
+    grid.write_text("grid: {gain: [3.0, 4.0, 5.0, 6.0, 2.0], count: [1]}")
     report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
+    assert report.failed == 4
     table = rows(report.table)
-    assert [r["problem"] for r in table] == [problem, ""]
-    assert [float(r["gain"]) for r in table] == [3.0, 2.0]
-    assert table[0]["total"] == ""
+    assert [r["problem"] for r in table] == [*(problem for _, problem in SPOILT.values()), ""]
+    assert [float(r["gain"]) for r in table] == [3.0, 4.0, 5.0, 6.0, 2.0]
+    assert [r["total"] for r in table] == ["", "", "", "", "1.0"]
 
 
 @pytest.mark.parametrize("text", ["", "{", "{}", "[]", "null", '{"values": {}, "problem": null}'])
 def test_what_is_not_whole_in_the_folder_is_not_taken_for_a_point(tmp_path, text):
     (tmp_path / "key.json").write_text(text)
-    assert sweeps._read(tmp_path, "key") is None
+    assert sweeps._read(tmp_path, "key", {}) is None
 
 
 def test_a_folder_that_cannot_hold_the_results_is_named(project, grid):

@@ -50,7 +50,7 @@ def test_designed_and_run_with_indicators_some_missing(capsys, write, read):
     names, *rows = read("x.csv")
     assert names == ["t", "mode", "p1", "p2", "x1", "x2", "sd1", "sd2"]
     assert [row[1] for row in rows] == [str(mode) for mode in found.modes]
-    numbers = np.array(rows, dtype=float)
+    numbers = np.array([[cell or "nan" for cell in row] for row in rows], dtype=float)
     np.testing.assert_array_equal(numbers[:, 2:4], found.mode_prob)
     np.testing.assert_array_equal(numbers[:, 4:6], found.mean)
     deviations = np.sqrt(np.diagonal(found.cov, axis1=1, axis2=2))

@@ -246,7 +246,7 @@ def test_pickles_are_refused(file, oscillator, rewrite):
     [
         ({"format": "another"}, "not a finite-order filter"),
         ({"kind": "table"}, "not a finite-order filter"),
-        ({"version": 2}, "wanted version 1 of the format, got 2"),
+        ({"version": 1}, "wanted version 2 of the format, got 1"),
         ({"linearization": {"name": "Magic"}}, "its linearization 'Magic' is not the library's"),
         ({"linearization": {"name": "Taylor", "power": 9}}, "contradicts itself"),
         ({"memory": None}, "contradicts itself"),
@@ -365,11 +365,11 @@ def test_a_picture_is_refused(tmp_path, oscillator):
 
 
 def test_a_file_of_a_newer_version_says_so(file, oscillator, header):
-    header(file, version=2)
-    with pytest.raises(ValueError, match="got 2 of a newer seedslib"):
+    header(file, version=3)
+    with pytest.raises(ValueError, match="got 3 of a newer seedslib"):
         load(file, oscillator)
     header(file, version="new")
-    with pytest.raises(ValueError, match=r"wanted version 1 of the format, got 'new'$"):
+    with pytest.raises(ValueError, match=r"wanted version 2 of the format, got 'new'$"):
         load(file, oscillator)
 
 

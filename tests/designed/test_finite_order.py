@@ -294,7 +294,9 @@ def test_summary_can_be_read(filter):
     assert "Finite-order filter of order" in text
     assert "3000 paths, seed 1" in text
     assert "in-sample" in text
-    assert len(text.splitlines()) == 13
+    assert "on 512 paths that the design has not seen" in text
+    assert len(text.splitlines()) == 14
+    assert max(map(len, text.splitlines())) <= 100
     assert repr(filter).startswith("<FiniteOrderFilter of order")
 
 

@@ -57,8 +57,8 @@ def twins(dependent):
 
 @pytest.mark.parametrize("dependent", [False, True])
 def test_array_functions_with_an_indicator_of_the_state_are_the_formulas(dependent):
-    """At uneven times that do not start at zero; the forecast is split by the indicator."""
-    times, rule = np.array([2.0, 2.5, 4.0, 4.1, 7.0]), GaussHermite(5)
+    """At times that do not start at zero; the forecast is split by the indicator."""
+    times, rule = 2.0 + 0.7 * np.arange(5), GaussHermite(5)
     plain, written = twins(dependent)
     data = written.simulate(times, 200, 4)
     np.testing.assert_allclose(plain.simulate(times, 200, 4).states, data.states, atol=1e-12)

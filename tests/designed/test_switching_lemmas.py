@@ -40,7 +40,7 @@ def random_law(shape, seed, scale=1.0):
     rng = np.random.default_rng(seed)
     prob = rng.uniform(0.2, 1.0, shape)
     prob /= prob.sum(axis=tuple(range(len(shape) - 1)), keepdims=True)
-    return Law(
+    return Law.of(
         prob, scale * rng.standard_normal((1, *shape)), rng.uniform(0.2, 1.5, (1, 1, *shape))
     )
 
@@ -65,7 +65,7 @@ def test_lemma_1_and_2(n, m):
     chance, parts = np.array([0.5, 0.3, 0.2]), [joint_gaussian(rng, n, m) for _ in range(3)]
     seen = rng.standard_normal(m)
     sensed = Sensed(
-        chance,
+        np.log(chance),
         np.stack([mean[:n] for mean, _ in parts], axis=-1),
         np.stack([cov[:n, :n] for _, cov in parts], axis=-1),
         Moments(
@@ -114,7 +114,7 @@ def test_lemma_1_with_a_singular_measurement():
 
 
 def test_lemma_2_takes_the_first_of_equal_modes():
-    mode, _ = decide(Law(np.array([0.2, 0.4, 0.4]), np.zeros((1, 3)), np.ones((1, 1, 3))))
+    mode, _ = decide(Law.of(np.array([0.2, 0.4, 0.4]), np.zeros((1, 3)), np.ones((1, 1, 3))))
     assert mode == 1
 
 
@@ -432,7 +432,7 @@ def memories(scale, count=3000, seed=0):
     """Random laws given a memory, as (6.32) gives them."""
     rng = np.random.default_rng(seed)
     chance = rng.uniform(size=count)
-    return Law(
+    return Law.of(
         np.array([chance, 1 - chance]),
         scale * rng.standard_normal((1, 2, count)),
         rng.uniform(0.1, 1.0, (1, 1, 2, count)),

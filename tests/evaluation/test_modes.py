@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from seedslib import zoo
-from seedslib.base.blocks import as_seed_sequence
+from seedslib.base.blocks import as_seed_sequence, child
 from seedslib.evaluation import compare, evaluate
+from seedslib.evaluation.scores import FILTERS
 from seedslib.filters import Estimates, KnownModeFilter, RaoBlackwellFilter
 
 TIMES = np.arange(6.0)
@@ -43,7 +44,8 @@ def test_errors_are_those_of_the_paths(target):
     for stream, count in zip(as_seed_sequence(5).spawn(2), (2048, 452), strict=True):
         data = target.simulate(TIMES, count, stream)
         for name, filter in filters.items():
-            got = filter.run(TIMES, data.measurements, indicators=data.indicators)
+            own = {"seed": child(stream, FILTERS, 1)} if name == "drawn" else {}
+            got = filter.run(TIMES, data.measurements, indicators=data.indicators, **own)
             errors[name].append((got.mean - data.states) ** 2)
             wrong[name].append((got.modes != data.modes).astype(float))
     errors = {name: np.concatenate(part, axis=2) for name, part in errors.items()}

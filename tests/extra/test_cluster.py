@@ -25,7 +25,7 @@ TACTS = np.arange(3) * 0.5
 BASE = {"paths": 17_000, "seed": 5, "step": 0.1, "nodes": 1}
 QUIET = {
     "dashboard_address": None, "silence_logs": 50, "threads_per_worker": 1,
-    "scheduler_kwargs": {"dashboard_address": ":0"},
+    "scheduler_kwargs": {"dashboard_address": "127.0.0.1:0"},
 }  # fmt: skip
 
 

@@ -140,7 +140,7 @@ def test_threads_verbs_and_shapes():
     state = few.initial((300,), seed=7)
     for k, t in enumerate(TIMES):
         state = few.step(state, t, data.measurements[k], data.indicators[k])
-    assert state.prob.shape == (2, 4, 300)
+    assert state.log_prob.shape == (2, 4, 300)
     assert state.mean.shape == (2, 300)
     ahead = few.forecast(state, 5.0)
     np.testing.assert_array_equal(ahead.mean, few.forecast(state, 5.0).mean)

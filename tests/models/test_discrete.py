@@ -7,12 +7,12 @@ from seedslib.models import DiscreteSystem, Noise, StochasticMap
 x, v, w, t = sympy.symbols("x v w t")
 
 
-def test_dynamics_see_the_time_they_lead_to():
+def test_dynamics_see_the_time_they_leave():
     system = DiscreteSystem(
         StochasticMap((x,), [x + t + 0 * w]), StochasticMap((x,), [x + v], Noise((v,))), [0], [[0]]
     )
     states = system.simulate([0, 1, 2, 3], 2, 0).states
-    np.testing.assert_array_equal(states[:, 0, 0], [0, 1, 3, 6])
+    np.testing.assert_array_equal(states[:, 0, 0], [0, 0, 1, 3])
 
 
 def test_stationary_variance_of_an_autoregression():

@@ -47,7 +47,7 @@ def kalman(system, y):
     """Plain Kalman filter with the coefficients of the first cell."""
     mean, cov, out = system.mean0, system.cov0, []
     for t, value in enumerate(y, start=1):
-        a, A, G = (part[..., 0, 0] for part in system.dynamics_at(t))
+        a, A, G = (part[..., 0, 0] for part in system.dynamics_at(t - 1))
         b, B, H = (part[..., 0, 0] for part in system.sensor_at(t))
         mean, cov = a + A @ mean, A @ cov @ A.T + G @ G.T
         spread = B @ cov @ B.T + H @ H.T

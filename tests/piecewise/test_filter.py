@@ -22,7 +22,7 @@ def test_fixed_regions_against_quadrature_in_every_cell():
         log_density = log_prior + np.log(share / share.sum())[:, None]
         before = np.log((np.exp(log_density) * weight).sum())
         for t in range(1, 11):
-            c = system.dynamics_at(t)
+            c = system.dynamics_at(t - 1)
             state = state + c.offset[1, cell, 0] + c.matrix[1, 0, cell, 0] * x
             error = (y[t, 0, dataset] - state) / 1e-3
             log_density = log_density - 0.5 * error**2 - np.log(1e-3 * np.sqrt(2 * np.pi))

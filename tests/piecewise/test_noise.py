@@ -115,7 +115,7 @@ def test_one_step_of_moment_matching_against_sums_over_pairs():
 
 def test_exact_and_matched_steps_may_alternate():
     """Noise at every second step only; with a single matched step everything else is exact."""
-    gains = {1: 0.0, 2: 0.4, 3: 0.0}
+    gains = {0: 0.0, 1: 0.4, 2: 0.0}
     widths = {1: 0.2, 3: 0.3}  # nothing is measured at t = 2, as there is nothing at t = 0
     system = routes.tent(
         noise=lambda t: [[gains[int(t)]]], sensor_noise=lambda t: [[widths[int(t)]]]

@@ -147,7 +147,7 @@ def test_tangents_are_those_of_the_paper():
     middles = np.convolve(np.concatenate([[5.0], edges[1:-1], [50.0]]), [0.5, 0.5], "valid")
     for t in (1.0, 4.0):
         k = 0.01 * (t - 0.5)
-        c = system.dynamics_at(t)
+        c = system.dynamics_at(t - 1)
         assert c.offset[..., 0] == pytest.approx(np.stack([0 * middles, -2 * k / middles]))
         assert c.matrix[1, 0, :, 0] == pytest.approx(k / middles**2)
         assert np.array_equal(c.matrix[0, :, :, 0], np.stack([np.ones(100), np.zeros(100)]))
@@ -248,10 +248,10 @@ def test_noise_covariance_and_mean_enter_the_coefficients():
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dynamics": [X + Z]}, r"dynamics: unknown symbols \['z'\]"),
+        ({"dynamics": [X + Z]}, "dynamics: wanted known symbols, got z"),
         ({"sensor": [X + V + W]}, "noise: wanted independent noises"),
         ({"sensor": [X + V**2]}, "sensor: wanted noise that enters linearly"),
-        ({"dynamics": [X, X]}, "dynamics: wanted 1 expressions, got 2"),
+        ({"dynamics": [X, X]}, "dynamics: wanted shape .1., got .2,"),
         ({"sensor": []}, "sensor: wanted at least one"),
         ({"breakpoints": [1.0, 0.0]}, "breakpoints: wanted at least two strictly increasing"),
         ({"support": "middle"}, "support: wanted"),
@@ -279,7 +279,7 @@ def test_bad_model_is_refused(changes, message):
         ({"sensor_noise": [[np.nan]]}, "finite"),
         ({"sensor_noise": None}, "sensor: wanted an offset, a matrix and a noise"),
         ({"mean0": [], "cov0": np.zeros((0, 0))}, "mean0: wanted at least 1"),
-        ({"mean0": [0.0, 1.0]}, r"cov0: wanted shape \(2, 2\)"),
+        ({"mean0": [0.0, 1.0]}, "mean0, cov0: wanted shapes"),
     ],
 )
 def test_bad_coefficients_are_refused(changes, message):

@@ -59,13 +59,13 @@ def test_rewriting_a_function_of_several_variables():
 def test_bad_input():
     with pytest.raises(ValueError, match="drift: wanted Ito"):
         AugmentedDiffusion(SCALAR, X**2, [X], Z, drift=-2 * Z)
-    with pytest.raises(ValueError, match="f: unknown symbols y"):
+    with pytest.raises(ValueError, match="f: wanted known symbols, got y"):
         AugmentedDiffusion(SCALAR, X * Y, [X], Z)
-    with pytest.raises(ValueError, match="drift: unknown symbols y"):
+    with pytest.raises(ValueError, match="drift: wanted known symbols, got y"):
         AugmentedDiffusion(SCALAR, X**2, [X], Z, drift=Y)
     with pytest.raises(ValueError, match="variables: wanted 1"):
         AugmentedDiffusion(SCALAR, X, [X, Y], Z)
-    with pytest.raises(ValueError, match="symbol: wanted one"):
+    with pytest.raises(ValueError, match="symbol: wanted distinct symbols"):
         AugmentedDiffusion(SCALAR, X, [X], X)
     with pytest.raises(ValueError, match="f: wanted a polynomial"):
         AugmentedDiffusion(SCALAR, sp.sin(X), [X], Z).rewritten()

@@ -402,7 +402,7 @@ def test_bad_input():
         TwoStepEstimator(SIGNAL, X)
     with pytest.raises(ValueError, match="estimate_variables: wanted 2"):
         TwoStepEstimator(PLANAR, X, variables=[X, Y], estimate_variables=[A])
-    with pytest.raises(ValueError, match="unknown symbol"):
+    with pytest.raises(ValueError, match="wanted known symbols"):
         TwoStepEstimator(SIGNAL, X * Y, variables=[X])
     with pytest.raises(ValueError, match="quadrature: wanted a rule in 2 dimensions"):
         TwoStepEstimator(PLANAR, X, variables=[X, Y], quadrature=gauss_hermite(1, 5))

@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_times
 from seedslib.base.correction import correct
 from seedslib.base.tables import Axis, Labels, as_axes
 from seedslib.design.law.recursion import (
@@ -25,6 +24,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.table import TableFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.chain_switching import chain_of
+from seedslib.models.kinds import as_grid, require_kind
 
 SPREADS = 6.5
 """Default axes of measurements reach this many deviations of the sensor beyond its means."""
@@ -93,6 +93,7 @@ class JointLaw:
     def __init__(self, system, memory, times, x, z, y):
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+        require_kind(system, "JumpDiffusion", "SwitchingSystem")
         x = Axis.of("x", x)
         self.chain = chain_of(system, x)
         told = memory.indicators
@@ -106,7 +107,7 @@ class JointLaw:
                 f"memory: wanted estimates or measurements alone for a grid, got {memory}"
             )
         self.system, self.memory = system, memory
-        self.times = as_times("times", times)
+        self.times = as_grid("times", times, system)
         self.values, self.modes = self.chain.values, self.chain.modes
         self.switching = hasattr(system, "branches")
         axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))

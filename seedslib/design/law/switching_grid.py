@@ -11,6 +11,7 @@ from seedslib.designed.finite_order_rules import Design
 from seedslib.designed.lookup import ModeTable, StepTables, step_axes
 from seedslib.designed.prediction import SwitchingPrediction
 from seedslib.designed.switching_table import SwitchingTableFilter
+from seedslib.filters.weights import most_probable
 
 BY_GRID = Design(0, 0, 0, (), 0, True)
 METHOD = "density recursion"
@@ -115,4 +116,4 @@ def _tables(law, t, optimal, probabilities):
 
 def _decided(law, relative, given):
     means, prob = law.posterior(relative, law=given)
-    return means, prob.argmax(axis=0).astype(np.int8), prob
+    return means, most_probable(prob).astype(np.int8), prob

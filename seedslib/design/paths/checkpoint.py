@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
-import os
 import warnings
 import zipfile
 import zlib
@@ -19,6 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import seedslib
+from seedslib.base.atomic import replacing
 from seedslib.base.blocks import seed_record
 from seedslib.design.paths.forward_pass import Found
 from seedslib.designed.finite_order_rules import FiniteOrderState, Start
@@ -71,12 +71,8 @@ class Checkpoint:
         header = {"format": FORMAT, "arguments": self.arguments, "stop": walk.stop}
         arrays |= _packed(found)
         arrays["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
-        part = self.path.with_name(self.path.name + ".part")
-        with part.open("wb") as file:
+        with replacing(self.path) as file:
             np.savez(file, **arrays)
-            file.flush()
-            os.fsync(file.fileno())
-        os.replace(part, self.path)
 
     def restore(self, forward):
         """Put a forward pass where the file is; nothing happens where there is no file.

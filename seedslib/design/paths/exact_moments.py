@@ -122,6 +122,7 @@ class _Joint:
         self.rules, self.n = rules, len(mean)
         self.mean, self.cov = np.array(mean), np.array(cov)
         self.past, self.dimension = Past(), 0
+        self.sizes, self.shown = Past(), np.empty(0)
         self.error = None
 
     def move(self, matrix, offset, noise):
@@ -142,7 +143,7 @@ class _Joint:
 
     def correct(self, matrix, offset, noise):
         """Fit the forecast, correct it, remember; returns the fit."""
-        fit = regress(*self._chosen(self.n, self.dimension), self.n)
+        fit = self._regressed(self.n, self.dimension)
         moments = _sensed(matrix, offset, noise, fit.mean(self.mean[self._memory]), fit.cov)
         gain = _gain(moments, self.rules.components)
         self._take(matrix, offset, noise, fit.gain, fit.offset, gain)
@@ -153,7 +154,7 @@ class _Joint:
         rules, used = self.rules, self.dimension
         if rules.measured_nodes and not rules.memory.measurements:
             used = len(self.mean) - self.n
-        return regress(*self._chosen(rules.components, used), rules.components)
+        return self._regressed(rules.components, used)
 
     def score(self, t):
         """Time and mean-square errors of the last estimate."""
@@ -163,10 +164,17 @@ class _Joint:
     def _memory(self):
         return slice(self.n, self.n + self.dimension)
 
-    def _chosen(self, targets, used):
-        """Moments of the first `targets` components and of the first `used` of (U, Y)."""
+    def _regressed(self, targets, used):
+        """Fit of the first `targets` components from the first `used` of (U, Y).
+
+        Of centred variables: where the origin lies must not decide what is a constant. That is
+        an estimate that hardly varies beside its state, a measurement beside what it is made of.
+        """
         index = np.r_[:targets, self.n : self.n + used]
-        return self.mean[index], self.cov[np.ix_(index, index)]
+        mean = self.mean[index]
+        size = np.concatenate([self.sizes.vector, self.shown])[:used]
+        fit = regress(np.zeros(len(index)), self.cov[np.ix_(index, index)], targets, size)
+        return fit._replace(offset=mean[:targets] - fit.gain @ mean[targets:])
 
     def _take(self, matrix, offset, noise, forecast, forecast_offset, gain):
         """Put estimate and measurement in the memory, as rows over (X, U, noise, 1)."""
@@ -183,6 +191,11 @@ class _Joint:
         count = len(self.past.estimates)
         held = Past(blocks[:count], blocks[count:])
         self.past = self.rules.memory.push(held, estimate=estimate, measurement=shown)
+        spread = np.sqrt(np.diagonal(self.cov)[:n])
+        self.shown = np.abs(matrix) @ spread + np.sqrt(np.diagonal(noise))
+        self.sizes = self.rules.memory.push(
+            self.sizes, estimate=spread[:components], measurement=self.shown
+        )
         rows = np.concatenate([state, self.past.vector, shown])
         mean = np.concatenate([self.mean[: n + d], np.zeros(m), [1.0]])
         cov = np.zeros((len(base), len(base)))

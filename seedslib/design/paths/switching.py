@@ -11,7 +11,7 @@ from itertools import pairwise
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
-from seedslib.base.checks import as_times
+from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Walk, crew
 from seedslib.designed.prediction import SwitchingDesign, SwitchingPrediction
 from seedslib.designed.regression import merge, scatter
@@ -19,6 +19,7 @@ from seedslib.designed.switching import SwitchingFilter
 from seedslib.designed.switching_fits import cell_count, cell_number, fit_cells, require_memory
 from seedslib.designed.switching_rules import compiled_rules
 from seedslib.linearization.moments import Linearization
+from seedslib.models.kinds import as_grid
 
 OFTEN = 0.05
 """Part of thin pairs of cell and mode above which the design warns."""
@@ -44,8 +45,9 @@ def synthesize_switching(
         Design paths.
     seed : int, SeedSequence or Generator
         The design paths are ``system.simulate(times, paths, seed)``.
-    workers : int
-        Threads; the filter does not depend on it.
+    workers : int or Crew
+        Threads, or a crew such as `seedslib.extra.cluster` makes; the filter does not depend on
+        it, bit by bit.
     normalisation, split
         As `SwitchingFilter`.
 
@@ -64,9 +66,10 @@ def synthesize_switching(
     -----
     UserWarning
         More than a twentieth of the pairs of cell and mode are thin; covariances were mended;
-        paths of the system or of the filter diverged and were left out.
+        paths of the system or of the filter diverged and were left out. What held-out paths
+        say against the design, see `seedslib.design.paths.held_out`.
     """
-    times = as_times("times", times)
+    times = as_grid("times", times, system)
     require_memory(memory, system)
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
@@ -80,7 +83,7 @@ def synthesize_switching(
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
         found = _pass(walk, system, memory, rules, times)
         lost = walk.lost
-    fits, scores, thin, pairs, raised = found
+    fits, scores, forecasts, thin, pairs, raised = found
     if thin > OFTEN * pairs:
         warnings.warn(
             f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
@@ -95,7 +98,7 @@ def synthesize_switching(
         warnings.warn(
             f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
         )
-    return SwitchingFilter(
+    designed = SwitchingFilter(
         system, linearization, memory, times, tuple(fits), normalisation, split,
         SwitchingPrediction(times, *(np.array(part) for part in zip(*scores, strict=True))),
         SwitchingDesign(
@@ -103,12 +106,15 @@ def synthesize_switching(
         ),
         rules=rules,
     )  # fmt: skip
+    with crew(workers) as each:
+        return examined(designed, root, paths, each, times, forecasts=np.array(forecasts))
 
 
 def _pass(walk, system, memory, rules, times):
     """Run the filter on the paths, and fit it before each step."""
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
+    forecasts = [np.full(n, np.nan)]
     for k, t in enumerate(times):
         if k == 0:
             walk.begin(t)
@@ -123,6 +129,8 @@ def _pass(walk, system, memory, rules, times):
                 return state._replace(law=law, corrected=False)
 
             states = walk.each(predict, states)
+            found = walk.gather(lambda x, state: (x[:n] - _forecast(state.law)) ** 2, states)
+            forecasts.append(np.sqrt(found.mean))
         shown = walk.measure(t)
 
         def correct(state, y, k=k, t=t):
@@ -150,7 +158,14 @@ def _pass(walk, system, memory, rules, times):
         fit, few, bent = fit_cells(scatters, n, left)
         fits.append(fit)
         thin, pairs, raised = thin + few, pairs + cells * system.modes, raised + bent
-    return fits, scores, thin, pairs, raised + sum(state.floored for state in states)
+    raised += sum(state.floored for state in states)
+    return fits, scores, forecasts, thin, pairs, raised
+
+
+def _forecast(law):
+    """Mean of the state, (n, paths), under a forecast law."""
+    weight = law.prob / law.prob.sum(axis=(0, 1))
+    return (weight * law.mean).sum(axis=(1, 2))
 
 
 def _cell(system, state):

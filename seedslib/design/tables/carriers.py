@@ -9,9 +9,11 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
-from seedslib.base.checks import as_times
+from seedslib.design.paths.held_out import examined
+from seedslib.design.paths.walk import crew
 from seedslib.designed.finite_order_rules import Design, Prediction
 from seedslib.designed.memory import Memory, Past
+from seedslib.models.kinds import as_grid, in_steps
 
 LARGEST = 1e50
 """A state beyond this has no fourth power worth averaging."""
@@ -89,10 +91,11 @@ class Carriers:
             raise ValueError(f"components: wanted 1 to {n}, got {components}")
         if as_count("sets", sets) < 2:
             raise ValueError(f"sets: wanted at least 2, got {sets}")
-        self.memory, self.components = memory, components
-        self.times, self.root = as_times("times", times), as_seed_sequence(seed)
+        self.memory, self.components, self.workers = memory, components, workers
+        self.times, self.root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.lost = as_count("paths", paths), 0
-        parts = 1 if nodes == 0 else as_count("nodes", nodes) + 1
+        # a system in discrete time has no states between
+        parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes) + 1
         self.stops = tuple(
             np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
         )
@@ -181,6 +184,12 @@ class Carriers:
         rms = np.sqrt(mse)
         error = np.divide(deviation, 2.0 * rms, out=np.zeros_like(rms), where=rms > 0)
         return Prediction(times, rms, error, False)
+
+    def examined(self, filter):
+        """The finished filter with its errors on other paths than those of all sets."""
+        stops = np.concatenate([self.times[:1], *self.stops])
+        with crew(self.workers) as each:
+            return examined(filter, self.root, self.paths, each, stops, bound=LARGEST)
 
     def design(self) -> Design:
         """Record of how the paths were made."""

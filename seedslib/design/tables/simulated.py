@@ -21,6 +21,7 @@ from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.lookup import step_axes
 from seedslib.designed.switching_table import SwitchingTableFilter
 from seedslib.designed.table import OutputRules, Table, TableFilter, TableFit
+from seedslib.models.kinds import KINDS, require_kind
 
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
@@ -89,6 +90,7 @@ def simulated_synthesis(
     """
     if method not in METHODS:
         raise ValueError(f"method: wanted one of {', '.join(METHODS)}, got {method!r}")
+    require_kind(system, *KINDS)
     switching = hasattr(system, "branches")
     if probabilities and not switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
@@ -130,7 +132,7 @@ def simulated_synthesis(
         ends.append(found.pop())
         between.append(tuple(found))
     letters = axes_z if memory.estimates else axes_y
-    return TableFilter(
+    return carriers.examined(TableFilter(
         system=system, memory=memory, predictor=Table(axes_y, letters, METHODS[method]),
         linearization=None, times=carriers.times,
         node_times=tuple(s[:-1] for s in carriers.stops), components=components,
@@ -140,7 +142,7 @@ def simulated_synthesis(
             memory, components, sensor=None, outputs=tuple(outputs),
             covariances=carriers.covariances,
         ),
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def _switching(
@@ -196,5 +198,6 @@ def _axes(m, carriers, y, z):
 
 def _about(values, count):
     low, high = values.min(), values.max()
-    reach = 0.1 * (high - low) + 1e-9
+    # values that are all one leave no scale but their own size, or none at all
+    reach = 0.1 * (high - low) or 1e-9 * max(abs(high), abs(low)) or 1.0
     return Axis(low - reach, high + reach, count)

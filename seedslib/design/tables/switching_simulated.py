@@ -19,6 +19,7 @@ from seedslib.designed.lookup import ModeTable, StepTables, arguments, step_axes
 from seedslib.designed.memory import Past
 from seedslib.designed.prediction import SwitchingPrediction
 from seedslib.designed.switching_table import SwitchingTableFilter
+from seedslib.filters.weights import most_probable
 
 
 class SwitchingLesson(NamedTuple):
@@ -127,18 +128,18 @@ def switching_tables(
         carriers.take(system, steps[-1].shown)
     if not probabilities:
         steps = [StepTables(*(table._replace(prob=None) for table in step)) for step in steps]
-    return SwitchingTableFilter(
+    return carriers.examined(SwitchingTableFilter(
         system=system, memory=memory, times=carriers.times, tables=tuple(steps),
         method=METHODS[method], predicted=carriers.prediction(),
         changes=np.array(carriers.changes).T, covariances=carriers.covariances,
         design=carriers.design(),
-    )  # fmt: skip
+    ))  # fmt: skip
 
 
 def _table(axes, found, system):
     """Table of what regression found, (L + n', counts...): probabilities, then estimates."""
     prob, means = np.split(found, [system.modes])
-    return ModeTable(axes, means, prob.argmax(axis=0).astype(np.int8), prob)
+    return ModeTable(axes, means, most_probable(prob).astype(np.int8), prob)
 
 
 def _targets(lesson, system, components):

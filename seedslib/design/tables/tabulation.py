@@ -6,6 +6,7 @@ import numpy as np
 
 from seedslib.base.tables import as_axes
 from seedslib.design.tables.simulated import held_axes, refuse_large
+from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Course, FiniteOrderState, Start
 from seedslib.designed.memory import Past
 from seedslib.designed.table import OutputFilter, OutputRules, Table, TableFilter, TableFit
@@ -68,9 +69,14 @@ def tabulated(filter, *, y, z=None) -> TableFilter:
     Raises
     ------
     TypeError, ValueError
-        Axes that are none, tables that would be too large, a filter whose forecasts look at a
-        measurement that is not remembered, more than one estimated component.
+        Another filter, axes that are none, tables that would be too large, a filter whose
+        forecasts look at a measurement that is not remembered, more than one estimated component.
     """
+    if not isinstance(filter, FiniteOrderFilter):
+        raise TypeError(
+            f"filter: wanted a FiniteOrderFilter, got a {type(filter).__name__}; tables of a "
+            "switching system come from simulated_synthesis or grid_synthesis"
+        )
     memory, n, times = filter.memory, filter.components, filter.times
     m = filter.system.sensor.size
     axes_y = as_axes("y", y, m)

@@ -101,7 +101,7 @@ def covariance_source(filter) -> tuple[dict, str]:
     macros = {"STATE": n, "MEASUREMENT": m, "MOMENTS": n * (n + 3) // 2}
     text = constants("@name_mean0", np.asarray(system.mean0, dtype=float))
     text += constants("@name_cov0", np.asarray(system.cov0, dtype=float))
-    advance = "@name_advance_(t, z);"
+    advance = "@name_advance_(s->t, z);  /* dynamics are those of the time they leave */"
     if filter.continuous:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
     parts = [

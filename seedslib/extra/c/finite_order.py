@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.designed.between import SAME_TIME
+from seedslib.base.clock import ROUNDING, SAME
 from seedslib.designed.predictors import Continuous, PolynomialFit
 from seedslib.designed.regression import AffineFit
 from seedslib.extra.c.forecasts import ahead, course, held
@@ -24,8 +24,8 @@ STATE = """\
 typedef struct {
     int k; /* measurements taken in */
     double mean[@NAME_ESTIMATE]; /* estimate at the last one */
-    double cov[@NAME_ESTIMATE][@NAME_ESTIMATE]; /* its covariance, as the filter sees it */
-    double loglik; /* log-density of the last measurement */
+    double cov[@NAME_ESTIMATE][@NAME_ESTIMATE]; /* its covariance, NaN from a gap on */
+    double loglik; /* log-density of the last measurement, NaN after a gap */
     double memory[@NAME_MEMORY]; /* newest first: estimates, then measurements */
     double shown[@NAME_MEASUREMENT]; /* last measurement, gaps filled */
 } @name_state;
@@ -41,15 +41,23 @@ STEP = """\
 static inline int @name_step(@name_state *s, const double *y)
 {
     double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
-    int i;
+    const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
+    int i, lost = gap;
     if (s->k >= @NAME_TIMES) return @NAME_END;
-    for (i = 0; i < @NAME_MEASUREMENT; i++) if (isinf(y[i])) return @NAME_INFINITE;
+    for (i = 0; i < @NAME_MEASUREMENT; i++) {
+        if (isinf(y[i])) return @NAME_INFINITE;
+        if (isnan(y[i])) lost = 1;
+    }
     if (s->k == 0) {
         @name_first_(s, y);
     } else {
         memcpy(u, s->memory, sizeof u);
         @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
         @name_correct_(@name_times[s->k], mean, cov, s, y);
+    }
+    if (gap) s->loglik = (double)NAN;
+    for (i = 0; lost && i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
+        s->cov[i / @NAME_ESTIMATE][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
     s->k++;
@@ -103,7 +111,7 @@ BETWEEN = """\
 /* Forecast of the estimated components at a time from the last measurement to the next. */
 static inline int @name_forecast(const @name_state *s, double t, double *out)
 {
-    double value[(@NAME_NODES + 2) * @NAME_ESTIMATE], when[@NAME_NODES + 2], slack, share;
+    double value[(@NAME_NODES + 2) * @NAME_ESTIMATE], when[@NAME_NODES + 2], slack, span, share;
     int i = 0, j, count, nodes;
     if (s->k == 0) return @NAME_TIME;
     memcpy(value, s->mean, sizeof s->mean);
@@ -116,7 +124,8 @@ static inline int @name_forecast(const @name_state *s, double t, double *out)
         when[count++] = @name_times[s->k];
     }
     if (!(t >= when[0] - @SLACK && t <= when[count - 1] + @SLACK)) return @NAME_TIME;
-    slack = @SAME * (when[count - 1] - when[0]);
+    span = when[count - 1] - when[0];
+    slack = fmin(fmax(@SAME * span, @ROUND * fabs(when[count - 1])), 0.25 * span);
     while (i < nodes && when[i + 1] <= t + slack) i++;
     @SHARE
     for (j = 0; j < @NAME_ESTIMATE; j++) {
@@ -220,8 +229,9 @@ def between(filter) -> str:
             'use filter.forecasting("interpolated")'
         )
     text = BETWEEN.replace("@SHARE", _SHARES[filter.between])
-    shortest = np.diff(filter.times).min()
-    return text.replace("@SLACK", repr(float(SAME_TIME * shortest))).replace("@SAME", "1e-9")
+    for mark, value in (("@SLACK", filter.clock.tolerance), ("@SAME", SAME), ("@ROUND", ROUNDING)):
+        text = text.replace(mark, repr(value))
+    return text
 
 
 def push(filter) -> str:

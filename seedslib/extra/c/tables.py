@@ -69,6 +69,7 @@ _STEP = """\
 static inline int @name_step(@name_state *s, const double *y)
 {
     double point[@NAME_AXES] = { 0.0 };
+    const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
     int i, missing = 0;
     if (s->k >= @NAME_TIMES) return @NAME_END;
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
@@ -91,7 +92,7 @@ static inline int @name_step(@name_state *s, const double *y)
     memcpy(s->shown, y, sizeof s->shown);
     for (i = 0; i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
         const int p = i / @NAME_ESTIMATE, q = i % @NAME_ESTIMATE;
-        s->cov[p][q] = missing ? (double)NAN : @name_cov[s->k][p][q];
+        s->cov[p][q] = missing || gap ? (double)NAN : @name_cov[s->k][p][q];
     }
     s->loglik = (double)NAN;
     @name_push_(s);

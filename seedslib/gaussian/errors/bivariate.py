@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, owens_t
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_real, unmasked
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
 FAR, TINY = 100.0, 1e-200
@@ -73,7 +73,7 @@ def _correlation(rho: ArrayLike) -> np.ndarray:
 
 
 def _limit(name: str, value: ArrayLike) -> np.ndarray:
-    array = np.asarray(value)
+    array = np.asarray(unmasked(name, value))
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
     if np.isnan(array).any():

@@ -14,6 +14,7 @@ from functools import cached_property
 import numpy as np
 import sympy as sp
 
+from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.errors.bounds import (
     ErrorBounds,
@@ -31,7 +32,6 @@ from seedslib.gaussian.errors.piecewise import piecewise_errors
 from seedslib.gaussian.errors.replica import ReplicaErrors
 from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.gaussian.means.compile import Compiled, stretched
-from seedslib.gaussian.means.parse import as_symbols
 from seedslib.gaussian.means.symbolic import FunctionClass, expectation_function
 
 __all__ = [
@@ -183,9 +183,7 @@ class PosteriorVariance:
         -------
         ndarray (...) for a scalar f, (p, p, ...) for a vector
         """
-        mean, cov = gaussian_arguments(mean, cov)
-        if len(mean) != self.dimension:
-            raise ValueError(f"mean: wanted {self.dimension} components, got shape {mean.shape}")
+        mean, cov = gaussian_arguments(mean, cov, self.dimension)
         batch = np.broadcast_shapes(mean.shape[1:], cov.shape[2:])
         mean = np.broadcast_to(stretched(mean, 1, len(batch)), (self.dimension, *batch))
         if cov.ndim > 2:

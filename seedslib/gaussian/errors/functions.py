@@ -1,4 +1,4 @@
-"""Means, variances and exact errors of the functions that filters ask for: modulus, maximum, sine.
+"""Means, variances and exact errors of the functions that filters ask for: modulus, sine.
 
 Every formula is arranged as a sum of terms of one sign, so that an error keeps its relative
 accuracy when it is many orders of magnitude smaller than the function.
@@ -10,12 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erfcx, ndtr
+from scipy.special import erfcx
 
 from seedslib.base.checks import as_real
-from seedslib.gaussian.arguments import gaussian_arguments, variance_argument
+from seedslib.gaussian.arguments import variance_argument
 from seedslib.gaussian.errors.bivariate import density
-from seedslib.gaussian.errors.joint import as_joint_law
 from seedslib.gaussian.means.norm import norm_errors, norm_mean
 
 __all__ = [
@@ -23,8 +22,6 @@ __all__ = [
     "MeanSquareErrors",
     "abs_errors",
     "abs_moments",
-    "max_errors",
-    "max_moments",
     "norm_errors",
     "norm_mean",
     "sine_errors",
@@ -76,36 +73,6 @@ def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> Functio
     gap = 2 * _excess(scaled)
     shrunk = 1.0 - gap * (2 * np.minimum(scaled, 40.0) + gap)
     return FunctionMoments(distance + root * gap, var * shrunk)
-
-
-def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
-    """Mean and variance of the larger of two correlated Gaussian variables (Clark's formulas).
-
-    Parameters
-    ----------
-    mean : array_like
-        Shape (2, ...).
-    cov : array_like
-        Shape (2, 2) or (2, 2, ...). Variables with a constant difference are allowed.
-
-    Returns
-    -------
-    FunctionMoments
-        Arrays of shape (...).
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not two components, not real, not finite, or not a covariance.
-    """
-    mean, cov = gaussian_arguments(mean, cov)
-    if mean.shape[0] != 2:
-        raise ValueError(f"mean: wanted two components, got {mean.shape[0]}")
-    half = _half_sum(cov)
-    modulus = abs_moments(mean[0] - mean[1], half.spread)
-    sign = 2 * ndtr(_signed_ratio(mean[0] - mean[1], np.sqrt(half.spread))) - 1
-    var = half.var + half.cross * sign + 0.25 * modulus.var
-    return FunctionMoments(0.5 * (mean[0] + mean[1] + modulus.mean), np.maximum(var, 0.0))
 
 
 def sine_moments(mean: ArrayLike, var: ArrayLike) -> FunctionMoments:
@@ -202,51 +169,6 @@ def abs_errors(
     return MeanSquareErrors(optimal, optimal + error_var * square)
 
 
-def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSquareErrors:
-    """Exact mean-square errors of the estimates of ``max(x₁, x₂)`` (example 2).
-
-    The maximum is half the sum and half the modulus of the difference, so the errors follow from
-    those of the modulus.
-
-    Parameters
-    ----------
-    mean : array_like
-        Unconditional mean μ, shape (2,).
-    cov, error_cov : array_like
-        C and P, shape (2, 2), P not above C.
-
-    Returns
-    -------
-    MeanSquareErrors
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not two components, not real, not finite, not covariances, or P above C.
-    """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, 2)
-    prior, half = _half_sum(cov), _half_sum(error_cov)
-    difference = mean[0] - mean[1]
-    modulus = abs_errors(difference, prior.spread, np.minimum(half.spread, prior.spread))
-    sign = 2 * ndtr(_signed_ratio(difference, np.sqrt(prior.spread))) - 1
-    optimal = np.maximum(half.var + half.cross * sign + 0.25 * modulus.optimal, 0.0)
-    return MeanSquareErrors(optimal, optimal + 0.25 * (modulus.plugin - modulus.optimal))
-
-
-class _HalfSum(NamedTuple):
-    """Variance of (x₁+x₂)/2, its covariance with x₁-x₂, and the variance of x₁-x₂."""
-
-    var: np.ndarray
-    cross: np.ndarray
-    spread: np.ndarray
-
-
-def _half_sum(cov: np.ndarray) -> _HalfSum:
-    first, second, mixed = cov[0, 0], cov[1, 1], cov[0, 1]
-    spread = np.maximum(first + second - 2 * mixed, 0.0)
-    return _HalfSum(0.25 * (first + second + 2 * mixed), 0.5 * (first - second), spread)
-
-
 def _excess(scaled: np.ndarray) -> np.ndarray:
     """``φ(α) - α Φ(-α)`` for α >= 0: by how much E(X+α)⁺ exceeds α. Positive to underflow."""
     scaled = np.minimum(scaled, 40.0)
@@ -276,12 +198,6 @@ def _ratio(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
     # Quotients that would overflow count as infinite.
     regular = denominator > numerator * 1e-300
     return np.divide(numerator, denominator, out=quotient, where=regular & (denominator > 0))
-
-
-def _signed_ratio(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
-    return np.sign(numerator) * np.where(
-        numerator == 0, 0.0, _ratio(np.abs(numerator), denominator)
-    )
 
 
 def _scalar_law(mean: object, var: object, error_var: object) -> tuple:

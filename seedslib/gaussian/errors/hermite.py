@@ -17,6 +17,7 @@ from math import factorial, sqrt
 import numpy as np
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.checks import unmasked
 from seedslib.gaussian.errors.joint import as_joint_law, joint_factor
 from seedslib.gaussian.errors.tensors import contracted, factorial_of, mean_derivatives
 from seedslib.gaussian.means.polynomial import Index, heat
@@ -45,6 +46,9 @@ class HermiteExpansion:
         ``Cov f`` beyond the expansion; zero for polynomials.
     coordinates : tuple of int, optional
         Components of the state that the n coordinates are; all of them by default.
+    rule_error : ndarray (p, p), optional
+        How far `lower` and `upper` may be wrong because the coefficients come from a rule, as
+        two coarser rules tell; zero for polynomials. None where nobody looked.
     """
 
     mean: np.ndarray
@@ -54,6 +58,7 @@ class HermiteExpansion:
     coefficients: np.ndarray
     remainder: np.ndarray
     coordinates: tuple[int, ...] | None = None
+    rule_error: np.ndarray | None = None
 
     @property
     def degrees(self) -> np.ndarray:
@@ -106,7 +111,7 @@ class HermiteExpansion:
         -------
         ndarray (p, ...)
         """
-        xhat = np.asarray(xhat, dtype=float)
+        xhat = np.asarray(unmasked("xhat", xhat), dtype=float)
         if self.coordinates is not None:
             xhat = xhat[list(self.coordinates)]
         centred = xhat - self.mean.reshape(-1, *(1,) * (xhat.ndim - 1))
@@ -203,6 +208,7 @@ def polynomial_expansion(
         np.array(indices, dtype=int).reshape(len(indices), rank),
         coefficients,
         np.zeros((len(coefficients),) * 2),
+        rule_error=np.zeros((len(coefficients),) * 2),
     )
 
 

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import sympy as sp
 
+from seedslib.base.symbols import as_expression, as_symbols, require_known, require_number
 from seedslib.gaussian.means.classes import Terms, folded
 from seedslib.gaussian.means.reader import Reader
 
@@ -30,22 +31,8 @@ def components_of(f: object) -> tuple[tuple[sp.Expr, ...], bool]:
     if isinstance(f, (list, tuple)):
         if not f:
             raise ValueError("f: wanted at least one component, got an empty list")
-        return tuple(sp.sympify(item) for item in f), False
-    value = sp.sympify(f)
-    if not isinstance(value, sp.Expr):
-        raise TypeError(f"f: wanted a SymPy expression or a vector of them, got {type(f).__name__}")
-    return (value,), True
-
-
-def as_symbols(name: str, value: object) -> tuple[sp.Symbol, ...]:
-    """Tuple of symbols; a single symbol, a string or a number is refused."""
-    if isinstance(value, (str, sp.Basic)) and not isinstance(value, (sp.Tuple, sp.MatrixBase)):
-        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
-    symbols = tuple(value)
-    for symbol in symbols:
-        if not isinstance(symbol, sp.Symbol):
-            raise TypeError(f"{name}: wanted SymPy symbols, got {symbol!r}")
-    return symbols
+        return tuple(as_expression("f", item) for item in f), False
+    return (as_expression("f", f),), True
 
 
 def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence = ()) -> Parsed:
@@ -72,13 +59,9 @@ def check_symbols(
     known = (*variables, *parameters)
     if not variables or len(set(known)) < len(known):
         raise ValueError(f"variables: wanted distinct symbols, at least one, got {known}")
-    unknown = set().union(*(e.free_symbols for e in expressions)) - set(known)
-    if unknown:
-        names = ", ".join(sorted(str(s) for s in unknown))
-        raise ValueError(f"f: unknown symbol {names}; the variables are {known}")
+    require_known("f", expressions, known, f"; the variables are {known}")
     for expression in expressions:
-        if expression.has(sp.I, sp.nan, sp.oo, -sp.oo, sp.zoo):
-            raise ValueError(f"f: wanted real finite values, got {expression}")
+        require_number("f", expression)
 
 
 @lru_cache(maxsize=256)

@@ -166,6 +166,8 @@ class Reader:
         if not argument.has(*self.symbols):
             return self.constant(sp.Heaviside(argument, edge))
         poly = self._affine(argument, node)
+        if poly.total_degree() <= 0:  # the variables cancel
+            return self.constant(sp.Heaviside(poly.as_expr(), edge))
         normal = [poly.coeff_monomial(x) for x in self.symbols]
         lead = next(c for c in normal if c != 0)
         if lead.is_negative:
@@ -183,6 +185,8 @@ class Reader:
             return self.constant(node)
         argument = node.args[0] * (1 if isinstance(node, NormalCDF) else sp.sqrt(2))
         poly = self._affine(sp.expand(argument), node)
+        if poly.total_degree() <= 0:
+            return self.constant(node.xreplace({node.args[0]: sp.expand(node.args[0])}))
         normal = tuple(poly.coeff_monomial(x) for x in self.symbols)
         plane = Plane(normal, poly.coeff_monomial(sp.S.One), sp.S.Half, blurred=True)
         minus = next(c for c in normal if c != 0).is_negative

@@ -11,11 +11,12 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.checks import as_real
+from seedslib.base.symbols import as_expression, as_symbols
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.means.classes import Key, NoClosedForm
 from seedslib.gaussian.means.compile import Compiled, compile_terms
 from seedslib.gaussian.means.formulas import mean_formula
-from seedslib.gaussian.means.parse import Parsed, as_symbols, check_symbols, components_of, parse
+from seedslib.gaussian.means.parse import Parsed, check_symbols, components_of, parse
 
 __all__ = [
     "FunctionClass",
@@ -153,7 +154,7 @@ def mean_expression(
     """
     variables = as_symbols("variables", variables)
     n = len(variables)
-    mean, cov = sp.Matrix(list(mean)), sp.Matrix(cov)
+    mean, cov = _matrix("mean", list(mean)), _matrix("cov", cov)
     if mean.shape != (n, 1):
         raise ValueError(f"mean: wanted {n} components, got shape {mean.shape}")
     if cov.shape != (n, n):
@@ -167,6 +168,15 @@ def mean_expression(
     values |= {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
     results = [formula.xreplace(values) for formula in formulas]
     return results[0] if scalar else sp.Matrix(results)
+
+
+def _matrix(name: str, value: object) -> sp.Matrix:
+    """Matrix of expressions; SymPy alone would evaluate strings."""
+    if isinstance(value, sp.MatrixBase):
+        return sp.Matrix(value)
+    array = np.array(value, dtype=object)
+    entries = [as_expression(name, entry) for entry in array.ravel()]
+    return sp.Matrix(*(array.shape if array.ndim == 2 else (array.size, 1)), entries)
 
 
 @lru_cache(maxsize=256)
@@ -235,9 +245,7 @@ class GaussianMean:
         -------
         ndarray (...) for a scalar f, (p, ...) for a vector
         """
-        mean, cov = gaussian_arguments(mean, cov)
-        if len(mean) != self.dimension:
-            raise ValueError(f"mean: wanted {self.dimension} components, got shape {mean.shape}")
+        mean, cov = gaussian_arguments(mean, cov, self.dimension)
         return self.evaluate(mean, cov, *values)
 
     def evaluate(self, mean: np.ndarray, cov: np.ndarray, *values: float) -> np.ndarray:

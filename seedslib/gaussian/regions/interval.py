@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_real, unmasked
 from seedslib.gaussian.regions.nodes import flat_interval
 from seedslib.gaussian.regions.regions import RegionMoments
 
@@ -77,7 +77,7 @@ def interval(
 
 def _as_bound(name: str, value: object) -> np.ndarray:
     """Real array in which infinities, but not NaN, are legal."""
-    array = np.asarray(value)
+    array = np.asarray(unmasked(name, value))
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
     array = array.astype(float)

@@ -1,0 +1,81 @@
+"""One notion of the same time.
+
+Times come from sums, products and files, so that what is meant as one time differs in its last
+digits. Two times are the same when they are nearer than a billionth of the shortest interval, or
+than a few roundings of numbers of their size, whatever the unit and wherever zero is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+SAME = 1e-9
+"""Part of the shortest interval within which times are one."""
+
+ROUNDING = 2.0**-50
+"""Part of a time within which times are one: two to four units in its last place on each side."""
+
+
+def slack(interval: float, size: float) -> float:
+    """How far two times of a given size may be apart and be the same, in a grid of intervals.
+
+    Never more than a quarter of the interval: neighbours in a grid are two times.
+    """
+    return min(max(SAME * interval, ROUNDING * size), 0.25 * interval)
+
+
+class Clock:
+    """Times of a grid, and which other times are the same.
+
+    Parameters
+    ----------
+    times : ndarray, shape (K,)
+        Increasing.
+    end : float, optional
+        The last time that will be asked about, where it is later.
+
+    Attributes
+    ----------
+    times : list of float
+    tolerance : float
+        How far apart two times are the same.
+    """
+
+    def __init__(self, times: np.ndarray, end: float | None = None):
+        self.times: list[float] = np.asarray(times, dtype=float).tolist()
+        last = self.times[-1] if end is None else max(float(end), self.times[-1])
+        steps = np.diff([*self.times, last] if len(self.times) == 1 else self.times)
+        # one time alone has no interval: what is left is the rounding of its size
+        self._interval = float(steps.min()) if steps.any() else 4.0 * ROUNDING * abs(last)
+        self.tolerance = slack(self._interval, max(abs(self.times[0]), abs(last)))
+
+    def same(self, t: float, other: float) -> bool:
+        """Whether two times are one, also where they lie beyond the grid."""
+        return abs(t - other) <= max(self.tolerance, slack(self._interval, abs(other)))
+
+    def rows(self, other: np.ndarray) -> np.ndarray:
+        """Where the times of this clock lie in another grid, shape (K,).
+
+        Parameters
+        ----------
+        other : ndarray, shape (J,)
+            Increasing; may be empty.
+
+        Returns
+        -------
+        ndarray of int
+            The row of the nearest time; -1 where none is the same.
+        """
+        times, other = np.array(self.times), np.asarray(other, dtype=float)
+        if not len(other):
+            return np.full(len(times), -1)
+        after = np.searchsorted(other, times).clip(max=len(other) - 1)
+        before = np.maximum(after - 1, 0)
+        nearest = np.where(other[after] - times < times - other[before], after, before)
+        return np.where(np.abs(other[nearest] - times) <= self.tolerance, nearest, -1)
+
+
+def lengths_alike(steps: np.ndarray) -> np.ndarray:
+    """Lengths of intervals without the last digits, in which the steps of an even grid differ."""
+    mantissa, exponent = np.frexp(steps)
+    return np.ldexp(np.round(mantissa * 2.0**39), exponent - 39)

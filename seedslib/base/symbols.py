@@ -1,0 +1,157 @@
+"""Checks of SymPy input: symbols with one meaning each, and expressions that mean a number.
+
+No text is ever evaluated: SymPy would run a string as a program.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterable, Mapping, Sequence
+
+import sympy
+from sympy.core.function import AppliedUndef
+
+# without `doit()` these are names of a value, which generated code cannot compute
+UNFINISHED = (
+    sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative, sympy.Subs, sympy.Limit,
+)  # fmt: skip
+LARGEST = sympy.Float(sys.float_info.max)
+
+
+def as_expression(name: str, value: object) -> sympy.Expr:
+    """A SymPy expression or a number as an expression; never text.
+
+    Raises
+    ------
+    TypeError
+        A string, or what SymPy cannot take as an expression.
+    """
+    if isinstance(value, str):
+        raise TypeError(
+            f"{name}: wanted SymPy expressions, got the string {value!r}; strings are not evaluated"
+        )
+    try:
+        expression = sympy.sympify(value, strict=True)
+    except (sympy.SympifyError, TypeError, ValueError) as error:
+        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
+    if not isinstance(expression, sympy.Expr):
+        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}")
+    return expression
+
+
+def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
+    """Tuple of symbols; a single symbol, a string or a number is refused.
+
+    Raises
+    ------
+    TypeError
+        No sequence, or an entry that is no symbol.
+    """
+    alone = isinstance(value, sympy.Basic) and not isinstance(value, sympy.Tuple)
+    if isinstance(value, str) or (alone and not isinstance(value, sympy.MatrixBase)):
+        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
+    if not isinstance(value, Iterable):
+        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
+    symbols = tuple(value)
+    for symbol in symbols:
+        if not isinstance(symbol, sympy.Symbol):
+            raise TypeError(f"{name}: wanted SymPy symbols, got {symbol!r}")
+    return symbols
+
+
+def require_distinct(**groups: Sequence | None) -> None:
+    """Refuse a symbol that would have two meanings in one model.
+
+    Parameters
+    ----------
+    **groups : sequence of symbols, or None
+        By role: state, noise, marks, time, parameters. None where a role has no names.
+
+    Raises
+    ------
+    TypeError
+        An entry that is no symbol.
+    ValueError
+        A symbol twice, in one role or in two.
+    """
+    roles: dict = {}
+    for role, group in groups.items():
+        for symbol in as_symbols(role, () if group is None else group):
+            if symbol in roles:
+                twice = roles[symbol] == role
+                where = f"{role}" if twice else f"{roles[symbol]}, {role}"
+                again = "twice" if twice else "in both"
+                raise ValueError(f"{where}: wanted distinct symbols, got {symbol} {again}")
+            roles[symbol] = role
+
+
+def require_known(name: str, expressions: Iterable, known: Iterable, advice: str = "") -> None:
+    """Refuse symbols that a model does not have.
+
+    Raises
+    ------
+    ValueError
+        Another symbol, or one with the name of a known symbol and other assumptions.
+    """
+    known = set(known)
+    unknown = set().union(*(e.free_symbols for e in expressions)) - known
+    if not unknown:
+        return
+    names = {str(s): s for s in known}
+    text = [
+        f"{s} with assumptions other than those of the known {s}" if str(s) in names else str(s)
+        for s in sorted(unknown, key=str)
+    ]
+    if any(str(s) in names for s in unknown):
+        advice = "; a Symbol of one name but another real=True is another symbol"
+    raise ValueError(f"{name}: wanted known symbols, got {', '.join(text)}{advice}")
+
+
+def require_number(name: str, expression: sympy.Expr) -> None:
+    """Refuse an expression that does not stand for a finite real number.
+
+    Raises
+    ------
+    ValueError
+        It has an infinity, NaN, the imaginary unit, a number beyond float64, a function without
+        a definition, or a sum or an integral that was not carried out.
+    """
+    if expression.has(sympy.nan, sympy.oo, -sympy.oo, sympy.zoo, sympy.I):
+        raise ValueError(f"{name}: wanted real finite values, got {expression}")
+    for number in expression.atoms(sympy.Number):
+        if abs(number) > LARGEST:
+            raise ValueError(f"{name}: wanted numbers in the range of float64, got one beyond it")
+    for part in expression.atoms(AppliedUndef):
+        raise ValueError(f"{name}: wanted numbers and known functions, got {part} in {expression}")
+    for part in expression.atoms(*UNFINISHED):
+        raise ValueError(
+            f"{name}: wanted an expression that was carried out, got {part}; see doit() of SymPy"
+        )
+
+
+def named_model(state, time, parameters: Mapping | None, **noises: Sequence) -> tuple:
+    """State symbols, symbol of the time (``t`` where None) and values of the parameters.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A name that is no symbol, a value that is no expression, or one symbol with two meanings;
+        `noises` are the symbols of each noise, by role.
+    """
+    state, values = as_symbols("state", state), parameter_values(parameters)
+    time = sympy.Symbol("t") if time is None else time
+    require_distinct(state=state, **noises, time=(time,), parameters=values)
+    return state, time, values
+
+
+def parameter_values(values: Mapping | None) -> dict:
+    """Values of parameters as expressions by symbol; None means none.
+
+    Raises
+    ------
+    TypeError
+        A key that is no symbol, or a value that is no expression.
+    """
+    table = {} if values is None else dict(values)
+    as_symbols("parameters", table.keys())
+    return {s: as_expression(f"parameters[{s}]", value) for s, value in table.items()}

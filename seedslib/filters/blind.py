@@ -1,0 +1,50 @@
+"""Sensors that a filter of means and covariances cannot use: uncorrelated with the state."""
+
+from __future__ import annotations
+
+import warnings
+from itertools import product
+
+import numpy as np
+
+TIMES = (0.0, 0.7, 1.0, 10.0, 1e3)
+"""Where it is looked; a sensor may be switched off for a while."""
+
+PLACES = (0.0, 0.37, -0.61, 1.53, -2.29)
+"""Means in deviations from that of the initial law, each component in an order of its own."""
+
+NOTHING = 1e-14
+"""A correlation below this is rounding."""
+
+
+def warn_blind(sensor, system) -> None:
+    """Warn of components of a measurement that no state is correlated with, wherever it is.
+
+    Parameters
+    ----------
+    sensor : callable
+        ``sensor(t, mean, cov) -> Moments``.
+    system : object
+        With `mean0` and `cov0`, which say where to look.
+
+    Warns
+    -----
+    UserWarning
+    """
+    spread = np.sqrt(np.diagonal(system.cov0))
+    spread = np.where(spread > 0, spread, 1.0)
+    cov, blind = np.diag(spread**2), True
+    with np.errstate(all="ignore"):
+        for t, turn in product(TIMES, range(len(PLACES))):
+            place = np.array([PLACES[(turn + k) % len(PLACES)] for k in range(len(spread))])
+            _, cross, square = sensor(t, system.mean0 + spread * place, cov)
+            size = np.outer(spread, np.sqrt(np.abs(np.diagonal(square))))
+            # what is not a number is no evidence
+            blind = blind & (np.abs(cross) <= NOTHING * size).all(axis=0)
+    for j in np.flatnonzero(blind):
+        warnings.warn(
+            f"sensor: y{j + 1} is uncorrelated with the state wherever that is, so it moves no "
+            "estimate of this filter; a function of it may be correlated, as log y**2 is for "
+            "y = exp(x) v",
+            stacklevel=4,
+        )
