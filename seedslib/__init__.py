@@ -12,12 +12,11 @@ or another language; nothing uses it. A public name has one address, its room:
 ``from seedslib.models import Noise``. What a room may import stands in its opening lines.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
 __version__ = "0.1.0"
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib import base as base
     from seedslib import commands as commands

@@ -125,6 +125,23 @@ def test_readers_use_addresses_only():
             assert module.count(".") < 2, f"{path.name}: {module}"
 
 
+def test_a_door_without_its_source_says_what_it_wants(tmp_path, monkeypatch):
+    room = tmp_path / "room"
+    room.mkdir()
+    (room / "__init__.py").write_text(
+        "from seedslib.base.lazy import lazy_names\n__file__ += 'x'\nlazy_names(__name__)\n"
+    )
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ImportError, match="room: its source is wanted"):
+        importlib.import_module("room")
+
+
+@pytest.mark.parametrize("room", ROOMS)
+def test_the_one_list_is_read_at_run_time_as_it_stands(room):
+    known = getattr(importlib.import_module(f"seedslib.{room}"), "__all__", [])
+    assert known == sorted(name for name, _ in listed(room))
+
+
 def test_no_folder_is_a_drawer():
     crowded = Counter(path.parent for path in FILES)
     assert {folder.name: n for folder, n in crowded.items() if n > 25} == {}

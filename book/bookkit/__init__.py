@@ -4,10 +4,9 @@ It uses the library, which knows nothing of it, and it is not in the wheel: `set
 `.binder/postBuild` let notebooks and workers import it by a path file.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from bookkit import plots as plots
     from bookkit.design_plots import plot_design as plot_design

@@ -6,10 +6,9 @@ correction, tables and their look-up, and the lazy names of these doors. No mode
 May import: none.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
     from seedslib.base.tables import Axis as Axis

@@ -6,10 +6,9 @@ the examples. It uses the core and `riemann`; nothing uses it.
 May import: base, filters, riemann.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.delay import examples as examples
     from seedslib.delay.analysis import apply_gains as apply_gains

@@ -6,10 +6,9 @@ Shelves: `paths` (regression over simulated paths), `law` (the law of memory and
 May import: base, models, linearization, filters, designed.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.design.law.grid import affine_synthesis as affine_synthesis
     from seedslib.design.law.grid import grid_risk as grid_risk

@@ -6,10 +6,9 @@ is `design`.
 May import: base, models, linearization, filters.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.designed import lemmas as lemmas
     from seedslib.designed.between import FORECAST_KINDS as FORECAST_KINDS

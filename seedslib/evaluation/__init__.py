@@ -5,10 +5,9 @@ And `diff`, which compares two designs. It runs filters and knows none of them b
 May import: base, models, designed.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.evaluation.designs import diff as diff
     from seedslib.evaluation.scores import compare as compare

@@ -6,10 +6,9 @@ Nothing uses this room.
 May import: base, models, linearization, filters, designed, design.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.extra.c.header import to_c as to_c
     from seedslib.extra.dask_crew import cluster as cluster

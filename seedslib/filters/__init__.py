@@ -6,10 +6,9 @@ files.
 May import: base, models, linearization.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.filters.covariance import CovarianceFilter as CovarianceFilter
     from seedslib.filters.covariance import assumed_density as assumed_density

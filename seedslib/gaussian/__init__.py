@@ -7,10 +7,9 @@ Three shelves and a file: `means` (closed forms of E f(x), from symbols to numbe
 May import: base.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.gaussian.errors import forms as forms
     from seedslib.gaussian.errors.bivariate import bivariate_normal_cdf as bivariate_normal_cdf

@@ -7,10 +7,9 @@ only: continuous-time flows and weighted branches follow from it. No filter, no 
 May import: base, gaussian, models.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.linearization.moments import Gaussian as Gaussian
     from seedslib.linearization.moments import Linearization as Linearization

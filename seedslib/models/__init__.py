@@ -6,10 +6,9 @@ model knows no filter and no estimate.
 May import: base, gaussian.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.models.chain_feller import FellerChain as FellerChain
     from seedslib.models.chain_switching import SwitchingChain as SwitchingChain

@@ -15,10 +15,9 @@ No filter and no model: criteria are plain functions.
 May import: base.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.pareto.bisection import Bisection as Bisection
     from seedslib.pareto.bisection import bisect as bisect

@@ -5,10 +5,9 @@ Cells, branches, merging, and the falling body in `examples`. It uses the core; 
 May import: base, gaussian, models, linearization, filters.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.piecewise import examples as examples
     from seedslib.piecewise.cells import line_cells as line_cells

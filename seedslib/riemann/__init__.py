@@ -14,10 +14,9 @@ No filter and no model; of the wings only `delay` uses this one.
 May import: base.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.riemann.fourier import circle as circle
     from seedslib.riemann.fourier import winding as winding

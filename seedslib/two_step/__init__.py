@@ -6,10 +6,9 @@ with. It uses the core; nothing uses it.
 May import: base, gaussian, models, filters.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.two_step.augmented import AugmentedDiffusion as AugmentedDiffusion
     from seedslib.two_step.augmented_filter import (

@@ -5,10 +5,9 @@ Only models of the core: the wings keep theirs in `examples`. No results and no 
 May import: base, models.
 """
 
-from typing import TYPE_CHECKING
-
 from seedslib.base.lazy import lazy_names
 
+TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.zoo.continuous import flip_process as flip_process
     from seedslib.zoo.continuous import kicked_duffing as kicked_duffing
