@@ -10,6 +10,14 @@ from pathlib import Path
 from seedslib.commands.cli import run
 
 
+def _told(found: Sequence[str], some: str, none: str) -> int:
+    """Print the faults that were found, a line each, and how many; the exit code."""
+    for fault in found:
+        print(fault)
+    print(f"{len(found)} {some}" if found else none)
+    return 1 if found else 0
+
+
 def _execute(options: argparse.Namespace) -> int:
     from bookkit import execution, fingerprint
 
@@ -52,10 +60,7 @@ def _claims(options: argparse.Namespace) -> int:
         replace(Path(options.page), ledger.page(root))
         return 0
     found = ledger.faults(root)
-    for fault in found:
-        print(fault)
-    print(f"{len(found)} faults in the ledger" if found else "the ledger and the notebooks agree")
-    return 1 if found else 0
+    return _told(found, "faults in the ledger", "the ledger and the notebooks agree")
 
 
 def _typecheck(options: argparse.Namespace) -> int:
@@ -63,10 +68,7 @@ def _typecheck(options: argparse.Namespace) -> int:
 
     root = fingerprint.project_root(Path.cwd())
     found = programs.faults(root, [Path(page).resolve() for page in options.pages])
-    for fault in found:
-        print(fault)
-    print(f"{len(found)} faults of types" if found else "the programs agree with the types")
-    return 1 if found else 0
+    return _told(found, "faults of types", "the programs agree with the types")
 
 
 def _portable(options: argparse.Namespace) -> int:
@@ -86,10 +88,7 @@ def _check_html(options: argparse.Namespace) -> int:
     from bookkit import html_check
 
     found = html_check.faults(Path(options.folder))
-    for fault in found:
-        print(fault)
-    print(f"{len(found)} faults in the built book" if found else "the built book is sound")
-    return 1 if found else 0
+    return _told(found, "faults in the built book", "the built book is sound")
 
 
 def _parser() -> argparse.ArgumentParser:

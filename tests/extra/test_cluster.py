@@ -68,6 +68,29 @@ def test_a_cluster_finds_the_same_bits(oscillator, request, size, memory, predic
     assert same(here, there)
 
 
+@pytest.mark.parametrize(
+    ("system", "memory", "rule"),
+    [
+        (zoo.scalar_switching(), Memory(1), ExactGaussian()),
+        (zoo.manoeuvring_target("noisy"), Memory(0, 1, 1), Taylor()),
+    ],
+)
+def test_a_cluster_finds_the_same_bits_for_a_system_of_modes(two, system, memory, rule):
+    times = np.arange(3.0)
+    here, there = (
+        synthesize(system, memory, rule, times, paths=17_000, seed=5, workers=where)
+        for where in (2, two)
+    )
+    for a, b in zip(here.fits, there.fits, strict=True):
+        for p, q in zip(a, b, strict=True):
+            np.testing.assert_array_equal(p, q)
+    for p, q in zip(here.predicted, there.predicted, strict=True):
+        np.testing.assert_array_equal(p, q)
+    np.testing.assert_equal(here.held_out._asdict(), there.held_out._asdict())
+    assert here.held_out.paths == 2125
+    assert here.design == there.design
+
+
 def test_an_address_is_enough_and_few_blocks_too(oscillator, two, same):
     options = BASE | {"paths": 500}
     with cluster(two.client.scheduler.address) as crew:
