@@ -8,9 +8,10 @@ os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
 from unittest.mock import patch
 
+from jupyter_client.provisioning import local_provisioner
 from nbval.plugin import IPyNbCell, IPyNbFile
 
-from bookkit import portable
+from bookkit import kernels, portable
 from bookkit.comparison import deviation, differences, without_records
 
 _compare_to_the_letter = IPyNbCell.compare_outputs
@@ -19,6 +20,7 @@ _start_kernel = IPyNbFile.setup
 
 def pytest_addoption(parser):
     parser.addoption("--processor", default="own", help="as which one notebooks are run again")
+    parser.addoption("--forked-kernels", action="store_true", help="kernels that start at once")
     parser.addoption("--deviations", help="file to which the deviations of numbers are added")
 
 
@@ -34,7 +36,11 @@ def _compare_outputs(self, test, ref, skip_compare=None):
 
 def _setup(self):
     with patch.dict(os.environ, portable.environment(self.config.getoption("--processor"))):
-        _start_kernel(self)
+        if self.config.getoption("--forked-kernels"):
+            with patch.object(local_provisioner, "launch_kernel", kernels.launch):
+                _start_kernel(self)
+        else:
+            _start_kernel(self)
 
 
 IPyNbCell.compare_outputs = _compare_outputs

@@ -2,6 +2,9 @@ import json
 import os
 import threading
 import time
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import nullcontext
+from multiprocessing import get_context
 
 import pytest
 
@@ -11,6 +14,19 @@ from bookkit.recording import read_records
 
 def source(project):
     return project / "notebooks" / "tiny.md"
+
+
+@pytest.fixture(scope="module")
+def pool():
+    """Two processes that are kept: they import what executes a notebook once."""
+    with ProcessPoolExecutor(max_workers=2, mp_context=get_context("spawn")) as kept:
+        yield kept
+
+
+@pytest.fixture
+def kept(pool, monkeypatch):
+    """Notebooks of this test are executed by processes that have executed others."""
+    monkeypatch.setattr(execution, "ProcessPoolExecutor", lambda **_: nullcontext(pool))
 
 
 def test_two_runs_give_the_same_bytes(project):
@@ -42,6 +58,7 @@ def test_a_changed_input_makes_it_stale(project, part):
     assert execution.is_stale(source(project))
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_data_file_that_the_notebook_names_is_an_input(project):
     text = source(project).read_text().replace("kernelspec:", "inputs: [data.csv]\nkernelspec:")
     source(project).write_text(text)
@@ -58,6 +75,7 @@ def test_the_library_files_that_were_imported_are_inputs(project):
     assert "bookkit/sweeps.py" not in stamp["library"]
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_failing_notebook_names_its_cell_and_leaves_the_old_result(project):
     target = source(project).with_suffix(".ipynb")
     before = target.read_bytes()
@@ -69,6 +87,7 @@ def test_a_failing_notebook_names_its_cell_and_leaves_the_old_result(project):
     assert target.read_bytes() == before
 
 
+@pytest.mark.usefixtures("kept")
 def test_bad_parameters_fail_with_one_clear_message(project):
     text = source(project).read_text().replace("gain: float = 2.0", "gain: float = -2.0")
     source(project).write_text(text.replace("count: int = 3", "count: int = 9"))
@@ -77,6 +96,7 @@ def test_bad_parameters_fail_with_one_clear_message(project):
     assert "count = 9" in outcome.problem
 
 
+@pytest.mark.usefixtures("kept")
 def test_noise_on_stderr_is_refused(project):
     text = (
         source(project)
@@ -136,6 +156,7 @@ def while_running(project, action):
     return outcome.problem
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_source_that_is_edited_while_it_runs_is_stale_afterwards(project):
     def edit():
         source(project).write_text(source(project).read_text() + "\nMore.\n")
@@ -158,6 +179,7 @@ def test_a_library_that_is_edited_while_it_runs_is_stale_afterwards(project, mon
     assert at_start(["lib/part.py"]) != execution._inputs(source(project))(["lib/part.py"])
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_source_that_is_removed_while_it_runs_is_said(project):
     target = source(project).with_suffix(".ipynb")
     before = target.read_bytes()
@@ -175,6 +197,7 @@ def test_a_source_that_is_removed_while_it_runs_is_said(project):
         ("kernelspec:", "inputs: [\nkernelspec:", "tiny.md is no text notebook"),
     ],
 )
+@pytest.mark.usefixtures("kept")
 def test_a_faulty_header_is_the_outcome_of_that_notebook_alone(project, old, new, message):
     text = source(project).read_text()
     other = source(project).with_name("other.md")
@@ -186,6 +209,7 @@ def test_a_faulty_header_is_the_outcome_of_that_notebook_alone(project, old, new
     assert outcomes["other.md"] == ""
 
 
+@pytest.mark.usefixtures("kept")
 def test_a_kernel_that_dies_is_named_with_its_cell(project):
     insert(project, "import os; os._exit(1)")
     assert execution.execute(project)[0].problem == "failed: cell 3: Kernel died"

@@ -9,10 +9,12 @@ import sys
 import time
 from types import SimpleNamespace
 
+import distributed
 import nbformat
 import pytest
 
 from bookkit import run_sweep, sweeps
+from bookkit.cli import main
 from bookkit.sweeps import execute_point
 
 GRID = "grid:\n  gain: [1.0, 3.0]\n  count: [2, 3]\n"
@@ -28,6 +30,28 @@ def grid(project):
     path = project / "grid.yaml"
     path.write_text(GRID)
     return path
+
+
+@pytest.fixture(scope="module")
+def served(tmp_path_factory):
+    """Address of a scheduler that was started by hand, and a worker too."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    address = f"tcp://127.0.0.1:{port}"
+    folder = tmp_path_factory.mktemp("by_hand")
+    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
+    dask = [sys.executable, "-m", "dask"]
+    scheduler = subprocess.Popen(
+        [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
+    )
+    worker = subprocess.Popen(
+        [*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **common
+    )
+    yield address
+    for process in (worker, scheduler):
+        process.terminate()
+        process.wait(30)
 
 
 def notebook(project):
@@ -53,31 +77,31 @@ def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, grid,
     assert again.table.read_bytes() == before
 
 
-def test_a_changed_notebook_or_lock_makes_new_points(project, grid, capsys):
+def test_a_changed_notebook_or_lock_makes_new_points(project, grid, served, capsys):
     out = project / "out"
     grid.write_text("grid: {gain: [1.0]}\n")
-    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
+    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
     (project / "requirements.lock").write_text("")
-    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
+    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
     assert capsys.readouterr().out.count("1 points, 0 already done, 1 to run") == 2
 
 
-def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, capsys):
+def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, served, capsys):
     grid.write_text("grid: {gain: [7.0, 2.0]}\n")
     out = project / "out"
-    report = run_sweep(notebook(project), grid, out, quiet=True, workers=1)
+    report = run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
     assert report.failed == 1
     assert [r["problem"] for r in rows(report.table)] == [
         "ArithmeticError: seven is out of reach",
         "",
     ]
-    run_sweep(notebook(project), grid, out, quiet=True, workers=1)
+    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
     assert "2 points, 2 already done (1 of them failed), 0 to run" in capsys.readouterr().out
-    run_sweep(notebook(project), grid, out, quiet=True, retry=True, workers=1)
+    run_sweep(notebook(project), grid, out, quiet=True, retry=True, scheduler=served)
     assert "2 points, 1 already done, 1 to run" in capsys.readouterr().out
 
 
-def test_after_a_kill_the_finished_points_are_there(project):
+def test_after_a_kill_the_finished_points_are_there(project, served, capsys, monkeypatch):
     slow = nbformat.read(notebook(project), as_version=4)
     slow.cells[3].source = "import time\ntime.sleep(2)\n" + slow.cells[3].source
     nbformat.write(slow, notebook(project))
@@ -96,31 +120,14 @@ def test_after_a_kill_the_finished_points_are_there(project):
     first.wait()
     finished = len(list((project / "out").glob("*.json")))
     assert 1 <= finished < 4
-    second = subprocess.run(arguments, cwd=project, capture_output=True, text=True, timeout=120)
-    assert second.returncode == 0, second.stderr
-    assert f"4 points, {finished} already done, {4 - finished} to run" in second.stdout
+    monkeypatch.chdir(project)
+    assert main([*arguments[3:-2], "--scheduler", served]) == 0
+    assert f"4 points, {finished} already done, {4 - finished} to run" in capsys.readouterr().out
     assert [float(r["total"]) for r in rows(project / "out" / "results.csv")] == [1.0] * 4
 
 
-def test_a_scheduler_and_workers_started_by_hand_serve_it(project, grid, tmp_path):
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
-    dask = [sys.executable, "-m", "dask"]
-    scheduler = subprocess.Popen(
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
-    )
-    worker = subprocess.Popen(
-        [*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **common
-    )
-    try:
-        report = run_sweep(notebook(project), grid, project / "out", scheduler=address, quiet=True)
-    finally:
-        for process in (worker, scheduler):
-            process.terminate()
-            process.wait(30)
+def test_a_scheduler_and_workers_started_by_hand_serve_it(project, grid, served):
+    report = run_sweep(notebook(project), grid, project / "out", scheduler=served, quiet=True)
     assert report.failed == 0
     assert float(rows(report.table)[3]["total"]) == 13.0
 
@@ -137,7 +144,12 @@ def test_missing_files_and_addresses_are_named(project, grid):
         run_sweep(project / "empty.ipynb", grid, project / "out")
 
 
-def test_an_unreachable_scheduler_is_named(project, grid):
+def test_an_unreachable_scheduler_is_named(project, grid, monkeypatch):
+    def client(address, timeout):
+        assert timeout == "10s"
+        return distributed.Client(address, timeout="0.5s")
+
+    monkeypatch.setattr("dask.distributed.Client", client)
     with pytest.raises(ValueError, match="no scheduler answers"):
         run_sweep(
             notebook(project), grid, project / "out", scheduler="tcp://127.0.0.1:9", quiet=True
@@ -167,13 +179,13 @@ SPOILT = {
 }
 
 
-def test_points_that_spoil_their_records_fail_alone(project, grid):
+def test_points_that_spoil_their_records_fail_alone(project, grid, served):
     content = nbformat.read(notebook(project), as_version=4)
     spoilt = [f"if gain == {gain}:\n    {code}\n" for gain, (code, _) in SPOILT.items()]
     content.cells[3].source = "".join(spoilt) + content.cells[3].source
     nbformat.write(content, notebook(project))
     grid.write_text("grid: {gain: [3.0, 4.0, 5.0, 6.0, 2.0], count: [1]}")
-    report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
+    report = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
     assert report.failed == 4
     table = rows(report.table)
     assert [r["problem"] for r in table] == [*(problem for _, problem in SPOILT.values()), ""]

@@ -1,3 +1,5 @@
+from itertools import combinations_with_replacement
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -12,8 +14,9 @@ def moment(powers):
 
 
 def powers_up_to(n, degree):
-    grids = np.stack(np.meshgrid(*[np.arange(degree + 1)] * n, indexing="ij")).reshape(n, -1).T
-    return [tuple(int(k) for k in row) for row in grids if row.sum() <= degree]
+    """All monomials: as many factors as the degree, each of them a variable or one."""
+    chosen = combinations_with_replacement(range(n + 1), degree)
+    return [tuple(factors.count(k) for k in range(n)) for factors in chosen]
 
 
 @pytest.mark.parametrize(
