@@ -191,6 +191,8 @@ CASES = {
 
 
 @pytest.mark.parametrize("name", CASES)
+@pytest.mark.filterwarnings("ignore:f. the quadrature rule:UserWarning")
+@pytest.mark.filterwarnings("ignore:paths:UserWarning")
 def test_free_choices_of_kernels_change_nothing(free_kernels, name):
     before = CASES[name]()
     free_kernels()

@@ -107,6 +107,7 @@ RUNS = {
 
 
 @pytest.mark.parametrize("name", RUNS)
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_a_masked_measurement_is_a_missing_one(name):
     found = RUNS[name](MASKED)
     np.testing.assert_array_equal(found, RUNS[name](GAPS))

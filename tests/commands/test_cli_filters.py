@@ -52,6 +52,7 @@ def table(folder):
 # The round trip
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_designed_and_run_from_the_command_line(capsys, write, read):
     code = main(
         ["design", "target.py", "--memory", "estimates=1,measurements=1", "--times", "0:1.5:0.5",
@@ -83,6 +84,7 @@ def test_designed_and_run_from_the_command_line(capsys, write, read):
     assert [rows[j][2] for j in (2, 3)] == ["", ""]
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_a_table_runs_from_its_file_alone(table, capsys, write, read, refused):
     write("data.csv", "t,y1\n0,1.5\n0.25,\n0.5,\n1,-0.25\n")
     assert main(["filter", "table.npz", "data.csv", "--out", "alone.csv"]) == 0

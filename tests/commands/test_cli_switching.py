@@ -33,6 +33,7 @@ def folder(tmp_path, monkeypatch):
 
 
 @pytest.mark.filterwarnings("ignore:paths")
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_designed_and_run_with_indicators_some_missing(capsys, write, read):
     assert main(["design", "target.py", "--memory", "estimates=1,indicators=0,log_odds", *CHEAP,
                  "--seed", "3", "--out", "target.npz"]) == 0  # fmt: skip
@@ -68,6 +69,7 @@ def test_remembered_indicators(capsys, write, refused):
     assert "data.csv: indicator: wanted by the memory, got a missing one" in told
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_tables_without_their_model_and_filters_that_last(folder, write, read):
     grid = {"x": (-8, 8, 81), "z": (-6, 6, 31), "y": (-16, 18, 69)}
     system = zoo.scalar_switching("A1H")

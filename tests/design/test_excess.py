@@ -31,6 +31,7 @@ def law(variance, n):
 
 
 @pytest.mark.filterwarnings("ignore:paths. .* are few")
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_excess_of_the_first_estimate_and_of_the_first_forecast():
     """Both are regressions on (1, Y_0), whatever the gain of the first estimate came out as."""
     start, forecast = [], []
@@ -50,6 +51,7 @@ def test_excess_of_the_first_estimate_and_of_the_first_forecast():
 
 
 @pytest.mark.filterwarnings("ignore:paths. .* are few")
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_a_promise_is_too_good_by_the_coefficients():
     """In-sample error of the first estimate: (1 - 2/N) of the true residual variance."""
     found = [filter.predicted.rms[0, 0] ** 2 for filter in random_walk(12, 1)]

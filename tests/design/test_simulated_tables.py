@@ -147,6 +147,7 @@ def test_default_axes_and_equal_seeds(flip):
     assert one.predicted.times == pytest.approx([0.0, 0.125, 0.25, 0.375, 0.5])
 
 
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_diverged_paths_are_left_out():
     system = JumpDiffusion.from_functions(
         lambda t, x: np.where(np.abs(x) > 1.5, x**9, -x),

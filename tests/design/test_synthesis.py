@@ -539,6 +539,7 @@ def test_diverging_design_paths_are_left_out_and_reported():
     assert "diverged paths left out" in str(made)
 
 
+@pytest.mark.filterwarnings("ignore:paths:UserWarning")
 def test_a_path_on_its_way_to_infinity_is_noticed():
     with pytest.warns(UserWarning, match="rest on very few paths"):
         made = synthesize(

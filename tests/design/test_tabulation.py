@@ -27,6 +27,7 @@ def design(system, memory, rule=None, **options):
         (large_order(1), Continuous()),
     ],
 )
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_table_of_affine_functions_is_exact(memory, predictor):
     """Everything is linear, so multilinear interpolation loses nothing."""
     system = zoo.linear_gaussian()
@@ -88,6 +89,7 @@ def test_covariance_of_the_table_is_the_predicted_error(tmp_path):
     )
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_covariance_is_not_claimed_where_the_measurement_is_missing():
     table = tabulated(design(zoo.flip_process(), large_order(1)), y=(-8, 8, 21), z=(-4, 4, 21))
     y = zoo.flip_process().simulate(TIMES, 3, 1).measurements.copy()

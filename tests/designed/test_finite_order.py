@@ -85,6 +85,7 @@ def test_batch_axes_are_only_shape(filter, data):
     assert not found.diverged.any()
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_missing_measurement_is_skipped_exactly(filter, data):
     """Without the measurement at 1 the estimate there is the forecast, to the last bit."""
     y = data.measurements.copy()

@@ -194,6 +194,7 @@ def test_orders_agree_until_the_memory_is_full():
     assert np.abs(found[1].mean[3] - found[2].mean[3]).max() > 1e-3
 
 
+@pytest.mark.filterwarnings("ignore:paths:UserWarning")
 def test_design_does_not_depend_on_threads():
     system, times = zoo.manoeuvring_target("noisy"), np.arange(6.0)
     one, two = (
@@ -213,6 +214,7 @@ def test_design_does_not_depend_on_threads():
             np.testing.assert_array_equal(p, q)
 
 
+@pytest.mark.filterwarnings("ignore:paths:UserWarning")
 def test_run_is_the_same_as_steps_for_single_paths_and_batches():
     system, times = zoo.manoeuvring_target("noisy"), np.arange(6.0)
     data = system.simulate(times, 6, 3)

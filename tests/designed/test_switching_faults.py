@@ -168,6 +168,7 @@ def test_lost_paths_are_marked_and_leave_the_others_alone(indicator):
     np.testing.assert_array_equal(found.mean[..., 0], whole.mean[..., 0])
 
 
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_lost_paths_of_a_design_are_left_out():
     """States beyond 3 leave the range of numbers, and so do points of the filter there."""
 

@@ -69,6 +69,7 @@ def test_the_stream_of_a_filter_is_none_of_the_paths():
     assert FILTERS > 1 << 30
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_consistency_leaves_out_what_a_designed_filter_does_not_know(system):
     """Every second path loses a measurement: squares of the others alone, recomputed by hand."""
     designed = synthesize(system, Memory(1), ExactGaussian(), TIMES, paths=4000, seed=1)

@@ -31,6 +31,7 @@ def seen_twice(cov0=1.0, noise=0.3):
     )  # fmt: skip
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_redundant_components_get_no_gain(compiled):
     system = seen_twice()
     y = system.simulate(TIMES, 60, 1).measurements

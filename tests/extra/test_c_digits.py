@@ -64,6 +64,7 @@ def apart(one, other, *terms):
     return np.abs(one - other).max() / max(np.abs(part).max() for part in (other, *terms))
 
 
+@pytest.mark.filterwarnings("ignore:correction:UserWarning")
 def test_halves_of_a_step_alone_and_in_a_batch(bearings):
     filter, times, y = bearings
     after, forecasts, corrections = filter.initial((PATHS,)), [], []

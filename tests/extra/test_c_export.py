@@ -136,6 +136,7 @@ def both_ways(filter, compiled, y, times=TIMES, **options):
 
 
 @pytest.mark.parametrize("name", DESIGNS)
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_designed_filters(name, compiled):
     filter = design(name)
     y = with_gaps(filter.system.simulate(TIMES, PATHS, 2).measurements)
@@ -218,6 +219,7 @@ def test_filters_that_carry_a_covariance(name, compiled):
 
 
 @pytest.mark.parametrize("memory", [large_order(1), large_order(2), finite_memory(1)])
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_tables(memory, compiled):
     times = 0.25 * np.arange(4)
     filter = grid_synthesis(
@@ -235,6 +237,7 @@ def test_tables(memory, compiled):
     same(found[3], wanted[3])
 
 
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_affine_filter_by_grid(compiled):
     system = zoo.flip_process()
     filter, _ = affine_synthesis(

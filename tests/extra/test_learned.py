@@ -92,6 +92,7 @@ def test_predicted_errors_are_honest_where_those_in_sample_are_not(flip):
     assert (np.abs(says - np.sqrt(risk)) < 4 * error).all()
 
 
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_equal_seeds_give_equal_filters_and_the_caller_s_regressor_is_left_alone(flip):
     data = flip.simulate(TIMES[:2], 50, 1)
     regressor = make_pipeline(

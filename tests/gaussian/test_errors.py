@@ -393,6 +393,7 @@ def test_infinite_errors_are_refused():
         errors([0.0], [[2.0]], [[0.1]])
 
 
+@pytest.mark.filterwarnings("ignore:f. the quadrature rule:UserWarning")
 def test_approximate_errors_are_labelled_bounds():
     law = ([0.3], [[1.0]], [[0.2]])
     bounds = approximate_errors(sp.sin(x), [x], degree=30)(*law)

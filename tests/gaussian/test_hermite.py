@@ -99,6 +99,7 @@ def test_bounds_enclose_the_error_of_a_smooth_function():
     assert widths[-1] < 1e-4 * exact
 
 
+@pytest.mark.filterwarnings("ignore:f. the quadrature rule:UserWarning")
 def test_a_kink_costs_the_accuracy_of_the_rule():
     law = ([0.2], [[1.0]], [[0.3]])
     exact = mean_square_errors(abs(x), [x])(*law).optimal
