@@ -132,12 +132,17 @@ def build():
 def compiled(tmp_path_factory):
     """A factory: filter to its C, compiled without a single warning."""
 
+    libraries = {}
+
     def make(filter, name="made", more=()):
         folder = tmp_path_factory.mktemp("c")
-        to_c(filter, folder / f"{name}.h", name=name)
+        text = to_c(filter, folder / f"{name}.h", name=name)
         carried = hasattr(filter, "integrator")
         source = (CARRIED if carried else DESIGNED).replace("NAME", name)
-        library = compile_c(folder, source.replace("BIG", name.upper()), more=more)
-        return Compiled(ctypes.CDLL(str(library)), filter, carried)
+        source = source.replace("BIG", name.upper())
+        key = (text, source, *more)
+        if key not in libraries:
+            libraries[key] = ctypes.CDLL(str(compile_c(folder, source, more=more)))
+        return Compiled(libraries[key], filter, carried)
 
     return make

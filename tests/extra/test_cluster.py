@@ -28,6 +28,8 @@ QUIET = {
     "scheduler_kwargs": {"dashboard_address": "127.0.0.1:0"},
 }  # fmt: skip
 
+AS_STARTED = []
+
 
 @pytest.fixture(scope="module")
 def one():
@@ -42,13 +44,14 @@ def one():
 
 @pytest.fixture(scope="module")
 def two():
-    """A cluster of two processes."""
+    """A cluster of two processes, which have told how they keep memory as they were started."""
     with (
         distributed.LocalCluster(n_workers=2, processes=True, **QUIET) as made,
         distributed.Client(made, set_as_default=False) as client,
-        cluster(client) as crew,
     ):
-        yield crew
+        AS_STARTED.extend(client.run(_faults_of_arrays).values())
+        with cluster(client) as crew:
+            yield crew
 
 
 @pytest.mark.parametrize("size", ["one", "two"])
@@ -157,6 +160,24 @@ def test_a_design_moves_between_threads_and_a_cluster(
     assert same(found, synthesize(oscillator, Memory(2), Taylor(), TACTS, **BASE))
 
 
+def _faults_of_arrays():
+    import resource
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    for _ in range(30):
+        np.ones(500_000)
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
+def test_workers_keep_the_memory_of_arrays(two):
+    """As Dask starts a worker, each of these arrays is worth some 1000 page faults."""
+    after = two.client.run(_faults_of_arrays).values()
+    assert len(AS_STARTED) == len(after) == 2
+    assert min(AS_STARTED) > 20_000
+    assert max(after) < 5000
+
+
 def test_a_lost_worker_changes_nothing(oscillator, two, monkeypatch, same):
     """Killed in the middle: its blocks are made again from their streams."""
     options = BASE | {"nodes": 0}
@@ -261,30 +282,6 @@ def test_a_walk_leaves_paths_out_wherever_it_is(oscillator, request, crew):
     walk.advance(0.0, 0.1)
     with pytest.raises(ValueError, match="wanted at most the 2 that were announced"):
         walk.advance(0.1, 0.2)
-
-
-def _faults_of_arrays():
-    import resource
-
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
-    for _ in range(30):
-        np.ones(500_000)
-    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
-
-
-@pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="a setting of glibc")
-def test_workers_keep_the_memory_of_arrays(oscillator):
-    """As Dask starts a worker, each of these arrays is worth some 1000 page faults."""
-    with (
-        distributed.LocalCluster(n_workers=1, processes=True, **QUIET) as made,
-        distributed.Client(made, set_as_default=False) as client,
-    ):
-        (before,) = client.run(_faults_of_arrays).values()
-        with cluster(client) as crew:
-            synthesize(oscillator, Memory(1), Taylor(), TACTS, workers=crew, **BASE)
-        (after,) = client.run(_faults_of_arrays).values()
-    assert before > 20_000
-    assert after < 5000
 
 
 # What travels
