@@ -20,11 +20,13 @@ if QUICK not in os.environ.get("PYTHONPATH", ""):
 
 
 LONGEST = (
-    "bookkit/test_sweeps", "bookkit/test_execution", "extra/test_c_export", "extra/test_cluster",
-    "piecewise/test_plane", "gaussian/test_errors", "designed/test_switching_target",
-    "test_setup", "gaussian/test_functions", "linearization/test_weighted", "test_pareto",
-    "piecewise/test_filter", "two_step/test_kalman_bucy", "test_planted_faults",
-    "bookkit/test_comparison", "design/test_grid", "extra/test_learned", "two_step/test_estimator",
+    "bookkit/test_sweeps", "extra/test_cluster", "design/test_grid", "design/test_synthesis",
+    "gaussian/test_errors", "designed/test_switching_accuracy", "bookkit/test_execution",
+    "design/test_switching_grid", "designed/test_switching", "bookkit/test_sweep_safety",
+    "delay/test_printed", "design/test_simulated_tables", "extra/test_c_export",
+    "design/test_held_out", "linearization/test_linearization", "filters/test_covariance",
+    "designed/test_files", "designed/test_switching_target", "piecewise/test_plane",
+    "test_planted_faults", "design/test_checkpoint", "test_pareto", "test_setup",
 )  # fmt: skip
 """Modules that take longest, the longest first; the order of the others does not matter."""
 
