@@ -80,7 +80,7 @@ def target(indicator):
         return synthesize(system, memory, mean, times, paths=DESIGN_PATHS, seed=11)
 
     found = {"AOF-G": SwitchingFilter(system, mean), "known modes": KnownModeFilter(system)}
-    count = int(system.has_indicator)
+    count = int(system.indicators > 0)
     for l in (1, 2, 3, 4):
         found[f"FBP-G {l}"] = designed(large_order(l))
         found[f"FKP-G {l}"] = designed(Memory(0, l, indicators=l * count))

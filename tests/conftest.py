@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from seedslib import zoo
+from seedslib.designed.archive import write as write_archive
 
 QUICK = str(Path(__file__).with_name("quick"))  # what tests' own processes had better not import
 if QUICK not in os.environ.get("PYTHONPATH", ""):
@@ -45,27 +46,35 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture
 def rewrite():
-    """Function that replaces members of an archive (None takes one away)."""
+    """Function that replaces arrays of a file and sums it up anew (None takes one away)."""
 
-    def rewritten(path, **changes):
+    def rewritten(path, head=None, **changes):
         with np.load(path, allow_pickle=False) as archive:
-            members = {name: archive[name] for name in archive.files}
-        members.update(changes)
-        np.savez(path, **{k: v for k, v in members.items() if v is not None})
+            arrays = {name: archive[name] for name in archive.files}
+        known = json.loads(arrays.pop("header").tobytes().decode())
+        arrays.pop("checksum")
+        arrays.update(changes)
+        known = {k: v for k, v in (known | (head or {})).items() if v is not None}
+        write_archive(path, known, {k: v for k, v in arrays.items() if v is not None})
 
     return rewritten
 
 
 @pytest.fixture
 def header(rewrite):
-    """Function that replaces entries in the header of a file (None takes one away)."""
+    """Function that replaces entries in the header of a file (None takes one away).
 
-    def changed(path, **changes):
+    Those of the filter, of another part, such as ``header(path, "sizes", modes=3)``, or of the
+    whole, ``header(path, None, version=1)``.
+    """
+
+    def changed(path, part="filter", **changes):
         with np.load(path, allow_pickle=False) as archive:
             known = json.loads(archive["header"].tobytes().decode())
-        known.update(changes)
-        text = json.dumps({k: v for k, v in known.items() if v is not None})
-        rewrite(path, header=np.frombuffer(text.encode(), dtype=np.uint8))
+        if part is None:
+            return rewrite(path, changes)
+        tree = {k: v for k, v in (known[part] | changes).items() if v is not None}
+        return rewrite(path, {part: tree})
 
     return changed
 

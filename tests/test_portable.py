@@ -132,7 +132,7 @@ def two_step():
 def delay_run(method):
     system = delayed()
     data = system.simulate(6, 4, 2)
-    found = DelayKalmanFilter(system, method=method).run(data.measurements)
+    found = DelayKalmanFilter(system, method=method).run(data.times, data.measurements)
     return data.states, found.mean
 
 

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from seedslib.commands.cli import run
+from seedslib.commands.cli import run_command
 
 
 def _told(found: Sequence[str], some: str, none: str) -> int:
@@ -132,4 +132,4 @@ def _parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command of the book."""
-    return run(_parser(), "bookkit", arguments)
+    return run_command(_parser(), "bookkit", arguments)

@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from bookkit.plots import axes, band, curve, finish
 from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.outputs.lookup import Table, switches
 from seedslib.designed.switching import SwitchingFilter
-from seedslib.designed.switching_table import SwitchingTableFilter
-from seedslib.designed.table import OutputFilter, TableFit
 
 MEMORIES = 5
 """Values of the memory for which the output function is drawn."""
@@ -26,7 +26,7 @@ def plot_design(designed, *, measurement: int | None = None) -> Figure:
 
     Parameters
     ----------
-    designed : FiniteOrderFilter, SwitchingFilter or SwitchingTableFilter
+    designed : FiniteOrderFilter, SwitchingFilter, TableFilter or LearnedFilter
         Of any kind.
     measurement : int, optional
         Number k of the measurement whose function is drawn; by default the last that can be.
@@ -43,10 +43,10 @@ def plot_design(designed, *, measurement: int | None = None) -> Figure:
         No such measurement, or one whose function has no such picture; a switching filter that
         does not say what it predicts.
     """
-    if isinstance(designed, SwitchingFilter | SwitchingTableFilter):
-        return _plot_switching(designed, measurement)
-    if not isinstance(designed, FiniteOrderFilter):
+    if not isinstance(designed, FiniteOrderFilter | SwitchingFilter | OutputFilter):
         raise TypeError(f"designed: wanted a FiniteOrderFilter, got {type(designed).__name__}")
+    if switches(designed.system):
+        return _plot_switching(designed, measurement)
     drawn = _drawable(designed)
     if measurement is not None and measurement not in drawn:
         can = ", ".join(map(str, drawn)) or "none"
@@ -95,24 +95,24 @@ def _errors(ax, designed):
 
 def _drawable(designed) -> list[int]:
     """Numbers of the measurements whose function is a table of one or two scalars."""
-    if not isinstance(designed, OutputFilter) or designed.system.sensor.size != 1:
+    if not isinstance(designed, OutputFilter) or designed.system.measurement_size != 1:
         return []
     return [
         k
-        for k, table in enumerate(designed.rules.outputs)
-        if isinstance(table, TableFit) and len(table.axes) <= 2 and len(table.values) == 1
+        for k, (table, _) in enumerate(designed.steps)
+        if isinstance(table, Table) and len(table.axes) <= 2 and len(table.estimate) == 1
     ]
 
 
 def _output(ax, designed, k):
-    table = designed.rules.outputs[k]
+    table = designed.steps[k].shown
     y = table.axes[0].nodes
     memories = [None]
     if len(table.axes) == 2:
         memories = np.linspace(table.axes[1].low, table.axes[1].high, MEMORIES)
     for u in memories:
-        held = np.zeros((0, 1)) if u is None else np.full((1, 1), u)
-        curve(ax, y, table(y[None], held)[0], label=None if u is None else f"memory u = {u:g}")
+        points = [y] if u is None else [y, np.array([u])]
+        curve(ax, y, table(points).mean[0], label=None if u is None else f"memory u = {u:g}")
     finish(
         ax, x="measurement y", y="estimate f(y, u)" if len(table.axes) == 2 else "estimate f(y)",
         title=f"Output function at t = {designed.times[k]:g}",

@@ -1,7 +1,8 @@
 """The ground floor: what several rooms need and no subject owns.
 
 Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, and the lazy names of these doors. No model, no filter.
+correction, tables and their look-up, how objects show themselves and travel, and the lazy names of
+these doors. No model, no filter.
 
 May import: none.
 """

@@ -13,7 +13,7 @@ from typing import BinaryIO
 
 
 @contextmanager
-def replacing(path) -> Iterator[BinaryIO]:
+def replacing(path: str | Path) -> Iterator[BinaryIO]:
     """A new file, open for writing bytes, that takes the place of an old one when all is there.
 
     The bytes go to a file beside it, are forced to the disk, and the name is then moved over; when
@@ -54,7 +54,7 @@ def replacing(path) -> Iterator[BinaryIO]:
         raise
 
 
-def write_whole(path, content: bytes) -> None:
+def write_whole(path: str | Path, content: bytes) -> None:
     """Write a file by `replacing`."""
     with replacing(path) as file:
         file.write(content)

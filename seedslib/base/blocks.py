@@ -7,23 +7,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from seedslib.base.checks import as_count, is_whole
+
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
-
-
-def as_count(name: str, value: object) -> int:
-    """Whole number of at least one.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Anything else.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name}: wanted a whole number, got {value!r}")
-    if value < 1:
-        raise ValueError(f"{name}: wanted at least 1, got {value}")
-    return int(value)
 
 
 def as_seed_sequence(seed: object) -> np.random.SeedSequence:
@@ -41,7 +28,7 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
         )
     if isinstance(seed, np.random.Generator):
         return np.random.SeedSequence(seed.integers(0, 2**32, size=4, dtype=np.uint32).tolist())
-    if isinstance(seed, int | np.integer) and not isinstance(seed, bool):
+    if is_whole(seed):
         return np.random.SeedSequence(int(seed))
     raise TypeError(f"seed: wanted an int, a SeedSequence or a Generator, got {seed!r}")
 
@@ -59,7 +46,9 @@ def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
     return entropy, tuple(map(int, root.spawn_key))
 
 
-def in_blocks(work: Callable, total: int, seed: object, *, workers: int = 1, block: int = BLOCK):
+def in_blocks(
+    work: Callable, total: int, seed: object, *, workers: int = 1, block: int = BLOCK
+) -> list:
     """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
 
     Parameters

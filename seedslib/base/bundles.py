@@ -6,9 +6,11 @@ the interpreter to one another after every few microseconds. A bundle of blocks 
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable
 from itertools import pairwise
 
 import numpy as np
+from numpy.random import Generator
 
 from seedslib.base.blocks import BLOCK
 
@@ -27,16 +29,20 @@ class Bundle:
         Number of paths in each block.
     """
 
-    def __init__(self, generators, counts):
+    def __init__(self, generators: Iterable[Generator], counts: Iterable[int]):
         self.generators, self.counts = tuple(generators), tuple(counts)
 
-    def spawn(self, number) -> list[Bundle]:
+    def spawn(self, number: int) -> list[Bundle]:
         """Children, as those of a generator."""
         children = zip(*(one.spawn(number) for one in self.generators), strict=True)
         return [Bundle(generators, self.counts) for generators in children]
 
 
-def parts(rng, count) -> list:
+Source = Generator | Bundle
+"""Where random numbers of paths come from."""
+
+
+def parts(rng: Source, count: int) -> list:
     """Generators with the paths that each of them is to draw for next, as (generator, slice).
 
     Parameters
@@ -52,7 +58,7 @@ def parts(rng, count) -> list:
     return [(rng, slice(a, min(a + BLOCK, count))) for a in range(0, count, BLOCK)]
 
 
-def drawn(rng, count, draw) -> np.ndarray:
+def drawn(rng: Source, count: int, draw: Callable) -> np.ndarray:
     """Result of ``draw(generator, count)``, shape (..., count), block by block.
 
     Parameters
@@ -68,12 +74,12 @@ def drawn(rng, count, draw) -> np.ndarray:
     return np.concatenate(found, axis=-1)
 
 
-def normal(rng, size, count) -> np.ndarray:
+def normal(rng: Source, size: int, count: int) -> np.ndarray:
     """Standard normal numbers (size, count), path by path."""
     return drawn(rng, count, lambda one, part: one.standard_normal((part, size)).T)
 
 
-def bundles(paths) -> list[tuple[int, ...]]:
+def bundles(paths: int) -> list[tuple[int, ...]]:
     """Numbers of paths in the blocks of each bundle.
 
     Where there are two blocks or more, the number of bundles is even: two threads have equal

@@ -144,8 +144,7 @@ def require_semidefinite(name: str, matrices: np.ndarray) -> float:
         A negative variance, or an eigenvalue below -1e-10 of the largest of its matrix.
     """
     several = matrices.ndim > 2
-    wanted = f"positive semidefinite {'matrices' if several else 'matrix'}"
-    wanted = wanted if several else f"a {wanted}"
+    wanted = "positive semidefinite matrices" if several else "a positive semidefinite matrix"
     variances = np.einsum("...ii->...i", matrices)
     if (variances < 0).any():
         raise ValueError(f"{name}: wanted {wanted}, got variance {variances.min():.6g}")
@@ -173,6 +172,43 @@ def require_one_size(names: str, mean: np.ndarray, cov: np.ndarray) -> None:
         raise ValueError(
             f"{names}: wanted shapes (n, ...) and (n, n, ...), got {mean.shape} and {cov.shape}"
         )
+
+
+def is_whole(value: object) -> bool:
+    """Whether a value is a whole number, of Python or NumPy; True and False are none."""
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def as_count(name: str, value: object, least: int = 1, most: int | None = None) -> int:
+    """Whole number of at least `least` and, where it is given, at most `most`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No whole number; out of range.
+    """
+    if not is_whole(value):
+        raise TypeError(f"{name}: wanted a whole number, got {value!r}")
+    if value < least or (most is not None and value > most):
+        wanted = f"at least {least}" if most is None else f"{least} to {most}"
+        raise ValueError(f"{name}: wanted {wanted}, got {value}")
+    return int(value)
+
+
+def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
+    """Whole numbers in the wanted shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Other numbers, another shape.
+    """
+    numbers = np.asarray(unmasked(name, value))
+    if numbers.dtype.kind not in "iu":
+        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
+    if numbers.shape != shape:
+        raise ValueError(f"{name}: wanted shape {shape}, got {numbers.shape}")
+    return numbers
 
 
 def as_times(name: str, value: object) -> np.ndarray:

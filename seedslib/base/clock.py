@@ -7,6 +7,8 @@ than a few roundings of numbers of their size, whatever the unit and wherever ze
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 SAME = 1e-9
@@ -53,6 +55,13 @@ class Clock:
         """Whether two times are one, also where they lie beyond the grid."""
         return abs(t - other) <= max(self.tolerance, slack(self._interval, abs(other)))
 
+    def prolonged(self, end: float) -> Clock:
+        """The same clock, which goes on to a later time in steps of its last interval."""
+        times = np.array(self.times)
+        step = times[-1] - times[-2]
+        later = np.arange(1, int((end - times[-1]) / step + 0.5) + 1)
+        return Clock(np.append(times, times[-1] + step * later)) if len(later) else self
+
     def rows(self, other: np.ndarray) -> np.ndarray:
         """Where the times of this clock lie in another grid, shape (K,).
 
@@ -73,6 +82,11 @@ class Clock:
         before = np.maximum(after - 1, 0)
         nearest = np.where(other[after] - times < times - other[before], after, before)
         return np.where(np.abs(other[nearest] - times) <= self.tolerance, nearest, -1)
+
+
+def step_count(start: float, stop: float, step: float) -> int:
+    """Number of equal steps of at most `step`, but for a billionth, between two times."""
+    return max(1, math.ceil((stop - start) / step - SAME))
 
 
 def lengths_alike(steps: np.ndarray) -> np.ndarray:

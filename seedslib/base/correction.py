@@ -7,7 +7,6 @@ regions, a plain float, or a SymPy expression (which turns the step into printab
 
 from __future__ import annotations
 
-import math
 from functools import reduce
 from operator import add
 
@@ -15,11 +14,9 @@ import numpy as np
 
 from seedslib.base.checks import unmasked
 from seedslib.base.diffuse import correct_diffuse, narrowed
-from seedslib.base.semidefinite import ABSOLUTE, RELATIVE, factor, pseudo_correct
+from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, pseudo_correct
 
 __all__ = ["correct", "eliminate", "factor", "joint_shape"]
-
-LOG_2PI = math.log(2.0 * math.pi)
 
 
 def correct(mean, cov, y, moments, rows=None, noise=None):
@@ -127,7 +124,7 @@ def joint_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
     return joint
 
 
-def _numbers(name, value) -> np.ndarray:
+def _numbers(name: str, value: object) -> np.ndarray:
     array = value
     if type(value) is not np.ndarray:
         array = np.asarray(unmasked(name, value, missing=np.nan if name == "y" else None))
@@ -159,7 +156,7 @@ def _check(mean, cov, y, predicted, cross, spread, rows) -> int:
     return int(rows)
 
 
-def _align(part, core, depth):
+def _align(part: np.ndarray, core: int, depth: int) -> np.ndarray:
     """Put axes of length one between the components and the batch, up to `depth` batch axes."""
     short = depth - (part.ndim - core)
     return part.reshape(part.shape[:core] + (1,) * short + part.shape[core:]) if short else part
@@ -267,7 +264,7 @@ def _correct_numbers(mean, cov, error, cross, spread, missing):
     return new_mean, new_cov, loglik
 
 
-def _mirror(lower, batch, dtype):
+def _mirror(lower: list | None, batch: tuple[int, ...], dtype: type) -> np.ndarray | None:
     """Full symmetric array from the component lists on and below the diagonal."""
     if lower is None:
         return None

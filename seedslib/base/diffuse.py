@@ -23,7 +23,7 @@ ROUNDING = 1e-13
 """What the slope and the noise leave unexplained of cov y is rounding up to this part of it."""
 
 
-def narrowed(cov, new_cov) -> np.ndarray:
+def narrowed(cov: np.ndarray, new_cov: np.ndarray) -> np.ndarray:
     """Items (*batch) in which a variance fell so far that its digits are in doubt."""
     n = len(cov)
     suspect = new_cov[0, 0] < WIDE * cov[0, 0]
@@ -52,7 +52,7 @@ def correct_diffuse(cov, cross, spread, noise, suspect, new_cov) -> None:
     batch = new_cov.shape[2:]
     suspect = np.broadcast_to(suspect, batch)
 
-    def pick(part):
+    def pick(part: np.ndarray) -> np.ndarray:
         return np.broadcast_to(part, part.shape[:2] + batch)[..., suspect]
 
     cov, cross, spread, noise = (pick(part) for part in (cov, cross, spread, noise))
@@ -77,7 +77,7 @@ def correct_diffuse(cov, cross, spread, noise, suspect, new_cov) -> None:
     new_cov[:, :, suspect] = np.where(exact, found, pick(new_cov))
 
 
-def _solved(root, cross):
+def _solved(root: np.ndarray, cross: np.ndarray) -> np.ndarray:
     """Slope in units of the factor, (n, m, items): L G = C; zero where the factor is."""
     slope = np.zeros_like(cross)
     for j, row in enumerate(root):
@@ -86,7 +86,7 @@ def _solved(root, cross):
     return slope
 
 
-def _in_turn(root, slope, noise):
+def _in_turn(root: np.ndarray, slope: np.ndarray, noise: np.ndarray) -> np.ndarray:
     """Corrected covariances by one measured component after another."""
     n, m, items = slope.shape
     noise, slope = noise.copy(), slope.copy()

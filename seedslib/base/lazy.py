@@ -9,9 +9,7 @@ from importlib import import_module
 BRACKETS = str.maketrans("(),", "   ")
 
 
-def lazy_names(
-    package: str,
-) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
+def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
     """Give a room its ``__getattr__``, ``__dir__`` and ``__all__``.
 
     The one list of its names is what its ``__init__`` imports under ``if TYPE_CHECKING:``, in the

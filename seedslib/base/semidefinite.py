@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 RELATIVE = 1e-13
 """A pivot at or below this fraction of its variance counts as zero: a redundant component."""
@@ -15,19 +16,27 @@ ABSOLUTE = 1e-150
 INDEFINITE = 1e-9
 """An eigenvalue of the innovation correlations below minus this is no rounding error."""
 
+NEGATIVE = 1e-12
+"""A covariance with an eigenvalue below minus this, in units of the deviations, is mended."""
+
 LOG_2PI = math.log(2.0 * math.pi)
+
+
+def symmetrized(matrix: np.ndarray) -> np.ndarray:
+    """Mean of a square matrix and its transpose: what rounding has made unequal is equal again."""
+    return 0.5 * (matrix + matrix.T)
 
 
 def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
     """Write the Moore-Penrose correction over the flagged items."""
     mean, cov, error, cross, spread = parts
 
-    def pick(part, core, batch):
+    def pick(part: np.ndarray, core: int, batch: tuple[int, ...]) -> np.ndarray:
         """Flagged items of one part, item axis first."""
         whole = np.broadcast_to(part, part.shape[:core] + batch)
         return np.moveaxis(whole[..., np.broadcast_to(bad, batch)], -1, 0)
 
-    def gains(batch):
+    def gains(batch: tuple[int, ...]) -> tuple[np.ndarray, ...]:
         root, log_det, rank = range_root(pick(spread, 2, batch))
         return root, root @ np.swapaxes(pick(cross, 2, batch), 1, 2), log_det, rank
 
@@ -46,7 +55,7 @@ def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
         new_cov[:, :, np.broadcast_to(bad, batch)] = np.moveaxis(reduced, 0, -1)
 
 
-def range_root(spread):
+def range_root(spread: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Matrices R with Rᵀ R = S⁺, the log pseudo-determinant of S and its rank, item by item.
 
     `spread` has shape (items, m, m). Rank and range are decided on S scaled to unit diagonal, so
@@ -79,7 +88,7 @@ def range_root(spread):
     return root, log_det, kept.sum(axis=1)
 
 
-def factor(cov, scale=None):
+def factor(cov: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L Lᵀ = P, item by item; a zero pivot gives a zero column.
 
     Parameters
@@ -120,7 +129,7 @@ def factor(cov, scale=None):
     return lower
 
 
-def settled(cov, before):
+def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
     """Corrected covariances without what rounding has left of directions that are known exactly.
 
     Items whose factor meets no zero pivot are returned as they are, and so are those that are
@@ -163,3 +172,60 @@ def square_root(cov: np.ndarray) -> np.ndarray:
         lower[..., j, j], lower[..., j + 1 :, j] = root, below
         rest[..., j + 1 :, j + 1 :] -= below[..., :, None] * below[..., None, :]
     return lower
+
+
+def mended(cov: np.ndarray, variances: np.ndarray | None = None) -> tuple[np.ndarray, int]:
+    """Covariances (n, n, *batch) whose eigenvalues are not negative, and how many had to be mended.
+
+    In units of the deviations an eigenvalue below -1e-12 is raised to 1e-12 and counts; what
+    rounding leaves between that and zero becomes zero. Semidefinite covariances pass. Each item
+    is looked at alone; one with a NaN is left as it is.
+
+    Parameters
+    ----------
+    cov : ndarray, shape (n, n, *batch)
+    variances : ndarray, shape (n, *batch), optional
+        Squares of the deviations, by default the diagonal; for a posterior those before it.
+    """
+    suspect = _suspect(cov)
+    if not suspect.any():
+        return cov, 0
+    suspect &= np.isfinite(cov).all(axis=(0, 1))
+    squares = np.abs(np.einsum("ii...->i...", cov) if variances is None else variances)
+    unit = np.sqrt(squares[:, suspect]).T
+    unit = np.where(unit > 0, unit, 1.0)
+    unit = unit[:, :, None] * unit[:, None, :]
+    items = np.moveaxis(cov[:, :, suspect], -1, 0) / unit
+    values, vectors = np.linalg.eigh(0.5 * (items + np.swapaxes(items, 1, 2)))
+    negative = values < -NEGATIVE
+    bent = (values < 0).any(axis=1)
+    raised = np.where(negative, NEGATIVE, np.maximum(values, 0.0))
+    rebuilt = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
+    rebuilt = np.where(bent[:, None, None], rebuilt, items) * unit
+    result = cov.copy()
+    result[:, :, suspect] = np.moveaxis(rebuilt, 0, -1)
+    return result, int(np.count_nonzero(negative.any(axis=1)))
+
+
+def _suspect(cov):
+    """Where the elimination of a covariance (n, n, *batch) meets a pivot that is not positive.
+
+    A zero covariance is no suspect.
+    """
+    rows = [list(row[: i + 1]) for i, row in enumerate(cov)]
+    suspect = np.zeros(cov.shape[2:], dtype=bool)
+    for j in range(len(rows)):
+        bad = ~(rows[j][j] > 0)
+        if bad.any():
+            nothing = rows[j][j] == 0
+            for i in range(j + 1, len(rows)):
+                nothing &= rows[i][j] == 0
+            suspect |= bad & ~nothing
+        if j + 1 == len(rows):
+            break
+        inverse = 1.0 / np.where(bad, 1.0, rows[j][j])
+        for i in range(j + 1, len(rows)):
+            factor = rows[i][j] * inverse
+            for k in range(j + 1, i + 1):
+                rows[i][k] = rows[i][k] - factor * rows[k][j]
+    return suspect

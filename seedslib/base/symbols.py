@@ -47,10 +47,10 @@ def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
     TypeError
         No sequence, or an entry that is no symbol.
     """
-    alone = isinstance(value, sympy.Basic) and not isinstance(value, sympy.Tuple)
-    if isinstance(value, str) or (alone and not isinstance(value, sympy.MatrixBase)):
-        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
-    if not isinstance(value, Iterable):
+    several = not isinstance(value, sympy.Basic) or isinstance(
+        value, (sympy.Tuple, sympy.MatrixBase)
+    )
+    if isinstance(value, str) or not several or not isinstance(value, Iterable):
         raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
     symbols = tuple(value)
     for symbol in symbols:

@@ -10,6 +10,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.checks import as_count
+
 
 @dataclass(frozen=True)
 class Axis:
@@ -33,10 +35,7 @@ class Axis:
     count: int
 
     def __post_init__(self):
-        if isinstance(self.count, bool) or not isinstance(self.count, int | np.integer):
-            raise TypeError(f"count: wanted a whole number, got {self.count!r}")
-        if self.count < 2:
-            raise ValueError(f"count: wanted at least 2, got {self.count}")
+        count = as_count("count", self.count, 2)
         try:
             low, high = float(self.low), float(self.high)
         except (TypeError, ValueError):
@@ -45,11 +44,10 @@ class Axis:
             ) from None
         if not (math.isfinite(low) and math.isfinite(high) and low < high):
             raise ValueError(f"low, high: wanted finite numbers in order, got {low:g}, {high:g}")
-        for name, value in (("low", low), ("high", high), ("count", int(self.count))):
-            object.__setattr__(self, name, value)
+        vars(self).update(low=low, high=high, count=count)
 
     @classmethod
-    def of(cls, name: str, given) -> Axis:
+    def of(cls, name: str, given: object) -> Axis:
         """Axis from itself or from (low, high, count); `name` is the argument's, for messages."""
         if isinstance(given, cls):
             return given
@@ -155,6 +153,11 @@ class Located(NamedTuple):
             values = [a + share * (b - a) for a, b in zip(values[::2], values[1::2], strict=True)]
         return values[0]
 
+    def rows(self, table: np.ndarray) -> np.ndarray:
+        """`linear` in each of p tables, shape (p, count of each axis...): (p, *batch)."""
+        found = [self.linear(row.reshape(-1)) for row in table]
+        return found[0][None] if len(found) == 1 else np.stack(found)
+
     def nearest(self, flat: np.ndarray) -> np.ndarray:
         """Entry at the nearest node, the lower one of two equally near ones, shape (*batch)."""
         index = self.index
@@ -190,7 +193,14 @@ def locate(axes: Sequence[Axis | Labels], points: Sequence[np.ndarray]) -> Locat
     return Located(index, tuple(reversed(strides)), tuple(reversed(shares)))
 
 
-def as_axes(name: str, given, size: int) -> tuple[Axis, ...]:
+def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
+    """Points of a product of axes, (size, points), the last axis the fastest; one for none."""
+    grid = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
+    count = math.prod(axis.count for axis in axes)
+    return np.array(grid, dtype=float).reshape(len(axes), count)
+
+
+def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:
     """Tuple of axes from one or several of them, each an Axis or (low, high, count).
 
     Raises
@@ -221,19 +231,4 @@ def interpolate(
     -------
     ndarray, shape (p, *batch)
     """
-    flat = table.reshape(len(table), -1)
-    # numbers and weights of the corners of the cell around each point, doubled axis by axis
-    corners = [(0, None)]
-    for axis, point in zip(axes, points, strict=True):
-        index, share = axis.place(np.asarray(point, dtype=float))
-        below = 1.0 - share
-        corners = [
-            (number * axis.count + (index + up), part if weight is None else weight * part)
-            for number, weight in corners
-            for up, part in ((0, below), (1, share))
-        ]
-    number, weight = corners[0]
-    result = flat[:, number] * (1.0 if weight is None else weight)
-    for number, weight in corners[1:]:
-        result += flat[:, number] * weight
-    return result
+    return locate(axes, [np.asarray(point, dtype=float) for point in points]).rows(table)

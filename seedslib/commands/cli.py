@@ -12,18 +12,17 @@ from seedslib.commands import design, filtering
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m seedslib", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
-    design.add(commands)
-    filtering.add(commands)
-
+    design.add_design(commands)
+    filtering.add_filter(commands)
     return parser
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run one command of the library."""
-    return run(_parser(), "seedslib", arguments)
+    return run_command(_parser(), "seedslib", arguments)
 
 
-def run(parser: argparse.ArgumentParser, name: str, arguments: Sequence[str] | None) -> int:
+def run_command(parser: argparse.ArgumentParser, name: str, arguments: Sequence[str] | None) -> int:
     """Run one command; a fault in what was asked is one line on stderr and exit code 2."""
     options = parser.parse_args(arguments)
     try:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from seedslib.models.kinds import switches
+
 DESCRIPTION = """\
 Design a finite-order filter for a model and write it to a file. MODEL.py is a Python file, run as
 any script is, that defines `system` (a JumpDiffusion, DiscreteSystem or SwitchingSystem, or a
@@ -18,7 +20,7 @@ makes one of a design with one estimated component.
       --table y=-8:8:161 z=-3:3:121 --out flip.npz"""
 
 
-def add(commands: argparse._SubParsersAction) -> None:
+def add_design(commands: argparse._SubParsersAction) -> None:
     """Add the command to a parser."""
     parser = commands.add_parser(
         "design", help="design a filter for the model in a Python file", description=DESCRIPTION,
@@ -52,10 +54,10 @@ def add(commands: argparse._SubParsersAction) -> None:
         help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
     )  # fmt: skip
     add("--out", required=True, metavar="FILE.npz", help="file of the filter")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_design)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_design(options: argparse.Namespace) -> int:
     """Design, print and save.
 
     Raises
@@ -76,7 +78,7 @@ def run(options: argparse.Namespace) -> int:
     predictor = words.as_choice(
         "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
-    times = None if options.times is None else words.as_grid(options.times)
+    times = None if options.times is None else words.as_time_grid(options.times)
     tables = None if options.table is None else words.as_tables(options.table)
     out = as_output(options.out, model=options.model)
     if options.seed < 0:
@@ -87,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     if times is None:
         raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
     chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}
-    if hasattr(system, "branches"):
+    if switches(system):
         for name in ("predictor", "nodes", "components", "table"):
             if getattr(options, name) is not None:
                 raise ValueError(f"{name}: wanted none for a switching system")

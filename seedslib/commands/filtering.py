@@ -26,7 +26,7 @@ a model other than that of the design is refused. With tables, --model only make
   python -m seedslib filter flip.npz data.csv --out estimates.csv"""
 
 
-def add(commands: argparse._SubParsersAction) -> None:
+def add_filter(commands: argparse._SubParsersAction) -> None:
     """Add the command to a parser."""
     parser = commands.add_parser(
         "filter", help="run a designed filter on measurements in a CSV file",
@@ -37,10 +37,10 @@ def add(commands: argparse._SubParsersAction) -> None:
     parser.add_argument("data", metavar="DATA.csv", help="measurements, t,y1,y2,...")
     parser.add_argument("--model", metavar="MODEL.py", help="Python file that defines `system`")
     parser.add_argument("--out", required=True, metavar="FILE.csv", help="file of the estimates")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run_filter)
 
 
-def run(options: argparse.Namespace) -> int:
+def run_filter(options: argparse.Namespace) -> int:
     """Read filter and record, run, write; 1 where the filter diverged.
 
     Raises

@@ -11,6 +11,7 @@ import numpy as np
 
 from seedslib.base.atomic import write_whole
 from seedslib.filters.estimates import Estimates
+from seedslib.models.kinds import switches
 
 
 class Record(NamedTuple):
@@ -32,7 +33,7 @@ def read_record(path, designed) -> Record:
     Parameters
     ----------
     path : path-like
-    designed : FiniteOrderFilter, SwitchingFilter or SwitchingTableFilter
+    designed : FiniteOrderFilter, SwitchingFilter or TableFilter
 
     Raises
     ------
@@ -42,10 +43,8 @@ def read_record(path, designed) -> Record:
         Not such a file; the message names the row, counted as in the file.
     """
     path, system = Path(path), designed.system
-    switching = hasattr(system, "modes")
-    told = switching and system.has_indicator
-    m = system.measurement_size if switching else system.sensor.size
-    wanted = ["t", *(f"y{i + 1}" for i in range(m)), *["j"] * told]
+    switching, told, m = switches(system), system.indicators, system.measurement_size
+    wanted = ["t", *(f"y{i + 1}" for i in range(m)), *["j"] * bool(told)]
     rows = _rows(path)
     if not rows or rows[0][1] != wanted:
         got = ",".join(rows[0][1]) if rows else "an empty file"
@@ -58,7 +57,7 @@ def read_record(path, designed) -> Record:
     )
     measured = switching | ~np.isnan(table[:, 1:]).all(axis=1)
     _check_times(path, numbers, table[:, 0], measured, designed)
-    indicators = _indicators(path, numbers, table[:, -1], system.indicators) if told else None
+    indicators = _indicators(path, numbers, table[:, -1], told) if told else None
     return Record(table[:, 0], table[:, 1 : m + 1], indicators)
 
 
@@ -162,7 +161,7 @@ def _check_times(path, numbers, times, measured, designed):
         ):
             nearest = clock[np.abs(clock - t).argmin()]
             between = ""
-            if hasattr(designed, "horizon"):
+            if not switches(designed.system):
                 between = (
                     f"; rows without measurements may stand from {clock[0]:.12g} to {horizon:.12g}"
                 )

@@ -79,7 +79,7 @@ def as_choice(name: str, text: str, choices: Mapping[str, str], room: object) ->
     return _called(getattr(room, choices[word]), numbers, wanted)
 
 
-def as_grid(text: str) -> np.ndarray:
+def as_time_grid(text: str) -> np.ndarray:
     """Times from ``start:stop:step``, the stop included where a step meets it, or ``0,0.5,2``.
 
     Raises

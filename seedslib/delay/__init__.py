@@ -3,7 +3,7 @@
 Four recursions of the optimal filter, the filter as printed, stationary and truncated gains, and
 the examples. It uses the core and `riemann`; nothing uses it.
 
-May import: base, filters, riemann.
+May import: base, models, filters, riemann.
 """
 
 from seedslib.base.lazy import lazy_names

@@ -14,11 +14,18 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_real, as_shape
+from seedslib.base.checks import as_count, as_shape
 from seedslib.delay.coefficients import require_finite
-from seedslib.delay.structure import Moments, StructureErrors, StructureGains, propagate, regression
+from seedslib.delay.means import as_records
+from seedslib.delay.structure import (
+    PriorMoments,
+    StructureErrors,
+    StructureGains,
+    regression,
+    structured_errors,
+)
 from seedslib.delay.system import DelaySystem
+from seedslib.models.kinds import as_system
 
 
 def error_covariance(system: DelaySystem, gains: StructureGains) -> np.ndarray:
@@ -37,21 +44,16 @@ def error_covariance(system: DelaySystem, gains: StructureGains) -> np.ndarray:
     """
     gains = _checked(system, gains)
 
-    def given(moments: Moments) -> tuple[np.ndarray, np.ndarray]:
+    def given(moments: PriorMoments) -> tuple[np.ndarray, np.ndarray]:
         return gains.gain[moments.k], gains.past[moments.k]
 
-    return propagate(system, len(gains.gain) - 1, given, gains.corrected).cov
+    return structured_errors(system, len(gains.gain) - 1, given, gains.corrected).cov
 
 
 def greedy_gains(
-    system: DelaySystem,
-    steps: int,
-    *,
-    past: int | None = None,
-    keep: str = "newest",
-    corrected: bool = False,
-    criterion: str = "newest",
-) -> StructureErrors:
+    system: DelaySystem, steps: int, *, past: int | None = None, keep: str = "newest",
+    corrected: bool = False, criterion: str = "newest",
+) -> StructureErrors:  # fmt: skip
     """Gains that minimise the error covariance of each instant, given those before.
 
     All kept innovations enter one regression of the prediction error: the best one-step choice
@@ -78,12 +80,8 @@ def greedy_gains(
     TypeError, ValueError
         An illegal argument.
     """
-    reach = _as_system(system).max_delay
-    past = reach if past is None else past
-    if isinstance(past, bool) or not isinstance(past, int | np.integer):
-        raise TypeError(f"past: wanted an integer, got {past!r}")
-    if not 0 <= past <= reach:
-        raise ValueError(f"past: wanted 0 to {reach}, got {past}")
+    reach = as_system("system", system, "DelaySystem").max_delay
+    past = reach if past is None else as_count("past", past, 0, reach)
     if keep not in ("newest", "oldest"):
         raise ValueError(f"keep: wanted 'newest' or 'oldest', got {keep!r}")
     if criterion not in ("newest", "sum") or (corrected and criterion == "sum"):
@@ -93,8 +91,8 @@ def greedy_gains(
     used = np.zeros(reach, dtype=bool)
     used[(slice(past) if keep == "newest" else slice(reach - past, None))] = True
 
-    def regress(moments: Moments) -> tuple[np.ndarray, np.ndarray]:
-        c, n, m = moments.step, system.n, system.m
+    def regress(moments: PriorMoments) -> tuple[np.ndarray, np.ndarray]:
+        c, n, m = moments.step, system.state_size, system.measurement_size
         lags = np.flatnonzero(used[: moments.past.shape[0] // m])
         at = (lags[:, None] * m + np.arange(m)).ravel()
         cross, spread = moments.cross[:, at], moments.past[np.ix_(at, at)]
@@ -104,12 +102,10 @@ def greedy_gains(
             left = moments.predicted - known @ cross.T
             gain = regression(left @ c.sensor.T, c.sensor @ left @ c.sensor.T + c.sensor_cov)
         else:
-            own = moments.predicted @ c.sensor.T
-            joint = np.empty((m + len(at), m + len(at)))
-            joint[:m, :m] = c.sensor @ own + c.sensor_cov
-            joint[:m, m:] = c.sensor @ cross
-            joint[m:, :m] = joint[:m, m:].T
-            joint[m:, m:] = spread
+            own, shared = moments.predicted @ c.sensor.T, c.sensor @ cross
+            joint = np.vstack(
+                [np.hstack([c.sensor @ own + c.sensor_cov, shared]), np.hstack([shared.T, spread])]
+            )
             if criterion == "sum":
                 own = own + moments.older_predicted @ c.sensor.T
                 cross = cross + moments.older_cross[:, at]
@@ -118,7 +114,7 @@ def greedy_gains(
         past_gains[lags] = known.reshape(n, -1, m).swapaxes(0, 1)
         return gain, past_gains
 
-    return propagate(system, as_count("steps", steps), regress, corrected)
+    return structured_errors(system, as_count("steps", steps), regress, corrected)
 
 
 def separate_gains(system: DelaySystem, steps: int) -> StructureErrors:
@@ -133,9 +129,9 @@ def separate_gains(system: DelaySystem, steps: int) -> StructureErrors:
         An illegal argument.
     """
 
-    def separate(moments: Moments) -> tuple[np.ndarray, np.ndarray]:
-        c, m = moments.step, system.m
-        past = np.zeros((system.max_delay, system.n, m))
+    def separate(moments: PriorMoments) -> tuple[np.ndarray, np.ndarray]:
+        c, m = moments.step, system.measurement_size
+        past = np.zeros((system.max_delay, system.state_size, m))
         left = moments.predicted
         for j in range(moments.past.shape[0] // m):
             at = slice(j * m, (j + 1) * m)
@@ -144,7 +140,8 @@ def separate_gains(system: DelaySystem, steps: int) -> StructureErrors:
         inner = c.sensor @ moments.predicted @ c.sensor.T + c.sensor_cov
         return regression(left @ c.sensor.T, inner), past
 
-    return propagate(_as_system(system), as_count("steps", steps), separate, False)
+    system = as_system("system", system, "DelaySystem")
+    return structured_errors(system, as_count("steps", steps), separate, False)
 
 
 def apply_gains(system: DelaySystem, gains: StructureGains, measurements: ArrayLike) -> np.ndarray:
@@ -167,47 +164,32 @@ def apply_gains(system: DelaySystem, gains: StructureGains, measurements: ArrayL
         Shapes that do not fit, or entries that are not finite.
     """
     gains = _checked(system, gains)
-    y = as_real("measurements", measurements, nan=True)
-    wanted = gains.gain.shape[0], system.m
-    if y.shape[:2] != wanted:
-        raise ValueError(f"measurements: wanted shape {(*wanted, '*batch')}, got {y.shape}")
-    if y.size == 0:
-        raise ValueError(f"measurements: wanted at least one path, got shape {y.shape}")
-    if not np.isnan(y[0]).all() or np.isnan(y[1:]).any():
+    y, batch = as_records(measurements, system.measurement_size, len(gains.gain))
+    if np.isnan(y[1:]).any():
         raise ValueError("measurements: wanted NaN at k = 0, and nowhere else")
-    flat = y.reshape(*wanted, -1)
-    reach, n = system.max_delay, system.n
-    start = system.mean0.reshape(reach + 1, n, 1)[::-1]
-    chain = np.empty((reach + len(y), n, flat.shape[2]))  # estimates of x_{-N}, ..., x_K
-    chain[: reach + 1] = start
-    innovations = np.zeros_like(flat)
+    reach, n = system.max_delay, system.state_size
+    chain = np.empty((reach + len(y), n, y.shape[2]))  # estimates of x_{-N}, ..., x_K
+    chain[: reach + 1] = system.mean0.reshape(reach + 1, n, 1)[::-1]
+    innovations = np.zeros_like(y)
     for k in range(1, len(y)):
         c, now = system.step(k), reach + k
         with np.errstate(over="ignore", invalid="ignore"):
-            mean = sum(
-                a @ chain[now - 1 - d] for d, a in zip(system.delays, c.dynamics, strict=True)
-            )
-            plain = mean
+            mean = plain = sum(a @ chain[now - 1 - d] for d, a in c.dynamics.items())
             for j in range(1, min(reach, k - 1) + 1):
                 mean = mean + gains.past[k, j - 1] @ innovations[k - j]
-            innovations[k] = flat[k] - c.sensor @ (mean if gains.corrected else plain)
+            innovations[k] = y[k] - c.sensor @ (mean if gains.corrected else plain)
             chain[now] = mean + gains.gain[k] @ innovations[k]
         require_finite("estimates", k, chain[now], innovations[k])
-    return chain[reach:].reshape(len(y), n, *y.shape[2:])
-
-
-def _as_system(value: object) -> DelaySystem:
-    if not isinstance(value, DelaySystem):
-        raise TypeError(f"system: wanted a DelaySystem, got {type(value).__name__}")
-    return value
+    return chain[reach:].reshape(len(y), n, *batch)
 
 
 def _checked(system: DelaySystem, gains: StructureGains) -> StructureGains:
-    _as_system(system)
+    as_system("system", system, "DelaySystem")
     if not isinstance(gains, StructureGains):
         raise TypeError(f"gains: wanted StructureGains, got {type(gains).__name__}")
-    gain = as_shape("gains.gain", gains.gain, (-1, system.n, system.m))
-    past = as_shape("gains.past", gains.past, (len(gain), system.max_delay, system.n, system.m))
+    sizes = system.state_size, system.measurement_size
+    gain = as_shape("gains.gain", gains.gain, (-1, *sizes))
+    past = as_shape("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
     if len(gain) < 2:
         raise ValueError(f"gains.gain: wanted K >= 1, got shape {gain.shape}")
     return StructureGains(gain, past, bool(gains.corrected))

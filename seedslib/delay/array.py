@@ -12,7 +12,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from seedslib.base.semidefinite import square_root
-from seedslib.delay.gains import StepGains, seen
+from seedslib.delay.gains import StepGains, present_sensor
 from seedslib.delay.system import DelaySystem
 
 
@@ -29,7 +29,7 @@ class RootCovariance(NamedTuple):
 
 def start(system: DelaySystem) -> RootCovariance:
     """Factor before the first measurement, at k = 0."""
-    blocks, n = system.max_delay + 1, system.n
+    blocks, n = system.max_delay + 1, system.state_size
     joint = system.start_cov().reshape(blocks, n, blocks, n)[::-1, :, ::-1]
     return RootCovariance(0, square_root(joint.reshape(blocks * n, blocks * n)))
 
@@ -46,9 +46,9 @@ def advance(
     ValueError
         The innovation covariance is singular.
     """
-    k, n, m = state.k + 1, system.n, system.m
+    k, n, m = state.k + 1, system.state_size, system.measurement_size
     c = system.step(k)
-    sensor, noise = seen(c, missing)
+    sensor, noise = present_sensor(c, missing)
     size = state.root.shape[0]
     drive = c.noise_input @ square_root(c.noise_cov)
 
@@ -56,7 +56,7 @@ def advance(
     array[:m, :m] = np.linalg.cholesky(noise)
     array[m:-n, m : m + size] = state.root[n:]
     newest = array[-n:, m:]
-    for d, a in zip(system.delays, c.dynamics, strict=True):
+    for d, a in c.dynamics.items():
         at = size - (d + 1) * n
         newest[:, :size] += a @ state.root[at : at + n]
     newest[:, size:] = drive

@@ -13,10 +13,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve
+from scipy.linalg import block_diag, cho_solve
 
+from seedslib.base.semidefinite import INDEFINITE, symmetrized
 from seedslib.delay.coefficients import require_finite
-from seedslib.delay.gains import StepGains, factor
+from seedslib.delay.gains import StepGains, innovation_factor
 from seedslib.delay.system import DelaySystem
 
 RANK = 1e-14
@@ -77,11 +78,11 @@ def start(system: DelaySystem) -> LowRankChange:
     """
     if (reason := refusal(system)) is not None:
         raise ValueError(f"method 'chandrasekhar': not for {reason}")
-    c, n, blocks = system.step(1), system.n, system.max_delay + 1
+    c, n, blocks = system.step(1), system.state_size, system.max_delay + 1
     spread = system.start_blocks()  # P, X, ..., X
     corner, column = c.state_noise - spread[0], np.zeros((blocks, n, n))
     with np.errstate(over="ignore", invalid="ignore"):
-        for d, a in zip(system.delays, c.dynamics, strict=True):
+        for d, a in c.dynamics.items():
             corner = corner + a @ spread[d] @ a.T
             if d + 1 < blocks:
                 column[d + 1] = (a @ spread[d]).T
@@ -98,24 +99,22 @@ def start(system: DelaySystem) -> LowRankChange:
     # the bases are free: the recursion goes on with change @ middle @ changeᵀ, which is not
     basis, mixed = np.linalg.qr(parts.reshape(blocks * n, 3 * n))
     inner = mixed @ middle @ mixed.T
-    values, vectors = np.linalg.eigh(_symmetric(inner))
+    values, vectors = np.linalg.eigh(symmetrized(inner))
     kept = np.abs(values) > RANK * np.abs(values).max(initial=0.0)
     change = (basis @ vectors[:, kept]).reshape(blocks, n, -1)
-    return LowRankChange(
-        0,
-        change,
-        np.diag(values[kept]),
-        np.zeros((blocks, n, system.m)),
-        np.eye(system.m),
-        spread[0],
-        0.0,
-    )
+    m = system.measurement_size
+    gain, inner = np.zeros((blocks, n, m)), np.eye(m)
+    return LowRankChange(0, change, np.diag(values[kept]), gain, inner, spread[0], 0.0)
 
 
 def advance(
     system: DelaySystem, state: LowRankChange, missing: np.ndarray | None = None
 ) -> tuple[LowRankChange, StepGains]:
     """One step of gain, innovation covariance and change.
+
+    With ``Π_{k} = Π_{k-1} + Y M Yᵀ``, H the sensor and B_k = Π_k Hᵀ the gain times S_k:
+    ``S_k = S_{k-1} + (H Y) M (H Y)ᵀ``, ``B_k = B_{k-1} + Y M (H Y)ᵀ``, and the next change is
+    ``Y <- F (Y - K_{k-1} H Y)``, ``M <- M - M (H Y)ᵀ S_k⁻¹ (H Y) M``.
 
     Raises
     ------
@@ -129,31 +128,36 @@ def advance(
     change, middle = state.change, state.middle
     with np.errstate(over="ignore", invalid="ignore"):
         seen = c.sensor @ change[0]
-        predicted = _symmetric(state.predicted + change[0] @ middle @ change[0].T)
+        predicted = symmetrized(state.predicted + change[0] @ middle @ change[0].T)
         told = change @ (middle @ seen.T)
-        if k == 1:
+        if k == 1:  # there is no gain before: B_0 and S_0 are those of the start law
             cross = _start_cross(system) + told
-            inner = _symmetric(c.sensor @ predicted @ c.sensor.T + c.sensor_cov)
+            inner = symmetrized(c.sensor @ predicted @ c.sensor.T + c.sensor_cov)
         else:
             cross = state.gain @ state.innovation_cov + told
-            inner = _symmetric(state.innovation_cov + seen @ middle @ seen.T)
+            inner = symmetrized(state.innovation_cov + seen @ middle @ seen.T)
         terms = state.terms + (_size(seen, middle) + np.abs(inner).max() if k == 1 else 0.0)
         pivot = _pivot(inner, terms, k)
-        flat = cross.reshape(-1, system.m)
+        flat = cross.reshape(-1, system.measurement_size)
         gain = cho_solve(pivot, flat.T, check_finite=False).T.reshape(cross.shape)
-        keep = np.eye(system.n) - gain[0] @ c.sensor  # Joseph's form forgives the gain's rounding
-        filtered = keep @ predicted @ keep.T + gain[0] @ c.sensor_cov @ gain[0].T
-        filtered = _symmetric(filtered)
-        _require_semidefinite(filtered, predicted, k)
+        # Joseph's form forgives the gain's rounding
+        keep = np.eye(system.state_size) - gain[0] @ c.sensor
+        filtered = symmetrized(keep @ predicted @ keep.T + gain[0] @ c.sensor_cov @ gain[0].T)
+        _require(np.isfinite(filtered).all(), "the recursion overflowed", k)
+        smallest = np.linalg.eigvalsh(filtered)[0]
+        definite = not smallest < -INDEFINITE * np.abs(predicted).max()
+        _require(definite, "the covariance became indefinite", k)
         if k == 1:
+            # the first measurement takes K S Kᵀ off: m more columns, once and for all
             change = np.concatenate([_moved(system, change), _moved(system, gain)], axis=2)
-            before = middle = _block_diagonal(middle, -inner)
+            before = middle = block_diag(middle, -inner)
         else:
             change = _moved(system, change) - _moved(system, state.gain) @ seen
             before, less = middle, cho_solve(pivot, seen @ middle, check_finite=False)
-            middle = _symmetric(middle - middle @ seen.T @ less)
+            middle = symmetrized(middle - middle @ seen.T @ less)
         # the rounding error of the new middle is relative to the one before
         terms += _size(c.sensor @ change[0], before)
+        # steady: without columns the recursion costs nothing from here on
         if _size(change, middle) <= SETTLED * np.abs(predicted).max():
             change, middle = change[..., :0], middle[:0, :0]
     state = LowRankChange(k, change, middle, gain, inner, predicted, terms)
@@ -165,13 +169,9 @@ def _size(columns: np.ndarray, middle: np.ndarray) -> float:
     return np.abs(columns).max(initial=0.0) ** 2 * np.abs(middle).max(initial=0.0)
 
 
-def _symmetric(matrix: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrix + matrix.T)
-
-
 def _start_cross(system: DelaySystem) -> np.ndarray:
-    cross = np.zeros((system.max_delay + 1, system.n, system.m))
-    cross[0] = system.cov0[: system.n, : system.n] @ system.step(1).sensor.T
+    cross = np.zeros((system.max_delay + 1, system.state_size, system.measurement_size))
+    cross[0] = system.cov0[: system.state_size, : system.state_size] @ system.step(1).sensor.T
     return cross
 
 
@@ -179,29 +179,18 @@ def _moved(system: DelaySystem, stack: np.ndarray) -> np.ndarray:
     """F times a stack of columns (N+1, n, w): a shift below one new block."""
     moved = np.empty_like(stack)
     moved[1:] = stack[:-1]
-    c = system.step(1)
-    moved[0] = sum(a @ stack[d] for d, a in zip(system.delays, c.dynamics, strict=True))
+    moved[0] = sum(a @ stack[d] for d, a in system.step(1).dynamics.items())
     return moved
 
 
 def _pivot(inner: np.ndarray, terms: float, k: int) -> tuple[np.ndarray, bool]:
-    if not np.isfinite(inner).all():
-        raise BreakdownError(f"the recursion overflowed at step {k}")
-    smallest = np.linalg.eigvalsh(inner)[0]
-    if not smallest > np.finfo(float).eps / CANCELLED * terms:
-        raise BreakdownError(f"the innovation covariance has lost its digits at step {k}")
-    return factor(inner, k)
+    """Cholesky factor of S, as long as S is large beside the rounding of its terms."""
+    _require(np.isfinite(inner).all(), "the recursion overflowed", k)
+    large = np.linalg.eigvalsh(inner)[0] > np.finfo(float).eps / CANCELLED * terms
+    _require(large, "the innovation covariance has lost its digits", k)
+    return innovation_factor(inner, k)
 
 
-def _require_semidefinite(filtered: np.ndarray, predicted: np.ndarray, k: int) -> None:
-    if not np.isfinite(filtered).all():
-        raise BreakdownError(f"the recursion overflowed at step {k}")
-    if np.linalg.eigvalsh(filtered)[0] < -1e-9 * np.abs(predicted).max():
-        raise BreakdownError(f"the covariance became indefinite at step {k}")
-
-
-def _block_diagonal(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    a, b = len(first), len(second)
-    joined = np.zeros((a + b, a + b))
-    joined[:a, :a], joined[a:, a:] = first, second
-    return joined
+def _require(sound: bool, what: str, k: int) -> None:
+    if not sound:
+        raise BreakdownError(f"{what} at step {k}")

@@ -1,4 +1,4 @@
-"""Checked coefficients, start law and random blocks of a system with delays."""
+"""Coefficients of a system with delays: their checks, its steps, its start and its instants."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
 
-from seedslib.base.blocks import BLOCK, as_seed_sequence
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
+from seedslib.models.kinds import as_steps
 
 MOST_DELAY = 10**7
 
@@ -25,9 +26,11 @@ class CheckedCoefficient(NamedTuple):
 
     @property
     def varies(self) -> bool:
+        """Whether it depends on k."""
         return callable(self.value) or self.value.ndim == 3
 
     def at(self, k: int) -> np.ndarray:
+        """The matrix at instant k."""
         if callable(self.value):
             return self.check(f"{self.name} at k = {k}", _matrix(self.value(k)))
         return self.value[k] if self.value.ndim == 3 else self.value
@@ -36,6 +39,8 @@ class CheckedCoefficient(NamedTuple):
 def coefficient(
     name: str, value: Coefficient, check: Callable[..., np.ndarray], *wanted: object
 ) -> CheckedCoefficient:
+    """A coefficient whose matrices pass ``check(label, matrix, *wanted)``."""
+
     def checked(label: str, matrix: object) -> np.ndarray:
         return check(label, matrix, *wanted)
 
@@ -76,7 +81,23 @@ def require_finite(what: str, k: int, *arrays: np.ndarray) -> None:
         )
 
 
+def divided(cross: np.ndarray, cov: np.ndarray, refusal: str) -> np.ndarray:
+    """``cross · cov⁻¹`` by Cholesky's factor.
+
+    Raises
+    ------
+    ValueError
+        `refusal`, where `cov` is not positive definite.
+    """
+    try:
+        root = cho_factor(cov, lower=True, check_finite=False)
+    except np.linalg.LinAlgError:
+        raise ValueError(refusal) from None
+    return cho_solve(root, cross.T, check_finite=False).T
+
+
 def as_delays(dynamics: object) -> list[int]:
+    """Delays of a mapping from delay to matrix, increasing."""
     if not isinstance(dynamics, Mapping):
         raise TypeError(
             f"dynamics: wanted a mapping of delay to matrix, got {type(dynamics).__name__}"
@@ -84,13 +105,58 @@ def as_delays(dynamics: object) -> list[int]:
     if not dynamics:
         raise ValueError("dynamics: wanted at least one delay, got none")
     for d in dynamics:
-        if isinstance(d, bool) or not isinstance(d, int | np.integer):
+        if not is_whole(d):
             raise TypeError(f"dynamics: wanted integer delays, got {d!r}")
         if d < 0:
             raise ValueError(f"dynamics: wanted delays >= 0, got {d}")
     if max(dynamics) > MOST_DELAY:
         raise ValueError(f"dynamics: wanted delays up to {MOST_DELAY}, got {max(dynamics)}")
     return sorted(int(d) for d in dynamics)
+
+
+class Step(NamedTuple):
+    """What leads from instant k-1 to k and to the measurement of instant k.
+
+    dynamics: the matrix (n, n) of each delay, in increasing order of delay; noise_input (n, q);
+    noise_cov (q, q); state_noise = G Q Gᵀ (n, n); sensor (m, n); sensor_cov (m, m).
+    """
+
+    dynamics: dict[int, np.ndarray]
+    noise_input: np.ndarray
+    noise_cov: np.ndarray
+    state_noise: np.ndarray
+    sensor: np.ndarray
+    sensor_cov: np.ndarray
+
+    def block_row(self, size: int) -> np.ndarray:
+        """Matrices of the delays side by side, (n, size): x_k from the stack (x_{k-1}, ...)."""
+        n = len(self.state_noise)
+        row = np.zeros((n, size))
+        for d, block in self.dynamics.items():
+            row[:, d * n : (d + 1) * n] = block
+        return row
+
+    def stacked(self, blocks: int) -> Augmented:
+        """Matrices of the step for the stack of `blocks` instants, newest block first."""
+        m, n = self.sensor.shape
+        size = blocks * n
+        transition = np.eye(size, k=-n)
+        transition[:n] = self.block_row(size)
+        noise, sensor = np.zeros((size, size)), np.zeros((m, size))
+        noise[:n, :n], sensor[:, :n] = self.state_noise, self.sensor
+        return Augmented(transition, noise, sensor, self.sensor_cov)
+
+
+class Augmented(NamedTuple):
+    """The same step for the stacked state ``(x_k, x_{k-1}, ..., x_{k-N})`` of size D = (N+1)n.
+
+    transition (D, D), noise (D, D), sensor (m, D), sensor_cov (m, m).
+    """
+
+    transition: np.ndarray
+    noise: np.ndarray
+    sensor: np.ndarray
+    sensor_cov: np.ndarray
 
 
 class StartLaw(NamedTuple):
@@ -129,11 +195,18 @@ def start_law(mean0: object, cov0: object, history_cov: object, n: int, reach: i
     return StartLaw(mean, cov, past)
 
 
-def path_blocks(seed: object, paths: int) -> list[tuple[np.random.Generator, slice]]:
-    """One child stream for each block of paths, so that results do not depend on the machine."""
-    starts = range(0, paths, BLOCK)
-    streams = as_seed_sequence(seed).spawn(len(starts))
-    return [
-        (np.random.default_rng(stream), slice(s, min(s + BLOCK, paths)))
-        for stream, s in zip(streams, starts, strict=True)
-    ]
+def as_instants(value: object) -> np.ndarray:
+    """Instants 0, 1, ..., K, shape (K+1,), from themselves or from the last one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Other times.
+    """
+    times = as_steps(value)
+    if not np.array_equal(times, np.arange(len(times))):
+        raise ValueError(
+            f"times: wanted the instants 0, 1, ..., {len(times) - 1} of a system with delays, got "
+            f"{times[0]:g}, {times[1]:g}, ..., {times[-1]:g}"
+        )
+    return times

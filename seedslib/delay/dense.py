@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_solve
 
-from seedslib.delay.gains import StepGains, factor, seen
+from seedslib.base.semidefinite import symmetrized
+from seedslib.delay.gains import StepGains, innovation_factor, present_sensor
 from seedslib.delay.system import DelaySystem
 
 
@@ -37,17 +38,14 @@ def advance(
     ValueError
         The innovation covariance is not positive definite.
     """
-    k, n = state.k + 1, system.n
+    k, n = state.k + 1, system.state_size
     model = system.augmented(k)
-    sensor, noise = seen(system.step(k), missing)
-    predicted = model.transition @ state.cov @ model.transition.T + model.noise
-    predicted = 0.5 * (predicted + predicted.T)
+    sensor, noise = present_sensor(system.step(k), missing)
+    predicted = symmetrized(model.transition @ state.cov @ model.transition.T + model.noise)
     cross = predicted[:, :n] @ sensor.T
-    inner = sensor @ cross[:n] + noise
-    inner = 0.5 * (inner + inner.T)
-    gain = cho_solve(factor(inner, k), cross.T).T
+    inner = symmetrized(sensor @ cross[:n] + noise)
+    gain = cho_solve(innovation_factor(inner, k), cross.T).T
     left = predicted - gain @ (sensor @ predicted[:n])
-    cov = left - (left[:, :n] @ sensor.T - gain @ noise) @ gain.T
-    cov = 0.5 * (cov + cov.T)
-    by_lag = gain.reshape(-1, n, system.m)
+    cov = symmetrized(left - (left[:, :n] @ sensor.T - gain @ noise) @ gain.T)
+    by_lag = gain.reshape(-1, n, system.measurement_size)
     return DenseCovariance(k, cov), StepGains(by_lag, inner, predicted[:n, :n], cov[:n, :n])

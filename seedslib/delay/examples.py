@@ -12,13 +12,9 @@ from seedslib.delay.system import DelaySystem
 def scalar(near: float, far: float, sensor_var: float = 1.0, delay: int = 1) -> DelaySystem:
     """One component, ``x_k = near x_{k-1} + far x_{k-1-delay} + w``, unit variances otherwise."""
     return DelaySystem(
-        {0: near, delay: far} if delay else {0: near + far},
-        sensor=1.0,
-        noise_cov=1.0,
-        sensor_cov=sensor_var,
-        cov0=1.0,
-        history_cov=1.0 if delay else None,
-    )
+        {0: near, delay: far} if delay else {0: near + far}, sensor=1.0, noise_cov=1.0,
+        sensor_cov=sensor_var, cov0=1.0, history_cov=1.0 if delay else None,
+    )  # fmt: skip
 
 
 def rotation(damping: float = 0.7, delay: int = 3) -> DelaySystem:
@@ -26,40 +22,19 @@ def rotation(damping: float = 0.7, delay: int = 3) -> DelaySystem:
 
     Stable for damping 0.7 and delay 3 (spectral radius 0.972), unstable for damping 0.8.
     """
-    return DelaySystem(
-        {0: damping * _turn(0.5), delay: [[0.1, 0.3], [-0.2, 0.1]]},
-        sensor=[[1.0, 0.0]],
-        noise_cov=1.0,
-        sensor_cov=1.0,
-        cov0=np.eye(2),
-        history_cov=0.5 * np.eye(2),
-        noise_input=[[0.0], [1.0]],
-    )
+    return _plane({0: damping * _turn(0.5), delay: [[0.1, 0.3], [-0.2, 0.1]]}, history=0.5)
 
 
 def precise_sensor() -> DelaySystem:
     """Stable plant E2 (spectral radius 0.946), delay 2, on which structure (6) does badly."""
-    return DelaySystem(
-        {0: [[0.0, -0.75], [-0.5, 1.0]], 2: [[0.0, -0.5], [0.0, -1.0]]},
-        sensor=[[1.0, 0.0]],
-        noise_cov=1.0,
-        sensor_cov=0.1,
-        cov0=np.eye(2),
-        history_cov=np.eye(2),
-        noise_input=[[0.0], [1.0]],
-    )
+    dynamics = {0: [[0.0, -0.75], [-0.5, 1.0]], 2: [[0.0, -0.5], [0.0, -1.0]]}
+    return _plane(dynamics, sensor_cov=0.1)
 
 
 def two_noises() -> DelaySystem:
     """Stable plant E1 (spectral radius 0.954), delay 1, on which greedy gains are unstable."""
-    return DelaySystem(
-        {0: [[0.5, 0.75], [1.0, 0.75]], 1: [[-0.75, -1.0], [0.5, 0.5]]},
-        sensor=[[1.0, 0.0]],
-        noise_cov=np.eye(2),
-        sensor_cov=1.0,
-        cov0=np.eye(2),
-        history_cov=np.eye(2),
-    )
+    dynamics = {0: [[0.5, 0.75], [1.0, 0.75]], 1: [[-0.75, -1.0], [0.5, 0.5]]}
+    return _plane(dynamics, noise_cov=np.eye(2), noise_input=None)
 
 
 def nearly_parallel_sensors() -> DelaySystem:
@@ -67,15 +42,10 @@ def nearly_parallel_sensors() -> DelaySystem:
 
     An ill-conditioned plant: a recursion of covariances in double precision keeps five digits.
     """
-    return DelaySystem(
-        {0: 0.7 * _turn(0.5), 4: [[0.1, 0.3], [-0.2, 0.1]]},
-        sensor=[[1.0, 0.0], [1.0, 1e-7]],
-        noise_cov=1e-4,
-        sensor_cov=1e-12 * np.eye(2),
-        cov0=1e6 * np.eye(2),
-        history_cov=1e6 * np.eye(2),
-        noise_input=[[0.0], [1.0]],
-    )
+    return _plane(
+        {0: 0.7 * _turn(0.5), 4: [[0.1, 0.3], [-0.2, 0.1]]}, start=1e6, history=1e6,
+        sensor=[[1.0, 0.0], [1.0, 1e-7]], noise_cov=1e-4, sensor_cov=1e-12 * np.eye(2),
+    )  # fmt: skip
 
 
 def random_plants(count: int, seed: int = 11) -> Iterator[DelaySystem]:
@@ -93,19 +63,28 @@ def random_plants(count: int, seed: int = 11) -> Iterator[DelaySystem]:
         sensor_var = 10.0 ** rng.uniform(-1.0, 1.0)
         scale = _scale_to(near, far, delay, rng.uniform(0.6, 0.98))
         yield DelaySystem(
-            {0: scale * near, delay: scale * far},
-            sensor=sensor,
-            noise_cov=1.0,
-            sensor_cov=sensor_var * np.eye(m),
-            cov0=np.eye(n),
-            history_cov=0.3 * np.eye(n),
-            noise_input=noise_input,
-        )
+            {0: scale * near, delay: scale * far}, sensor, 1.0, sensor_var * np.eye(m),
+            np.eye(n), 0.3 * np.eye(n), noise_input=noise_input,
+        )  # fmt: skip
 
 
 def spectral_radius(system: DelaySystem) -> float:
     """Largest modulus of the characteristic roots, from the stacked matrix."""
     return float(np.abs(np.linalg.eigvals(system.augmented().transition)).max())
+
+
+def _plane(
+    dynamics: dict, *, start: float = 1.0, history: float = 1.0, **others: object
+) -> DelaySystem:
+    """Plant of two components: unless `others` say otherwise the first is seen, the second driven.
+
+    With unit variances, and x_0 and its history of `start` and `history` times the identity.
+    """
+    usual = {
+        "sensor": [[1.0, 0.0]], "noise_cov": 1.0, "sensor_cov": 1.0, "noise_input": [[0.0], [1.0]],
+    }  # fmt: skip
+    cov0, history_cov = start * np.eye(2), history * np.eye(2)
+    return DelaySystem(dynamics, cov0=cov0, history_cov=history_cov, **(usual | others))
 
 
 def _turn(angle: float) -> np.ndarray:

@@ -9,67 +9,34 @@ and `augmented` (the dense Kalman filter of the stacked state, as a reference).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from types import ModuleType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import solve_triangular
 
-from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_real
-from seedslib.delay import (
-    array as _delay_array,
-)
-from seedslib.delay import (
-    chandrasekhar as _delay_chandrasekhar,
-)
-from seedslib.delay import (
-    dense as _delay_dense,
-)
-from seedslib.delay import (
-    structured as _delay_structured,
-)
-from seedslib.delay.gains import DelayGains, advanced, empty_gains
+from seedslib.base.blocks import BLOCK, in_blocks
+from seedslib.base.checks import as_count, as_real
+from seedslib.delay.coefficients import as_instants, require_finite
+from seedslib.delay.gains import DelayGains, advanced
 from seedslib.delay.means import (
     as_flags,
-    as_lag,
     as_records,
     filter_records,
     log_density,
-    move_mean,
     patterns,
+    predicted_mean,
+    start_mean,
 )
+from seedslib.delay.recursions import RECURSIONS, DelayState, tabulated
 from seedslib.delay.structure import StructureGains
 from seedslib.delay.system import DelaySystem
-from seedslib.filters.estimates import Estimates
-
-RECURSIONS: dict[str, ModuleType] = {
-    "structured": _delay_structured,
-    "array": _delay_array,
-    "chandrasekhar": _delay_chandrasekhar,
-    "augmented": _delay_dense,
-}
-BLOCK = 8192
-
-
-class DelayState(NamedTuple):
-    """The filter after instant k.
-
-    mean (N+1, n, *batch): block s is the estimate of x_{k-s} from the measurements up to k; cov
-    (n, n): covariance of its block 0; loglik (*batch): log density of the last measurement;
-    recursion: the covariance recursion's own state.
-    """
-
-    k: int
-    mean: np.ndarray
-    cov: np.ndarray
-    loglik: np.ndarray
-    recursion: object
+from seedslib.filters.estimates import Estimates, stays
+from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import as_system
 
 
 @dataclass(frozen=True, eq=False)
-class DelayKalmanFilter:
+class DelayKalmanFilter(Filter):
     """Minimum-variance filter and fixed-lag smoother of a `DelaySystem`.
 
     The estimates are conditional means for Gaussian noises and the best linear ones otherwise.
@@ -94,10 +61,10 @@ class DelayKalmanFilter:
     system: DelaySystem
     method: str = "structured"
     _memo: dict = field(default_factory=dict, init=False, repr=False)
+    _shown = ("method",)
 
     def __post_init__(self) -> None:
-        if not isinstance(self.system, DelaySystem):
-            raise TypeError(f"system: wanted a DelaySystem, got {type(self.system).__name__}")
+        as_system("system", self.system, "DelaySystem")
         if not isinstance(self.method, str) or self.method not in RECURSIONS:
             raise ValueError(f"method: wanted one of {list(RECURSIONS)}, got {self.method!r}")
         RECURSIONS[self.method].start(self.system)
@@ -122,11 +89,11 @@ class DelayKalmanFilter:
         """
         steps = as_count("steps", steps)
         if missing is not None:
-            missing = as_flags(missing, (steps + 1, self.system.m))
+            missing = as_flags(missing, (steps + 1, self.system.measurement_size))
             missing = None if not missing[1:].any() else missing
         if missing is None:
             return self._complete_gains(steps)
-        return self._tabulate(steps, missing)
+        return tabulated(self.system, self.method, steps, missing)
 
     def innovation_gains(self, steps: int) -> StructureGains:
         """Gains of the innovations form (R1), with all measurements present.
@@ -145,14 +112,14 @@ class DelayKalmanFilter:
             As `gains`.
         """
         table, system = self.gains(steps), self.system
-        past = np.zeros((steps + 1, system.max_delay, system.n, system.m))
+        past = np.zeros((steps + 1, system.max_delay, system.state_size, system.measurement_size))
         for k in range(2, steps + 1):
-            for d, a in zip(system.delays, system.step(k).dynamics, strict=True):
+            for d, a in system.step(k).dynamics.items():
                 for j in range(1, min(d, k - 1) + 1):
                     past[k, j - 1] += a @ table.gain[k - j, d + 1 - j]
         return StructureGains(table.gain[:, 0], past, corrected=True)
 
-    def initial(self, batch: tuple[int, ...] = ()) -> DelayState:
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> DelayState:
         """The filter at k = 0, before any measurement; `batch` axes stand for paths.
 
         Raises
@@ -160,64 +127,95 @@ class DelayKalmanFilter:
         TypeError, ValueError
             `batch` is not a tuple of positive integers.
         """
-        if not isinstance(batch, tuple):
-            raise TypeError(f"batch: wanted a tuple of whole numbers, got {batch!r}")
-        batch = tuple(as_count("batch", size) for size in batch)
-        system = self.system
-        mean = system.mean0.reshape(-1, system.n, *(1,) * len(batch))
-        mean = np.broadcast_to(mean, (*mean.shape[:2], *batch)).copy()
-        cov = system.cov0[: system.n, : system.n]
+        system, mean = self.system, start_mean(self.system, batch)
+        cov = system.cov0[: system.state_size, : system.state_size]
         recursion = RECURSIONS[self.method].start(system)
-        return DelayState(0, mean, cov, np.zeros(batch), recursion)
+        return DelayState(0.0, mean, cov, np.zeros(mean.shape[2:]), recursion)
 
-    def step(self, state: DelayState, y: ArrayLike) -> DelayState:
-        """Predict to the next instant and correct by its measurement.
+    def predict(self, state: DelayState, t: float) -> DelayState:
+        """Forecast to instant t; at instants between nothing is measured.
+
+        Raises
+        ------
+        ValueError
+            A time before that of the state or between instants; the fast recursion broke down
+            (`run` then changes over).
+        """
+        if not stays(state, t) and t != int(t):
+            raise ValueError(f"t: wanted an instant, a whole number, got {t:g}")
+        engine, system = RECURSIONS[self.method], self.system
+        for k in range(int(state.time) + 1, int(t) + 1):
+            before = state.recursion
+            if state.ahead is not None:  # the instant that is left was not measured
+                lost = np.ones(system.measurement_size, dtype=bool)
+                before, _ = advanced(engine, system, before.copy(), lost, k - 1)
+            ahead = advanced(engine, system, before.copy(), None, k)
+            mean, nothing = predicted_mean(system, k, state.mean), np.zeros(state.loglik.shape)
+            state = DelayState(float(k), mean, ahead[1].predicted, nothing, before, ahead)
+        return state
+
+    def correct(self, state: DelayState, y: ArrayLike) -> DelayState:
+        """Correct a forecast by the measurement of its instant.
 
         Parameters
         ----------
         state : DelayState
             Left as it is.
         y : array_like, shape (m, *batch)
-            NaN marks a missing component, which must be missing in the whole batch.
-
-        Returns
-        -------
-        DelayState
+            NaN marks a missing component, which must be missing in the whole batch; at k = 0
+            nothing is measured.
 
         Raises
         ------
         TypeError, ValueError
-            A wrong shape, an infinite value, components missing in some paths only (`run` takes
-            those), or the fast recursion broke down (`run` then changes over).
+            A state after a correction, a wrong shape, an infinite value, a measurement at k = 0,
+            components missing in some paths only (`run` takes those), or the fast recursion
+            broke down (`run` then changes over).
         """
-        system, batch = self.system, state.mean.shape[2:]
+        system, batch, k = self.system, state.mean.shape[2:], int(state.time)
         y = as_real("y", y, nan=True)
-        if y.shape != (system.m, *batch):
-            raise ValueError(f"y: wanted shape {(system.m, *batch)}, got {y.shape}")
-        flat = np.isnan(y).reshape(system.m, -1)
-        missing = flat.all(axis=1)
-        if (flat != missing[:, None]).any():
+        if y.shape != (system.measurement_size, *batch):
+            raise ValueError(f"y: wanted shape {(system.measurement_size, *batch)}, got {y.shape}")
+        flat = y.reshape(len(y), -1)
+        missing = np.isnan(flat).all(axis=1)
+        if (np.isnan(flat) != missing[:, None]).any():
             raise ValueError("y: wanted the same missing components in all paths of a batch")
-        engine, before = RECURSIONS[self.method], state.recursion.copy()
-        recursion, now = advanced(engine, system, before, missing, state.k + 1)
-        blocks = len(state.mean)
-        slots = np.arange(blocks)
-        ring = state.mean.reshape(*state.mean.shape[:2], -1)[(state.k - slots) % blocks]
-        error = move_mean(system, state.k + 1, ring, now, y.reshape(system.m, -1))
-        mean = ring[(state.k + 1 - slots) % blocks].reshape(state.mean.shape)
-        loglik = log_density(error, now.innovation_cov, missing).reshape(batch)
-        return DelayState(state.k + 1, mean, now.cov, loglik, recursion)
+        if k == 0 and missing.all():
+            return state
+        if state.ahead is None:
+            raise ValueError("state: wanted a forecast, got a state without; call predict first")
+        recursion, now = state.ahead
+        if missing.any():
+            engine = RECURSIONS[self.method]
+            recursion, now = advanced(engine, system, state.recursion.copy(), missing, k)
+        with np.errstate(over="ignore", invalid="ignore"):
+            error = y - np.tensordot(system.step(k).sensor, state.mean[0], 1)
+            error[missing] = 0.0
+            mean = state.mean + np.tensordot(now.gain, error, 1)
+        require_finite("estimates", k, mean[0], error)
+        loglik = log_density(error.reshape(flat.shape), now.innovation_cov, missing).reshape(batch)
+        return DelayState(state.time, mean, now.cov, loglik, recursion)
 
-    def run(self, measurements: ArrayLike, *, lag: int = 0) -> Estimates:
+    def report(self, state: DelayState) -> Estimates:
+        """Mean and covariance of x_k, block 0."""
+        return Estimates(state.mean[0], state.cov, None, state.loglik)
+
+    def run(
+        self, times: ArrayLike, measurements: ArrayLike, *, lag: int = 0, workers: int = 1
+    ) -> Estimates:
         """Filter (or smooth with a fixed lag) whole records.
 
         Parameters
         ----------
+        times : int or array_like
+            Last instant K, or the instants 0, 1, ..., K, shape (K+1,).
         measurements : array_like, shape (K+1, m, *batch)
             Entry k is y_k; entry 0 is NaN, nothing being measured at k = 0. NaN elsewhere marks
             a missing component, which is left out exactly.
         lag : int
             Estimate x_k from the measurements up to ``min(k + lag, K)``, 0 <= lag <= N.
+        workers : int
+            Threads over blocks of paths; the numbers do not depend on it.
 
         Returns
         -------
@@ -229,7 +227,7 @@ class DelayKalmanFilter:
         Raises
         ------
         TypeError, ValueError
-            A wrong shape, an infinite value, a measurement at k = 0, an illegal lag.
+            Other times, a wrong shape, an infinite value, a measurement at k = 0, an illegal lag.
 
         Notes
         -----
@@ -237,19 +235,24 @@ class DelayKalmanFilter:
         once for each pattern that occurs. Complete records share one table, which is kept for
         the next call.
         """
-        lag = as_lag(lag, self.system.max_delay)
-        y, batch = as_records(measurements, self.system.m)
-        mean = np.empty((len(y), self.system.n, y.shape[2]))
-        loglik = np.empty((len(y), y.shape[2]))
-        groups = list(patterns(np.isnan(y)))
-        covs = []
+        lag, count = as_count("lag", lag, 0, self.system.max_delay), len(as_instants(times))
+        y, batch = as_records(measurements, self.system.measurement_size, count)
+        mean = np.empty((count, self.system.state_size, y.shape[2]))
+        loglik = np.empty((count, y.shape[2]))
+        groups, jobs, covs = list(patterns(np.isnan(y))), [], []
         for missing, members in groups:
-            table = self.gains(len(y) - 1, missing)
-            for part in np.array_split(members, -(-len(members) // BLOCK)):
+            table = self.gains(count - 1, missing)
+            pieces = np.array_split(members, -(-len(members) // BLOCK))
+            jobs += [(table, part) for part in pieces]
+            covs.append(table.lagged_cov(lag))
+
+        def work(first: int, last: int, _: object) -> None:
+            for table, part in jobs[first:last]:
                 mean[..., part], loglik[..., part] = filter_records(
                     self.system, table, y[..., part], lag
                 )[:2]
-            covs.append(table.lagged_cov(lag))
+
+        in_blocks(work, len(jobs), 0, workers=workers, block=1)
         cov = covs[0]
         if len(groups) > 1:
             cov = np.empty((*cov.shape, y.shape[2]))
@@ -257,7 +260,7 @@ class DelayKalmanFilter:
                 cov[..., members] = one[..., None]
             cov = cov.reshape(*cov.shape[:3], *batch)
         return Estimates(
-            mean.reshape(*mean.shape[:2], *batch), cov, loglik=loglik.reshape(len(y), *batch)
+            mean.reshape(*mean.shape[:2], *batch), cov, loglik=loglik.reshape(count, *batch)
         )
 
     def innovations(self, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
@@ -271,7 +274,7 @@ class DelayKalmanFilter:
         TypeError, ValueError
             As `run`.
         """
-        y, batch = as_records(measurements, self.system.m)
+        y, batch = as_records(measurements, self.system.measurement_size)
         errors, squares = np.empty(y.shape), np.empty((len(y), y.shape[2]))
         for missing, members in patterns(np.isnan(y)):
             table = self.gains(len(y) - 1, missing)
@@ -285,26 +288,7 @@ class DelayKalmanFilter:
     def _complete_gains(self, steps: int) -> DelayGains:
         known = self._memo.get("complete")
         if known is None or len(known.cov) <= steps:
-            known = self._memo["complete"] = self._tabulate(steps, None)
+            known = self._memo["complete"] = tabulated(self.system, self.method, steps, None)
             for array in known[:-1]:
                 array.flags.writeable = False
         return DelayGains(*(array[: steps + 1] for array in known[:-1]), known.method)
-
-    def _tabulate(self, steps: int, missing: np.ndarray | None) -> DelayGains:
-        try:
-            return _table(self.system, steps, missing, self.method, self.method)
-        except _delay_chandrasekhar.BreakdownError as why:
-            return _table(self.system, steps, missing, "structured", f"structured, because {why}")
-
-
-def _table(
-    system: DelaySystem, steps: int, missing: np.ndarray | None, recursion: str, label: str
-) -> DelayGains:
-    engine = RECURSIONS[recursion]
-    n = system.n
-    table = empty_gains(steps, system.max_delay + 1, system.cov0[:n, :n], system.m, label)
-    state = engine.start(system)
-    for k in range(1, steps + 1):
-        state, now = advanced(engine, system, state, None if missing is None else missing[k], k)
-        table.gain[k], table.innovation_cov[k], table.predicted[k], table.cov[k] = now
-    return table

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor
 
-from seedslib.delay.coefficients import require_finite
-from seedslib.delay.system import DelaySystem, Step
+from seedslib.delay.coefficients import Step, require_finite
+from seedslib.delay.system import DelaySystem
 
 
 class StepGains(NamedTuple):
@@ -61,19 +61,14 @@ class DelayGains(NamedTuple):
 def empty_gains(steps: int, blocks: int, cov: np.ndarray, m: int, method: str) -> DelayGains:
     """Table of K = `steps` instants whose entry 0 is the start, where nothing is measured."""
     n = len(cov)
-    table = DelayGains(
-        np.zeros((steps + 1, blocks, n, m)),
-        np.empty((steps + 1, m, m)),
-        np.empty((steps + 1, n, n)),
-        np.empty((steps + 1, n, n)),
-        method,
-    )
+    gain, inner = np.zeros((steps + 1, blocks, n, m)), np.empty((steps + 1, m, m))
+    table = DelayGains(gain, inner, *np.empty((2, steps + 1, n, n)), method)
     table.innovation_cov[0] = np.eye(m)
     table.predicted[0] = table.cov[0] = cov
     return table
 
 
-def seen(step: Step, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def present_sensor(step: Step, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Sensor and its noise covariance with missing components switched off.
 
     A missing component measures nothing (zero row) with an independent noise of variance one:
@@ -97,7 +92,7 @@ def advanced(
     return state, now
 
 
-def factor(inner: np.ndarray, k: int) -> tuple[np.ndarray, bool]:
+def innovation_factor(inner: np.ndarray, k: int) -> tuple[np.ndarray, bool]:
     """Cholesky factor of an innovation covariance.
 
     Raises

@@ -7,26 +7,27 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.checks import as_count, as_real, unmasked
+from seedslib.base.semidefinite import LOG_2PI
 from seedslib.delay.coefficients import require_finite
 from seedslib.delay.gains import DelayGains, StepGains
 from seedslib.delay.system import DelaySystem
 
-LOG_2PI = float(np.log(2.0 * np.pi))
 
-
-def as_records(value: object, m: int) -> tuple[np.ndarray, tuple[int, ...]]:
+def as_records(value: object, m: int, count: int | None = None) -> tuple[np.ndarray, tuple]:
     """Measurements (K+1, m, N) with one batch axis, and the batch axes as given.
 
     Raises
     ------
     TypeError, ValueError
-        A wrong shape, an infinite value, no path, or a measurement at k = 0.
+        A wrong shape, also one of another number of instants than `count`; an infinite value,
+        no path, or a measurement at k = 0.
     """
     y = as_real("measurements", value, nan=True)
-    if y.ndim < 2 or y.shape[1] != m or len(y) < 2:
+    if y.ndim < 2 or y.shape[1] != m or len(y) < 2 or (count is not None and len(y) != count):
+        wanted = "K+1" if count is None else count
         raise ValueError(
-            f"measurements: wanted shape (K+1, {m}, *batch) with K >= 1, got {y.shape}"
+            f"measurements: wanted shape ({wanted}, {m}, *batch) with K >= 1, got {y.shape}"
         )
     if y.size == 0:
         raise ValueError(f"measurements: wanted at least one path, got shape {y.shape}")
@@ -54,21 +55,6 @@ def as_flags(value: object, shape: tuple[int, int]) -> np.ndarray:
     return flags
 
 
-def as_lag(value: object, largest: int) -> int:
-    """Lag from 0 to the largest delay.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not an integer, or out of range.
-    """
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"lag: wanted an integer, got {value!r}")
-    if not 0 <= value <= largest:
-        raise ValueError(f"lag: wanted 0 to {largest}, got {value}")
-    return int(value)
-
-
 def patterns(missing: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Distinct patterns (K+1, m) of missing components, each with the indices of its paths."""
     flat = missing.reshape(-1, missing.shape[-1])
@@ -84,6 +70,29 @@ def patterns(missing: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
         yield missing[..., start], members
 
 
+def start_mean(system: DelaySystem, batch: object) -> np.ndarray:
+    """Means (N+1, n, *batch) of x_0, x_{-1}, ..., x_{-N}.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `batch` is not a tuple of positive integers.
+    """
+    if not isinstance(batch, tuple):
+        raise TypeError(f"batch: wanted a tuple of whole numbers, got {batch!r}")
+    batch = tuple(as_count("batch", size) for size in batch)
+    mean = system.mean0.reshape(-1, system.state_size, *(1,) * len(batch))
+    return np.broadcast_to(mean, (*mean.shape[:2], *batch)).copy()
+
+
+def predicted_mean(system: DelaySystem, k: int, mean: np.ndarray) -> np.ndarray:
+    """Means (N+1, n, *batch), newest first, one instant on: those of x_k, ..., x_{k-N}."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        newest = sum(np.tensordot(a, mean[d], 1) for d, a in system.step(k).dynamics.items())
+    require_finite("estimates", k, newest)
+    return np.concatenate([newest[None], mean[:-1]])
+
+
 def move_mean(
     system: DelaySystem, k: int, ring: np.ndarray, now: StepGains, y: np.ndarray
 ) -> np.ndarray:
@@ -94,9 +103,7 @@ def move_mean(
     blocks = len(ring)
     c = system.step(k)
     with np.errstate(over="ignore", invalid="ignore"):
-        mean = sum(
-            a @ ring[(k - 1 - d) % blocks] for d, a in zip(system.delays, c.dynamics, strict=True)
-        )
+        mean = sum(a @ ring[(k - 1 - d) % blocks] for d, a in c.dynamics.items())
         error = y - c.sensor @ mean
         error[np.isnan(y)] = 0.0
         ring[k % blocks] = mean
@@ -119,7 +126,7 @@ def filter_records(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Means (K+1, n, N) with a lag, log densities (K+1, N) and innovations (K+1, m, N)."""
     count, m, paths = y.shape
-    blocks, n = system.max_delay + 1, system.n
+    blocks, n = system.max_delay + 1, system.state_size
     start = system.mean0.reshape(blocks, n, 1)[-np.arange(blocks) % blocks]
     ring = np.broadcast_to(start, (blocks, n, paths)).copy()
     mean, loglik = np.empty((count, n, paths)), np.zeros((count, paths))

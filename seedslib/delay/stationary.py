@@ -12,6 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.delay.system import DelaySystem
+from seedslib.models.kinds import as_system
 from seedslib.riemann import wiener_gain
 
 
@@ -52,15 +53,14 @@ def stationary_gains(system: DelaySystem, nodes: int | None = None) -> Stationar
     roots outside the unit circle: on an unstable plant the spectra still exist formally and would
     give wrong gains. The cost is n³M for the spectra and M log M for the rest.
     """
-    if not isinstance(system, DelaySystem):
-        raise TypeError(f"system: wanted a DelaySystem, got {type(system).__name__}")
+    as_system("system", system, "DelaySystem")
     if not system.constant:
         raise ValueError("system: wanted constant coefficients")
-    if system.m != 1:
-        raise ValueError(f"system: wanted one measurement component, got {system.m}")
+    if system.measurement_size != 1:
+        raise ValueError(f"system: wanted one measurement component, got {system.measurement_size}")
     step = system.step(1)
-    transition = np.zeros((system.max_delay + 1, system.n, system.n))
-    transition[list(system.delays)] = step.dynamics
+    transition = np.zeros((system.max_delay + 1, system.state_size, system.state_size))
+    transition[list(step.dynamics)] = list(step.dynamics.values())
     try:
         steady = wiener_gain(
             transition, step.sensor, step.state_noise, step.sensor_cov[0, 0], nodes=nodes

@@ -6,10 +6,10 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor, cho_solve
 
-from seedslib.delay.coefficients import require_finite
-from seedslib.delay.system import DelaySystem, Step
+from seedslib.base.semidefinite import symmetrized
+from seedslib.delay.coefficients import Step, divided, require_finite
+from seedslib.delay.system import DelaySystem
 
 
 class StructureGains(NamedTuple):
@@ -31,7 +31,7 @@ class StructureErrors(NamedTuple):
     cov: np.ndarray
 
 
-class Moments(NamedTuple):
+class PriorMoments(NamedTuple):
     """Covariances at instant k before its gains are chosen; J = min(N, k-1).
 
     predicted (n, n): of x̃'_k; cross (n, J m): of x̃'_k with the past innovations k-1, ..., k-J;
@@ -48,17 +48,14 @@ class Moments(NamedTuple):
     older_cross: np.ndarray
 
 
-Choice = Callable[[Moments], tuple[np.ndarray, np.ndarray]]
+Choice = Callable[[PriorMoments], tuple[np.ndarray, np.ndarray]]
 
 
-def propagate(
-    system: DelaySystem,
-    steps: int,
-    choose: Choice,
-    corrected: bool,
+def structured_errors(
+    system: DelaySystem, steps: int, choose: Choice, corrected: bool
 ) -> StructureErrors:
     """Covariance of ``(x̃_k, ..., x̃_{k-N}, ν_k, ..., ν_{k-N+1})``, gains chosen on the way."""
-    reach, n, m = system.max_delay, system.n, system.m
+    reach, n, m = system.max_delay, system.state_size, system.measurement_size
     errors = (reach + 1) * n
     size = errors + reach * m
     joint = np.zeros((size, size))
@@ -70,28 +67,21 @@ def propagate(
     cov[0] = system.cov0[:n, :n]
     for k in range(1, steps + 1):
         c, known = system.step(k), errors + min(reach, k - 1) * m
-        ahead = np.zeros((n, size))  # x̃'_k = ahead · z + G w
-        for d, a in zip(system.delays, c.dynamics, strict=True):
-            ahead[:, d * n : (d + 1) * n] = a
+        ahead = c.block_row(size)  # x̃'_k = ahead · z + G w
         older = np.zeros((n, size))
         older[:, : reach * n] = np.tile(np.eye(n), reach)
         with np.errstate(over="ignore", invalid="ignore"):
             cross = ahead @ joint
-            predicted = cross @ ahead.T + c.state_noise
-            predicted = 0.5 * (predicted + predicted.T)
+            predicted = symmetrized(cross @ ahead.T + c.state_noise)
             older_predicted = older @ joint @ ahead.T
         require_finite("covariances", k, predicted, cross, older_predicted)
-        moments = Moments(
-            k,
-            c,
-            predicted,
-            cross[:, errors:known],
-            joint[errors:known, errors:known],
-            older_predicted,
-            older @ joint[:, errors:known],
-        )
-        gain, past = choose(moments)
-        table.gain[k], table.past[k] = gain, past
+        past = slice(errors, known)
+        gain, past = table.gain[k], table.past[k] = choose(
+            PriorMoments(
+                k, c, predicted, cross[:, past], joint[past, past], older_predicted,
+                older @ joint[:, past],
+            )
+        )  # fmt: skip
         known_part = np.zeros((n, size))
         known_part[:, errors:] = past.swapaxes(0, 1).reshape(n, reach * m)
         target = ahead - known_part if corrected else ahead
@@ -105,14 +95,9 @@ def propagate(
 
 
 def _advance(
-    joint: np.ndarray,
-    row: np.ndarray,
-    seen: np.ndarray,
-    keep: np.ndarray,
-    gain: np.ndarray,
-    c: Step,
-    errors: int,
-) -> np.ndarray:
+    joint: np.ndarray, row: np.ndarray, seen: np.ndarray, keep: np.ndarray, gain: np.ndarray,
+    c: Step, errors: int,
+) -> np.ndarray:  # fmt: skip
     """Covariance of the stack one instant on: new rows on top of each part, the rest shifted.
 
     x̃_k = row z + keep G w - gain v and the innovation is seen z + C G w + v.
@@ -121,10 +106,9 @@ def _advance(
     moved = np.empty_like(joint)
     new = slice(n, errors)
     moved[new, new] = joint[: errors - n, : errors - n]
-    noise = c.sensor_cov
-    mixed = row @ joint
+    noise, mixed = c.sensor_cov, row @ joint
     corner = mixed @ row.T + keep @ c.state_noise @ keep.T + gain @ noise @ gain.T
-    moved[:n, :n] = 0.5 * (corner + corner.T)
+    moved[:n, :n] = symmetrized(corner)
     _both(moved, slice(n), new, mixed[:, : errors - n])
     if size == errors:
         return moved
@@ -133,8 +117,9 @@ def _advance(
     _both(moved, new, rest, joint[: errors - n, kept])
     _both(moved, slice(n), rest, mixed[:, kept])
     other = seen @ joint
-    corner = other @ seen.T + c.sensor @ c.state_noise @ c.sensor.T + noise
-    moved[first, first] = 0.5 * (corner + corner.T)
+    moved[first, first] = symmetrized(
+        other @ seen.T + c.sensor @ c.state_noise @ c.sensor.T + noise
+    )
     _both(moved, first, new, other[:, : errors - n])
     _both(moved, first, rest, other[:, kept])
     shared = mixed @ seen.T + keep @ c.state_noise @ c.sensor.T - gain @ noise
@@ -143,6 +128,7 @@ def _advance(
 
 
 def _both(matrix: np.ndarray, rows: slice, columns: slice, block: np.ndarray) -> None:
+    """Write a block and its transpose."""
     matrix[rows, columns] = block
     matrix[columns, rows] = block.T
 
@@ -151,11 +137,8 @@ def regression(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """``cross · cov⁻¹`` for a positive definite matrix, which may be of size zero."""
     if not cov.size:
         return np.zeros_like(cross)
-    try:
-        root = cho_factor(0.5 * (cov + cov.T), lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            "system: wanted innovations with a covariance that is positive definite to rounding; "
-            "these are not, the plant is too ill-conditioned for this analysis"
-        ) from None
-    return cho_solve(root, cross.T, check_finite=False).T
+    return divided(
+        cross, symmetrized(cov),
+        "system: wanted innovations with a covariance that is positive definite to rounding; "
+        "these are not, the plant is too ill-conditioned for this analysis",
+    )  # fmt: skip

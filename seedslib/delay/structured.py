@@ -13,7 +13,8 @@ import numpy as np
 from scipy.linalg import cho_solve
 from scipy.linalg.blas import dsyr2k
 
-from seedslib.delay.gains import StepGains, factor, seen
+from seedslib.base.semidefinite import symmetrized
+from seedslib.delay.gains import StepGains, innovation_factor, present_sensor
 from seedslib.delay.system import DelaySystem
 
 
@@ -30,7 +31,7 @@ class RingCovariance(NamedTuple):
 
 def start(system: DelaySystem) -> RingCovariance:
     """Covariance before the first measurement, at k = 0."""
-    blocks, n = system.max_delay + 1, system.n
+    blocks, n = system.max_delay + 1, system.state_size
     order = -np.arange(blocks) % blocks  # block of the ring -> lag
     joint = system.start_cov().reshape(blocks, n, blocks, n)[order][:, :, order]
     return RingCovariance(0, np.asfortranarray(joint.reshape(blocks * n, blocks * n)))
@@ -54,24 +55,23 @@ def advance(
         The innovation covariance is not positive definite.
     """
     k, cov = state.k + 1, state.cov
-    c, n = system.step(k), system.n
-    sensor, noise = seen(c, missing)
+    c, n = system.step(k), system.state_size
+    sensor, noise = present_sensor(c, missing)
     blocks = system.max_delay + 1
     here = (k % blocks) * n
     new = slice(here, here + n)
 
-    starts = [((k - 1 - d) % blocks) * n for d in system.delays]
-    row = sum(a @ _rows(cov, at, n) for a, at in zip(c.dynamics, starts, strict=True))
-    corner = sum(
-        (row[:, at : at + n] @ a.T for a, at in zip(c.dynamics, starts, strict=True)),
-        start=c.state_noise,
-    )
-    row[:, new] = predicted = 0.5 * (corner + corner.T)
+    # the new block row A Π, and its corner A Π Aᵀ + G Q Gᵀ, from the blocks the delays reach
+    moves = [(a, ((k - 1 - d) % blocks) * n) for d, a in c.dynamics.items()]
+    row = sum(a @ _rows(cov, at, n) for a, at in moves)
+    corner = sum((row[:, at : at + n] @ a.T for a, at in moves), start=c.state_noise)
+    row[:, new] = predicted = symmetrized(corner)
 
     cross = row.T @ sensor.T
-    inner = sensor @ cross[new] + noise
-    inner = 0.5 * (inner + inner.T)
-    gain = np.ascontiguousarray(cho_solve(factor(inner, k), cross.T, check_finite=False).T)
+    inner = symmetrized(sensor @ cross[new] + noise)
+    root = innovation_factor(inner, k)
+    # rows without a gap between them, as the update of the triangle wants them
+    gain = np.ascontiguousarray(cho_solve(root, cross.T, check_finite=False).T)
     own = gain[new]
     keep = np.eye(n) - own @ sensor
     left = row.T - gain @ (sensor @ predicted)  # block column 0 of T = Π - K (C Π_0)
@@ -81,8 +81,8 @@ def advance(
     cov = dsyr2k(-1.0, gain, 0.5 * (cross + rest), beta=1.0, c=cov, lower=1, overwrite_c=1)
 
     border = keep @ row - rest[new] @ gain.T
-    filtered = keep @ predicted @ keep.T + own @ noise @ own.T
-    border[:, new] = filtered = 0.5 * (filtered + filtered.T)
+    filtered = symmetrized(keep @ predicted @ keep.T + own @ noise @ own.T)
+    border[:, new] = filtered
     cov[new, :here], cov[here:, new] = border[:, :here], border[:, here:].T
 
     lags = (k - np.arange(blocks)) % blocks

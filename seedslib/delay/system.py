@@ -11,63 +11,26 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_covariance, as_shape
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_count, as_covariance, as_shape
+from seedslib.base.objects import by_fields
 from seedslib.base.semidefinite import square_root
 from seedslib.delay.coefficients import (
+    Augmented,
     Coefficient,
+    Step,
     as_delays,
+    as_instants,
     as_noise,
     coefficient,
-    path_blocks,
     require_finite,
     start_law,
 )
-
-
-class Step(NamedTuple):
-    """What leads from instant k-1 to k and to the measurement of instant k.
-
-    dynamics: one (n, n) array for each delay, in increasing order of delay; noise_input (n, q);
-    noise_cov (q, q); state_noise = G Q Gᵀ (n, n); sensor (m, n); sensor_cov (m, m).
-    """
-
-    dynamics: tuple[np.ndarray, ...]
-    noise_input: np.ndarray
-    noise_cov: np.ndarray
-    state_noise: np.ndarray
-    sensor: np.ndarray
-    sensor_cov: np.ndarray
-
-
-class Augmented(NamedTuple):
-    """The same step for the stacked state ``(x_k, x_{k-1}, ..., x_{k-N})`` of size D = (N+1)n.
-
-    transition (D, D), noise (D, D), sensor (m, D), sensor_cov (m, m).
-    """
-
-    transition: np.ndarray
-    noise: np.ndarray
-    sensor: np.ndarray
-    sensor_cov: np.ndarray
-
-
-class DelayPaths(NamedTuple):
-    """Simulated paths.
-
-    times (K+1,) are the instants 0..K; states (K+1, n, *batch); measurements (K+1, m, *batch),
-    NaN at k = 0, where nothing is measured; history (N, n, *batch) holds x_{-1}, ..., x_{-N}.
-    """
-
-    times: np.ndarray
-    states: np.ndarray
-    measurements: np.ndarray
-    history: np.ndarray
+from seedslib.models.simulation import Simulation, as_measured
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,8 +77,8 @@ class DelaySystem:
 
     Attributes
     ----------
-    n, m : int
-        Dimensions of the state and of the measurement.
+    state_size, measurement_size : int
+        Dimensions n of the state and m of the measurement.
     """
 
     dynamics: Mapping[int, Coefficient]
@@ -126,6 +89,7 @@ class DelaySystem:
     history_cov: ArrayLike | None = None
     mean0: ArrayLike | None = None
     noise_input: Coefficient | None = None
+    indicators = 0
 
     def __post_init__(self) -> None:
         delays = as_delays(self.dynamics)
@@ -150,10 +114,12 @@ class DelaySystem:
         values = {name: checked.value for name, checked in table.items()}
         values["dynamics"] = MappingProxyType({d: values.pop(f"dynamics[{d}]") for d in delays})
         values |= {"mean0": law.mean, "cov0": law.cov, "history_cov": law.past}
-        values |= {"n": n, "m": m, "_table": table}
-        for name, value in values.items():
-            object.__setattr__(self, name, value)
+        vars(self).update(values, state_size=n, measurement_size=m, _table=table)
         self.step(1)
+
+    def __reduce__(self) -> tuple:
+        past = self.history_cov if np.size(self.history_cov) else None
+        return by_fields(self, dynamics=dict(self.dynamics), history_cov=past)
 
     @cached_property
     def delays(self) -> tuple[int, ...]:
@@ -173,18 +139,14 @@ class DelaySystem:
     @cached_property
     def horizon(self) -> int | None:
         """Largest K to which all coefficient arrays reach; None without such arrays."""
-        ends = [
-            len(c.value) - (name.startswith("sensor"))
-            for name, c in self._table.items()
-            if c.varies and not callable(c.value)
-        ]
-        return min(ends, default=None)
+        arrays = (c for c in self._table.values() if c.varies and not callable(c.value))
+        return min((len(c.value) - c.name.startswith("sensor") for c in arrays), default=None)
 
     def start_blocks(self) -> np.ndarray | None:
         """Covariances (N+1, n, n) of x_0, x_{-1}, ..., x_{-N}; None if these are correlated."""
         if self.history_cov is not None:
             return np.concatenate([self.cov0[None], self.history_cov])
-        n, blocks = self.n, self.max_delay + 1
+        n, blocks = self.state_size, self.max_delay + 1
         joint = self.cov0.reshape(blocks, n, blocks, n).swapaxes(1, 2)
         return None if joint[~np.eye(blocks, dtype=bool)].any() else joint[np.diag_indices(blocks)]
 
@@ -192,7 +154,7 @@ class DelaySystem:
         """Covariance ((N+1)n, (N+1)n) of the stack ``(x_0, x_{-1}, ..., x_{-N})``."""
         if self.history_cov is None:
             return self.cov0.copy()
-        n, blocks = self.n, self.max_delay + 1
+        n, blocks = self.state_size, self.max_delay + 1
         joint = np.zeros((blocks, n, blocks, n))
         joint[np.arange(blocks), :, np.arange(blocks)] = self.start_blocks()
         return joint.reshape(blocks * n, blocks * n)
@@ -215,71 +177,73 @@ class DelaySystem:
         TypeError, ValueError
             As `step`.
         """
-        c, n = self.step(k), self.n
-        size = (self.max_delay + 1) * n
-        transition = np.eye(size, k=-n)
-        transition[:n] = 0.0
-        for d, block in zip(self.delays, c.dynamics, strict=True):
-            transition[:n, d * n : (d + 1) * n] = block
-        noise = np.zeros((size, size))
-        noise[:n, :n] = c.state_noise
-        sensor = np.zeros((self.m, size))
-        sensor[:, :n] = c.sensor
-        return Augmented(transition, noise, sensor, c.sensor_cov)
+        return self.step(k).stacked(self.max_delay + 1)
 
-    def simulate(self, steps: int, paths: int | None, seed: object) -> DelayPaths:
+    def simulate(
+        self, times: ArrayLike, paths: int | None, seed: object, *,
+        measured: ArrayLike | None = None, workers: int = 1,
+    ) -> Simulation:  # fmt: skip
         """Independent Gaussian paths.
 
         Parameters
         ----------
-        steps : int
-            Last instant K >= 1.
+        times : int or array_like
+            Last instant K >= 1, or the instants 0, 1, ..., K, shape (K+1,).
         paths : int or None
             Number of paths; None for one path without a batch axis.
         seed : int, SeedSequence or Generator
             One child stream is spawned per block of 8192 paths.
+        measured : array_like, optional
+            Mask or indices of the instants with a measurement (default all); NaN at the others.
+        workers : int
+            Threads over blocks of paths.
 
         Returns
         -------
-        DelayPaths
+        Simulation
+            states (K+1, n, *batch); measurements (K+1, m, *batch), NaN at k = 0, where nothing
+            is measured; history (N, n, *batch) holds x_{-1}, ..., x_{-N}.
 
         Raises
         ------
         TypeError, ValueError
-            `steps` or `paths` is not a positive integer, `steps` is beyond the horizon, the
+            Other times, or times beyond the horizon; `paths` is not a positive integer, the
             seed is none, or a path of an unstable plant overflows.
         """
-        count = as_count("steps", steps)
+        times = as_instants(times)
+        measured = as_measured(measured, len(times))
         width = 1 if paths is None else as_count("paths", paths)
-        reach, n = self.max_delay + 1, self.n
-        chain = np.empty((reach + count, n, width))  # x_{-N}, ..., x_K
-        measured = np.full((count + 1, self.m, width), np.nan)
+        reach, n, m = self.max_delay + 1, self.state_size, self.measurement_size
+        chain = np.empty((reach + len(times) - 1, n, width))  # x_{-N}, ..., x_K
+        shown = np.full((len(times), m, width), np.nan)
         blocks = self.start_blocks()
         root = square_root(self.start_cov()[None] if blocks is None else blocks)
-        table = [self._drawing(k) for k in range(1, count + 1)]
-        for rng, block in path_blocks(seed, width):
-            size = block.stop - block.start
+        steps = [self.step(k) for k in range(1, len(times))]
+        drives = [c.noise_input @ square_root(c.noise_cov) for c in steps]
+        errors = [np.linalg.cholesky(c.sensor_cov) for c in steps]
+
+        def draw(first: int, last: int, stream: np.random.SeedSequence) -> None:
+            rng, block, size = np.random.default_rng(stream), slice(first, last), last - first
             start = root @ rng.standard_normal((*root.shape[:2], size))
             start = start.reshape(reach, n, size) + self.mean0.reshape(reach, n, 1)
             chain[:reach, :, block] = start[::-1]
-            for k, (c, noise, error) in enumerate(table, start=1):
-                now = reach - 1 + k
+            for k, c in enumerate(steps, start=1):
+                now, noise, error = reach - 1 + k, drives[k - 1], errors[k - 1]
                 with np.errstate(over="ignore", invalid="ignore"):
                     state = noise @ rng.standard_normal((noise.shape[1], size))
-                    for d, matrix in zip(self.delays, c.dynamics, strict=True):
+                    for d, matrix in c.dynamics.items():
                         state += matrix @ chain[now - 1 - d, :, block]
-                    seen = c.sensor @ state + error @ rng.standard_normal((self.m, size))
+                    seen = c.sensor @ state + error @ rng.standard_normal((m, size))
                 require_finite("paths", k, state, seen)
-                chain[now, :, block], measured[k, :, block] = state, seen
-        parts = (chain[reach - 1 :], measured, chain[: reach - 1][::-1])
+                chain[now, :, block] = state
+                if measured[k]:
+                    shown[k, :, block] = seen
+
+        in_blocks(draw, width, seed, workers=workers)
+        parts = (chain[reach - 1 :], shown, chain[: reach - 1][::-1])
         if paths is None:
             parts = tuple(part[..., 0] for part in parts)
-        return DelayPaths(np.arange(count + 1), *parts)
-
-    def _drawing(self, k: int) -> tuple[Step, np.ndarray, np.ndarray]:
-        c = self.step(k)
-        noise = c.noise_input @ square_root(c.noise_cov)
-        return c, noise, np.linalg.cholesky(c.sensor_cov)
+        return Simulation(times, *parts[:2], history=parts[2])
 
     @cached_property
     def _only(self) -> Step:
@@ -291,11 +255,13 @@ class DelaySystem:
             raise ValueError(
                 f"k: wanted at most {self.horizon}, the reach of the coefficient arrays, got {k}"
             )
-        dynamics = tuple(self._table[f"dynamics[{d}]"].at(k - 1) for d in self.delays)
+        dynamics = {d: self._table[f"dynamics[{d}]"].at(k - 1) for d in self.delays}
         g, q = (self._table[name].at(k - 1) for name in ("noise_input", "noise_cov"))
         c, r = (self._table[name].at(k) for name in ("sensor", "sensor_cov"))
-        if c.shape[0] != self.m:
-            raise ValueError(f"sensor at k = {k}: wanted {self.m} rows, got shape {c.shape}")
+        if c.shape[0] != self.measurement_size:
+            raise ValueError(
+                f"sensor at k = {k}: wanted {self.measurement_size} rows, got shape {c.shape}"
+            )
         if g.shape[1] != q.shape[0]:
             raise ValueError(f"noise_cov at k = {k - 1}: wanted size {g.shape[1]}, got {q.shape}")
         with np.errstate(over="ignore", invalid="ignore"):

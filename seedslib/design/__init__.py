@@ -1,7 +1,8 @@
 """How designed filters are made: on simulated paths, on the exact law, as tables.
 
 Shelves: `paths` (regression over simulated paths), `law` (the law of memory and state on a grid),
-`tables` (tables by regression). Nothing here runs on data: that is `designed`.
+`tables` (tables by regression); beside them, how moments become fits (`regression`, `fitting`,
+`cells`). Nothing here runs on data, and what a fit is and does there is in `designed`.
 
 May import: base, models, linearization, filters, designed.
 """
@@ -10,13 +11,14 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.design.law.grid import affine_synthesis as affine_synthesis
-    from seedslib.design.law.grid import grid_risk as grid_risk
+    from seedslib.design.cells import cells_from_moments as cells_from_moments
+    from seedslib.design.law.affine import affine_synthesis as affine_synthesis
     from seedslib.design.law.grid import grid_synthesis as grid_synthesis
     from seedslib.design.law.grid import optimal_risk as optimal_risk
+    from seedslib.design.law.grid import optimal_steps as optimal_steps
     from seedslib.design.law.joint import GridRisk as GridRisk
     from seedslib.design.law.joint import JointLaw as JointLaw
-    from seedslib.design.law.switching_grid import optimal_steps as optimal_steps
+    from seedslib.design.law.risk import grid_risk as grid_risk
     from seedslib.design.paths.simulated import synthesize as synthesize
     from seedslib.design.paths.walk import Crew as Crew
     from seedslib.design.tables.simulated import simulated_synthesis as simulated_synthesis

@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import finite_memory as finite_memory
     from seedslib.designed.memory import large_order as large_order
     from seedslib.designed.memory import small_order as small_order
+    from seedslib.designed.outputs.table import TableFilter as TableFilter
     from seedslib.designed.switching import SwitchingFilter as SwitchingFilter
     from seedslib.designed.switching_fits import CellFit as CellFit
     from seedslib.designed.switching_rules import SwitchingRules as SwitchingRules
-    from seedslib.designed.switching_table import SwitchingTableFilter as SwitchingTableFilter
-    from seedslib.designed.table import TableFilter as TableFilter
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,53 +1,78 @@
-"""The container of a designed filter: an ``.npz`` archive of plain arrays with a JSON header.
+"""The container of a design: an ``.npz`` archive of plain arrays with a JSON header and a checksum.
 
 Nothing in it is executed or taken for a formula. Equal contents give equal bytes.
 """
 
 from __future__ import annotations
 
+import hashlib
 import io
 import json
+import math
 import zipfile
 import zlib
+from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
-from seedslib.base.atomic import write_whole
+import seedslib
+from seedslib.base.atomic import replacing
 
 FORMAT = "seedslib designed filter"
-VERSION = 2
+VERSION = 3
+DAMAGE = (
+    zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError,
+    NotImplementedError, KeyError, MemoryError, OverflowError,
+)  # fmt: skip
+"""What reading an archive raises that is damaged."""
 
 
-def write(path, header: dict, arrays: dict) -> None:
+def write(path, header: dict, arrays: dict[str, np.ndarray]) -> None:
     """Write a header and arrays of numbers, in the place of an old file when all is there."""
-    whole = io.BytesIO()
-    header = {"format": FORMAT, "version": VERSION, **header}
-    with zipfile.ZipFile(whole, "w") as archive:
-        text = json.dumps(header, sort_keys=True, indent=1).encode()
-        _write(archive, "header", np.frombuffer(text, dtype=np.uint8))
-        for name, array in arrays.items():
-            _write(archive, name, np.asarray(array, dtype="<f8", order="C"))
-    write_whole(path, whole.getvalue())
+    versions = {"seedslib": seedslib.__version__, "numpy": np.__version__}
+    header = {"format": FORMAT, "version": VERSION, "versions": versions, **header}
+    text = json.dumps(header, sort_keys=True).encode()
+    whole = hashlib.sha256()
+    with replacing(path) as file, zipfile.ZipFile(file, "w") as archive:
+        for name, array in {"header": np.frombuffer(text, dtype=np.uint8), **arrays}.items():
+            _write(archive, name, np.asarray(array), whole)
+        _write(archive, "checksum", np.frombuffer(whole.digest(), dtype=np.uint8), whole)
 
 
-def _write(archive, name, array):
+def _write(archive, name, array, whole):
     """One array, neither compressed nor dated: both would make the bytes depend on the machine."""
-    buffer = io.BytesIO()
-    np.lib.format.write_array(buffer, array, version=(1, 0), allow_pickle=False)
+    array = array.astype(array.dtype.newbyteorder("<"), copy=False)
+    head = _head(array.dtype.str, array.shape, np.isfortran(array))
+    content = head + array.tobytes(order="A")
     entry = zipfile.ZipInfo(f"{name}.npy", date_time=(1980, 1, 1, 0, 0, 0))
     entry.external_attr, entry.create_system = 0, 3
-    archive.writestr(entry, buffer.getvalue())
+    archive.writestr(entry, content)
+    _count_in(whole, name, content)
 
 
-def read(path: Path, kinds) -> tuple[dict, dict]:
-    """Arrays and header of a file.
+@lru_cache(maxsize=1024)
+def _head(kind: str, shape: tuple, turned: bool) -> bytes:
+    """What an ``.npy`` file of version 1.0 begins with."""
+    buffer = io.BytesIO()
+    form = {"descr": kind, "fortran_order": turned, "shape": shape}
+    np.lib.format.write_array_header_1_0(buffer, form)
+    return buffer.getvalue()
+
+
+def _count_in(whole, name, content):
+    whole.update(f"{name} {len(content)} ".encode())
+    whole.update(content)
+
+
+def read(path: Path, wanted: str = FORMAT) -> tuple[dict, dict[str, np.ndarray]]:
+    """Header and arrays of a file.
 
     Parameters
     ----------
     path : Path
-    kinds : collection of str
-        Kinds of filters that are known.
+    wanted : str
+        What the header says that it is.
 
     Raises
     ------
@@ -57,37 +82,32 @@ def read(path: Path, kinds) -> tuple[dict, dict]:
         A file that is damaged or cut short, that holds something else, or that was written by
         another version; the message says which.
     """
-    content = path.read_bytes()
-    if content[:2] != b"PK":
-        raise ValueError(f"{path.name}: not a designed filter (not an npz file)")
-    try:
-        arrays = {}
-        with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            # members are not compressed: together they are smaller than the file
-            size = sum(entry.file_size for entry in archive.infolist())
-            if size > len(content):
-                raise ValueError(f"{size} bytes in a file of {len(content)}")
-            for entry in archive.infolist():
-                name = entry.filename.removesuffix(".npy")
-                if name in arrays:
-                    raise ValueError(f"two members called {name}")
-                buffer = io.BytesIO(archive.read(entry))
-                arrays[name] = np.lib.format.read_array(buffer, allow_pickle=False)
-    except (
-        zipfile.BadZipFile, zlib.error, EOFError, OSError, ValueError, RuntimeError,
-        NotImplementedError, KeyError, MemoryError, UnicodeDecodeError, OverflowError,
-    ) as error:  # fmt: skip
-        raise ValueError(f"{path.name}: damaged or cut short ({error})") from None
-    header = arrays.pop("header", None)
+    arrays, whole, size = {}, hashlib.sha256(), path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(2) != b"PK":
+            raise ValueError(f"{path.name}: not a designed filter (not an npz file)")
+        try:
+            with zipfile.ZipFile(file) as archive:
+                # members are not compressed: together they are smaller than the file
+                if (total := sum(entry.file_size for entry in archive.infolist())) > size:
+                    raise ValueError(f"{total} bytes in a file of {size}")
+                for entry in archive.infolist():
+                    name, content = entry.filename.removesuffix(".npy"), archive.read(entry)
+                    if name in arrays:
+                        raise ValueError(f"two members called {name}")
+                    arrays[name] = _array(content)
+                    if name != "checksum":
+                        _count_in(whole, name, content)
+        except DAMAGE as error:
+            raise ValueError(f"{path.name}: damaged or cut short ({error})") from None
+    header, checksum = arrays.pop("header", None), arrays.pop("checksum", None)
     try:
         header = json.loads(header.tobytes().decode())
         stated = header["format"]
     except (AttributeError, ValueError, TypeError, KeyError, RecursionError):
         raise ValueError(f"{path.name}: not a designed filter (no header of one)") from None
-    if stated != FORMAT or header.get("kind") not in kinds:
-        raise ValueError(
-            f"{path.name}: not a finite-order filter (it says {stated!r}, {header.get('kind')!r})"
-        )
+    if stated != wanted:
+        raise ValueError(f"{path.name}: not a {wanted} (it says {stated!r})")
     version = header.get("version")
     if version != VERSION:
         newer = isinstance(version, int) and version > VERSION
@@ -95,4 +115,24 @@ def read(path: Path, kinds) -> tuple[dict, dict]:
             f"{path.name}: wanted version {VERSION} of the format, got {version!r}"
             + (" of a newer seedslib" if newer else "")
         )
-    return arrays, header
+    if checksum is None or checksum.tobytes() != whole.digest():
+        raise ValueError(f"{path.name}: damaged or altered (its checksum is not that of its parts)")
+    return header, arrays
+
+
+def _array(content: bytes) -> np.ndarray:
+    """Array of numbers in the content of an ``.npy`` file of version 1.0."""
+    start = 10 + int.from_bytes(content[8:10], "little")
+    if content[:8] != b"\x93NUMPY\x01\x00" or len(content) < start:
+        raise ValueError("no array of version 1.0")
+    shape, turned, dtype = _form(content[8:start])
+    if dtype.kind not in "biuf" or math.prod(shape) * dtype.itemsize != len(content) - start:
+        raise ValueError(f"{len(content) - start} bytes for shape {shape} of {dtype}")
+    found = np.frombuffer(content, dtype, offset=start)
+    return found.reshape(shape, order="F" if turned else "C").copy(order="K")
+
+
+@lru_cache(maxsize=1024)
+def _form(text: bytes) -> tuple:
+    """Shape, order and kind of an array; members of one shape say it with the same words."""
+    return np.lib.format.read_array_header_1_0(io.BytesIO(text))

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from seedslib.base.clock import slack
+
+if TYPE_CHECKING:
+    from seedslib.designed.finite_order import FiniteOrderFilter
+    from seedslib.designed.finite_order_rules import FiniteOrderState
 
 FORECAST_KINDS = (
     "interpolated",
@@ -40,6 +44,38 @@ class Interval(NamedTuple):
     nodes: int
     last: tuple | None = None
     last_node: tuple | None = None
+
+
+def interval_after(filter: FiniteOrderFilter, state: FiniteOrderState) -> Interval:
+    """All that a `FiniteOrderFilter` knows from a correction to the next: Z_k, nodes, end."""
+    k, times = state.index, filter.times
+    grid, values, end, count = [times[k]], [state.mean], None, 0
+    if k < len(filter.node_times):
+        found, end = nodes_after(filter, k, state)
+        grid, values, count = [*grid, *filter.node_times[k]], values + found, len(found)
+    if k < len(filter.fits):
+        if end is None:
+            end = filter.fits[k].mean(state.past.vector)[: filter.components]
+        grid, values = [*grid, times[k + 1]], [*values, end]
+    last = last_node = None
+    if k > 0:
+        before = state.before
+        last = last_node = (times[k - 1], before.mean)
+        if len(filter.node_times[k - 1]):
+            last_node = (filter.node_times[k - 1][-1], nodes_after(filter, k - 1, before)[0][-1])
+    return Interval(np.array(grid), values, count, last, last_node)
+
+
+def nodes_after(
+    filter: FiniteOrderFilter, k: int, state: FiniteOrderState
+) -> tuple[list[np.ndarray], np.ndarray | None]:
+    """Estimates of a filter at the nodes after measurement k, and at the next; see `Rules.nodes`.
+
+    The second is None where the nodes do not lead there.
+    """
+    nodes, times = filter.node_times[k], filter.clock.times
+    end = times[k + 1] if k < len(filter.fits) else nodes[-1]
+    return filter.rules.nodes(filter.node_fits[k], [times[k], *nodes, end], state)
 
 
 def known_kind(name: str, kind: str) -> str:

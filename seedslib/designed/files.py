@@ -1,41 +1,32 @@
 """Designed filters in files, bound to the models they were designed for.
 
 The model is not stored: it is given again on loading and recognised by what its functions do at
-fixed points.
+fixed points. The filter is: a tree of descriptions in the header, see `seedslib.designed.codec`.
 """
 
 from __future__ import annotations
 
-import dataclasses
 from pathlib import Path
 
 import numpy as np
 
-import seedslib
-from seedslib import linearization as linearizations
-from seedslib.designed import file_switching as switching
 from seedslib.designed.archive import read, write
-from seedslib.designed.between import FORECAST_KINDS
-from seedslib.designed.file_arrays import held_out, held_out_arrays
-from seedslib.designed.file_finite_order import filter_arrays, filter_parts
-from seedslib.designed.file_tables import KIND as TABLE
-from seedslib.designed.file_tables import UnknownModel, probed, table_arrays, table_parts
-from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.finite_order_rules import Design
+from seedslib.designed.codec import FILTERS, KNOWN, LINEARIZATIONS, known_class, packed, unpacked
 from seedslib.designed.identity import (
-    described,
     difference,
     probe,
     probe_arrays,
     probe_points,
     probe_values,
 )
-from seedslib.designed.table import OutputFilter, TableFilter
+from seedslib.designed.outputs.table import TableFilter
 from seedslib.linearization.moments import Linearization
+from seedslib.linearization.points import GaussHermite
+from seedslib.models.kinds import UnknownModel, switches
 from seedslib.models.words import model_text
 
-KIND = "finite order"
-_LINEARIZATIONS = ("Taylor", "ExactGaussian", "Unscented", "Cubature", "GaussHermite")
+MOST_NODES, MOST_POINTS = 256, 2**22
+"""Nodes in a direction, and points, of a linearization that a file may ask for."""
 
 
 def save(filter, path) -> None:
@@ -43,7 +34,7 @@ def save(filter, path) -> None:
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or SwitchingTableFilter
+    filter : FiniteOrderFilter, SwitchingFilter or TableFilter
     path : path-like
 
     Raises
@@ -53,40 +44,27 @@ def save(filter, path) -> None:
     ValueError
         A filter that was itself loaded without its model.
     """
-    if isinstance(filter, switching.FILTERS):
-        return _store(path, *switching.switching_content(filter))
-    table = isinstance(filter, TableFilter)
-    unwritten = isinstance(filter, OutputFilter) and not table
-    if not isinstance(filter, FiniteOrderFilter) or unwritten:
+    if type(filter) not in FILTERS:
         raise TypeError(f"filter: wanted a FiniteOrderFilter, got {type(filter).__name__}")
+    if filter.memory is None:
+        raise TypeError("filter: wanted a designed filter, got one without a memory")
     if isinstance(filter.system, UnknownModel):
         raise ValueError("filter: wanted one with its model, got one that was loaded without")
-    points = probe_points(filter.system, float(filter.times[0]), filter.horizon)
-    known = _probe(filter.system, filter.linearization, points)
-    design = filter.design
-    counts, beside = held_out_arrays(filter.held_out)
-    header = {
-        "kind": TABLE if table else KIND,
-        "memory": dataclasses.asdict(filter.memory),
-        "predictor": described(filter.predictor),
-        "linearization": described(filter.linearization),
-        "components": filter.components,
-        "measured_nodes": filter.measured_nodes,
-        "between": filter.between,
-        "model": model_text(filter.system),
-        "design": {**design._asdict(), "spawn_key": list(design.spawn_key)},
-        "in_sample": filter.predicted.in_sample,
-        "held_out": counts,
-        "tail": len(filter.node_times) > len(filter.fits),
-    }
-    held = table_arrays(filter) if table else filter_arrays(filter)
-    return _store(path, header, {**probe_arrays(points, known), **held, **beside})
-
-
-def _store(path, header, arrays) -> None:
-    """Write header and arrays."""
-    versions = {"seedslib": seedslib.__version__, "numpy": np.__version__}
-    write(path, {**header, "versions": versions}, arrays)
+    rule = getattr(filter, "linearization", None)
+    # one of the user's own is given again on loading
+    own = rule is not None and known_class(type(rule).__name__) is not type(rule)
+    # rules are compiled again
+    leave = ("system", "rules", *("linearization",) * own)
+    tree, arrays = packed(filter, leave)
+    if own:
+        tree["linearization"] = {"class": type(rule).__name__}
+    points = probe_points(
+        filter.system, float(filter.times[0]), float(getattr(filter, "horizon", filter.times[-1]))
+    )
+    known = probe_arrays(points, probe(filter.system, points, rule))
+    sizes, _ = packed(UnknownModel.of(filter.system))
+    header = {"filter": tree, "model": model_text(filter.system), "sizes": sizes}
+    write(path, header, {k: np.asarray(a, order="C") for k, a in {**known, **arrays}.items()})
 
 
 def load(path, system=None, *, linearization: Linearization | None = None):
@@ -111,74 +89,72 @@ def load(path, system=None, *, linearization: Linearization | None = None):
         for a filter that wants one.
     """
     path = Path(path)
-    arrays, header = read(path, (KIND, TABLE, *switching.KINDS))
-    if header["kind"] in switching.KINDS:
-        if header["kind"] == switching.KIND and system is not None and linearization is None:
-            linearization = _linearization(path, header.get("linearization"))
-        return switching.switching_filter(path.name, header, arrays, system, linearization)
-    if hasattr(system, "branches"):
-        raise ValueError(f"{path.name}: designed for another model, one without modes")
-    table = header["kind"] == TABLE
-    if system is None and not table:
-        raise ValueError(
-            f"{path.name}: this filter evaluates the sensor of its model; wanted the model too, "
-            "on the command line --model (only a filter of tables runs without)"
-        )
-    if table:
-        linearization = None
-    elif linearization is None:
-        linearization = _linearization(path, header.get("linearization"))
+    header, arrays = read(path)
     try:
-        parts = table_parts(header, arrays) if table else filter_parts(header, arrays)
-        parts.update(between=_between(header), design=_design(header))
-        parts["held_out"] = held_out(header, arrays, parts["times"])
-        n = len(parts["start"].mean)
-        points, known = probe_values(arrays, n)
-    except (KeyError, TypeError, IndexError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None
-    if system is None:
-        system = UnknownModel(n, len(parts["predictor"].measurement))
-    elif n != system.state_size:
+        kind = header["filter"]["class"]
+        given = {"linearization": header["filter"].get("linearization")}
+        sizes = unpacked(header["sizes"], arrays)
+        points, known = probe_values(arrays, sizes.state_size)
+        tables = KNOWN[kind] is TableFilter
+    except _FAULTS as error:
+        raise _contradiction(path, error) from None
+    if system is None and not tables:
         raise ValueError(
-            f"{path.name}: designed for another model: its state has {n} components, not "
-            f"{system.state_size}"
+            f"{path.name}: this filter evaluates its model; wanted the model too, on the command "
+            "line --model (only a filter of tables runs without)"
         )
+    # a table has no linearization, or none that matters
+    if tables or given["linearization"] is None:
+        given = {}
+    elif linearization is not None:
+        given["linearization"] = linearization
     else:
-        reason = difference(known, _probe(system, linearization, points), points)
-        if reason:
-            raise ValueError(f"{path.name}: designed for another model: {reason}")
-    kind = TableFilter if table else FiniteOrderFilter
-    return kind(system=system, linearization=linearization, **parts)
+        given["linearization"] = _linearization(path, given["linearization"], sizes.state_size)
+    if system is not None and (reason := _other(system, sizes, known, points, **given)):
+        raise ValueError(f"{path.name}: designed for another model{reason}")
+    if not tables:
+        given["rules"] = None
+    try:
+        given["system"] = sizes.bounded() if system is None else system
+        return unpacked(header["filter"], arrays, **given)
+    except _FAULTS as error:
+        raise _contradiction(path, error) from None
 
 
-def _probe(system, linearization, points):
-    """What identifies a model; a table takes no linearization."""
-    with np.errstate(all="ignore"):  # a model may have no value at a point
-        if linearization is None:
-            return probed(system, points)
-        return probe(system, linearization, points)
+_FAULTS = (
+    KeyError, TypeError, IndexError, ValueError, OverflowError, AttributeError, RecursionError
+)  # fmt: skip
+"""What the parts of a file raise that do not fit together."""
 
 
-def _between(header) -> str:
-    if header["between"] not in FORECAST_KINDS:
-        raise ValueError(f"forecasts {header['between']!r}")
-    return header["between"]
+def _contradiction(path, error) -> ValueError:
+    return ValueError(f"{path.name}: the file contradicts itself ({error})")
 
 
-def _design(header) -> Design:
-    design = dict(header["design"])
-    return Design(**{**design, "spawn_key": tuple(design["spawn_key"])})
+def _other(system, sizes, known, points, linearization=None) -> str:
+    """What differs between the model of a file and another, in words; empty where nothing does."""
+    if switches(system) != switches(sizes):
+        return ", one that has modes" if sizes.modes else ", one without modes"
+    if apart := sizes.apart(UnknownModel.of(system)):
+        word, one, two = apart
+        return f": it has {one} {word}, not {two}"
+    reason = difference(known, probe(system, points, linearization), points)
+    return reason and f": {reason}"
 
 
-def _linearization(path, options):
-    name = options.get("name") if isinstance(options, dict) else None
-    if name not in _LINEARIZATIONS:
+def _linearization(path, tree, state_size):
+    name = tree.get("class") if isinstance(tree, dict) else None
+    if name not in LINEARIZATIONS:
         raise ValueError(
             f"{path.name}: its linearization {name!r} is not the library's; "
             "wanted it as the argument `linearization`"
         )
     try:
-        options = {key: value for key, value in options.items() if key != "name"}
-        return getattr(linearizations, name)(**options)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None
+        rule = unpacked(tree, {})
+        if isinstance(rule, GaussHermite) and (
+            rule.order > MOST_NODES or rule.order**state_size > MOST_POINTS
+        ):
+            raise ValueError(f"{rule} for {state_size} state components")
+    except _FAULTS as error:
+        raise _contradiction(path, error) from None
+    return rule

@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
-import copy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, unmasked
 from seedslib.base.clock import Clock
-from seedslib.designed.between import Interval, at, known_kind
-from seedslib.designed.finite_order_rules import (
-    Course,
-    Design,
-    FiniteOrderState,
-    Prediction,
-    Rules,
-    Start,
-    freeze,
-    initial_moments,
-    positions,
-)
+from seedslib.base.objects import by_fields
+from seedslib.designed.between import at, interval_after, known_kind, nodes_after
+from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start, initial_moments
+from seedslib.designed.gaps import dropouts, step_unclaimed, unclaimed, unexpected
+from seedslib.designed.guards import freeze, positions, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import HeldOut, dropouts, step_unclaimed, unclaimed, unexpected
+from seedslib.designed.prediction import (
+    Design,
+    HeldOut,
+    Prediction,
+    finite_order_page,
+    headline,
+)
 from seedslib.designed.predictors import Fit
-from seedslib.designed.summary import headline, summary
-from seedslib.filters.estimates import Estimates, as_record, gathered
+from seedslib.designed.shapes import check_shapes
+from seedslib.filters.estimates import Estimates, as_record
+from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FiniteOrderFilter:
+class FiniteOrderFilter(Filter):
     """A designed filter of finite order; `seedslib.design.synthesize` makes it.
 
     At measurement k the state is forecast from the memory, Lambda_k = Gamma_k U_{k-1} + kappa_k
@@ -67,6 +67,10 @@ class FiniteOrderFilter:
         The measurement times, and what else is one of them.
     """
 
+    takes = ("covariances",)
+
+    takes = ("covariances",)
+
     system: object
     memory: Memory
     predictor: object
@@ -85,6 +89,7 @@ class FiniteOrderFilter:
     rules: Rules | None = None
 
     def __post_init__(self):
+        check_shapes(self)
         if self.rules is None:
             rules = Rules.of(
                 self.system, self.memory, self.predictor, self.linearization, self.components,
@@ -92,10 +97,8 @@ class FiniteOrderFilter:
             )  # fmt: skip
             object.__setattr__(self, "rules", rules)
         known_kind("between", self.between)
-        fits = [*self.fits, *(fit for row in self.node_fits for fit in row)]
-        parts = self.times, *self.node_times, *self.start, *self.predicted, self.held_out, *fits
-        for part in parts:
-            freeze(part)
+        freeze((self.times, self.node_times, self.start, self.predicted, self.held_out))
+        freeze((self.fits, self.node_fits))
         object.__setattr__(self, "clock", Clock(self.times, self.horizon))
 
     @property
@@ -111,13 +114,14 @@ class FiniteOrderFilter:
 
     def forecasting(self, kind: str) -> FiniteOrderFilter:
         """The same filter with another kind of forecast between measurements."""
-        other = copy.copy(self)
-        object.__setattr__(other, "between", known_kind("between", kind))
-        return other
+        return replace(self, between=kind)
+
+    def __reduce__(self) -> tuple:
+        return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
 
     # Step by step
 
-    def initial(self, batch=(), seed=None) -> FiniteOrderState:
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FiniteOrderState:
         """State before any measurement; the filter draws nothing from `seed`."""
         mean = self.start.mean.reshape(-1, *(1,) * len(batch))
         mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
@@ -135,19 +139,19 @@ class FiniteOrderFilter:
 
     def _predict(self, state, t, interval=None):
         k = state.index + 1
-        if k >= len(self.clock.times):
-            raise ValueError(f"t: wanted at most the last measurement time {self.times[-1]:g}")
-        if abs(t - self.clock.times[k]) > self.clock.tolerance:
-            raise ValueError(f"t: wanted the next measurement time {self.times[k]:g}, got {t:g}")
+        want_next(self.clock, k, t)
         if k == 0:
             return state._replace(index=0)
-        self._want_corrected(state)
-        u = self.rules.arriving(self._course(k - 1), state, interval)
+        want_corrected(state)
+        if self.rules.velocity is None:
+            u = state.past.vector
+        else:  # the estimate has moved on
+            u = interval.values[-1] if interval else nodes_after(self, k - 1, state)[1]
         mean, cov = self.fits[k - 1].forecast(u)
         before = FiniteOrderState(*state[:6], None, True)
         return FiniteOrderState(k, mean, cov, state.past, state.measurement, 0.0, before, False)
 
-    def correct(self, state: FiniteOrderState, y) -> FiniteOrderState:
+    def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
         """Correct the forecast by y, (m, *batch); of NaN components see `run`.
 
         Raises
@@ -165,7 +169,7 @@ class FiniteOrderFilter:
         return step_unclaimed(self._correct(state, y, True), state, gap)
 
     def _correct(self, state, y, spread):
-        self._want_forecast(state)
+        want_forecast(state)
         if state.index == 0:
             return self.rules.first(state, y, self.start.moments, spread)
         return self.rules.correct(state, self.clock.times[state.index], y, spread)
@@ -178,19 +182,11 @@ class FiniteOrderFilter:
         ValueError
             A state without a forecast.
         """
-        self._want_forecast(state)
+        want_forecast(state)
         if state.index == 0:
             return initial_moments(self.start.moments, state.mean.ndim - 1)
         moments = self.rules.sensor(self.clock.times[state.index], state.mean, state.cov)
         return unexpected(moments, state)
-
-    def _want_forecast(self, state):
-        if state.index < 0 or state.corrected:
-            raise ValueError("state: wanted a forecast, got a state without; call predict first")
-
-    def step(self, state: FiniteOrderState, t: float, y) -> FiniteOrderState:
-        """Forecast to the next measurement time t and correct by y, (m, *batch)."""
-        return self.correct(self.predict(state, t), y)
 
     def forecast(self, state: FiniteOrderState, t: float, kind: str | None = None) -> Estimates:
         """Estimate of the first n' components at a time up to the next measurement.
@@ -210,48 +206,20 @@ class FiniteOrderFilter:
         ValueError
             A time outside the interval, an unknown kind, a state that was not corrected.
         """
-        self._want_corrected(state)
-        interval, k = self.interval(state), state.index
+        want_corrected(state)
+        interval, k = interval_after(self, state), state.index
         end = self.times[k + 1] if k + 1 < len(self.times) else self.horizon
         room = self.clock.tolerance
         if not self.times[k] - room <= t <= end + room:
             raise ValueError(f"t: wanted a time from {self.times[k]:g} to {end:g}, got {t:g}")
         return Estimates(at(interval, t, self.between if kind is None else kind))
 
-    def interval(self, state: FiniteOrderState) -> Interval:
-        """All that the filter knows from its last measurement to the next: Z_k, nodes, end."""
-        k, times = state.index, self.times
-        nodes = self.node_times[k] if k < len(self.node_times) else np.empty(0)
-        values, end = [state.mean], None
-        if k < len(self.node_times):
-            found, end = self.rules.nodes(self._course(k), state)
-            values += found
-        grid = [times[k], *nodes]
-        if k < len(self.fits):
-            if end is None:
-                end = self.fits[k].mean(state.past.vector)[: self.components]
-            grid, values = [*grid, times[k + 1]], [*values, end]
-        last = last_node = None
-        if k > 0:
-            before = state.before
-            last = last_node = (times[k - 1], before.mean)
-            if len(self.node_times[k - 1]):
-                nodes_before = self.rules.nodes(self._course(k - 1), before)[0]
-                last_node = (self.node_times[k - 1][-1], nodes_before[-1])
-        return Interval(np.array(grid), values, len(nodes), last, last_node)
-
-    def _course(self, k) -> Course:
-        nodes = self.node_times[k]
-        end = self.times[k + 1] if k < len(self.fits) else nodes[-1]
-        return Course(float(self.times[k]), nodes, float(end), self.node_fits[k])
-
-    def _want_corrected(self, state):
-        if not state.corrected:
-            raise ValueError("state: wanted a state after a correction, got a forecast")
-
     # Whole records
 
-    def run(self, times, measurements, *, covariances=False, workers=1) -> Estimates:
+    def run(
+        self, times: ArrayLike, measurements: ArrayLike, *, covariances: bool = False,
+        workers: int = 1,
+    ) -> Estimates:  # fmt: skip
         """Filter a record, or many at once.
 
         Parameters
@@ -288,38 +256,35 @@ class FiniteOrderFilter:
         times = as_times("times", times)
         y = as_record(measurements, len(times), self.system.sensor.size)
         index = positions(times, y, self.clock, self.horizon)
-        batch = y.shape[2:]
-        lost = dropouts(y, index >= 0)
-        if not batch:
-            return unclaimed(self._run(times, y, index, covariances), lost, times)
-        flat = y.reshape(*y.shape[:2], -1)
+        lost, batch, n = dropouts(y, index >= 0), y.shape[2:], self.components
+        flat = y.reshape(*y.shape[:2], -1) if batch else y
+        tail = flat.shape[2:]
+        mean, loglik = np.empty((len(times), n, *tail)), np.zeros((len(times), *tail))
+        cov = np.full((len(times), n, n, *tail), np.nan) if covariances else None
 
         def work(a, b, _):
-            return self._run(times, flat[..., a:b], index, covariances)
-
-        columns = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
-        return unclaimed(Estimates(*gathered(columns, batch)), lost, times)
-
-    def _run(self, times, y, index, covariances) -> Estimates:
-        batch, n = y.shape[2:], self.components
-        state = self.initial(batch)
-        mean = np.empty((len(times), n, *batch))
-        cov = np.full((len(times), n, n, *batch), np.nan) if covariances else None
-        loglik = np.zeros((len(times), *batch))
-        interval = None
-        for j, (t, k) in enumerate(zip(times, index, strict=True)):
-            if k >= 0:
-                state = self._correct(self._predict(state, t, interval), y[j], covariances)
-                mean[j], loglik[j], interval = state.mean, state.loglik, None
+            state, interval = self.initial((b - a,) if batch else ()), None
+            for j, (t, k) in enumerate(zip(times, index, strict=True)):
+                own = (j, ..., slice(a, b)) if batch else (j, ...)
+                if k < 0:
+                    interval = interval or interval_after(self, state)
+                    mean[own] = at(interval, t, self.between)
+                    continue
+                state = self._correct(self._predict(state, t, interval), flat[own], covariances)
+                mean[own], loglik[own], interval = state.mean, state.loglik, None
                 if covariances:
-                    cov[j] = state.cov.reshape(n, n, *(state.cov.shape[2:] or (1,) * len(batch)))
-            else:
-                interval = self.interval(state) if interval is None else interval
-                mean[j] = at(interval, t, self.between)
-        return Estimates(mean, cov, None, loglik, ~np.isfinite(mean).all(axis=(0, 1)))
+                    cov[own] = state.cov.reshape(n, n, *(state.cov.shape[2:] or (1,) * len(tail)))
+
+        if batch:
+            in_blocks(work, tail[0], 0, workers=workers)
+        else:
+            work(0, 1, None)
+        parts = (mean, cov, None, loglik, ~np.isfinite(mean).all(axis=(0, 1)))
+        found = (p if p is None or not batch else p.reshape((*p.shape[:-1], *batch)) for p in parts)
+        return unclaimed(Estimates(*found), lost, times)
 
     def __repr__(self) -> str:
         return f"<FiniteOrderFilter of {headline(self)}>"
 
     def __str__(self) -> str:
-        return summary(self)
+        return finite_order_page(self)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import mul
 from typing import NamedTuple
@@ -10,7 +11,7 @@ import numpy as np
 
 from seedslib.base.correction import correct
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.predictors import Continuous
+from seedslib.designed.predictors import AffineFit, Continuous
 from seedslib.designed.traced import TracedCorrection, mean_velocity, traced_correction
 from seedslib.linearization.moments import Moments
 
@@ -29,39 +30,6 @@ class Start(NamedTuple):
     mean: np.ndarray
     cov: np.ndarray
     moments: Moments
-
-
-class Prediction(NamedTuple):
-    """What the design says about the filter's accuracy.
-
-    Attributes
-    ----------
-    times : ndarray, shape (S,)
-        Measurement times (after the correction) and nodes.
-    rms : ndarray, shape (S, n')
-        Root-mean-square errors.
-    error : ndarray, shape (S, n')
-        Standard errors of `rms`; zero where moments were exact.
-    in_sample : bool
-        Whether the errors are those of the paths that the filter was fitted to, which flatters
-        it a little: by about (coefficients / paths) of the mean-square error.
-    """
-
-    times: np.ndarray
-    rms: np.ndarray
-    error: np.ndarray
-    in_sample: bool
-
-
-class Design(NamedTuple):
-    """How a filter was designed: paths, paths per block, seed, how many paths were left out."""
-
-    paths: int
-    block: int
-    entropy: object
-    spawn_key: tuple
-    diverged: int
-    exact: bool
 
 
 class FiniteOrderState(NamedTuple):
@@ -98,16 +66,7 @@ class FiniteOrderState(NamedTuple):
     corrected: bool
 
 
-class Course(NamedTuple):
-    """One interval of a design: its start, nodes, end, and the forecasts that are known."""
-
-    start: float
-    nodes: np.ndarray
-    end: float
-    fits: tuple
-
-
-def initial_moments(moments, depth) -> Moments:
+def initial_moments(moments: Moments, depth: int) -> Moments:
     """Moments of the first measurement, shaped for `depth` batch axes."""
     return moments._replace(mean=moments.mean.reshape(-1, *(1,) * depth))
 
@@ -124,7 +83,7 @@ class Rules:
     measured_nodes: bool = False
 
     @classmethod
-    def of(cls, system, memory, predictor, linearization, components, measured_nodes):
+    def of(cls, system, memory, predictor, linearization, components, measured_nodes) -> Rules:
         """Rules of a filter; the moment functions are compiled here."""
         velocity = None
         if isinstance(predictor, Continuous):
@@ -133,11 +92,15 @@ class Rules:
         traced = traced_correction(system.sensor, linearization, components)
         return cls(memory, components, sensor, traced, velocity, measured_nodes)
 
-    def first(self, state, y, moments, spread=True) -> FiniteOrderState:
+    def first(
+        self, state: FiniteOrderState, y: np.ndarray, moments: Moments, spread: bool = True
+    ) -> FiniteOrderState:
         """State after the first measurement, whose moments are fixed."""
         return self._corrected(state, y, initial_moments(moments, state.mean.ndim - 1), spread)
 
-    def correct(self, state, t, y, spread=True) -> FiniteOrderState:
+    def correct(
+        self, state: FiniteOrderState, t: float, y: np.ndarray, spread: bool = True
+    ) -> FiniteOrderState:
         """State after the measurement; its `mean` and `cov` hold the forecast before."""
         if self.traced is not None and state.mean.ndim == 1:
             found = self.traced(t, state.mean, state.cov, y, spread)
@@ -159,26 +122,36 @@ class Rules:
             state.index, mean, cov, past, shown, loglik, state.before, corrected=True
         )
 
-    def node_memory(self, state) -> np.ndarray:
+    def node_memory(self, state: FiniteOrderState) -> np.ndarray:
         """What the node forecasts look at: U_k, and Y_k where remark 1 is used."""
         u = state.past.vector
         if self.measured_nodes and not self.memory.measurements:
             return np.concatenate([u, state.measurement])
         return u
 
-    def nodes(self, course, state) -> tuple[list, object]:
-        """Estimates at the nodes, and at the end of the interval where they lead there."""
+    def nodes(
+        self, fits: Sequence[AffineFit], stops: Sequence[float], state: FiniteOrderState
+    ) -> tuple[list[np.ndarray], np.ndarray | None]:
+        """Estimates at the nodes of an interval, and at its end where they lead there.
+
+        Parameters
+        ----------
+        fits : tuple of AffineFit
+            Forecasts for the nodes; of a continuous forecast those at the start of each step.
+        stops : sequence of float
+            Start of the interval, its nodes, its end.
+        state : FiniteOrderState
+        """
         if self.velocity is None:
             u = self.node_memory(state)
-            return [fit.mean(u) for fit in course.fits], None
+            return [fit.mean(u) for fit in fits], None
         moved, z = [], state.mean
-        stops = [course.start, *course.nodes, course.end]
-        for fit, t, after in zip(course.fits, stops, stops[1:], strict=False):
+        for fit, t, after in zip(fits, stops, stops[1:], strict=False):
             z = self.move(fit, t, after - t, z)
             moved.append(z)
-        return moved[: len(course.nodes)], moved[-1]
+        return moved[: len(stops) - 2], moved[-1]
 
-    def move(self, fit, t, h, z) -> np.ndarray:
+    def move(self, fit: AffineFit, t: float, h: float, z: np.ndarray) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
         n = self.components
         if z.ndim == 1:  # numbers: the interpreter's work on tiny arrays would be most of it
@@ -196,60 +169,3 @@ class Rules:
                 np.multiply(rate, h, out=moved[k])
                 moved[k] += z[k]
         return moved
-
-    def arriving(self, course, state, interval=None) -> np.ndarray:
-        """What the forecast for the next measurement looks at."""
-        if self.velocity is None:
-            return state.past.vector
-        return self.nodes(course, state)[1] if interval is None else interval.values[-1]
-
-
-def positions(times, y, clock, horizon) -> np.ndarray:
-    """Number of the measurement time at each time of a grid, -1 between them.
-
-    Parameters
-    ----------
-    times : ndarray, shape (J+1,)
-    y : ndarray, shape (J+1, m, *batch)
-        Must be NaN between the measurement times.
-    clock : Clock
-        Measurement times of the filter.
-    horizon : float
-
-    Raises
-    ------
-    ValueError
-        A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
-        measurement at another time.
-    """
-    wanted = np.array(clock.times)
-    wanted = wanted[wanted <= times[-1] + clock.tolerance]
-    if not clock.same(times[0], clock.times[0]):
-        raise ValueError(f"times: wanted to begin at {clock.times[0]:g}, got {times[0]:g}")
-    if times[-1] > horizon + clock.tolerance:
-        raise ValueError(f"times: wanted at most {horizon:g}, got {times[-1]:g}")
-    place = clock.rows(times)[: len(wanted)]
-    missed = place < 0
-    if missed.any():
-        raise ValueError(
-            f"times: wanted all measurement times of the design, {wanted[missed][0]:g} is not "
-            "among them"
-        )
-    index = np.full(len(times), -1)
-    index[place] = np.arange(len(wanted))
-    for j in np.flatnonzero(index < 0):
-        if not np.isnan(y[j]).all():
-            raise ValueError(
-                f"measurements: wanted NaN at {times[j]:g}, which is no measurement time of the "
-                "design"
-            )
-    return index
-
-
-def freeze(part):
-    """Make an array, or the arrays in a tuple, read-only: a designed filter does not change."""
-    if isinstance(part, np.ndarray):
-        part.flags.writeable = False
-    elif isinstance(part, tuple):
-        for piece in part:
-            freeze(piece)

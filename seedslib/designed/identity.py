@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import dataclasses
-
 import numpy as np
+
+from seedslib.linearization.points import GaussHermite
+from seedslib.models.kinds import in_steps, switches
+from seedslib.models.noise import hermite_nodes
 
 SAME = 1e-9
 """Largest difference between equal models, in units of each component of each quantity."""
@@ -13,6 +15,12 @@ ROUNDING = 1e-14
 """What rounding makes of a component that should be zero, in units of what it comes from."""
 
 POINTS = 12
+
+NODES = 5
+"""Gauss-Hermite nodes of the noise at which a branch of a switching system is looked at."""
+
+_ANY = GaussHermite(3)
+"""Any rule does to look at a sensor; this one takes every sensor there is."""
 
 PROBED = "probe_values/"
 """How the names of a probe's arrays begin in a file."""
@@ -35,20 +43,32 @@ def probe_points(system, start: float, stop: float) -> np.ndarray:
     return np.concatenate([times[:, None], states], axis=1).T
 
 
-def probe(system, linearization, points: np.ndarray) -> dict[str, np.ndarray]:
+@np.errstate(all="ignore")  # a model may have no value at a point
+def probe(system, points: np.ndarray, linearization=None) -> dict[str, np.ndarray]:
     """What the model's functions give at the points, by name.
 
     Diffusions are compared by B Bᵀ and noises by their effect, so that equal laws are equal
-    models.
+    models. Of each branch of a switching system its probability, and mean and covariance of its
+    value weighed by it, over nodes of the noise.
 
     Parameters
     ----------
-    system : JumpDiffusion
-    linearization : Linearization
-        The moments of the sensor that the filter takes are part of the identity.
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
     points : ndarray, shape (1 + n, P)
+    linearization : Linearization, optional
+        The moments of the sensor that the filter takes are part of the identity. Without one the
+        sensor is looked at by any rule, and its likelihood too where it has one.
     """
-    sensor = linearization.moments(system.sensor)
+    if switches(system):
+        return _branches(system, points)
+    rule = _ANY if linearization is None else linearization
+    values = _moments(system, rule.moments(system.sensor), points)
+    if linearization is None and system.sensor.has_log_density:
+        values["likelihood"] = np.stack([_likelihood(system.sensor, t, x) for t, *x in points.T])
+    return values
+
+
+def _moments(system, sensor, points):
     n, m = system.state_size, system.sensor.size
     found: dict[str, list] = {}
 
@@ -62,7 +82,7 @@ def probe(system, linearization, points: np.ndarray) -> dict[str, np.ndarray]:
 
     for t, *x in points.T:
         x = np.array(x)[:, None]
-        if hasattr(system, "dynamics"):
+        if in_steps(system):
             note_moments("dynamics", system.dynamics, t, x)
         else:
             matrix = system.diffusion(t, x)
@@ -79,6 +99,46 @@ def probe(system, linearization, points: np.ndarray) -> dict[str, np.ndarray]:
     values = {name: np.stack(parts) for name, parts in found.items()}
     values["mean0"], values["cov0"] = np.array([system.mean0]), np.array([system.cov0])
     return values
+
+
+def _likelihood(sensor, t, x):
+    """Log-densities of measurements up to two deviations from their mean at a state."""
+    x = np.array(x)[:, None]
+    mean, cov = sensor.conditional_moments(t, x)
+    mean = np.reshape(mean, (-1, 1))
+    spread = np.sqrt(np.diagonal(np.reshape(cov, (len(mean), len(mean)))))[:, None]
+    y = mean + spread * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
+    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)))
+
+
+def _branches(system, points):
+    found = {}
+    for name, table, noise in (
+        ("switching", system.branches, system.noise),
+        ("readings", system.readings, system.sensor_noise),
+    ):
+        nodes, weights = hermite_nodes(noise.size, NODES)
+        v = noise.mean[:, None] + noise.root @ nodes
+        branches, count = [b for row in table for b in row], points.shape[1]
+        size = next(b.map.size for b in branches if b is not None)
+        shape = (count, len(branches))
+        prob, mean = np.zeros(shape), np.zeros((*shape, size))
+        cov = np.zeros((*shape, size, size))
+        for place in np.ndindex(*shape):
+            branch, (t, *x) = branches[place[1]], points[:, place[0]]
+            if branch is None:
+                continue
+            x = np.repeat(np.array(x)[:, None], len(weights), axis=1)
+            y, share = branch.map.value(t, x, v), branch.map.weight(t, x, v) * weights
+            prob[place], mean[place] = share.sum(), y @ share
+            # about the mean: beside a large mean a small variance would not be seen
+            apart = y - (mean[place] / prob[place])[:, None] if prob[place] else y
+            cov[place] = (apart * share) @ apart.T
+        found |= {f"{name} (probability)": prob, f"{name} (mean)": mean, f"{name} (cov)": cov}
+    for name in ("probability", "mean", "cov"):
+        parts = np.array([[getattr(part, name) for part in system.initial]])
+        found[f"initial ({name})"] = parts
+    return found
 
 
 def difference(expected: dict, found: dict, points: np.ndarray) -> str:
@@ -183,9 +243,3 @@ def probe_values(arrays: dict, size: int) -> tuple[np.ndarray, dict[str, np.ndar
         raise ValueError(f"probe_x of shape {points.shape}")
     kept = {n.removeprefix(PROBED): part for n, part in arrays.items() if n.startswith(PROBED)}
     return points, kept
-
-
-def described(thing) -> dict:
-    """Name and options of a linearization or a predictor, for a header."""
-    options = dataclasses.asdict(thing) if dataclasses.is_dataclass(thing) else {}
-    return {"name": type(thing).__name__, **options}

@@ -19,11 +19,8 @@ from seedslib.linearization.moments import Moments
 FAINT = 1e-200
 """A sum of weights below this part of the largest weight is formed again by itself."""
 
-FLOOR = 1e-12
-"""A covariance with an eigenvalue below minus this, in units of the deviations, is mended."""
 
-
-class Law(NamedTuple):
+class ModeLaw(NamedTuple):
     """Law of mode and state: for each mode its probability and the moments of the state in it.
 
     Forecasts have one more axis after the modes: the Gaussian parts of a mode's law, (6.19).
@@ -40,7 +37,7 @@ class Law(NamedTuple):
     cov: np.ndarray
 
     @classmethod
-    def of(cls, prob, mean, cov) -> Law:
+    def of(cls, prob, mean, cov) -> ModeLaw:
         """Law from the probabilities themselves."""
         return cls(logarithm(prob), mean, cov)
 
@@ -73,7 +70,7 @@ class Sensed(NamedTuple):
         return np.exp(self.log_prob)
 
 
-def propagate(rows, t, law: Law) -> Law:
+def propagate(rows, t, law: ModeLaw) -> ModeLaw:
     """Forecast of mode and state from their law: lemmas 4 and 6, (6.35).
 
     Parameters
@@ -83,12 +80,12 @@ def propagate(rows, t, law: Law) -> Law:
         `Weighted` with the moments of the next state, or None where it never switches there.
     t : float
         The old time.
-    law : Law
+    law : ModeLaw
         Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
 
     Returns
     -------
-    Law
+    ModeLaw
         Q (L, G, *batch), lambda (n, L, G, *batch), Psi (n, n, L, G, *batch).
     """
     n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[1:]
@@ -120,10 +117,10 @@ def propagate(rows, t, law: Law) -> Law:
                 log_prob[l, g, faint], mean[:, l, g][..., faint], cov[:, :, l, g][..., faint] = (
                     mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
                 )
-    return Law(log_prob, mean, cov)
+    return ModeLaw(log_prob, mean, cov)
 
 
-def sense(readings, t, law: Law, column=None) -> Sensed:
+def sense(readings, t, law: ModeLaw, column=None) -> Sensed:
     """Moments of the measurement from the forecast: lemma 3 in its consistent form.
 
     Parameters
@@ -132,7 +129,7 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
         For each mode ``reading(t, mean, cov) -> Weighted``: the measurement together with the
         value of the indicator that was seen.
     t : float
-    law : Law
+    law : ModeLaw
         Forecast with its parts.
     column : int, optional
         Give (6.21) as it is printed, with this part of the forecast as the one of the indicator's
@@ -161,7 +158,7 @@ def sense(readings, t, law: Law, column=None) -> Sensed:
         spread[:n, n:], spread[n:, :n] = cross, np.swapaxes(cross, 0, 1)
         spread[n:, n:] = _lifted(w.value.cov, 2, depth)
         if column is not None:
-            part = Law(law.log_prob[i], mean, cov)
+            part = ModeLaw(law.log_prob[i], mean, cov)
             log_prob[i], *found = _printed(logs, both, spread, part, column)
         elif len(logs) == 1 and (logs > -np.inf).all():
             log_prob[i], found = logs[0], (both[:, 0], spread[:, :, 0])
@@ -204,7 +201,7 @@ def _printed(logs, both, spread, part, column):
     return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
 
 
-def weigh(sensed: Sensed, y, noise=None) -> tuple[Law, np.ndarray]:
+def weigh(sensed: Sensed, y, noise=None) -> tuple[ModeLaw, np.ndarray]:
     """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters
@@ -217,7 +214,7 @@ def weigh(sensed: Sensed, y, noise=None) -> tuple[Law, np.ndarray]:
 
     Returns
     -------
-    law : Law
+    law : ModeLaw
         P (L, *batch), rho (n, L, *batch), Upsilon (n, n, L, *batch).
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
@@ -228,75 +225,18 @@ def weigh(sensed: Sensed, y, noise=None) -> tuple[Law, np.ndarray]:
     lost = ~np.isfinite(loglik)
     if np.any(lost):  # no mode explains the measurement: keep what was forecast
         log_prob = np.where(lost, normalised(sensed.log_prob, 0)[0], log_prob)
-    return Law(log_prob, mean, cov), loglik
+    return ModeLaw(log_prob, mean, cov), loglik
 
 
-def decide(law: Law) -> tuple[np.ndarray, np.ndarray]:
+def decide(law: ModeLaw) -> tuple[np.ndarray, np.ndarray]:
     """Most probable mode (`most_probable`) and mean of the state: lemma 2, (6.18)."""
     prob = law.prob
     return most_probable(prob), (prob * law.mean).sum(axis=1)
 
 
-def total_covariance(law: Law) -> np.ndarray:
+def total_covariance(law: ModeLaw) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
     return mix(law.prob, law.mean, law.cov).cov if len(law.log_prob) > 1 else law.cov[:, :, 0]
-
-
-def floored(cov, variances=None) -> tuple[np.ndarray, int]:
-    """Covariances (n, n, *batch) whose eigenvalues are not negative, and how many had to be mended.
-
-    In units of the deviations an eigenvalue below -1e-12 is raised to 1e-12 and counts; what
-    rounding leaves between that and zero becomes zero. Semidefinite covariances pass. Each item
-    is looked at alone; one with a NaN is left as it is.
-
-    Parameters
-    ----------
-    cov : ndarray, shape (n, n, *batch)
-    variances : ndarray, shape (n, *batch), optional
-        Squares of the deviations, by default the diagonal; for a posterior those before it.
-    """
-    suspect = _suspect(cov)
-    if not suspect.any():
-        return cov, 0
-    suspect &= np.isfinite(cov).all(axis=(0, 1))
-    squares = np.abs(np.einsum("ii...->i...", cov) if variances is None else variances)
-    unit = np.sqrt(squares[:, suspect]).T
-    unit = np.where(unit > 0, unit, 1.0)
-    unit = unit[:, :, None] * unit[:, None, :]
-    items = np.moveaxis(cov[:, :, suspect], -1, 0) / unit
-    values, vectors = np.linalg.eigh(0.5 * (items + np.swapaxes(items, 1, 2)))
-    negative = values < -FLOOR
-    mended = (values < 0).any(axis=1)
-    raised = np.where(negative, FLOOR, np.maximum(values, 0.0))
-    rebuilt = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
-    rebuilt = np.where(mended[:, None, None], rebuilt, items) * unit
-    result = cov.copy()
-    result[:, :, suspect] = np.moveaxis(rebuilt, 0, -1)
-    return result, int(np.count_nonzero(negative.any(axis=1)))
-
-
-def _suspect(cov):
-    """Where the elimination of a covariance (n, n, *batch) meets a pivot that is not positive.
-
-    A zero covariance is no suspect.
-    """
-    rows = [list(row[: i + 1]) for i, row in enumerate(cov)]
-    suspect = np.zeros(cov.shape[2:], dtype=bool)
-    for j in range(len(rows)):
-        bad = ~(rows[j][j] > 0)
-        if bad.any():
-            nothing = rows[j][j] == 0
-            for i in range(j + 1, len(rows)):
-                nothing &= rows[i][j] == 0
-            suspect |= bad & ~nothing
-        if j + 1 == len(rows):
-            break
-        inverse = 1.0 / np.where(bad, 1.0, rows[j][j])
-        for i in range(j + 1, len(rows)):
-            factor = rows[i][j] * inverse
-            for k in range(j + 1, i + 1):
-                rows[i][k] = rows[i][k] - factor * rows[k][j]
-    return suspect
 
 
 def _lifted(part, core, depth):

@@ -13,6 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.checks import as_count
+
+KEPT = ("estimates", "measurements", "indicators")
+"""What is remembered of so many steps."""
+
 
 class Past(NamedTuple):
     """The remembered blocks, newest first; each block is (size, *batch).
@@ -74,13 +79,8 @@ class Memory:
     log_odds: bool = False
 
     def __post_init__(self):
-        for name in ("estimates", "measurements", "indicators"):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer):
-                raise TypeError(f"{name}: wanted a whole number, got {value!r}")
-            if value < 0:
-                raise ValueError(f"{name}: wanted at least 0, got {value}")
-            object.__setattr__(self, name, int(value))
+        for name in KEPT:
+            object.__setattr__(self, name, as_count(name, getattr(self, name), 0))
         if not isinstance(self.log_odds, bool | np.bool_):
             raise TypeError(f"log_odds: wanted True or False, got {self.log_odds!r}")
         if not self.estimates + self.measurements:
@@ -107,8 +107,10 @@ class Memory:
         return self.dimension(self.depth, estimate, measurement, modes)
 
     def push(
-        self, past, *, estimate=None, measurement=None, mode=None, indicator=None, log_odds=None
-    ) -> Past:
+        self, past: Past, *, estimate: np.ndarray | None = None,
+        measurement: np.ndarray | None = None, mode: np.ndarray | None = None,
+        indicator: np.ndarray | None = None, log_odds: np.ndarray | None = None,
+    ) -> Past:  # fmt: skip
         """Memory after one more step; blocks beyond the memory's length drop out.
 
         Parameters
@@ -137,14 +139,9 @@ class Memory:
         )
 
     def __str__(self) -> str:
-        parts = [
-            _count(self.estimates, "estimate"),
-            _count(self.measurements, "measurement"),
-            _count(self.indicators, "indicator"),
-        ]
-        if self.log_odds:
-            parts.append("log-odds of the modes")
-        return ", ".join(part for part in parts if part)
+        counts = [(getattr(self, name), name) for name in KEPT]
+        parts = [f"{count} {name if count > 1 else name[:-1]}" for count, name in counts if count]
+        return ", ".join(parts + ["log-odds of the modes"] * self.log_odds)
 
 
 def _renew(name, blocks, new, length):
@@ -153,10 +150,6 @@ def _renew(name, blocks, new, length):
     if new is None:
         raise ValueError(f"{name}: wanted by this memory, got none")
     return (new, *blocks)[:length]
-
-
-def _count(number, name):
-    return f"{number} {name}{'s' if number > 1 else ''}" if number else ""
 
 
 def small_order() -> Memory:
@@ -172,7 +165,7 @@ def large_order(l: int) -> Memory:
     TypeError, ValueError
         `l` not a whole number of at least 1.
     """
-    return Memory(_length(l))
+    return Memory(as_count("l", l))
 
 
 def finite_memory(l: int) -> Memory:
@@ -183,12 +176,4 @@ def finite_memory(l: int) -> Memory:
     TypeError, ValueError
         `l` not a whole number of at least 1.
     """
-    return Memory(0, _length(l))
-
-
-def _length(l):
-    if isinstance(l, bool) or not isinstance(l, int | np.integer):
-        raise TypeError(f"l: wanted a whole number, got {l!r}")
-    if l < 1:
-        raise ValueError(f"l: wanted at least 1, got {l}")
-    return int(l)
+    return Memory(0, as_count("l", l))

@@ -1,4 +1,4 @@
-"""How a finite-order filter forecasts the state from its memory, and how that is fitted."""
+"""How a finite-order filter forecasts the state from its memory; `design` fits it."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.designed.regression import ABSOLUTE, AffineFit, affine, regress
+from seedslib.base.checks import as_count
 from seedslib.linearization.moments import symmetric
 
 CLIP = 3.5
@@ -22,25 +22,6 @@ FLOOR = 0.05
 @dataclass(frozen=True)
 class Affine:
     """Forecast affine in the memory, with a constant covariance: (6.2), (6.3)."""
-
-    def fit(self, gather, targets, size):
-        """Fit the forecast of the state.
-
-        Parameters
-        ----------
-        gather : callable
-            ``gather(rows) -> Scatter`` of ``rows(x, u)`` over all design paths.
-        targets : int
-            Number of components of x.
-        size : ndarray, shape (d,)
-            Magnitudes of the memory's components, see `regression.inverse_root`.
-        """
-        found = gather(lambda x, u: np.concatenate([x, u]))
-        return regress(found.mean, found.cov, targets, size)
-
-    def features(self, dimension) -> int:
-        """Number of coefficients per target for a memory of this dimension."""
-        return dimension
 
 
 @dataclass(frozen=True)
@@ -70,46 +51,7 @@ class Polynomial:
 
     def __post_init__(self):
         for name, least in (("mean_degree", 1), ("cov_degree", 0)):
-            value = getattr(self, name)
-            if isinstance(value, bool) or not isinstance(value, int | np.integer):
-                raise TypeError(f"{name}: wanted a whole number, got {value!r}")
-            if value < least:
-                raise ValueError(f"{name}: wanted at least {least}, got {value}")
-            object.__setattr__(self, name, int(value))
-
-    def features(self, dimension) -> int:
-        """Number of coefficients per target for a memory of this dimension."""
-        return len(monomial_recipe(dimension, max(self.mean_degree, self.cov_degree)))
-
-    def fit(self, gather, targets, size):
-        """Fit in three passes over the paths; arguments as `Affine.fit`."""
-        n = targets
-        found = gather(lambda x, u: u)
-        deviation = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
-        kept = deviation > ABSOLUTE * np.maximum(size, np.abs(found.mean))
-        # a constant component gets the scale zero, which makes it and its powers vanish
-        scale = np.where(kept, 1.0, 0.0) / np.where(kept, deviation, 1.0)
-
-        def lifted(u, degree):
-            return monomials(standardised(u, found.mean, scale), degree)
-
-        first = gather(lambda x, u: np.concatenate([x, lifted(u, self.mean_degree)]))
-        mean = regress(first.mean, first.cov, n)
-        rows, columns = np.tril_indices(n)
-
-        def products(x, u):
-            error = x - mean.mean(lifted(u, self.mean_degree))
-            return np.concatenate([error[rows] * error[columns], lifted(u, self.cov_degree)])
-
-        if self.cov_degree == 0:
-            gain, offset = np.zeros((len(rows), 0)), mean.cov[rows, columns]
-        else:
-            second = gather(products)
-            gain, offset, _ = regress(second.mean, second.cov, len(rows))
-        return PolynomialFit(
-            found.mean, scale, mean.gain, mean.offset, mean.cov, gain, offset,
-            self.mean_degree, self.cov_degree,
-        )  # fmt: skip
+            object.__setattr__(self, name, as_count(name, getattr(self, name), least))
 
 
 @dataclass(frozen=True)
@@ -121,13 +63,40 @@ class Continuous:
     at the step of the simulation. Wants `Memory(1)`.
     """
 
-    def fit(self, gather, targets, size):
-        """As `Affine.fit`."""
-        return Affine().fit(gather, targets, size)
 
-    def features(self, dimension) -> int:
-        """Number of coefficients per target for a memory of this dimension."""
-        return dimension
+class AffineFit(NamedTuple):
+    """Forecast affine in the memory: mean = gain u + offset, with a constant covariance.
+
+    Attributes
+    ----------
+    gain : ndarray, shape (n, d)
+        Gamma of the paper, (6.3).
+    offset : ndarray, shape (n,)
+        kappa.
+    cov : ndarray, shape (n, n)
+        T, the covariance of what the memory does not explain.
+    """
+
+    gain: np.ndarray
+    offset: np.ndarray
+    cov: np.ndarray
+
+    def mean(self, u: np.ndarray) -> np.ndarray:
+        """Forecast (n, *batch) from the memory (d, *batch)."""
+        return affine(self.gain, self.offset, u)
+
+    def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forecast (n, *batch) and its covariance (n, n)."""
+        return affine(self.gain, self.offset, u), self.cov
+
+
+def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Gain times u plus offset for u of shape (d, *batch)."""
+    if u.ndim == 1:
+        return gain @ u + offset
+    if u.ndim == 2:
+        return gain @ u + offset[:, None]
+    return np.tensordot(gain, u, 1) + offset.reshape(-1, *(1,) * (u.ndim - 1))
 
 
 class PolynomialFit(NamedTuple):
@@ -175,7 +144,7 @@ class PolynomialFit(NamedTuple):
         if self.cov_degree == 0:
             return mean, self.residual
         lower = affine(self.cov_gain, self.cov_offset, powers[: self.cov_gain.shape[1]])
-        cov = floored(symmetric(lower, len(self.residual)), self.residual)
+        cov = bounded_below(symmetric(lower, len(self.residual)), self.residual)
         return mean, cov.reshape(*cov.shape[:2], *u.shape[1:])
 
 
@@ -211,13 +180,13 @@ def monomials(point: np.ndarray, degree: int) -> np.ndarray:
     return result
 
 
-def floored(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
+def bounded_below(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
     """Covariances (n, n, N) with eigenvalues, relative to their mean one, of at least 0.05.
 
     L Π(L⁻¹ T L⁻ᵀ) Lᵀ with L Lᵀ the mean covariance and Π the cut of eigenvalues from below. A
     singular mean covariance is met on its range.
     """
-    root, back = roots(mean_cov)
+    root, back = range_roots(mean_cov)
     relative = np.einsum("ia,ijN,jb->Nab", back, cov, back, optimize=True)
     # a function of the matrix, A f(d) Aᵀ: the same for every basis A of its eigenvectors
     inner, axes = np.linalg.eigh(relative)
@@ -225,9 +194,9 @@ def floored(cov: np.ndarray, mean_cov: np.ndarray) -> np.ndarray:
     return np.moveaxis(bent @ np.swapaxes(bent, 1, 2), 0, -1)
 
 
-def roots(mean_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def range_roots(mean_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """L and L⁻ᵀ, (n, rank), on the range of a covariance L Lᵀ."""
-    # another basis turns L and L⁻ᵀ by one rotation, which `floored` undoes
+    # another basis turns L and L⁻ᵀ by one rotation, which `bounded_below` undoes
     values, vectors = np.linalg.eigh(mean_cov)
     kept = values > 1e-13 * max(values[-1], 0.0)
     lengths = np.sqrt(values[kept])

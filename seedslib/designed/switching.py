@@ -3,34 +3,37 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, unmasked
 from seedslib.base.clock import Clock
-from seedslib.designed import prediction
-from seedslib.designed.finite_order_rules import freeze
-from seedslib.designed.lemmas import total_covariance
+from seedslib.designed.gaps import dropouts, law_unclaimed, unclaimed
+from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
+from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory
+from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
+from seedslib.designed.shapes import check_shapes
 from seedslib.designed.switching_fits import (
     CellFit,
     cell_number,
     fits_apart,
-    require_fits,
     require_memory,
 )
 from seedslib.designed.switching_rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates, as_indicators, as_record, gathered
+from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.mixture import mix
+from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, require_kind
+from seedslib.models.kinds import as_grid, as_system
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SwitchingFilter:
+class SwitchingFilter(Filter):
     """Mode and state of a switching system, by Gaussian laws in each mode.
 
     Without a memory it carries the posterior laws of all modes: the normal approximation of the
@@ -51,14 +54,14 @@ class SwitchingFilter:
         Times of the design.
     fits : sequence of CellFit, length K
         What the memory says after each measurement but the last. Anything with
-        ``forecast(cell, z) -> Law`` will do.
+        ``forecast(cell, z) -> ModeLaw`` will do.
     normalisation : {"consistent", "printed"}
         How the moments of a measurement are formed where the indicator depends on the state: from
         the moments of the mixture, or as (6.21) is printed, which is wrong there.
     split : bool
         Whether forecasts have one Gaussian part for each value of such an indicator.
-    predicted : SwitchingPrediction, optional
-    design : SwitchingDesign, optional
+    predicted : Prediction, optional
+    design : Design, optional
     lasting : bool
         Whether the last fit serves all later steps.
     held_out : HeldOut, optional
@@ -71,6 +74,10 @@ class SwitchingFilter:
         The linearization has no formulas for a branch; the message offers one that works.
     """
 
+    takes = ("indicators", "covariances")
+
+    takes = ("indicators", "covariances")
+
     system: object
     linearization: Linearization
     memory: Memory | None = None
@@ -78,14 +85,14 @@ class SwitchingFilter:
     fits: tuple[CellFit, ...] = ()
     normalisation: str = "consistent"
     split: bool = True
-    predicted: prediction.SwitchingPrediction | None = None
-    design: prediction.SwitchingDesign | None = None
+    predicted: Prediction | None = None
+    design: Design | None = None
     lasting: bool = False
-    held_out: prediction.HeldOut | None = None
-    rules: SwitchingRules | None = field(default=None)
+    held_out: HeldOut | None = None
+    rules: SwitchingRules | None = None
 
     def __post_init__(self):
-        require_kind(self.system, "SwitchingSystem")
+        as_system("system", self.system, "SwitchingSystem")
         if not isinstance(self.linearization, Linearization):
             raise TypeError(f"linearization: wanted a Linearization, got {self.linearization!r}")
         if self.memory is not None:
@@ -94,8 +101,7 @@ class SwitchingFilter:
             rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        for fit in (self.held_out, *self.fits):
-            freeze(tuple(fit) if isinstance(fit, tuple) else fit)
+        freeze((self.held_out, *self.fits))
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
@@ -106,7 +112,7 @@ class SwitchingFilter:
         object.__setattr__(self, "clock", Clock(times))
         if len(self.fits) != len(times) - 1:
             raise ValueError(f"fits: wanted {len(times) - 1}, got {len(self.fits)}")
-        require_fits(self.fits, self.memory, self.system)
+        check_shapes(self)
         freeze(times)
 
     @property
@@ -120,7 +126,7 @@ class SwitchingFilter:
 
     # Step by step
 
-    def initial(self, batch=(), seed=None) -> SwitchingState:
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> SwitchingState:
         """State before any measurement; the filter draws nothing from `seed`."""
         return self.rules.start(tuple(batch))
 
@@ -134,46 +140,28 @@ class SwitchingFilter:
             state that was not corrected.
         """
         t, k = float(t), state.index + 1
-        if self.memory is not None:
-            self._check_time(k, t)
+        if self.memory is not None and not (self.lasting and k >= len(self.times)):
+            want_next(self.clock, k, t)
         if k == 0:
             return state._replace(index=0, time=t)
-        if not state.corrected:
-            raise ValueError("state: wanted a state after a correction, got a forecast")
+        want_corrected(state)
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {state.time:g}, got {t:g}")
         law = self.rules.predict(state.time, self.known(state))
-        kept = state.past, 0.0, state.floored, False, state.gap
+        kept = state.past, 0.0, state.mended, False, state.gap
         return SwitchingState(k, t, law, None, None, *kept)
 
-    def known(self, state: SwitchingState):
-        """Law of mode and state that the forecast starts from: given the memory, if there is one.
-
-        Parameters
-        ----------
-        state : SwitchingState
-            After a correction.
-
-        Returns
-        -------
-        Law
-        """
+    def known(self, state: SwitchingState) -> ModeLaw:
+        """Law after a correction that the forecast starts from: given the memory, if any."""
         if self.memory is None:
             return state.law
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
         return self.fits[min(state.index, len(self.fits) - 1)].forecast(cell, past.vector)
 
-    def _check_time(self, k, t):
-        times = self.times
-        if k >= len(times):
-            if not self.lasting:
-                raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
-            return
-        if not self.clock.same(t, times[k]):
-            raise ValueError(f"t: wanted the next measurement time {times[k]:g}, got {t:g}")
-
-    def correct(self, state: SwitchingState, y, indicator=None) -> SwitchingState:
+    def correct(
+        self, state: SwitchingState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> SwitchingState:
         """Correct the forecast by a measurement and the indicator.
 
         Parameters
@@ -190,8 +178,7 @@ class SwitchingFilter:
             A state without a forecast, a wrong shape, an infinite measurement, an indicator out
             of range.
         """
-        if state.index < 0 or state.corrected:
-            raise ValueError("state: wanted a forecast, got a state without; call predict first")
+        want_forecast(state)
         y = as_real("y", y, nan=True)
         wanted = (self.system.measurement_size, *state.law.log_prob.shape[2:])
         if y.shape != wanted:
@@ -201,11 +188,12 @@ class SwitchingFilter:
         indicator = as_indicators(indicator, self.system, (1, *wanted[1:]), "indicator")
         seen = None if indicator is None else indicator[0]
         found = self.rules.correct(state, y, seen, self.memory)
-        return found if self.memory is None else prediction.law_unclaimed(found, state, y, seen)
+        return found if self.memory is None else law_unclaimed(found, state, y, seen)
 
-    def step(self, state: SwitchingState, t: float, y, indicator=None) -> SwitchingState:
-        """Forecast to time t and correct there."""
-        return self.correct(self.predict(state, t), y, indicator)
+    def report(self, state: SwitchingState) -> Estimates:
+        """What is estimated after a correction."""
+        cov = total_covariance(state.law)
+        return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
     def forecast(self, state: SwitchingState, t: float) -> Estimates:
         """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
@@ -217,8 +205,9 @@ class SwitchingFilter:
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
     def run(
-        self, times, measurements, *, indicators=None, covariances=False, workers=1
-    ) -> Estimates:
+        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
+        covariances: bool = False, workers: int = 1,
+    ) -> Estimates:  # fmt: skip
         """Filter a record, or many at once.
 
         Parameters
@@ -256,41 +245,38 @@ class SwitchingFilter:
         y = as_record(measurements, len(times), self.system.measurement_size)
         batch = y.shape[2:]
         told = as_indicators(indicators, self.system, (len(times), *batch))
-        flat = y.reshape(*y.shape[:2], -1)
+        flat, n = y.reshape(*y.shape[:2], -1), self.system.state_size
         seen = None if told is None else told.reshape(len(times), -1)
+        whole = len(times), flat.shape[2]
+        mean, prob = (np.empty((whole[0], size, whole[1])) for size in (n, self.system.modes))
+        cov = np.empty((whole[0], n, n, whole[1])) if covariances else None
+        loglik, modes = np.empty(whole), np.empty(whole, dtype=int)
 
         def work(a, b, _):
-            shown = None if seen is None else seen[:, a:b]
-            return self._run(times, flat[..., a:b], shown, covariances)
+            state = self.initial((b - a,))
+            for k, t in enumerate(times):
+                shown = None if seen is None else seen[k, a:b]
+                state = self.predict(state, t)
+                state = self.rules.correct(state, flat[k, :, a:b], shown, self.memory)
+                mean[k, :, a:b], prob[k, :, a:b] = state.mean, state.law.prob
+                modes[k, a:b], loglik[k, a:b] = state.mode, state.loglik
+                if covariances:
+                    cov[k, ..., a:b] = total_covariance(state.law)
+            return state.mended
 
-        *columns, raised = zip(*in_blocks(work, flat.shape[2], 0, workers=workers), strict=True)
-        if sum(raised):
+        if raised := sum(in_blocks(work, whole[1], 0, workers=workers)):
             warnings.warn(
-                f"covariances: eigenvalues of {sum(raised)} were raised to 1e-12 of their scale",
+                f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
                 stacklevel=2,
             )
-        mean, cov, prob, loglik, modes = gathered(columns, batch)
+        mean, cov, prob, loglik, modes = (
+            None if part is None else part.reshape(*part.shape[:-1], *batch)
+            for part in (mean, cov, prob, loglik, modes)
+        )
         diverged = ~np.isfinite(mean).all(axis=(0, 1)) | (loglik == -np.inf).any(axis=0)
         found = Estimates(mean, cov, prob, loglik, diverged, modes)
-        lost = None if self.memory is None else prediction.dropouts(y, None, told)
-        return prediction.unclaimed(found, lost, times)
-
-    def _run(self, times, y, indicators, covariances):
-        batch, n = y.shape[2:], self.system.state_size
-        state = self.initial(batch)
-        mean = np.empty((len(times), n, *batch))
-        cov = np.empty((len(times), n, n, *batch)) if covariances else None
-        prob = np.empty((len(times), self.system.modes, *batch))
-        loglik, modes = np.empty((len(times), *batch)), np.empty((len(times), *batch), dtype=int)
-        for k, t in enumerate(times):
-            state = self.predict(state, t)
-            seen = None if indicators is None else indicators[k]
-            state = self.rules.correct(state, y[k], seen, self.memory)
-            mean[k], prob[k] = state.mean, state.law.prob
-            modes[k], loglik[k] = state.mode, state.loglik
-            if covariances:
-                cov[k] = total_covariance(state.law)
-        return mean, cov, prob, loglik, modes, state.floored
+        lost = None if self.memory is None else dropouts(y, None, told)
+        return unclaimed(found, lost, times)
 
     def stationary(self, tolerance: float = 0.05) -> SwitchingFilter:
         """The same filter with its last fit for all later steps.
@@ -323,4 +309,4 @@ class SwitchingFilter:
         return f"<SwitchingFilter: {held}; {self.linearization}>"
 
     def __str__(self) -> str:
-        return prediction.summary(self)
+        return switching_page(self)

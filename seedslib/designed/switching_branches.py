@@ -2,13 +2,41 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from contextlib import suppress
+
 import numpy as np
 
-from seedslib.linearization.moments import Gaussian, Weighted
+from seedslib.linearization.moments import Gaussian, Linearization, Weighted
 from seedslib.models.maps import StochasticMap
 
 
-def row_moments(branches, linearization):
+def forecast_row(system, i: int, linearization: Linearization, split: bool) -> Callable:
+    """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode and part.
+
+    Where forecasts are split there is a part for each value of the indicator, (6.19).
+    """
+    if not split:
+        found = _row_moments(system.branches[i], linearization)
+        return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
+    table = [
+        [branch and _seen_branch(branch, reading) for reading in system.readings[l]]
+        for l, branch in enumerate(system.branches[i])
+    ]
+    try:
+        found = _each_moments([map for row in table for map in row], linearization)
+    except ValueError as error:
+        raise type(error)(f"{error}; or split=False, which asks for less") from None
+    width = len(table[0])
+
+    def row(t, mean, cov):
+        flat = found(t, mean, cov)
+        return [flat[a : a + width] for a in range(0, len(flat), width)]
+
+    return row
+
+
+def _row_moments(branches, linearization):
     """Moments in each branch of a row; what does not depend on the branch is found once."""
     if all(branch is None or branch.constant for branch in branches):
         found = [branch for branch in branches if branch is not None]
@@ -19,10 +47,10 @@ def row_moments(branches, linearization):
             return [branch and w._replace(mass=branch.probability(t, mean)) for branch in branches]
 
         return row
-    return each_moments([branch and branch.map for branch in branches], linearization)
+    return _each_moments([branch and branch.map for branch in branches], linearization)
 
 
-def each_moments(maps, linearization):
+def _each_moments(maps, linearization):
     """Moments of several branches of one state, None where there is no branch."""
     moments = linearization.row([map for map in maps if map is not None])
 
@@ -33,14 +61,14 @@ def each_moments(maps, linearization):
     return row
 
 
-def alone_moments(branch, linearization):
+def alone_moments(branch, linearization: Linearization) -> Callable:
     """Moments of one branch with the state in it."""
     if not branch.constant:
         return linearization.weighted(branch.map)
     return plain_moments(branch.whole, branch, linearization)
 
 
-def plain_moments(map, share, linearization):
+def plain_moments(map: StochasticMap, share, linearization: Linearization) -> Callable:
     """Moments of a map that applies with a probability that does not depend on the state."""
     moments = linearization.moments(map)
 
@@ -51,20 +79,15 @@ def plain_moments(map, share, linearization):
     return f
 
 
-def _told(reading):
-    """SymPy probability of an indicator's value given the state, None without a closed form."""
-    try:
-        return reading.probability_expression
-    except ValueError:
-        return None
-
-
-def seen_branch(branch, reading):
+def _seen_branch(branch, reading):
     """Move to the next state together with what the indicator will show there."""
     if reading is None:
         return None
     move, shown = branch.map, reading.map
-    told = _told(reading) if move.symbolic else None
+    told = None
+    if move.symbolic:
+        with suppress(ValueError):  # none has a closed form where the noise decides
+            told = reading.probability_expression
     if told is None:
         return StochasticMap.from_functions(
             move.state_size, move.size, move.value, move.noise,

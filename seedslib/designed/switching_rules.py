@@ -7,14 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.designed.lemmas import Law, Sensed, decide, floored, propagate, sense, weigh
+from seedslib.base.semidefinite import mended
+from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
 from seedslib.designed.memory import Past
 from seedslib.designed.switching_branches import (
     alone_moments,
-    each_moments,
+    forecast_row,
     plain_moments,
-    row_moments,
-    seen_branch,
 )
 from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Moments
@@ -35,7 +34,7 @@ class SwitchingState(NamedTuple):
         Number k of the last measurement time reached; -1 before the first.
     time : float or None
         That time.
-    law : Law
+    law : ModeLaw
         After `predict` the forecast Q, lambda, Psi with its parts; after `correct` the posterior
         P, rho, Upsilon.
     mean : ndarray, shape (n, *batch), or None
@@ -46,7 +45,7 @@ class SwitchingState(NamedTuple):
         The memory; empty where nothing but the law is carried.
     loglik : ndarray
         Log-density of the last measurement and indicator.
-    floored : int
+    mended : int
         Covariances whose eigenvalues had to be raised so far.
     corrected : bool
     gap : ndarray of bool or bool
@@ -56,12 +55,12 @@ class SwitchingState(NamedTuple):
 
     index: int
     time: float | None
-    law: Law
+    law: ModeLaw
     mean: np.ndarray | None
     mode: np.ndarray | None
     past: Past
     loglik: np.ndarray | float
-    floored: int
+    mended: int
     corrected: bool
     gap: np.ndarray | bool = False
 
@@ -95,41 +94,21 @@ class SwitchingRules:
         self.printed = self.split and normalisation == "printed"
         # rules of points may have negative weights
         self.guarded = isinstance(linearization, PointRule)
-        self.rows = [self._row(i, linearization) for i in range(system.modes)]
+        self.rows = [
+            forecast_row(system, i, linearization, self.split) for i in range(system.modes)
+        ]
         self.readings = [
             [reading and alone_moments(reading, linearization) for reading in row]
             for row in system.readings
         ]
         self.unseen = None
-        if system.has_indicator:
+        if system.indicators:
             self.unseen = [plain_moments(sensor, 1.0, linearization) for sensor in system.sensors]
 
     def __reduce__(self):
         return compiled_rules, self._made_of
 
-    def _row(self, i, linearization):
-        """Moments of the next state in mode i, for each new mode and part."""
-        system = self.system
-        if not self.split:
-            found = row_moments(system.branches[i], linearization)
-            return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
-        table = [
-            [branch and seen_branch(branch, reading) for reading in system.readings[l]]
-            for l, branch in enumerate(system.branches[i])
-        ]
-        try:
-            found = each_moments([map for row in table for map in row], linearization)
-        except ValueError as error:
-            raise type(error)(f"{error}; or split=False, which asks for less") from None
-        width = len(table[0])
-
-        def row(t, mean, cov):
-            flat = found(t, mean, cov)
-            return [flat[a : a + width] for a in range(0, len(flat), width)]
-
-        return row
-
-    def initial(self, batch) -> Law:
+    def initial(self, batch: tuple[int, ...]) -> ModeLaw:
         """Law of mode and state before any measurement, one part for each mode."""
         parts, tail = self.system.initial, (1,) * len(batch)
 
@@ -137,28 +116,28 @@ class SwitchingRules:
             values = np.stack(values, axis=-1)[..., None]
             return np.broadcast_to(values.reshape(*values.shape, *tail), (*values.shape, *batch))
 
-        return Law.of(
+        return ModeLaw.of(
             spread([part.probability for part in parts]),
             spread([part.mean for part in parts]),
             spread([part.cov for part in parts]),
         )
 
-    def start(self, batch) -> SwitchingState:
+    def start(self, batch: tuple[int, ...]) -> SwitchingState:
         """State before any measurement."""
         return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
 
-    def predict(self, t, law: Law) -> Law:
+    def predict(self, t: float, law: ModeLaw) -> ModeLaw:
         """Forecast for the next time from the law at time t."""
         with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
             return propagate(self.rows, t, law)
 
-    def sense(self, t, law: Law, indicator) -> Sensed:
+    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
         """Law given the indicator, and moments of the measurement.
 
         Parameters
         ----------
         t : float
-        law : Law
+        law : ModeLaw
             With parts.
         indicator : ndarray of int, shape (*batch), or None
             -1 where it is missing.
@@ -168,21 +147,17 @@ class SwitchingRules:
         values = np.unique(indicator)
         if len(values) <= 1:
             return self._sense(t, law, int(values[0]) if len(values) else 0)
-        batch, pieces, places = indicator.shape, [], []
-        flat = Law(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
+        batch, whole = indicator.shape, []
+        flat = ModeLaw(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
         for j in values:
             here = np.flatnonzero(indicator.ravel() == j)
-            piece = self._sense(t, Law(*(part[..., here] for part in flat)), int(j))
-            pieces.append((piece.log_prob, piece.mean, piece.cov, *piece.moments))
-            places.append(here)
-        count, joined = indicator.size, []
-        for parts in zip(*pieces, strict=True):
-            whole = np.empty((*parts[0].shape[:-1], count))
-            for here, part in zip(places, parts, strict=True):
-                whole[..., here] = part
-            joined.append(whole.reshape(*whole.shape[:-1], *batch))
-        log_prob, mean, cov, *moments = joined
-        return Sensed(log_prob, mean, cov, type(piece.moments)(*moments))
+            piece = self._sense(t, ModeLaw(*(part[..., here] for part in flat)), int(j))
+            parts = (*piece[:3], *piece.moments)
+            whole = whole or [np.empty((*part.shape[:-1], indicator.size)) for part in parts]
+            for target, part in zip(whole, parts, strict=True):
+                target[..., here] = part
+        found = [part.reshape(*part.shape[:-1], *batch) for part in whole]
+        return Sensed(*found[:3], Moments(*found[3:]))
 
     def _sense(self, t, law, j):
         if j < 0:
@@ -195,19 +170,13 @@ class SwitchingRules:
     def _noise(self, t, sensed):
         """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
         readings = self.unseen or [row[0] for row in self.readings]
-        still = np.zeros_like(sensed.cov[:, :, 0])
-        found = [
-            reading(t, sensed.mean[:, i, None], still[:, :, None]).value.cov
-            for i, reading in enumerate(readings)
-        ]
-        size = len(sensed.moments.mean)
-        batch = (1, *sensed.log_prob.shape[1:])
-        wide = [
-            np.broadcast_to(part.reshape(*part.shape, *(1,) * (2 + len(batch) - part.ndim)),
-                            (size, size, *batch))
-            for part in found
-        ]  # fmt: skip
-        return np.concatenate(wide, axis=2)
+        still, depth = np.zeros_like(sensed.cov[:, :, 0]), sensed.log_prob.ndim - 1
+        noise = np.empty_like(sensed.moments.cov)
+        for i, reading in enumerate(readings):
+            cov = reading(t, sensed.mean[:, i, None], still[:, :, None]).value.cov
+            cov = cov[:, :, 0] if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * depth)
+            noise[:, :, i] = cov
+        return noise
 
     def _column(self, law, j):
         """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
@@ -221,7 +190,7 @@ class SwitchingRules:
     def _corrected(self, state, y, indicator, memory):
         raised = 0
         if self.guarded:
-            cov, raised = floored(state.law.cov)
+            cov, raised = mended(state.law.cov)
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=state.law._replace(log_prob=scaled, cov=cov))
         sensed = self.sense(state.time, state.law, indicator)
@@ -230,7 +199,7 @@ class SwitchingRules:
             seen = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, state.law, seen)
         if self.printed:
-            spread, more = floored(sensed.moments.cov)
+            spread, more = mended(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=spread))
             raised += more
         elif self.guarded:
@@ -239,7 +208,7 @@ class SwitchingRules:
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed))
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, more = floored(law.cov, np.einsum("ii...->i...", sensed.cov))
+        cov, more = mended(law.cov, np.einsum("ii...->i...", sensed.cov))
         law = law._replace(cov=cov)
         mode, mean = decide(law)
         past = state.past
@@ -259,7 +228,7 @@ class SwitchingRules:
             )  # fmt: skip
         return SwitchingState(
             state.index, state.time, law, mean, mode, past, loglik,
-            state.floored + raised + more, True,
+            state.mended + raised + more, True,
         )  # fmt: skip
 
 
@@ -274,12 +243,12 @@ def _semidefinite(sensed):
     n, (mean, cross, spread) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), spread], axis=1)
-    joint, raised = floored(np.concatenate([upper, lower]))
+    joint, raised = mended(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
     return sensed._replace(cov=joint[:n, :n], moments=moments), raised
 
 
-def log_odds(log_prob) -> np.ndarray:
+def log_odds(log_prob: np.ndarray) -> np.ndarray:
     """Log-odds of the modes against mode 0, cut to ±8: (L - 1, *batch)."""
     with np.errstate(invalid="ignore"):
         odds = log_prob[1:] - log_prob[0]

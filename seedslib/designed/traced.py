@@ -8,19 +8,23 @@ arrays of two numbers is most of the time. For many paths it gains nothing.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import ABSOLUTE, RELATIVE
-from seedslib.linearization.moments import symmetric
+from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.models.maps import StochasticMap
 
 LARGEST_STATE = 4
 LARGEST_MEASUREMENT = 2
 
 
-def traced_correction(map, linearization, rows):
+def traced_correction(
+    map: StochasticMap, linearization: Linearization, rows: int
+) -> TracedCorrection | None:
     """A `TracedCorrection`, or None where there are no formulas or they would be long."""
     small = map.state_size <= LARGEST_STATE and map.size <= LARGEST_MEASUREMENT
     if not (small and map.symbolic and hasattr(linearization, "formulas")):
@@ -28,7 +32,7 @@ def traced_correction(map, linearization, rows):
     return TracedCorrection(map, linearization, rows)
 
 
-def mean_velocity(system, linearization):
+def mean_velocity(system, linearization: Linearization) -> Callable:
     """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
 
     The covariance is common to all paths, (n, n).

@@ -2,110 +2,150 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.tables import Labels, mesh
+from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.outputs.lookup import Table
 from seedslib.designed.predictors import Continuous, PolynomialFit
-from seedslib.designed.table import OutputFilter, TableFit
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching_fits import CellFit
 
 NODES = "nodes: "
 
 
-def relative_differences(first, k: int, second, q: int) -> dict[str, float]:
+def relative_differences(first: Any, k: int, second: Any, q: int) -> dict[str, float]:
     """Relative differences between measurement k of one design and measurement q of another.
+
+    Of regressions without modes the forecast that leads to the measurement and those at the nodes
+    after it; of a `SwitchingFilter` the forecast that starts after it; of output functions those
+    of the measurement, of its being missing, and at the nodes after it.
 
     Parameters
     ----------
-    first, second : FiniteOrderFilter
+    first, second : FiniteOrderFilter, SwitchingFilter or OutputFilter
     k, q : int
 
     Returns
     -------
     dict of str to float
-        By the kind of coefficient: |A - B| / max(|A|, |B|) in the Frobenius norm, or NaN where
-        the two are not alike.
+        By the kind of coefficient: |A - B| / max(|A|, |B|) in the Frobenius norm, of decided modes
+        the part of nodes at which they differ, or NaN where the two are not alike.
     """
     here, there = _coefficients(first, k), _coefficients(second, q)
-    # numbers of one shape may still weigh different things
-    before = _held(first, k - 1) == _held(second, q - 1)
-    after = _held(first, k) == _held(second, q)
-    nodes = [d.node_times[j] for d, j in ((first, k), (second, q)) if j < len(d.node_times)]
-    after &= len(nodes) < 2 or np.array_equal(*nodes)
+    none = _Part(None, [])
     return {
-        name: _relative(here.get(name, ()), there.get(name, ()))
-        if (after if name.startswith(NODES) else before)
-        else np.nan
+        name: _relative(here.get(name, none), there.get(name, none), name.endswith("mode"))
         for name in {**here, **there}
     }
 
 
-def _held(designed, k):
-    """What forecasts after measurement k look at: so many estimates and measurements.
+class _Part(NamedTuple):
+    """Arrays or functions, and what they weigh: numbers of one shape may be of other things."""
 
-    A continuous forecast looks at the estimate it has moved, which is something else.
-    """
-    memory, moved = designed.memory, k >= 0 and isinstance(designed.predictor, Continuous)
-    return min(k + 1, memory.estimates), min(k + 1, memory.measurements), moved
+    weighs: object
+    values: list
 
 
 class _Function(NamedTuple):
-    """A table, or a learned function, of so many arguments."""
+    """The estimate, or the decided mode, of an output function; of a table so many arguments."""
 
-    call: object
-    size: int
+    call: Callable
+    size: int | None
+    mode: bool = False
 
     @property
-    def axes(self):
-        return self.call.axes if isinstance(self.call, TableFit) else None
+    def axes(self) -> tuple | None:
+        return self.call.axes if isinstance(self.call, Table) else None
 
-    def at(self, axes):
-        """Values at all nodes of the axes."""
+    def at(self, axes: Sequence) -> np.ndarray:
+        """Values (..., points) at all nodes of the axes."""
         if self.axes == axes:
-            return self.call.values
-        points = np.array(np.meshgrid(*[axis.nodes for axis in axes], indexing="ij"))
-        return self.call(points, points[:0])
+            found = self.call.mode if self.mode else self.call.estimate
+        else:
+            output = self.call([*mesh(axes)])
+            found = output.mode if self.mode else output.mean
+        return found.reshape(-1, math.prod(axis.count for axis in axes))
 
 
-def _coefficients(designed, k) -> dict[str, list]:
-    """What measurement k and the nodes after it take, by name: lists of arrays or functions."""
-    found: dict[str, list] = {}
+def _coefficients(designed, k) -> dict[str, _Part]:
+    """What measurement k and the forecasts after it take, by name."""
+    found: dict[str, _Part] = {}
+    before, after = _held(designed, k - 1), _held(designed, k)
+    if isinstance(designed, SwitchingFilter):
+        if k < len(designed.fits):
+            _note(found, designed.fits[k], "", after)
+        return found
     if isinstance(designed, OutputFilter):
-        m, n = designed.system.sensor.size, designed.components
-        size = m + (designed.memory.dimension(k - 1, n, m) if k else 0)
-        found["output"] = [_Function(designed.rules.outputs[k], size)]
+        _note(found, designed.steps[k].shown, "", before, "output")
+        _note(found, designed.steps[k].blind, "", before)
     elif k == 0:
         start = designed.start
-        found["start"] = [start.mean, start.cov, *start.moments]
-    if k > 0:
-        _note(found, designed.fits[k - 1], "")
+        found["start"] = _Part(before, [start.mean, start.cov, *start.moments])
+    else:
+        _note(found, designed.fits[k - 1], "", before)
     if k < len(designed.node_fits):
+        nodes = designed.node_times[k].tolist()
         for fit in designed.node_fits[k]:
-            _note(found, fit, NODES)
+            _note(found, fit, NODES, (after, nodes))
     return found
 
 
-def _note(found, fit, place):
-    """Add the arrays of a regression, or a table as a whole."""
-    if isinstance(fit, TableFit):
-        found.setdefault(f"{place}forecast", []).append(_Function(fit, len(fit.axes)))
-        return
-    if isinstance(fit, PolynomialFit):
-        place += "powers' "
-    for name, part in fit._asdict().items():
-        if isinstance(part, np.ndarray):
-            found.setdefault(f"{place}{name}", []).append(part)
+def _held(designed, k):
+    """What a forecast after measurement k looks at: so many estimates, measurements, indicators.
+
+    A continuous forecast looks at the estimate it has moved, which is something else.
+    """
+    memory = designed.memory
+    moved = k >= 0 and isinstance(getattr(designed, "predictor", None), Continuous)
+    blocks = (memory.estimates, memory.measurements, memory.indicators)
+    return [min(k + 1, count) for count in blocks], memory.log_odds, moved
 
 
-def _relative(one, two) -> float:
+def _note(found, fit, place, weighs, word="forecast"):
+    """Add the arrays of a regression, or an output function as a whole."""
+    fit = getattr(fit, "fit", fit)  # a learned forecast is a regression
+    if isinstance(fit, CellFit):
+        parts = _law(fit)
+    elif isinstance(fit, Table) or not hasattr(fit, "_asdict"):
+        size = len(fit.axes) if isinstance(fit, Table) else None
+        parts = {word: _Function(fit, size)}
+        if getattr(fit, "mode", None) is not None:
+            parts[f"{word} mode"] = _Function(fit, size, True)
+    else:
+        place += "powers' " * isinstance(fit, PolynomialFit)
+        parts = {name: v for name, v in fit._asdict().items() if isinstance(v, np.ndarray)}
+    for name, part in parts.items():
+        found.setdefault(f"{place}{name}", _Part(weighs, [])).values.append(part)
+
+
+def _law(fit):
+    """What a fit of cells weighs, in forms that do not depend on how its density is factored."""
+    return {
+        "probability": np.exp(fit.log_weight - fit.log_weight.max()),
+        "centre": fit.centre,
+        "precision": np.einsum("kalc,kblc->ablc", fit.white, fit.white),
+        "gain": fit.gain,
+        "offset": fit.offset,
+        "cov": fit.cov,
+    }
+
+
+def _relative(one, two, decided) -> float:
     """Relative difference of two lists taken together; NaN where they are not alike."""
-    if len(one) != len(two):
+    if one.weighs != two.weighs or len(one.values) != len(two.values):
         return np.nan
     apart = size = other = 0.0
-    for a, b in zip(one, two, strict=True):
+    for a, b in zip(one.values, two.values, strict=True):
         a, b = _values(a, b)
         if a is None or b is None or a.shape != b.shape:
             return np.nan
+        if decided and a.size:
+            return float((a != b).mean())
         apart += np.sum((a - b) ** 2)
         size += np.sum(a**2)
         other += np.sum(b**2)
@@ -116,9 +156,15 @@ def _values(one, two):
     """Two arrays as they are, two functions at the nodes of the first table among them."""
     if isinstance(one, np.ndarray) and isinstance(two, np.ndarray):
         return one, two
-    if not (isinstance(one, _Function) and isinstance(two, _Function)) or one.size != two.size:
+    if not (isinstance(one, _Function) and isinstance(two, _Function)):
         return None, None
     if one.call is two.call:
         return np.zeros(0), np.zeros(0)
-    axes = one.axes or two.axes
-    return (None, None) if axes is None else (one.at(axes), two.at(axes))
+    axes = two.axes if one.axes is None else one.axes
+    if axes is None or (one.size != two.size and None not in (one.size, two.size)):
+        return None, None
+    if two.axes is not None and any(
+        a != b for a, b in zip(axes, two.axes, strict=True) if Labels in (type(a), type(b))
+    ):
+        return None, None
+    return one.at(axes), two.at(axes)

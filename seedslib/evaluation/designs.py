@@ -8,23 +8,13 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.clock import Clock
-from seedslib.designed.file_tables import UnknownModel, probed
+from seedslib.base.objects import Shown
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.identity import difference, probe_points
-from seedslib.evaluation import switching_designs
+from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.evaluation.choices import ROWS, Change, choices, model_changes
 from seedslib.evaluation.coefficients import relative_differences
-from seedslib.models.words import model_text
-
-ROWS = 12
-"""Times that are printed at most."""
-
-
-class Change(NamedTuple):
-    """A choice that differs: its name, and what it is in the first and in the second design."""
-
-    name: str
-    first: str
-    second: str
+from seedslib.models.kinds import switches
 
 
 class PredictedDifference(NamedTuple):
@@ -52,8 +42,8 @@ class PredictedDifference(NamedTuple):
     z: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class DesignDifference:
+@dataclass(frozen=True, eq=False, repr=False)
+class DesignDifference(Shown):
     """What differs between two designs; `diff` makes it, and it prints itself.
 
     Attributes
@@ -86,6 +76,8 @@ class DesignDifference:
     comparable: bool
     predicted: PredictedDifference
     modes: PredictedDifference | None = None
+
+    _shown = "names", "equal"
 
     @property
     def equal(self) -> bool:
@@ -148,7 +140,7 @@ def diff(first, second) -> DesignDifference:
 
     Parameters
     ----------
-    first, second : FiniteOrderFilter, or SwitchingFilter and SwitchingTableFilter
+    first, second : FiniteOrderFilter, SwitchingFilter, TableFilter or LearnedFilter
         Of any kind: regressions, tables, learned functions; both of systems with modes, or
         neither.
 
@@ -162,21 +154,15 @@ def diff(first, second) -> DesignDifference:
     TypeError
         Something that is no designed filter of finite order.
     """
-    switching = isinstance(first, switching_designs.FILTERS)
-    kinds = switching_designs.FILTERS if switching else FiniteOrderFilter
+    switching = switches(getattr(first, "system", None))
+    kinds = (SwitchingFilter if switching else FiniteOrderFilter) | OutputFilter
     wanted = "filter of a switching system" if switching else "FiniteOrderFilter"
     for name, given in (("first", first), ("second", second)):
-        if not isinstance(given, kinds):
+        if not isinstance(given, kinds) or switches(given.system) != switching:
             raise TypeError(f"{name}: wanted a {wanted}, got {type(given).__name__}")
-        if switching:
-            switching_designs.require_design(name, given)
-    if switching:
-        one, two = (switching_designs.choices(d, _grid) for d in (first, second))
-        model = [Change(*words) for words in switching_designs.model_changes(first, second)]
-        differences = switching_designs.relative_differences
-    else:
-        one, two, model = _choices(first), _choices(second), _model_changes(first, second)
-        differences = relative_differences
+        if given.memory is None:
+            raise TypeError(f"{name}: wanted a designed filter, got one without a memory")
+    one, two, model = choices(first), choices(second), model_changes(first, second)
     changes, same = [], []
     for name in {**one, **two}:
         if one.get(name) == two.get(name):
@@ -190,80 +176,14 @@ def diff(first, second) -> DesignDifference:
     coefficients: dict[str, np.ndarray] = {}
     comparable = True
     for j, (k, q) in enumerate(zip(a, b, strict=True)):
-        for name, apart in differences(first, k, second, q).items():
+        for name, apart in relative_differences(first, k, second, q).items():
             coefficients.setdefault(name, np.full(len(a), np.nan))[j] = apart
             comparable &= bool(np.isfinite(apart))
-    names = (repr(first).strip("<>"), repr(second).strip("<>"))
-    if switching:
-        errors = (switching_designs.predicted_errors(d) for d in (first, second))
-        predicted, modes = (_predicted(*pair) for pair in zip(*errors, strict=True))
-    else:
-        predicted, modes = _predicted(first.predicted, second.predicted), None
     return DesignDifference(
-        names, tuple(changes), tuple(same), first.times[a], coefficients, comparable, predicted,
-        modes,
+        (repr(first).strip("<>"), repr(second).strip("<>")), tuple(changes), tuple(same),
+        first.times[a], coefficients, comparable, _predicted(first, second, "rms", "error"),
+        _predicted(first, second, "mode_rate", "mode_error") if switching else None,
     )  # fmt: skip
-
-
-def _choices(designed) -> dict[str, str]:
-    """What was chosen for a design, in words that are equal where the choices are."""
-    made = designed.design
-    paths = "exact" if made.exact else f"{made.paths} paths of seed {made.entropy}"
-    if made.spawn_key:
-        paths += f", stream {made.spawn_key}"
-    return {
-        "kind": type(designed).__name__,
-        "memory": str(designed.memory),
-        "forecast": str(designed.predictor),
-        "linearization": _named(designed.linearization),
-        "components": str(designed.components),
-        "measured nodes": "yes" if designed.measured_nodes else "no",
-        "between": designed.between,
-        "measurement times": _grid(designed.times),
-        "nodes": _grid(np.concatenate([*designed.node_times, np.empty(0)])),
-        "designed on": paths,
-    }
-
-
-def _named(thing):
-    """A linearization of one's own may have no words but its name."""
-    plain = type(thing).__repr__ is object.__repr__
-    return type(thing).__name__ if plain else str(thing)
-
-
-def _grid(times):
-    """Times in words: spelled out where they are few or uneven."""
-    if len(times) <= 1:
-        return ", ".join(f"{t:.12g}" for t in times) or "none"
-    steps = np.diff(times)
-    even = np.ptp(steps) <= Clock(times).tolerance
-    if even or len(times) > ROWS:
-        by = f"by {steps[0]:.9g}" if even else f"unevenly, sum {times.sum():.12g}"
-        return f"{len(times)} from {times[0]:.9g} to {times[-1]:.9g} {by}"
-    return ", ".join(f"{t:.12g}" for t in times)
-
-
-def _model_changes(first, second) -> list[Change]:
-    one, two = first.system, second.system
-    if one is two:
-        return []
-    if isinstance(one, UnknownModel) or isinstance(two, UnknownModel):
-        words = ("unknown" if isinstance(s, UnknownModel) else "known" for s in (one, two))
-        return [Change("model", *words)]
-    if one.state_size != two.state_size:
-        return [Change("state components", str(one.state_size), str(two.state_size))]
-    points = probe_points(one, float(first.times[0]), first.horizon)
-    with np.errstate(all="ignore"):
-        reason = difference(probed(one, points), probed(two, points), points)
-    if not reason:  # the same model, however it is written
-        return []
-    a, b = model_text(one), model_text(two)
-    texts = [
-        Change(f"model ({name})", a.get(name, "none"), b.get(name, "none"))
-        for name in {**a, **b}
-        if a.get(name) != b.get(name)
-    ]
-    return [Change("model", "as designed", reason), *texts]
 
 
 def _common(one, two) -> tuple[np.ndarray, np.ndarray]:
@@ -275,13 +195,20 @@ def _common(one, two) -> tuple[np.ndarray, np.ndarray]:
     return at, rows[at]
 
 
-def _predicted(one, two) -> PredictedDifference:
-    a, b = _common(one.times, two.times)
-    c = min(one.rms.shape[1], two.rms.shape[1])
-    first, second = one.rms[a, :c], two.rms[b, :c]
-    apart, error = second - first, np.hypot(one.error[a, :c], two.error[b, :c])
+def _predicted(first, second, *names) -> PredictedDifference:
+    """Predicted errors and their standard errors, each by the name of its field."""
+    none = np.empty(0), np.empty((0, 1)), np.empty((0, 1))
+    (times, *one), (there, *two) = (
+        none if p is None else (p.times, *(getattr(p, name).reshape(len(p.times), -1)
+                                           for name in names))
+        for p in (first.predicted, second.predicted)
+    )  # fmt: skip
+    a, b = _common(times, there)
+    c = min(one[0].shape[1], two[0].shape[1])
+    before, after = one[0][a, :c], two[0][b, :c]
+    apart, error = after - before, np.hypot(one[1][a, :c], two[1][b, :c])
     z = np.divide(apart, error, out=np.full(apart.shape, np.nan), where=error > 0)
-    return PredictedDifference(one.times[a], first, second, apart, error, z)
+    return PredictedDifference(times[a], before, after, apart, error, z)
 
 
 def _some(count):

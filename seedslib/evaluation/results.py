@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.objects import Shown
+
 
 class Evaluation(NamedTuple):
     """Accuracy of one filter; J times, c components.
@@ -106,8 +108,15 @@ class Difference(NamedTuple):
     average_mode_error: float | None = None
 
 
-class Comparison(Mapping):
+class Comparison(Shown, Mapping):
     """Evaluations by name, and paired differences; read like a mapping."""
+
+    _shown = ("names",)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the filters."""
+        return tuple(self._evaluations)
 
     def __init__(self, evaluations, squares, cov, scored):
         """Squares (F, J+1, c+1 or c+2) and their covariances over paths (F, F, ...): those of

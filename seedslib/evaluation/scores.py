@@ -8,20 +8,19 @@ out of sample, those of `FiniteOrderFilter.predicted` are in-sample.
 
 from __future__ import annotations
 
-import inspect
 import time
 import warnings
 from collections.abc import Mapping
 
 import numpy as np
 
-from seedslib.base.blocks import as_count, child, in_blocks
-from seedslib.base.checks import as_times
+from seedslib.base.blocks import child, in_blocks
+from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
 from seedslib.evaluation.consistency import bounds, mahalanobis
 from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
-from seedslib.models.kinds import KINDS, require_kind
+from seedslib.models.kinds import KINDS, as_system
 from seedslib.models.simulation import as_measured
 
 FILTERS = 0x46494C54
@@ -45,8 +44,8 @@ def compare(
     Parameters
     ----------
     filters : mapping of str to filter
-        Anything with ``run(times, measurements) -> Estimates``. Filters of a switching system
-        are given `indicators` and `modes` where their `run` takes them.
+        Anything with ``run(times, measurements) -> Estimates``. What a run is given beside is in
+        its `takes`: names of ``"indicators"``, ``"modes"``, ``"seed"`` and ``"covariances"``.
     system : object
         With ``simulate``; the truth.
     times : array_like, shape (J,)
@@ -88,8 +87,8 @@ def compare(
     Notes
     -----
     Standard errors come from the squared errors of single paths, which are independent; that of
-    a root-mean-square is the one of the mean square divided by twice the root. A filter whose
-    `run` takes a `seed` has a stream of its own in every block of 2048 paths, by its place among
+    a root-mean-square is the one of the mean square divided by twice the root. A filter that
+    takes a seed has a stream of its own in every block of 2048 paths, by its place among
     the filters: the paths are common, the random numbers of two filters are not.
     """
     if not isinstance(filters, Mapping) or not filters:
@@ -100,8 +99,7 @@ def compare(
                 f"{name}: wanted a filter with run(times, measurements), got a "
                 f"{type(each).__name__}; filters come before the system"
             )
-    if "measured" not in inspect.signature(getattr(system, "simulate", int)).parameters:
-        require_kind(system, *KINDS)
+    as_system("system", system, *KINDS, "DelaySystem", "PiecewiseLinearSystem")
     times, paths = as_times("times", times), as_count("paths", paths)
     measured = as_measured(_measured(filters, times) if measured is None else measured, len(times))
     if components is not None:
@@ -131,19 +129,12 @@ def _measured(filters, times):
 
 def _window(given, count):
     """Mask (J,) of the times that averages are taken over."""
-    if given is None:
-        return np.ones(count, dtype=bool)
     if isinstance(given, tuple) and len(given) == 2:
         last = given[1]
         given = slice(given[0], None if last is None or last == -1 else last + 1)
-    mask = np.zeros(count, dtype=bool)
     if isinstance(given, slice):
-        mask[given] = True
-    else:
-        try:
-            mask[:] = as_measured(given, count)
-        except ValueError as error:
-            raise ValueError(str(error).replace("measured", "window", 1)) from None
+        given = np.arange(count)[given]
+    mask = as_measured(given, count, "window")
     if not mask.any():
         raise ValueError(f"window: wanted at least one of {count} times, got none")
     return mask
@@ -157,11 +148,7 @@ def _block(filters, data, measured, components, window, bound, consistency, stre
         data.measurements[np.ix_(measured, np.ones(data.measurements.shape[1], bool), ~truth)] = 0.0
     astray = []
     for number, each in enumerate(filters.values()):
-        wants = _wanted(each, data)
-        if _takes(each, "seed"):
-            wants["seed"] = child(stream, FILTERS, number)
-        if consistency and _takes(each, "covariances"):
-            wants["covariances"] = True
+        wants = _wanted(each, data, child(stream, FILTERS, number), consistency)
         begin = time.perf_counter()
         found = each.run(data.times, data.measurements, **wants)
         seconds.append(time.perf_counter() - begin)
@@ -194,16 +181,18 @@ def _block(filters, data, measured, components, window, bound, consistency, stre
     )
 
 
-def _wanted(filter, data):
-    """Indicators and true modes of a switching system for a filter that takes them."""
-    given = {"modes": data.modes, "indicators": data.indicators}
-    if not getattr(getattr(filter, "system", None), "has_indicator", True):
+def _wanted(filter, data, stream, consistency):
+    """What the run of a filter takes beside times and measurements."""
+    given = {
+        "indicators": data.indicators,
+        "modes": data.modes,
+        "seed": stream,
+        "covariances": consistency or None,
+    }
+    if not getattr(getattr(filter, "system", None), "indicators", True):
         del given["indicators"]
-    return {name: part for name, part in given.items() if part is not None and _takes(filter, name)}
-
-
-def _takes(filter, name):
-    return name in inspect.signature(filter.run).parameters
+    takes = set(getattr(filter, "takes", ()))
+    return {name: part for name, part in given.items() if part is not None and name in takes}
 
 
 def _innovations(filter, data, measured):

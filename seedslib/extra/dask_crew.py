@@ -14,6 +14,7 @@ import ctypes
 import platform
 import warnings
 import weakref
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from functools import cache
@@ -42,7 +43,7 @@ LOST = (CancelledError, ClosedClientError, CommClosedError, distributed.KilledWo
 
 
 @contextmanager
-def cluster(scheduler):
+def cluster(scheduler: str | distributed.Client) -> Iterator[Cluster]:
     """Crew for a design, the workers of a Dask cluster: ``synthesize(..., workers=crew)``.
 
     It is a context: ``with cluster("tcp://host:8786") as crew:``. Workers need the same versions
@@ -83,7 +84,7 @@ class Cluster(Crew):
     client : distributed.Client
     """
 
-    def __init__(self, client):
+    def __init__(self, client: distributed.Client) -> None:
         self.client = client
         try:
             client.wait_for_workers(1, timeout=PATIENCE)
@@ -93,24 +94,24 @@ class Cluster(Crew):
         self._names, self._known = count(), weakref.WeakSet()
         self._forget()
 
-    def _forget(self):
+    def _forget(self) -> None:
         """Begin anew: what a design that failed has left behind must not fail the next one."""
         self._memories = [{}] * self._shares
         self._steps, self._sent = [], []
 
-    def __call__(self, work, *lists) -> Remote:
+    def __call__(self, work: Callable, *lists: Iterable) -> Remote:
         """Entries ``work(*entries)`` over the entries of the lists; they stay on the workers."""
         return self._noted(work, lists)
 
-    def share(self, thing) -> Remote:
+    def share(self, thing: object) -> Remote:
         """Stand-in for a list that has the same thing for every bundle, sent once."""
         return self._noted(None, [_Same(thing)])
 
-    def unzip(self, pairs) -> list:
+    def unzip(self, pairs: Remote) -> list:
         """Lists of the first and of the second parts of the entries of a list."""
         return [self(itemgetter(k), pairs) for k in range(2)]
 
-    def fetch(self, name) -> list:
+    def fetch(self, name: int) -> list:
         """Entries of a list by its name, in the order of the bundles."""
         try:
             if self._steps:
@@ -126,7 +127,7 @@ class Cluster(Crew):
                 "goes on from the last finished step"
             ) from error
 
-    def _noted(self, work, lists):
+    def _noted(self, work: Callable | None, lists: Sequence) -> Remote:
         """Note a step; the list it makes is kept for as long as somebody has it here."""
         names = []
         for part in lists:
@@ -138,7 +139,7 @@ class Cluster(Crew):
         self._known.add(remote)
         return remote
 
-    def _cut(self, entries):
+    def _cut(self, entries: Sequence) -> list:
         """Pieces of a list for the shares."""
         shares = len(self._memories)
         if isinstance(entries, _Same):
@@ -146,7 +147,7 @@ class Cluster(Crew):
         ends = np.linspace(0, len(entries), shares + 1).astype(int)
         return [entries[a:b] for a, b in pairwise(ends)]
 
-    def _send(self):
+    def _send(self) -> None:
         """One task for each share that does all steps since the last one."""
         kept = {remote.name for remote in self._known}
         program = cloudpickle.dumps((_versions(), self._steps, kept))
@@ -157,7 +158,7 @@ class Cluster(Crew):
         self._memories = self._each_share(_run, repeat(program), lists)
         self._steps, self._sent = [], []
 
-    def _each_share(self, function, *arguments):
+    def _each_share(self, function: Callable, *arguments: Iterable) -> list[distributed.Future]:
         with warnings.catch_warnings():
             # a design that goes on from a file sends its states once: they are no accident
             warnings.filterwarnings("ignore", "Sending large graph", UserWarning)
@@ -166,7 +167,7 @@ class Cluster(Crew):
                 for given in zip(*arguments, self._memories, strict=False)
             ]
 
-    def _awaited(self, task):
+    def _awaited(self, task: distributed.Future) -> object:
         """Result of a task, or an error where nobody is left to do it."""
         while True:
             try:
@@ -181,36 +182,36 @@ class Cluster(Crew):
 class Remote:
     """A list with an entry for each bundle that stays on the workers; iteration fetches it."""
 
-    def __init__(self, cluster, name):
+    def __init__(self, cluster: Cluster, name: int) -> None:
         self.cluster, self.name = cluster, name
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator:
         return iter(self.cluster.fetch(self.name))
 
 
 class _Same:
     """The same thing for every bundle."""
 
-    def __init__(self, thing):
+    def __init__(self, thing: object) -> None:
         self.thing = thing
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator:
         return repeat(self.thing)
 
 
 class _Sealed:
     """Lists that the cluster does not look into."""
 
-    def __init__(self, lists):
+    def __init__(self, lists: dict) -> None:
         self.lists = lists
 
 
-def _versions():
+def _versions() -> tuple[str, str, str]:
     return seedslib.__version__, np.__version__, platform.python_version()
 
 
 @cache
-def _keep_freed_memory():
+def _keep_freed_memory() -> None:
     """Let the arrays of a bundle come from memory that this process has already.
 
     Dask starts workers so that they give every larger array back to the system; the page faults
@@ -223,7 +224,7 @@ def _keep_freed_memory():
         mallopt(M_TRIM_THRESHOLD, 2**26)
 
 
-def _run(program, sealed, memory):
+def _run(program: bytes, sealed: _Sealed, memory: dict) -> dict:
     """The lists of a share by their names after the steps of a program, on a worker."""
     _keep_freed_memory()
     versions, steps, kept = cloudpickle.loads(program)
@@ -239,5 +240,5 @@ def _run(program, sealed, memory):
     return {name: part for name, part in memory.items() if name in kept}
 
 
-def _entries(name, memory):
+def _entries(name: int, memory: dict) -> list:
     return memory[name]

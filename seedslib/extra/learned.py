@@ -3,18 +3,27 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_count
-from seedslib.design.tables.carriers import Carriers
+from seedslib.base.checks import as_count
+from seedslib.design.fitting import fit_forecast
+from seedslib.design.regression import ABSOLUTE, scatter
+from seedslib.design.tables.carriers import Carriers, Lesson
 from seedslib.design.tables.tabulation import tabulated
-from seedslib.designed.finite_order_rules import Start
-from seedslib.designed.predictors import Polynomial
-from seedslib.designed.regression import ABSOLUTE, scatter
-from seedslib.designed.table import OutputFilter, OutputRules, TableFilter
-from seedslib.models.kinds import require_kind
+from seedslib.designed.memory import Memory
+from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.outputs.lookup import Output, Step, prior
+from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.predictors import Polynomial, PolynomialFit
+from seedslib.models.discrete import DiscreteSystem
+from seedslib.models.jump_diffusion import JumpDiffusion
+from seedslib.models.kinds import as_system
+from seedslib.models.maps import StochasticMap
 
 FORECAST = Polynomial(3, 0)
 """How the memory forecasts the state where there is no measurement."""
@@ -53,16 +62,27 @@ class LearnedOutput:
         One fitted regressor, or one for each component.
     """
 
-    def __init__(self, centre, scale, ends, models):
+    def __init__(
+        self, centre: np.ndarray, scale: np.ndarray, ends: np.ndarray, models: list
+    ) -> None:
         self.centre, self.scale, self.ends, self.models = centre, scale, ends, models
 
-    def __call__(self, y: np.ndarray, u: np.ndarray) -> np.ndarray:
-        """Value (n', *batch) at y (m, *batch) and u (d, *batch)."""
-        batch = np.broadcast_shapes(y.shape[1:], u.shape[1:])
-        given = np.concatenate([np.broadcast_to(a, (len(a), *batch)) for a in (y, u)])
-        given = np.clip((given.reshape(len(given), -1).T - self.centre) * self.scale, *self.ends)
+    def __call__(self, points: Sequence[np.ndarray]) -> Output:
+        """Value (n', *batch) at points, the components of y and u, that broadcast to (*batch)."""
+        points = np.stack(np.broadcast_arrays(*points))
+        given = np.clip((points.reshape(len(points), -1).T - self.centre) * self.scale, *self.ends)
         found = [np.asarray(m.predict(given)).reshape(len(given), -1).T for m in self.models]
-        return np.concatenate(found).reshape(-1, *batch)
+        return Output(np.concatenate(found).reshape(-1, *points.shape[1:]))
+
+
+class LearnedForecast(NamedTuple):
+    """A forecast from the memory, where there is no measurement."""
+
+    fit: PolynomialFit
+
+    def __call__(self, points: Sequence[np.ndarray]) -> Output:
+        """Forecast (n', *batch) at points, the components of the memory, each (*batch)."""
+        return Output(self.fit.mean(np.stack(points)))
 
 
 class LearnedFilter(OutputFilter):
@@ -72,7 +92,7 @@ class LearnedFilter(OutputFilter):
     that is.
     """
 
-    def tabulated(self, *, y, z) -> TableFilter:
+    def tabulated(self, *, y: Sequence, z: Sequence) -> TableFilter:
         """The same filter with its functions read off at the nodes of axes.
 
         Parameters
@@ -90,8 +110,10 @@ class LearnedFilter(OutputFilter):
 
 
 def learn(
-    system, memory, times, *, paths, seed, regressor=None, components=None, draws=1, sets=4,
-    joint=False, nodes=4, workers=1,
+    system: JumpDiffusion | DiscreteSystem, memory: Memory, times: ArrayLike, *, paths: int,
+    seed: int | np.random.SeedSequence | np.random.Generator, regressor: object = None,
+    components: int | None = None, draws: int = 1, sets: int = 4, joint: bool = False,
+    nodes: int = 4, workers: int = 1,
 ) -> LearnedFilter:  # fmt: skip
     """Learn the optimal output functions from simulated paths, one measurement after another.
 
@@ -138,7 +160,7 @@ def learn(
     TypeError, ValueError
         An argument that does not fit.
     """
-    require_kind(system, "JumpDiffusion", "DiscreteSystem")
+    as_system("system", system, "JumpDiffusion", "DiscreteSystem")
     draws = as_count("draws", draws)
     regressor = _boosting() if regressor is None else regressor
     if not (hasattr(regressor, "fit") and hasattr(regressor, "predict")):
@@ -148,39 +170,36 @@ def learn(
     sensing, fitting = carriers.streams[-1].spawn(2)
     sensing = [np.random.default_rng(s) for s in sensing.spawn(len(carriers.times))]
     fitting = np.random.default_rng(fitting)
-    outputs, ends, between = [], [], []
+    steps, between, blind = [], [], prior(system, components)
     for k, t in enumerate(carriers.times):
         lesson = carriers.lesson()
-        outputs.append(
-            _output(regressor, system.sensor, t, lesson, components, draws, joint,
-                    sensing[k], fitting)
-        )  # fmt: skip
-        carriers.take(outputs[-1])
-        if k + 1 == len(carriers.times):
-            break
-        found = []
-        for stop in carriers.stops[k]:
-            found.append(_forecast(carriers.forecast_lesson(stop), components))
-            if stop != carriers.stops[k][-1]:
-                carriers.score(stop, found[-1].mean)
-        ends.append(found.pop())
-        between.append(tuple(found))
-    rules = OutputRules(
-        memory, components, sensor=None, outputs=tuple(outputs), covariances=carriers.covariances
-    )
+        shown = _output(
+            regressor, system.sensor, t, lesson, components, draws, joint, sensing[k], fitting
+        )
+        steps.append(Step(shown, blind))
+        carriers.take(shown)
+        if k + 1 < len(carriers.times):
+            stops, found = carriers.stops[k], []
+            for stop in stops:
+                found.append(_forecast(carriers.forecast_lesson(stop), components))
+                if stop != stops[-1]:
+                    carriers.score(stop, found[-1])
+            *found, blind = found
+            between.append(tuple(found))
     return carriers.examined(LearnedFilter(
-        system=system, memory=memory, predictor=Learned(type(regressor).__name__, draws),
-        linearization=None, times=carriers.times,
-        node_times=tuple(s[:-1] for s in carriers.stops),
-        components=components, start=Start(system.mean0, system.cov0, None), fits=tuple(ends),
-        node_fits=tuple(between), predicted=carriers.prediction(), design=carriers.design(),
-        rules=rules,
+        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
+        method=Learned(type(regressor).__name__, draws), predicted=carriers.prediction(),
+        covariances=carriers.covariances, design=carriers.design(),
+        node_times=tuple(s[:-1] for s in carriers.stops), node_fits=tuple(between),
     ))  # fmt: skip
 
 
-def _output(regressor, sensor, t, lesson, components, draws, joint, rng, fitting):
+def _output(
+    regressor: object, sensor: StochasticMap, t: float, lesson: Lesson, components: int,
+    draws: int, joint: bool, rng: np.random.Generator, fitting: np.random.Generator,
+) -> LearnedOutput:  # fmt: skip
     """The function of one measurement, fitted to `draws` measurements of each path."""
-    x, shown, u = lesson
+    x, shown, u = lesson.states, lesson.measurements, lesson.memory
     more = [sensor.sample(float(t), x, rng) for _ in range(draws - 1)]
     given = np.concatenate([np.concatenate([y, u]) for y in (shown, *more)], axis=1)
     centre, deviation = given.mean(axis=1), given.std(axis=1)
@@ -195,13 +214,15 @@ def _output(regressor, sensor, t, lesson, components, draws, joint, rng, fitting
     return LearnedOutput(centre, scale, np.array([given.min(axis=0), given.max(axis=0)]), models)
 
 
-def _forecast(lesson, components):
+def _forecast(lesson: Lesson, components: int) -> LearnedForecast:
     """Cubic forecast of the targets from the memory."""
     target, u = lesson.states[:components], lesson.memory
-    return FORECAST.fit(lambda rows: scatter(rows(target, u)), components, np.zeros(len(u)))
+    return LearnedForecast(
+        fit_forecast(FORECAST, lambda rows: scatter(rows(target, u)), components, np.zeros(len(u)))
+    )
 
 
-def _boosting():
+def _boosting() -> object:
     try:
         from sklearn.ensemble import HistGradientBoostingRegressor
     except ImportError:
@@ -212,7 +233,7 @@ def _boosting():
     return HistGradientBoostingRegressor(max_iter=80, max_leaf_nodes=24, early_stopping=False)
 
 
-def _settle(model, rng):
+def _settle(model: object, rng: np.random.Generator) -> None:
     """Fix every random state of a regressor, and of those inside it, that was left open."""
     if not hasattr(model, "get_params"):
         return

@@ -20,5 +20,6 @@ if TYPE_CHECKING:
     from seedslib.filters.known_modes import KnownModeFilter as KnownModeFilter
     from seedslib.filters.particle import ParticleFilter as ParticleFilter
     from seedslib.filters.rao_blackwell import RaoBlackwellFilter as RaoBlackwellFilter
+    from seedslib.filters.verbs import Filter as Filter
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -7,15 +7,18 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, as_count, in_blocks
+from seedslib.base.blocks import BLOCK
+from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
+from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
 from seedslib.filters.blind import warn_blind
-from seedslib.filters.estimates import Estimates, as_record, require_time, stays
+from seedslib.filters.estimates import Estimates, require_time, stays
 from seedslib.filters.integration import adaptive, euler, rk4
+from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import as_grid, require_kind
+from seedslib.models.kinds import as_system, in_steps
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -33,7 +36,7 @@ class FilterState(NamedTuple):
     loglik: np.ndarray | float = 0.0
 
 
-class CovarianceFilter:
+class CovarianceFilter(Filter, Remade):
     """Approximate posterior mean and covariance, N(m, P) between and at the measurements.
 
     Forecast: the moment equations (8.1) of the jump-diffusion paper, with the jumps, or for a
@@ -73,6 +76,9 @@ class CovarianceFilter:
         A measurement that is uncorrelated with the state wherever that is: it moves no estimate.
     """
 
+    _shown = "linearization", "integrator", "integration_step", "bound"
+    alone = True  # numbers of one path are plain floats, which are faster than arrays of one
+
     def __init__(
         self, system, linearization, *, step=None, integrator="rk4", bound=None, rtol=1e-6,
         atol=1e-9,
@@ -83,9 +89,9 @@ class CovarianceFilter:
             raise ValueError(
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
             )
-        require_kind(system, "JumpDiffusion", "DiscreteSystem")
+        as_system("system", system, "JumpDiffusion", "DiscreteSystem")
         self.system, self.linearization, self.integrator = system, linearization, integrator
-        self.continuous = hasattr(system, "drift_map")
+        self.continuous = not in_steps(system)
         self.integration_step = float(getattr(system, "step", 1.0) if step is None else step)
         self.bound = np.inf if bound is None else float(bound)
         for name, value in (("step", self.integration_step), ("bound", self.bound)):
@@ -173,92 +179,18 @@ class CovarianceFilter:
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return Moments(*self._sensor(state.time, state.mean, state.cov))
 
-    def step(self, state: FilterState, t: float, y) -> FilterState:
-        """Forecast to time t and correct there."""
-        return self.correct(self.predict(state, t), y)
+    def report(self, state: FilterState) -> Estimates:
+        """Mean and covariance; a path diverges where its mean is beyond the bound."""
+        beyond = None
+        if np.isfinite(self.bound):
+            beyond = (np.abs(state.mean) > self.bound).any(axis=0)
+        return Estimates(state.mean, state.cov, None, state.loglik, beyond)
 
-    def forecast(self, state: FilterState, t: float) -> Estimates:
-        """Mean (n, *batch) and covariance that the filter expects at a later time."""
-        later = self.predict(state, t)
-        return Estimates(later.mean, later.cov)
-
-    def run(self, times, measurements, *, workers=1) -> Estimates:
-        """Filter a record, or many at once.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-            Times of the measurements; the first is that of the initial law and has no forecast.
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks a missing component; a time without any measurement gives a forecast.
-        workers : int
-            Threads over blocks of paths.
-
-        Returns
-        -------
-        Estimates
-            ``mean`` (K+1, n, *batch), ``cov`` (K+1, n, n, *batch), or (K+1, n, n) where it is
-            common to all paths, ``loglik`` (K+1, *batch), ``diverged`` (*batch).
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit.
-        """
-        times = as_grid("times", times, self.system)
-        y = as_record(measurements, len(times), self.system.sensor.size)
-        flat = y.reshape(*y.shape[:2], -1)
-        paths, batch = flat.shape[2], y.shape[2:]
-        mean = np.empty((len(times), self.n, paths))
-        cov = np.empty((len(times), self.n, self.n, paths))
-        loglik = np.empty((len(times), paths))
-        diverged = np.zeros(paths, dtype=bool)
-
-        def work(start, stop, _):
-            own, common = slice(start, stop), []
-            state = self.initial((stop - start,) if batch else ())
-            for k, t in enumerate(times):
-                state = self.step(state, t, flat[k, :, own] if batch else y[k])
-                mean[k, :, own].T[...] = state.mean.T
-                loglik[k, own] = state.loglik
-                if state.cov.ndim == 3:
-                    cov[k, :, :, own] = state.cov
-                common.append(state.cov if state.cov.ndim == 2 else None)
-                if np.isfinite(self.bound):
-                    diverged[own] |= (np.abs(state.mean) > self.bound).any(axis=0)
-            # what is no number at some time is no number at the end
-            lost = ~np.isfinite(state.mean).all(axis=0) | ~np.isfinite(state.cov).all(axis=(0, 1))
-            diverged[own] |= lost
-            return own, common
-
-        # Paths do not meet, so the size of a block is free, but for the common adaptive step
-        block = BLOCK
-        if self.integrator != "adaptive":
-            block = max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
-        blocks = in_blocks(work, paths, 0, workers=workers, block=block)
-        shared = _shared(blocks)
-        if shared is None:
-            for own, common in blocks:
-                for k, part in enumerate(common):
-                    if part is not None:
-                        cov[k, :, :, own] = part[..., None]
-            cov = cov.reshape(*cov.shape[:3], *batch)
-        return Estimates(
-            mean.reshape(*mean.shape[:2], *batch),
-            cov if shared is None else shared,
-            loglik=loglik.reshape(len(times), *batch),
-            diverged=diverged.reshape(batch),
-        )
-
-
-def _shared(blocks) -> np.ndarray | None:
-    """Covariances (K+1, n, n) common to all paths, or None where they are not."""
-    first = blocks[0][1]
-    for _, common in blocks:
-        for part, wanted in zip(common, first, strict=True):
-            if part is None or wanted is None or not np.array_equal(part, wanted, equal_nan=True):
-                return None
-    return np.stack(first)
+    def block(self, times: np.ndarray, paths: int, workers: int) -> int:
+        """Paths do not meet, so the size of a block is free, but for the common adaptive step."""
+        if self.integrator == "adaptive":
+            return BLOCK
+        return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 
 def extended_kalman(system, **options) -> CovarianceFilter:

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.checks import as_real, as_whole, unmasked
+from seedslib.models.kinds import switches
 
 
 class Estimates(NamedTuple):
@@ -106,22 +107,6 @@ def require_time(state: object) -> None:
         raise ValueError("state: wanted a state with a time, got None; predict to it first")
 
 
-def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
-    """Whole numbers in the wanted shape.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Other numbers, another shape.
-    """
-    numbers = np.asarray(unmasked(name, value))
-    if numbers.dtype.kind not in "iu":
-        raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
-    if numbers.shape != shape:
-        raise ValueError(f"{name}: wanted shape {shape}, got {numbers.shape}")
-    return numbers
-
-
 def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | None:
     """Indicators of a switching system, whole numbers in the shape; -1, or a mask, is missing.
 
@@ -131,16 +116,31 @@ def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | 
         Indicators where the system has none or none where it has; no whole numbers, a wrong
         shape, a value out of range.
     """
+    values = getattr(system, "indicators", 0)
     if indicators is None:
-        if system.has_indicator:
+        if values:
             raise ValueError(f"{name}: wanted, the system has an indicator; got none")
         return None
-    if not system.has_indicator:
-        raise ValueError(f"{name}: wanted none, the system has no indicator")
+    if not values:
+        what = "indicator" if switches(system) else "modes"
+        raise ValueError(f"{name}: wanted none, the system has no {what}")
     seen = as_whole(name, unmasked(name, indicators, missing=-1), shape)
-    if seen.size and not (seen.min() >= -1 and seen.max() < system.indicators):
-        worst = seen.max() if seen.max() >= system.indicators else seen.min()
-        raise ValueError(
-            f"{name}: wanted 0 to {system.indicators - 1}, or -1 for a missing one, got {worst}"
-        )
+    if seen.size and not (seen.min() >= -1 and seen.max() < values):
+        worst = seen.max() if seen.max() >= values else seen.min()
+        raise ValueError(f"{name}: wanted 0 to {values - 1}, or -1 for a missing one, got {worst}")
     return seen
+
+
+def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np.ndarray:
+    """Modes, whole numbers from 0 to count - 1 in the wanted shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No whole numbers, another shape, or numbers out of range.
+    """
+    modes = as_whole(name, value, shape)
+    bad = (modes < 0) | (modes >= count)
+    if bad.any():
+        raise ValueError(f"{name}: wanted numbers from 0 to {count - 1}, got {modes[bad][0]}")
+    return modes

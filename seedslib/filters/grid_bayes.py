@@ -8,17 +8,14 @@ import numpy as np
 
 from seedslib.base.checks import unmasked
 from seedslib.base.tables import Axis
-from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
-from seedslib.filters.verbs import run_in_blocks
+from seedslib.filters.estimates import as_indicators, require_time, stays
+from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chain_switching import SwitchingChain
-from seedslib.models.kinds import require_kind
+from seedslib.models.kinds import as_system
 
 FAINT = -460.0
 """Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
-
-BLOCK = 512
-"""Records in a block: the laws of a block stay in the processor's cache."""
 
 
 class GridState(NamedTuple):
@@ -40,7 +37,7 @@ class GridState(NamedTuple):
     diverged: np.ndarray
 
 
-class GridBayesFilter:
+class GridBayesFilter(Filter):
     """Posterior law of mode and state on evenly spaced nodes.
 
     The absolutely optimal filter (the paper's AOF) of a system with one state component:
@@ -61,13 +58,16 @@ class GridBayesFilter:
         No switching system, more state components, branches without a density.
     """
 
+    _shown = ("axis",)
+    takes, records = ("indicators",), 512
+
     def __init__(self, system, x=(-8.0, 8.0, 161)):
-        require_kind(system, "SwitchingSystem")
+        as_system("system", system, "SwitchingSystem")
         self.system, self.axis = system, Axis.of("x", x)
         self._chain = SwitchingChain(system, self.axis)
 
     def initial(self, batch=(), seed=None) -> GridState:
-        """State before any measurement; `seed` is not used, every filter has the same verbs."""
+        """State before any measurement; see `Filter`."""
         shape = (self.system.modes, self.axis.count)
         law = self._chain.start().reshape(*shape, *(1,) * len(batch))
         log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
@@ -148,41 +148,6 @@ class GridBayesFilter:
             state.time, log_prob, law, *self._moments(log_prob, law), loglik,
             state.diverged | lost,
         )  # fmt: skip
-
-    def step(self, state: GridState, t: float, y, indicator=None) -> GridState:
-        """One step of the system to time t, and the correction there."""
-        return self.correct(self.predict(state, t), y, indicator)
-
-    def forecast(self, state: GridState, t: float) -> Estimates:
-        """Mean (1, *batch), covariance and mode probabilities one step later, at time t."""
-        later = self.predict(state, t)
-        return Estimates(later.mean, later.cov, later.mode_prob)
-
-    def run(self, times, measurements, *, indicators=None, workers=1) -> Estimates:
-        """Filter a record, or many at once.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks a missing component.
-        indicators : array_like of int, shape (K+1, *batch), optional
-            -1 where missing; wanted if the system has an indicator.
-        workers : int
-            Threads over blocks of records.
-
-        Returns
-        -------
-        Estimates
-            Mean (K+1, 1, *batch), covariance, mode probabilities (K+1, L, *batch), decided
-            modes, logarithms of the predictive densities, `diverged`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit.
-        """
-        return run_in_blocks(self, times, measurements, indicators, block=BLOCK, workers=workers)
 
     def _moments(self, log_prob, law):
         prob, x = np.exp(log_prob), self.axis.nodes

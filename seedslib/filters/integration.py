@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
+
+from seedslib.base.clock import step_count
 
 SMALLEST = 2.0**-20
 """Smallest adaptive step as a fraction of the interval; paths that need less become NaN."""
@@ -34,11 +34,7 @@ def _moved(y, h, slopes, weights):
 
 def euler(rate, y, start, stop, step):
     """Explicit Euler steps of at most `step`; see `rk4`."""
-    steps = max(1, math.ceil((stop - start) / step - 1e-9))
-    h = (stop - start) / steps
-    for k in range(steps):
-        y = euler_step(rate, start + k * h, y, h)
-    return y
+    return _steps(euler_step, rate, y, start, stop, step)
 
 
 def euler_step(rate, t, y, h):
@@ -57,10 +53,15 @@ def rk4(rate, y, start, stop, step):
         Components at `start`: numbers or arrays over paths.
     start, stop, step : float
     """
-    steps = max(1, math.ceil((stop - start) / step - 1e-9))
+    return _steps(rk4_step, rate, y, start, stop, step)
+
+
+def _steps(one, rate, y, start, stop, step):
+    """As few equal steps as are not longer than `step`."""
+    steps = step_count(start, stop, step)
     h = (stop - start) / steps
     for k in range(steps):
-        y = rk4_step(rate, start + k * h, y, h)
+        y = one(rate, start + k * h, y, h)
     return y
 
 

@@ -6,15 +6,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
+from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
-from seedslib.filters.estimates import Estimates, as_indicators, as_record, require_time, stays
-from seedslib.filters.verbs import as_modes
+from seedslib.filters.estimates import Estimates, as_indicators, as_modes, require_time, stays
+from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Gaussian, Linearization
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import as_grid, require_kind
+from seedslib.models.kinds import as_system
 
 
 class KnownModeState(NamedTuple):
@@ -27,7 +27,7 @@ class KnownModeState(NamedTuple):
     loglik: np.ndarray
 
 
-class KnownModeFilter:
+class KnownModeFilter(Filter, Remade):
     """Mean and covariance of the state given measurements and the true modes.
 
     For a jump-linear system it is the Kalman filter with known modes, and no filter that has to
@@ -49,8 +49,11 @@ class KnownModeFilter:
         The linearization has no formulas for this system; the message offers one that works.
     """
 
+    _shown = ("linearization",)
+    takes = ("indicators", "modes")
+
     def __init__(self, system, linearization=None):
-        require_kind(system, "SwitchingSystem")
+        as_system("system", system, "SwitchingSystem")
         if linearization is None:
             from seedslib.linearization.symbolic import Taylor
 
@@ -153,63 +156,21 @@ class KnownModeFilter:
                 _put(mean, cov, here, found)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
-    def step(self, state: KnownModeState, t: float, y, indicator=None, *, mode) -> KnownModeState:
-        """One step of the system to time t and mode `mode`, and the correction there."""
-        return self.correct(self.predict(state, t, mode), y, indicator)
+    def report(self, state: KnownModeState) -> Estimates:
+        """Mean and covariance; the mode is the given one, with probability one."""
+        return self.kept(state)._replace(mode_prob=self._certain(state.mode, 0))
 
-    def run(self, times, measurements, *, modes, indicators=None, workers=1) -> Estimates:
-        """Filter a record, or many at once.
+    def kept(self, state: KnownModeState) -> Estimates:
+        """Without probabilities: those of all times are formed at once."""
+        return Estimates(state.mean, state.cov, None, state.loglik, None, state.mode)
 
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks a missing component.
-        modes : array_like of int, shape (K+1, *batch)
-            The true modes.
-        indicators : array_like of int, shape (K+1, *batch), optional
-            -1 where missing; wanted if the system has an indicator.
-        workers : int
-            Threads over blocks of records.
+    def completed(self, found: Estimates) -> Estimates:
+        """With the probabilities of the given modes."""
+        return found._replace(mode_prob=self._certain(found.modes, 1))
 
-        Returns
-        -------
-        Estimates
-            Mean (K+1, n, *batch), covariance, logarithms of the predictive densities given the
-            modes, `diverged`; ``modes`` are those given, ``mode_prob`` is one for them.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit, modes out
-            of range or switches that never happen.
-        """
-        times = as_grid("times", times, self.system)
-        y = as_record(measurements, len(times), self.system.measurement_size)
-        batch, count = y.shape[2:], len(times)
-        modes = as_modes("modes", modes, (count, *batch), self.system.modes)
-        shown = as_indicators(indicators, self.system, (count, *batch))
-        shown = None if shown is None else shown.reshape(count, -1)
-        flat, labels = y.reshape(*y.shape[:2], -1), modes.reshape(count, -1)
-
-        def work(start, stop, _):
-            own = slice(start, stop)
-            state = self.initial((stop - start,), mode=labels[0, own])
-            rows = []
-            for k, t in enumerate(times):
-                seen = None if shown is None else shown[k, own]
-                state = self.step(state, t, flat[k, :, own], seen, mode=labels[k, own])
-                rows.append((state.mean, state.cov, state.loglik))
-            return [np.stack(part) for part in zip(*rows, strict=True)]
-
-        parts = in_blocks(work, flat.shape[2], 0, workers=workers, block=BLOCK)
-        mean, cov, loglik = (
-            joined.reshape((*joined.shape[:-1], *batch))
-            for joined in (np.concatenate(part, axis=-1) for part in zip(*parts, strict=True))
-        )
-        certain = np.stack([modes == i for i in range(self.system.modes)], axis=1).astype(float)
-        lost = ~np.isfinite(mean).all(axis=(0, 1))
-        return Estimates(mean, cov, certain, loglik, lost, modes)
+    def _certain(self, modes, axis):
+        """Probability one for the given modes, with an axis of all modes at `axis`."""
+        return np.stack([modes == i for i in range(self.system.modes)], axis=axis).astype(float)
 
 
 def _put(mean, cov, here, found):

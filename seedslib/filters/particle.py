@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
-from seedslib.base.checks import unmasked
+from seedslib.base.blocks import BLOCK, as_seed_sequence
+from seedslib.base.checks import as_count, unmasked
 from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
-from seedslib.filters.verbs import run_in_blocks
+from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import relative
-from seedslib.models.kinds import require_sampled
+from seedslib.models.kinds import as_system, switches
 
 
 class ParticleState(NamedTuple):
@@ -34,7 +34,7 @@ class ParticleState(NamedTuple):
     mode_prob: np.ndarray | None = None
 
 
-class ParticleFilter:
+class ParticleFilter(Filter):
     """Bootstrap filter with systematic resampling at every measurement.
 
     Section 7 of the jump-diffusion paper, "lower bound": particles move as the system does, are
@@ -55,21 +55,24 @@ class ParticleFilter:
         Another system, a count below one, or a sensor without a log-density.
     """
 
+    _shown = "particles", "options"
+    takes = ("indicators", "seed")
+
     def __init__(self, system, particles=1000, **options):
-        require_sampled(getattr(system, "hybrid", system))
+        self._modes = system.modes if switches(system) else None
+        self._moving = as_system("system", system.hybrid if self._modes else system)
         self.system, self.options = system, options
         self.particles = as_count("particles", particles)
-        self._modes = getattr(system, "modes", None)
-        self._moving = system if self._modes is None else system.hybrid
+        self.records = max(1, BLOCK // self.particles)
         if not self._moving.sensor.has_log_density:
             raise ValueError(
                 "system: wanted a sensor affine in Gaussian noise or one with a log_density, "
                 "got one whose likelihood has no closed form"
             )
 
-    def initial(self, batch=(), seed=0) -> ParticleState:
+    def initial(self, batch=(), seed=None) -> ParticleState:
         """Particles of the initial law for data sets of the given batch shape."""
-        seed = as_seed_sequence(seed)
+        seed = as_seed_sequence(0 if seed is None else seed)
         count = self.particles * int(np.prod(batch, dtype=int))
         x = self._moving.initial_sample(stream(seed, 0), count)
         x = x.reshape(len(x), self.particles, *batch)
@@ -127,10 +130,6 @@ class ParticleFilter:
             prob,
         )  # fmt: skip
 
-    def step(self, state: ParticleState, t: float, y, indicator=None) -> ParticleState:
-        """Move to time t and correct there."""
-        return self.correct(self.predict(state, t), y, indicator)
-
     def forecast(self, state: ParticleState, t: float) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
         x = self.predict(state, t).particles
@@ -142,37 +141,6 @@ class ParticleFilter:
             return *_moments(x, weight), None
         prob = np.stack([(weight * (x[-1] == i)).sum(axis=0) for i in range(self._modes)])
         return *_moments(x[:-1], weight), prob
-
-    def run(self, times, measurements, *, indicators=None, seed=0, workers=1) -> Estimates:
-        """Filter a record, or many at once.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks a missing component.
-        indicators : array_like of int, shape (K+1, *batch), optional
-            Of a switching system that has one; -1 where missing.
-        seed : int, SeedSequence or Generator
-        workers : int
-            Threads over blocks of data sets; the numbers do not depend on it.
-
-        Returns
-        -------
-        Estimates
-            ``mean`` (K+1, n, *batch), ``cov`` (K+1, n, n, *batch), ``loglik`` (K+1, *batch) and
-            ``diverged`` (*batch); for a switching system ``mode_prob`` (K+1, L, *batch) and
-            ``modes`` (K+1, *batch).
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit.
-        """
-        block = max(1, BLOCK // self.particles)
-        return run_in_blocks(
-            self, times, measurements, indicators, block=block, seed=seed, workers=workers
-        )
 
 
 def stream(seed, draw) -> np.random.Generator:

@@ -6,15 +6,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence
-from seedslib.base.checks import unmasked
+from seedslib.base.blocks import BLOCK, as_seed_sequence
+from seedslib.base.checks import as_count, unmasked
 from seedslib.base.correction import correct
-from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
+from seedslib.base.objects import Remade
+from seedslib.filters.estimates import as_indicators, require_time, stays
 from seedslib.filters.mixture import mix
 from seedslib.filters.particle import choose, stream
-from seedslib.filters.verbs import run_in_blocks
+from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised
-from seedslib.models.kinds import require_kind
+from seedslib.models.kinds import as_system
 
 
 class RaoBlackwellState(NamedTuple):
@@ -39,7 +40,7 @@ class RaoBlackwellState(NamedTuple):
     diverged: np.ndarray
 
 
-class RaoBlackwellFilter:
+class RaoBlackwellFilter(Filter, Remade):
     """Posterior of mode and state as a mixture over histories of modes.
 
     Given the history of the modes a jump-linear system is linear and the Kalman filter is exact;
@@ -61,17 +62,22 @@ class RaoBlackwellFilter:
         No switching system, or one that is not jump-linear; a count below one.
     """
 
+    _shown = ("particles",)
+    takes = ("indicators", "seed")
+
     def __init__(self, system, particles=100):
         require_jump_linear(system)
         from seedslib.linearization.symbolic import Taylor
 
         self.system, self.particles = system, as_count("particles", particles)
+        self.records = max(1, 2 * BLOCK // self.particles)
         exact = Taylor()
         self._move = [exact.transition(map) for map in system.dynamics]
         self._sense = [exact.moments(map) for map in system.sensors]
 
-    def initial(self, batch=(), seed=0) -> RaoBlackwellState:
+    def initial(self, batch=(), seed=None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
+        seed = as_seed_sequence(0 if seed is None else seed)
         modes, n, parts = self.system.modes, self.system.state_size, self.system.initial
         tail = (1,) * (1 + len(batch))
         prob = logarithm(self.system.initial_probabilities)
@@ -83,7 +89,7 @@ class RaoBlackwellFilter:
             np.broadcast_to(cov, (n, n, modes, 1, *batch)),
         )
         return RaoBlackwellState(
-            None, prob, law, as_seed_sequence(seed), 0, *_estimate(prob, law), np.zeros(batch),
+            None, prob, law, seed, 0, *_estimate(prob, law), np.zeros(batch),
             np.zeros(batch, dtype=bool),
         )  # fmt: skip
 
@@ -179,45 +185,6 @@ class RaoBlackwellFilter:
             **dict(zip(("mean", "cov", "mode_prob"), _estimate(prob, law), strict=True)),
         )  # fmt: skip
 
-    def step(self, state: RaoBlackwellState, t: float, y, indicator=None) -> RaoBlackwellState:
-        """One step of the system to time t, and the correction there."""
-        return self.correct(self.predict(state, t), y, indicator)
-
-    def forecast(self, state: RaoBlackwellState, t: float) -> Estimates:
-        """Mean (n, *batch), covariance and mode probabilities one step later, at time t."""
-        later = self.predict(state, t)
-        return Estimates(later.mean, later.cov, later.mode_prob)
-
-    def run(self, times, measurements, *, indicators=None, seed=0, workers=1) -> Estimates:
-        """Filter a record, or many at once.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks a missing component.
-        indicators : array_like of int, shape (K+1, *batch), optional
-            -1 where missing; wanted if the system has an indicator.
-        seed : int, SeedSequence or Generator
-        workers : int
-            Threads over blocks of records; the numbers do not depend on it.
-
-        Returns
-        -------
-        Estimates
-            Mean (K+1, n, *batch), covariance, mode probabilities (K+1, L, *batch), decided
-            modes, logarithms of the predictive densities, `diverged`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit.
-        """
-        block = max(1, 2 * BLOCK // self.particles)
-        return run_in_blocks(
-            self, times, measurements, indicators, block=block, seed=seed, workers=workers
-        )
-
 
 def require_jump_linear(system) -> None:
     """Refuse anything but a jump-linear system with Gaussian noise.
@@ -227,7 +194,7 @@ def require_jump_linear(system) -> None:
     TypeError, ValueError
         What is missing is named.
     """
-    require_kind(system, "SwitchingSystem")
+    as_system("system", system, "SwitchingSystem")
     for name, maps, table, odds in (
         ("dynamics", system.dynamics, system.branches, "switching"),
         ("sensor", system.sensors, system.readings, "indicator"),

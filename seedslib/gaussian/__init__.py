@@ -26,12 +26,12 @@ if TYPE_CHECKING:
     from seedslib.gaussian.errors.functions import sine_moments as sine_moments
     from seedslib.gaussian.errors.maximum import max_errors as max_errors
     from seedslib.gaussian.errors.maximum import max_moments as max_moments
+    from seedslib.gaussian.errors.norms import norm_errors as norm_errors
     from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
-    from seedslib.gaussian.means.norm import norm_errors as norm_errors
+    from seedslib.gaussian.means.formulas import expectation as expectation
     from seedslib.gaussian.means.norm import norm_mean as norm_mean
     from seedslib.gaussian.means.symbolic import FunctionClass as FunctionClass
     from seedslib.gaussian.means.symbolic import classify as classify
-    from seedslib.gaussian.means.symbolic import expectation as expectation
     from seedslib.gaussian.means.symbolic import expectation_function as expectation_function
     from seedslib.gaussian.quadrature import cubature as cubature
     from seedslib.gaussian.quadrature import fifth_degree as fifth_degree

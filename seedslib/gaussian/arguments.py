@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from seedslib.base.checks import (
     as_real,
     require_one_size,
     require_semidefinite,
+    unmasked,
 )
 
 
@@ -66,8 +67,39 @@ def variance_argument(name: str, value: object) -> np.ndarray:
     """
     array = as_real(name, value)
     if (array < 0).any():
-        raise ValueError(f"{name}: wanted a nonnegative variance, got {array.min():.6g}")
+        raise ValueError(f"{name}: wanted nonnegative variances, got {array.min():.6g}")
     return array
+
+
+def as_bound(name: str, value: object) -> np.ndarray:
+    """Real array in which infinities, but not NaN, are legal.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real, or NaN.
+    """
+    array = np.asarray(unmasked(name, value))
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
+    array = array.astype(float)
+    if np.isnan(array).any():
+        raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
+    return array
+
+
+def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:
+    """Unit axes put between the first `axes` axes and the batch axes, `depth` of these in all."""
+    missing = axes + depth - array.ndim
+    return array.reshape((*array.shape[:axes], *(1,) * missing, *array.shape[axes:]))
+
+
+def blockwise(
+    work: Callable[[slice], Sequence[np.ndarray]], size: int, step: int
+) -> list[np.ndarray]:
+    """Arrays that `work` gives for blocks of a batch of `size`, joined along the last axis."""
+    blocks = (slice(start, start + step) for start in range(0, max(size, 1), step))
+    return [np.concatenate(part, axis=-1) for part in zip(*map(work, blocks), strict=True)]
 
 
 def in_range(names: str, compute: Callable) -> object:

@@ -9,15 +9,16 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, reduce
 from itertools import combinations, product
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.checks import as_count
 from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.arguments import gaussian_arguments
+from seedslib.gaussian.arguments import align, gaussian_arguments
 
 MOST_POINTS = 2_000_000
 
@@ -54,7 +55,7 @@ def gauss_hermite(n: int, order: int) -> Rule:
     TypeError, ValueError
         Not positive integers, or more than two million points.
     """
-    _positive(n=n, order=order)
+    n, order = as_count("n", n), as_count("order", order)
     if order**n > MOST_POINTS:
         raise ValueError(
             f"order: wanted at most {MOST_POINTS} points, got {order}**{n}; "
@@ -62,10 +63,16 @@ def gauss_hermite(n: int, order: int) -> Rule:
         )
     nodes, weights = roots_hermitenorm(order)
     grid = np.meshgrid(*[nodes] * n, indexing="ij")
-    mass = np.ones(())
-    for _ in range(n):
-        mass = np.multiply.outer(mass, weights / weights.sum())
+    mass = reduce(np.multiply.outer, [weights / weights.sum()] * n)
     return Rule(np.stack([g.ravel() for g in grid]), mass.ravel(), 2 * order - 1)
+
+
+def rule_of_rank(rank: int, order: int) -> tuple[np.ndarray, np.ndarray]:
+    """Gauss-Hermite points (rank, L) and weights (L,); one point for rank zero."""
+    if rank == 0:
+        return np.empty((0, 1)), np.ones(1)
+    rule = gauss_hermite(rank, order)
+    return rule.points, rule.weights
 
 
 @cache
@@ -77,7 +84,7 @@ def cubature(n: int) -> Rule:
     TypeError, ValueError
         Not a positive integer.
     """
-    _positive(n=n)
+    n = as_count("n", n)
     eye = np.sqrt(n) * np.eye(n)
     return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n), 3)
 
@@ -97,7 +104,7 @@ def unscented(n: int, kappa: float) -> Rule:
     TypeError, ValueError
         Not a positive integer, or kappa not above -n.
     """
-    _positive(n=n)
+    n = as_count("n", n)
     if not -n < kappa < np.inf:
         raise ValueError(f"kappa: wanted a number above {-n}, got {kappa}")
     eye = np.sqrt(n + kappa) * np.eye(n)
@@ -115,19 +122,14 @@ def fifth_degree(n: int) -> Rule:
     TypeError, ValueError
         Not a positive integer.
     """
-    _positive(n=n)
-    root = np.sqrt(3.0)
-    points = [np.zeros(n)]
-    weights = [1.0 + (n * n - 7.0 * n) / 18.0]
-    for i in range(n):
-        for sign in (root, -root):
-            points.append(sign * np.eye(n)[i])
-            weights.append((4.0 - n) / 18.0)
-    for i, j in combinations(range(n), 2):
-        for first, second in product((root, -root), repeat=2):
-            points.append(first * np.eye(n)[i] + second * np.eye(n)[j])
-            weights.append(1.0 / 36.0)
-    return Rule(np.stack(points, axis=1), np.array(weights), 5)
+    n = as_count("n", n)
+    sides, axes = (np.sqrt(3.0), -np.sqrt(3.0)), np.eye(n)
+    points = [np.zeros(n), *(sign * axis for axis in axes for sign in sides)]
+    for one, other in combinations(axes, 2):
+        points += [a * one + b * other for a, b in product(sides, repeat=2)]
+    shares = [1.0 + (n * n - 7.0 * n) / 18.0, (4.0 - n) / 18.0, 1.0 / 36.0]
+    weights = np.repeat(shares, [1, 2 * n, 2 * n * (n - 1)])
+    return Rule(np.stack(points, axis=1), weights, 5)
 
 
 def mean_of(f: Callable, mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
@@ -187,18 +189,4 @@ def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
     factors = square_root(np.moveaxis(cov, (0, 1), (-2, -1)))
     offsets = np.moveaxis(factors @ rule.points, (-2, -1), (0, 1))
     depth = max(mean.ndim - 1, offsets.ndim - 2)
-    return _padded(mean[:, None], depth) + _padded(offsets, depth)
-
-
-def _padded(array: np.ndarray, depth: int) -> np.ndarray:
-    """Array (n, L, ...) with unit axes put in front of its batch axes, `depth` of them in all."""
-    missing = depth + 2 - array.ndim
-    return array.reshape(*array.shape[:2], *[1] * missing, *array.shape[2:])
-
-
-def _positive(**counts: int) -> None:
-    for name, value in counts.items():
-        if isinstance(value, bool) or not isinstance(value, int | np.integer):
-            raise TypeError(f"{name}: wanted an integer, got {value!r}")
-        if value < 1:
-            raise ValueError(f"{name}: wanted at least 1, got {value}")
+    return align(mean[:, None], 2, depth) + align(offsets, 2, depth)

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Sequence
+
 import numpy as np
 import sympy
 
+from seedslib.gaussian.means.classes import NoClosedForm
+from seedslib.gaussian.means.formulas import mean_expression
 from seedslib.models.codegen import real_part
+from seedslib.models.maps import StochasticMap
 
 
 class Names:
@@ -15,10 +20,10 @@ class Names:
     the pairs of symbol and meaning in the order in which they can be evaluated.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._known = {}
 
-    def __call__(self, expression):
+    def __call__(self, expression: sympy.Expr | sympy.Matrix) -> sympy.Expr | sympy.Matrix:
         """Symbol for an expression, the same for equal ones; short ones stay as they are."""
         if isinstance(expression, sympy.MatrixBase):
             return expression.applyfunc(self)
@@ -29,21 +34,21 @@ class Names:
         return self._known[expression]
 
     @property
-    def table(self):
+    def table(self) -> list[tuple[sympy.Symbol, sympy.Expr]]:
         """Pairs of symbol and meaning."""
         return [(symbol, meaning) for meaning, symbol in self._known.items()]
 
-    def meaning(self, expression):
+    def meaning(self, expression: sympy.Expr) -> sympy.Expr:
         """What a symbol stands for; other expressions stand for themselves."""
         return {symbol: part for part, symbol in self._known.items()}.get(expression, expression)
 
 
-def mentions(expression, symbols):
+def mentions(expression: sympy.Expr, symbols: Iterable[sympy.Symbol]) -> bool:
     """Whether an expression contains one of the symbols."""
     return bool(sympy.sympify(expression).free_symbols & set(symbols))
 
 
-def joined(map, mean, cov):
+def joined(map: StochasticMap, mean: Sequence, cov: sympy.Matrix) -> tuple:
     """State, value, its covariance given the state, and the law of the state of a branch.
 
     Where the weight mentions the noise, the noise is the lower part of the state; its mean is
@@ -54,8 +59,6 @@ def joined(map, mean, cov):
         expressions, spread, _ = map.conditional_expressions
         return map.state, expressions, spread, mean, cov, {}
     if not noise.gaussian:
-        from seedslib.gaussian.means.classes import NoClosedForm
-
         raise NoClosedForm(
             "ExactGaussian: wanted Gaussian noise where the weight depends on it; use GaussHermite"
         )
@@ -67,12 +70,14 @@ def joined(map, mean, cov):
     return (*map.state, *noise.symbols), map.expressions, nothing, [*mean, *named], joint, still
 
 
-def _number(value):
+def _number(value: float) -> sympy.Number:
     """SymPy number; an integer where the float is one, which keeps formulas short."""
     return sympy.Integer(int(value)) if float(value).is_integer() else sympy.Float(float(value))
 
 
-def affine_part(expressions, state):
+def affine_part(
+    expressions: Sequence, state: Sequence[sympy.Symbol]
+) -> tuple[sympy.Matrix, sympy.Matrix, list[sympy.Expr]]:
     """Slope (m, n), constant (m, 1) and rest (m,) of y = slope x + constant + rest(x)."""
     flat, rest = [], []
     for expression in expressions:
@@ -85,14 +90,13 @@ def affine_part(expressions, state):
     return flat.jacobian(state), flat.subs(dict.fromkeys(state, 0)), rest
 
 
-def averager(state, mean, cov):
+def averager(
+    state: Sequence[sympy.Symbol], mean: Sequence, cov: sympy.Matrix
+) -> Callable[[sympy.Expr], sympy.Expr]:
     """Exact mean of an expression of the state; what does not depend on the state passes."""
-    from seedslib.gaussian.means.classes import NoClosedForm
-    from seedslib.gaussian.means.symbolic import mean_expression
-
     known = {}
 
-    def average(expression):
+    def average(expression: sympy.Expr) -> sympy.Expr:
         expression = sympy.sympify(expression)
         if not expression.free_symbols & set(state):
             return expression
@@ -116,12 +120,14 @@ def averager(state, mean, cov):
     return average
 
 
-def expand(expression):
+def expand(expression: sympy.Expr) -> sympy.Expr:
     """Products multiplied out, exponentials left whole (their factors may overflow)."""
     return sympy.expand(expression, power_exp=False, power_base=False, log=False)
 
 
-def centred_square(average, conditional, noise_cov, mean):
+def centred_square(
+    average: Callable, conditional: Sequence, noise_cov: Sequence, mean: Sequence
+) -> sympy.Matrix:
     """Mean of cov(y | x) plus cov of E(y | x); what cancels does so before numbers are put in."""
     size = len(conditional)
     spread = sympy.zeros(size)
@@ -133,7 +139,9 @@ def centred_square(average, conditional, noise_cov, mean):
     return spread
 
 
-def raw_square(average, weight, conditional, noise_cov):
+def raw_square(
+    average: Callable, weight: sympy.Expr, conditional: Sequence, noise_cov: Sequence
+) -> sympy.Matrix:
     """Mean of the weight times the second moment of y given the state."""
     size = len(conditional)
     square = sympy.zeros(size)
@@ -144,7 +152,7 @@ def raw_square(average, weight, conditional, noise_cov):
     return square
 
 
-def noise_spread(map, value, here):
+def noise_spread(map: StochasticMap, value: sympy.Matrix, here: dict) -> sympy.Matrix:
     """Covariance of y by the expanded noise."""
     if map.noise.size == 0:
         return sympy.zeros(map.size)

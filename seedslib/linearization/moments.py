@@ -8,10 +8,13 @@ only: continuous-time flows and weighted branches follow from it.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.models.maps import StochasticMap
 
 TINY = np.finfo(float).tiny
 """Branches of a smaller mass count as empty."""
@@ -70,7 +73,7 @@ class Linearization(ABC):
     """How means of functions of a Gaussian state are taken."""
 
     @abstractmethod
-    def moments(self, map, spread: bool = True) -> Callable[..., Moments]:
+    def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
         """Moments of y = g(t, x, v) for x ~ N(mean, cov).
 
         Parameters
@@ -92,7 +95,7 @@ class Linearization(ABC):
             A map with a weight, for which `weighted` is meant.
         """
 
-    def transition(self, map) -> Callable[..., Gaussian]:
+    def transition(self, map: StochasticMap) -> Callable[..., Gaussian]:
         """Mean and covariance of y alone, the forecast of a system in discrete time.
 
         Returns
@@ -102,13 +105,13 @@ class Linearization(ABC):
         """
         moments = self.moments(map)
 
-        def forecast(t, mean, cov):
+        def forecast(t: float, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
             y = moments(t, mean, cov)
             return Gaussian(y.mean, y.cov)
 
         return forecast
 
-    def flow(self, system) -> Callable[..., Moments]:
+    def flow(self, system: object) -> Callable[..., Moments]:
         """Rates of the moments of a jump-diffusion, (8.1) of the jump-diffusion paper.
 
         With b = a + mu s̄ and Sigma = B Bᵀ + mu S₂ the mean changes by E b and the covariance by
@@ -127,13 +130,13 @@ class Linearization(ABC):
         velocity = self.moments(system.drift_map, spread=False)
         spread = self.moments(system.spread_map, spread=False)
 
-        def rates(t, mean, cov):
+        def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             b, lower = velocity(t, mean, cov), spread(t, mean, cov).mean
             return Moments(b.mean, b.cross, symmetric(lower, len(mean)))
 
         return rates
 
-    def rate(self, system) -> Callable[..., list]:
+    def rate(self, system: object) -> Callable[..., list]:
         """The same on a list of components, for the integration of many paths at once.
 
         Returns
@@ -145,7 +148,7 @@ class Linearization(ABC):
         flow, n = self.flow(system), system.state_size
         rows, columns = np.tril_indices(n)
 
-        def derivative(t, components):
+        def derivative(t: float, components: Sequence) -> list:
             batch = np.broadcast_shapes(*(np.shape(c) for c in components))
             full = np.stack([np.broadcast_to(c, batch) for c in components])
             mean, cross, spread = flow(t, full[:n], symmetric(full[n:], n))
@@ -156,7 +159,7 @@ class Linearization(ABC):
 
         return derivative
 
-    def weighted(self, map) -> Callable[..., Weighted]:
+    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
         """Moments of a branch that is taken with probability weight(t, x, v).
 
         Parameters
@@ -177,7 +180,7 @@ class Linearization(ABC):
         products = self.moments(map.products(), spread=False)
         cut = np.cumsum([1, n, m, n * (n + 1) // 2, n * m])
 
-        def branch(t, mean, cov):
+        def branch(t: float, mean: np.ndarray, cov: np.ndarray) -> Weighted:
             mass, x, y, xx, xy, yy = np.split(products(t, mean, cov).mean, cut)
             mass = mass[0]
             with np.errstate(divide="ignore", invalid="ignore"):
@@ -189,7 +192,7 @@ class Linearization(ABC):
 
         return branch
 
-    def row(self, maps) -> Callable[..., list[Weighted]]:
+    def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
         """Moments of several branches of one state, such as the moves from one mode.
 
         Parameters
@@ -207,13 +210,13 @@ class Linearization(ABC):
         return lambda t, mean, cov: [branch(t, mean, cov) for branch in branches]
 
 
-def refuse_weight(map) -> None:
+def refuse_weight(map: StochasticMap) -> None:
     """Raise ValueError for a branch of a switching map where a whole map is wanted."""
     if map.weighted:
         raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
 
 
-def symmetric(lower, size: int) -> np.ndarray:
+def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
     """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
     lower = np.asarray(lower)
     rows, columns = np.tril_indices(size)

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from abc import abstractmethod
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 
-from seedslib.base.blocks import as_count
+from seedslib.base.checks import as_count
 from seedslib.base.semidefinite import factor
 from seedslib.gaussian.quadrature import cubature
 from seedslib.linearization.moments import (
@@ -19,7 +20,8 @@ from seedslib.linearization.moments import (
     refuse_weight,
     symmetric,
 )
-from seedslib.models.noise import hermite_nodes
+from seedslib.models.maps import Conditional, StochasticMap
+from seedslib.models.noise import Noise, hermite_nodes
 
 SMALL = 1e-150
 """Points of a smaller weight count for nothing: its square is out of the range of numbers."""
@@ -34,10 +36,12 @@ class PointRule(Linearization):
     """
 
     @abstractmethod
-    def rule(self, size: int):
+    def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (size, S), weights (S,) of means and weights (S,) of centred squares."""
 
-    def _points(self, mean, cov, size, noise=None):
+    def _points(
+        self, mean: np.ndarray, cov: np.ndarray, size: int, noise: Noise | None = None
+    ) -> tuple:
         """Standard points, states and noises at them, and the two weights.
 
         States have shape (n, S, *batch); noise is None where it is averaged otherwise.
@@ -55,14 +59,14 @@ class PointRule(Linearization):
         v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
         return unit, root, x, v, weights, centred
 
-    def moments(self, map, spread=True):
+    def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
         """See `Linearization.moments`."""
         refuse_weight(map)
         given = _conditional(map)
         n = map.state_size
         size = n if given is not None else n + map.noise.size
 
-        def f(t, mean, cov):
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             noise = map.noise if given is None else None
             unit, root, x, v, weights, centred = self._points(mean, cov, size, noise)
             y = map.value(t, x, v) if given is None else given.mean(t, x)
@@ -81,12 +85,12 @@ class PointRule(Linearization):
 
         return f
 
-    def flow(self, system):
+    def flow(self, system: object) -> Callable[..., Moments]:
         """See `Linearization.flow`; both means are taken at the same points."""
         n = system.state_size
         none = np.empty((0, 1))
 
-        def rates(t, mean, cov):
+        def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             unit, root, x, _, weights, centred = self._points(mean, cov, n)
             b = system.drift_map.value(t, x, none)
             velocity = np.einsum("is...,s->i...", b, weights)
@@ -98,7 +102,7 @@ class PointRule(Linearization):
 
         return rates
 
-    def weighted(self, map):
+    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
         """See `Linearization.weighted`; the weights of the points are those of means.
 
         Where mean and covariance of the branch given x have closed forms, so that they may
@@ -108,14 +112,14 @@ class PointRule(Linearization):
         row = self.row([map])
         return lambda t, mean, cov: row(t, mean, cov)[0]
 
-    def row(self, maps):
+    def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
         """See `Linearization.row`; equal values at equal points are taken once."""
         maps = list(maps)
         n, given = maps[0].state_size, [_conditional(map) for map in maps]
         spaces = [None if g else map.noise for g, map in zip(given, maps, strict=True)]
         kinds = [_kind(map, bool(g)) for g, map in zip(given, maps, strict=True)]
 
-        def f(t, mean, cov):
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
             points, values = {}, {}
             result = []
             for map, known, noise, kind in zip(maps, given, spaces, kinds, strict=True):
@@ -138,7 +142,7 @@ class PointRule(Linearization):
         return f
 
 
-def _kind(map, known):
+def _kind(map: StochasticMap, known: bool) -> object:
     """What branches have in common whose values and their noise are the same at each point."""
     if not map.symbolic:
         return id(map)
@@ -146,7 +150,7 @@ def _kind(map, known):
     return (tuple(map.expressions), id(map.noise), map.weight_expression if dependent else known)
 
 
-def _branch(x, share, y, spread):
+def _branch(x: np.ndarray, share: np.ndarray, y: np.ndarray, spread: np.ndarray | None) -> Weighted:
     """Moments of a branch from points x, the branch's part of their weights, and values y there."""
     empty = np.abs(share) < SMALL  # there the mean in the branch may be 0 / 0
     share, y = np.where(empty, 0.0, share), np.where(empty, 0.0, y)
@@ -167,11 +171,11 @@ def _branch(x, share, y, spread):
 
 
 @lru_cache(maxsize=64)
-def _rule(rule, size):
+def _rule(rule: PointRule, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return rule.rule(size)
 
 
-def _conditional(map):
+def _conditional(map: StochasticMap) -> Conditional | None:
     """Conditional moments of a map as functions, or None where points must cover the noise."""
     if not map.symbolic and map.weighted:
         return None
@@ -185,7 +189,7 @@ def _conditional(map):
 class Cubature(PointRule):
     """Third-degree spherical rule: 2n points m ± sqrt(n) L e_i of equal weight."""
 
-    def rule(self, size):
+    def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `PointRule.rule`."""
         rule = cubature(size)
         return rule.points, rule.weights, rule.weights
@@ -208,7 +212,7 @@ class Unscented(PointRule):
     beta: float = 0.0
     kappa: float | None = None
 
-    def rule(self, size):
+    def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `PointRule.rule`.
 
         Raises
@@ -237,10 +241,10 @@ class GaussHermite(PointRule):
 
     order: int = 5
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         as_count("order", self.order)
 
-    def rule(self, size):
+    def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `PointRule.rule`."""
         points, weights = hermite_nodes(size, self.order)
         return points, weights, weights

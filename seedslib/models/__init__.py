@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from seedslib.models.chain_switching import SwitchingChain as SwitchingChain
     from seedslib.models.discrete import DiscreteSystem as DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion as JumpDiffusion
+    from seedslib.models.kinds import System as System
     from seedslib.models.maps import StochasticMap as StochasticMap
     from seedslib.models.noise import Noise as Noise
     from seedslib.models.propagation import van_loan as van_loan

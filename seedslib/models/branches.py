@@ -8,7 +8,6 @@ import numpy as np
 
 from seedslib.base.checks import unmasked
 from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import HERMITE_ORDER, hermite_nodes
 
 
 class Branch:
@@ -28,7 +27,7 @@ class Branch:
     def __init__(self, map: StochasticMap):
         self.map, self.whole = map, map.whole()
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple:
         return Branch, (self.map,)  # what was compiled stays behind
 
     @cached_property
@@ -77,7 +76,7 @@ class Branch:
 
         return compile_array((self.map.time, self.map.state), self.probability_expression)
 
-    def probability(self, t, x) -> np.ndarray:
+    def probability(self, t: float, x: np.ndarray) -> np.ndarray:
         """Probability of the branch given the state, shape (*batch).
 
         Where it depends on the noise: the closed form if there is one, otherwise nine
@@ -97,16 +96,11 @@ class Branch:
         except ValueError:
             if not self.map.noise.gaussian:
                 raise
-        noise = self.map.noise
-        nodes, weights = hermite_nodes(noise.size, HERMITE_ORDER)
-        v = noise.mean[:, None] + noise.root @ nodes
-        batch = (len(weights), *x.shape[1:])
-        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (noise.size, *batch))
-        states = np.broadcast_to(x[:, None], (len(x), *batch))
-        shares = np.broadcast_to(self.map.weight(t, states, v), batch)
+        states, v, weights = self.map.noise.nodes(x)
+        shares = np.broadcast_to(self.map.weight(t, states, v), v.shape[1:])
         return np.einsum("s...,s->...", shares, weights)
 
-    def log_density(self, t, y, x) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Logarithm of the joint density of y and the branch given x, shape (*batch).
 
         A measurement that is missing as a whole (NaN) leaves the probability of the branch.

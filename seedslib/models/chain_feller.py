@@ -7,8 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from seedslib.base.clock import lengths_alike
+from seedslib.base.clock import lengths_alike, step_count
+from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis
+from seedslib.models.jump_diffusion import JumpDiffusion
+from seedslib.models.maps import StochasticMap
 
 OUTSIDE = 1e-6
 """Probability in the outermost cells above which the grid is too short."""
@@ -17,7 +20,7 @@ MARK_NODES = 32
 """Gauss-Hermite nodes per mark where a jump is not affine in its marks."""
 
 
-def generator(system, axis: Axis, t: float = 0.0) -> np.ndarray:
+def generator(system: JumpDiffusion, axis: Axis, t: float = 0.0) -> np.ndarray:
     """Rates Q of the chain, dp/dt = Q p: columns sum to zero, the rest is nonnegative.
 
     Diffusion and drift: conservative finite volumes around the nodes with the exponentially
@@ -64,7 +67,7 @@ def generator(system, axis: Axis, t: float = 0.0) -> np.ndarray:
     return rates
 
 
-class FellerChain:
+class FellerChain(Shown):
     """Scalar jump-diffusion and its sensor as a chain that is seen through a likelihood.
 
     What the recursion of theorem 1 asks of a model: values of the chain's states, their initial
@@ -92,7 +95,9 @@ class FellerChain:
 
     modes, indicators = 1, 0
 
-    def __init__(self, system, axis: Axis):
+    _shown = ("axis",)
+
+    def __init__(self, system: JumpDiffusion, axis: Axis):
         want_scalar(system)
         if not system.sensor.has_log_density:
             raise ValueError(
@@ -123,8 +128,8 @@ class FellerChain:
             if steady:
                 found = self._exponential(start, stop)
             else:
-                parts = int(np.ceil((stop - start) / self.system.step - 1e-9))
-                grid = np.linspace(start, stop, parts + 1)
+                steps = step_count(start, stop, self.system.step)
+                grid = np.linspace(start, stop, steps + 1)
                 found = np.eye(self.axis.count)
                 for a, b in pairwise(grid):
                     found = self._exponential(a, b) @ found
@@ -151,7 +156,7 @@ class FellerChain:
         """Warn where the probability reaches the ends of the grid; mass of shape (S,)."""
         warn_at_ends(mass)
 
-    def _steady(self, start, stop):
+    def _steady(self, start: float, stop: float) -> bool:
         """Whether the rates in the interval are those of all others seen so far.
 
         Expressions without the time say so. Array functions are looked at, in every interval, at
@@ -168,13 +173,13 @@ class FellerChain:
         first = self._known.setdefault("first", found[0])
         return all(np.array_equal(first, other) for other in found)
 
-    def _exponential(self, start, stop):
+    def _exponential(self, start: float, stop: float) -> np.ndarray:
         from scipy.linalg import expm
 
         return expm(generator(self.system, self.axis, 0.5 * (start + stop)) * (stop - start))
 
 
-def sensor_reach(sensor, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def sensor_reach(sensor: StochasticMap, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (m, S) of what a sensor shows at states x (1, S)."""
     mean, cov = sensor.conditional_moments(float(t), x)
     shape = (sensor.size, x.shape[1])
@@ -192,7 +197,7 @@ def warn_at_ends(mass: np.ndarray) -> None:
         )
 
 
-def want_scalar(system):
+def want_scalar(system: object) -> None:
     """Refuse a system of several components."""
     if system.state_size != 1:
         raise ValueError(
@@ -201,11 +206,11 @@ def want_scalar(system):
         )
 
 
-def _half_square(system, t, x):
+def _half_square(system: JumpDiffusion, t: float, x: np.ndarray) -> np.ndarray:
     return 0.5 * np.einsum("jN,jN->N", *[system.diffusion(t, x[None])[0]] * 2)
 
 
-def _bernoulli(product, spread):
+def _bernoulli(product: np.ndarray, spread: np.ndarray) -> np.ndarray:
     """Bernoulli function q / (exp q - 1) of q = product / spread >= 0, zero without spread."""
     with np.errstate(over="ignore"):
         q = np.divide(product, spread, out=np.full_like(product, 700.0), where=spread > 0)
@@ -223,7 +228,7 @@ def normal_masses(axis: Axis, mean: float, deviation: float) -> np.ndarray:
     return mass / mass.sum()
 
 
-def cell_masses(axis, mean, deviation):
+def cell_masses(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """Probability (S, N) of each cell for normal laws; a point goes to its two neighbours."""
     from scipy.special import ndtr
 
@@ -236,7 +241,7 @@ def cell_masses(axis, mean, deviation):
     return masses
 
 
-def _split(axis, values):
+def _split(axis: Axis, values: np.ndarray) -> np.ndarray:
     """Unit masses at `values` on their two neighbours, with the mean kept: (S, N)."""
     index, share = axis.place(values)
     masses = np.zeros((axis.count, len(values)))
@@ -246,7 +251,7 @@ def _split(axis, values):
     return masses
 
 
-def _landing(jump, axis, t):
+def _landing(jump: StochasticMap, axis: Axis, t: float) -> np.ndarray:
     """Probability of each cell (rows) after a jump from each node (columns)."""
     from seedslib.models.noise import hermite_nodes
 

@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis
 from seedslib.models.chain_feller import (
+    FellerChain,
     cell_masses,
     normal_masses,
     sensor_reach,
     want_scalar,
     warn_at_ends,
 )
+from seedslib.models.kinds import switches
+from seedslib.models.switching import SwitchingSystem
 
 
-class SwitchingChain:
+class SwitchingChain(Shown):
     """Scalar switching system as a chain that is seen through a likelihood.
 
     The states of the chain are the nodes of the state in mode 0, then those in mode 1, and so on.
@@ -40,7 +44,9 @@ class SwitchingChain:
         More than one state component, or no density.
     """
 
-    def __init__(self, system, axis: Axis):
+    _shown = ("axis",)
+
+    def __init__(self, system: SwitchingSystem, axis: Axis):
         want_scalar(system)
         for name, table in (("dynamics", system.branches), ("sensor", system.readings)):
             if not all(b is None or b.has_log_density for row in table for b in row):
@@ -50,18 +56,14 @@ class SwitchingChain:
                 )
         self.system, self.axis = system, Axis.of("axis", axis)
         self.modes = system.modes
-        self.indicators = system.indicators if system.has_indicator else 0
+        self.indicators = system.indicators
         self.values = np.tile(self.axis.nodes, self.modes)[None]
         self._known: dict = {}
 
     def start(self) -> np.ndarray:
         """Initial probabilities, shape (S,)."""
-        return np.concatenate(
-            [
-                part.probability * normal_masses(self.axis, part.mean[0], np.sqrt(part.cov[0, 0]))
-                for part in self.system.initial
-            ]
-        )
+        laws = ((p, mean[0], np.sqrt(cov[0, 0])) for p, mean, cov in self.system.initial)
+        return np.concatenate([p * normal_masses(self.axis, mean, dev) for p, mean, dev in laws])
 
     def transition(self, start: float, stop: float) -> np.ndarray:
         """Transition matrix P, p(next) = P p(now), from the time `start`; columns sum to one."""
@@ -74,7 +76,7 @@ class SwitchingChain:
             self._known[key] = found.reshape(self.modes * count, -1)
         return self._known[key]
 
-    def _leaving(self, t, i):
+    def _leaving(self, t: float, i: int) -> np.ndarray:
         """Probabilities of the next mode and node (L, S') for each node (S) of mode i."""
         x, row = self.axis.nodes[None], self.system.branches[i]
         mean, deviation = sensor_reach(self.system.dynamics[i], t, x)
@@ -148,11 +150,6 @@ class SwitchingChain:
         warn_at_ends(mass.reshape(self.modes, -1).sum(axis=0))
 
 
-def chain_of(system, axis: Axis):
+def chain_of(system: object, axis: Axis) -> FellerChain | SwitchingChain:
     """The chain of a scalar system of either kind."""
-    from seedslib.models.chain_feller import FellerChain
-    from seedslib.models.switching import SwitchingSystem
-
-    if isinstance(system, SwitchingSystem):
-        return SwitchingChain(system, axis)
-    return FellerChain(system, axis)
+    return SwitchingChain(system, axis) if switches(system) else FellerChain(system, axis)

@@ -9,6 +9,7 @@ processor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from itertools import count
 
 import numpy as np
@@ -21,6 +22,7 @@ from seedslib.base.correction import joint_shape
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 
 LARGEST_POWER = 40
+MODULES = ["scipy", "numpy"]
 
 _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)
 
@@ -28,7 +30,7 @@ _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: 
 class _Printer(SciPyPrinter):
     """NumPy code with divisions, roots and products in the place of floating-point powers."""
 
-    def _print_Pow(self, expr, rational=False):
+    def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:
         if expr.exp == -1:
             return f"(1.0/({self._print(expr.base)}))"
         plain = expr.base.is_Symbol or abs(expr.exp) == sympy.S.Half
@@ -38,11 +40,11 @@ class _Printer(SciPyPrinter):
             return f"(1.0/({product}))" if expr.exp.is_negative else f"({product})"
         return super()._print_Pow(expr, rational=rational)
 
-    def _print_Float(self, expr):
+    def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))
 
 
-def fold(expression):
+def fold(expression: sympy.Expr) -> sympy.Expr:
     """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
     numbers = {
         part: sympy.Float(_in_range(part))
@@ -52,7 +54,7 @@ def fold(expression):
     return expression.xreplace(numbers)
 
 
-def _in_range(constant) -> float:
+def _in_range(constant: sympy.Expr) -> float:
     try:
         value = float(constant)
     except OverflowError:
@@ -62,7 +64,7 @@ def _in_range(constant) -> float:
     return value
 
 
-def _share(expressions, named=()):
+def _share(expressions: Sequence, named: Sequence = ()) -> tuple[list, list]:
     """Common subexpressions first, then products for powers: the other order hides powers.
 
     `named` are pairs of a symbol in the expressions and what it stands for.
@@ -77,7 +79,7 @@ def _share(expressions, named=()):
     return assignments, results[len(named) :]
 
 
-def _in_order(assignments):
+def _in_order(assignments: Sequence[tuple]) -> list[tuple]:
     """The same assignments, each after those it needs."""
     waiting, ordered = dict(assignments), {}
     stack = list(reversed(waiting))
@@ -131,9 +133,8 @@ def known_expressions(name, value, shape, values, allowed) -> np.ndarray:
         or no finite real number.
     """
     array = as_expressions(name, value)
-    if array.ndim != len(shape) or any(
-        want not in (None, got) for want, got in zip(shape, array.shape, strict=True)
-    ):
+    pairs = zip(shape, array.shape, strict=False)
+    if array.ndim != len(shape) or any(want not in (None, got) for want, got in pairs):
         wanted = ", ".join("any" if s is None else str(s) for s in shape)
         raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
     require_distinct(model=allowed, parameters=values)
@@ -152,7 +153,7 @@ def real_part(expression: sympy.Expr) -> sympy.Expr:
     return _split(expression)[0]
 
 
-def _split(expression):
+def _split(expression: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
     if not expression.has(sympy.I):
         return expression, sympy.S.Zero
     if expression == sympy.I:
@@ -208,9 +209,8 @@ def compile_components(
     # lambdify would rename dummies, which makes powers of the products again
     taken = {str(s) for s in known if not isinstance(s, sympy.Dummy)}
     free = (name for k in count() if (name := f"u{k}_") not in taken)
-    plain = {
-        s: sympy.Symbol(next(free), **s.assumptions0) for s in listed if isinstance(s, sympy.Dummy)
-    }
+    dummies = [s for s in listed if isinstance(s, sympy.Dummy)]
+    plain = {s: sympy.Symbol(next(free), **s.assumptions0) for s in dummies}
     arguments = [
         tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
         for a in arguments
@@ -219,19 +219,14 @@ def compile_components(
     named = [(name, part.xreplace(plain)) for name, part in named]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     try:
-        return sympy.lambdify(
-            arguments,
-            expressions,
-            modules=["scipy", "numpy"],
-            printer=printer,
-            cse=lambda parts: _share(parts, named),
-        )
+        share = partial(_share, named=named)
+        return sympy.lambdify(arguments, expressions, MODULES, printer=printer, cse=share)
     except (PrintMethodNotImplementedError, ValueError):
         _require_code(printer, [*expressions, *(part for _, part in named)])
         raise
 
 
-def _require_code(printer, expressions) -> None:
+def _require_code(printer: _Printer, expressions: Sequence[sympy.Expr]) -> None:
     """Name the first part of the expressions that has no NumPy code."""
     for expression in expressions:
         for part in sympy.postorder_traversal(expression):
@@ -275,7 +270,7 @@ def compile_array(arguments: Sequence[object], expressions: object) -> Callable[
     function = compile_components(arguments, expressions.ravel().tolist())
     vectors = [k for k, a in enumerate(arguments) if isinstance(a, Sequence | np.ndarray)]
 
-    def evaluate(*values):
+    def evaluate(*values) -> np.ndarray:
         batch = batch_shape(*(values[k] for k in vectors))
         return stack(function(*values), expressions.shape, batch)
 

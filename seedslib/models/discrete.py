@@ -6,14 +6,16 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from seedslib.base.checks import as_covariance, as_shape
+from seedslib.base.bundles import Source
+from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
+from seedslib.models.words import ShownModel
 
 
 @dataclass(frozen=True, eq=False)
-class DiscreteSystem:
+class DiscreteSystem(ShownModel):
     """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
 
     The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
@@ -25,7 +27,8 @@ class DiscreteSystem:
         f, evaluated at the time it leaves; one application per step of the time grid.
     sensor : StochasticMap
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Moments of the initial law, Gaussian unless `initial` is given.
+        Moments of the initial law, Gaussian unless `initial` is given; numbers will do for one
+        component.
     initial : callable, optional
         ``initial(rng, count) -> (n, count)``.
 
@@ -43,6 +46,7 @@ class DiscreteSystem:
     initial: object = None
     state_size: int = field(init=False)
     law: Noise = field(init=False, repr=False)
+    indicators = 0
 
     def __post_init__(self):
         n = self.dynamics.size
@@ -52,15 +56,12 @@ class DiscreteSystem:
                 f"{self.dynamics.state_size} and {self.sensor.state_size}"
             )
         self._require_names()
-        mean0 = as_shape("mean0", self.mean0, (n,))
-        cov0 = as_covariance("cov0", self.cov0, n)
+        mean0 = as_shape("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
+        cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
         law = Noise(n, mean0, cov0, self.initial)
-        for name, value in zip(
-            ("state_size", "mean0", "cov0", "law"), (n, mean0, cov0, law), strict=True
-        ):
-            object.__setattr__(self, name, value)
+        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, law=law)
 
-    def _require_names(self):
+    def _require_names(self) -> None:
         maps = [map for map in (self.dynamics, self.sensor) if map.symbolic]
         if maps:
             from seedslib.base.symbols import require_distinct
@@ -69,11 +70,16 @@ class DiscreteSystem:
             state, noise = (dict.fromkeys(s for part in group for s in part) for group in parts)
             require_distinct(state=state, noise=noise)
 
-    def initial_sample(self, rng, count) -> np.ndarray:
+    @property
+    def measurement_size(self) -> int:
+        """Number of measured components."""
+        return self.sensor.size
+
+    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
         return self.law.draw(rng, count)
 
-    def advance(self, x, start, stop, rng) -> np.ndarray:
+    def advance(self, x: np.ndarray, start: float, stop: float, rng: Source) -> np.ndarray:
         """States of shape (n, *batch) one step later; the dynamics are those of time `start`."""
         return self.dynamics.sample(start, x, rng)
 

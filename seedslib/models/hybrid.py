@@ -7,11 +7,17 @@ path i of a small run is path i of a large one.
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.random import Generator
 
-from seedslib.base.bundles import drawn, normal
+from seedslib.base.bundles import Source, drawn, normal
+from seedslib.base.semidefinite import factor
 from seedslib.models.simulation import Simulation, simulate
+
+if TYPE_CHECKING:
+    from seedslib.models.switching import SwitchingSystem
 
 
 class Hybrid:
@@ -25,20 +31,23 @@ class Hybrid:
     ----------
     state_size : int
         n + 1.
+    measurement_size : int
+        m, or m + 1 where an indicator is shown.
     sensor : HybridSensor
     mean0 : ndarray, shape (n + 1,)
         A harmless mixed state.
     """
 
-    def __init__(self, system):
+    def __init__(self, system: SwitchingSystem):
         self.system, self.state_size = system, system.state_size + 1
-        self.sensor = HybridSensor(system)
+        self.sensor, self.indicators = HybridSensor(system), system.indicators
+        self.measurement_size = self.sensor.size
         # of the numbers the user gave, so no rounding decides; it is a stand-in for lost paths only
         likely = system.initial[int(np.argmax(system.initial_probabilities))]
         self.mean0 = np.append(likely.mean, float(np.argmax(system.initial_probabilities)))
-        self.initial_laws = [_law(part) for part in system.initial]
+        self.initial_laws = [(part.mean, factor(part.cov)) for part in system.initial]
 
-    def initial_sample(self, rng, count) -> np.ndarray:
+    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of mode and state, shape (n + 1, count)."""
         bounds = np.cumsum(self.system.initial_probabilities)
         moving, choosing = rng.spawn(2)
@@ -51,7 +60,7 @@ class Hybrid:
         x[-1] = mode
         return x
 
-    def advance(self, x, start, stop, rng) -> np.ndarray:
+    def advance(self, x: np.ndarray, start: float, stop: float, rng: Source) -> np.ndarray:
         """Mixed states (n + 1, *batch) one step later; the noises are those of the old time."""
         flat = x.reshape(len(x), -1)
         moving, choosing = rng.spawn(2)
@@ -69,31 +78,31 @@ class Hybrid:
 class HybridSensor:
     """Measurement (m, *batch) of a mixed state, with the indicator as last row if there is one."""
 
-    def __init__(self, system):
+    def __init__(self, system: SwitchingSystem):
         self.system = system
-        self.size = system.measurement_size + system.has_indicator
+        self.size = system.measurement_size + (system.indicators > 0)
 
     @property
     def has_log_density(self) -> bool:
         """Whether all readings have a density in closed form."""
         return all(b is None or b.has_log_density for row in self.system.readings for b in row)
 
-    def sample(self, t, x, rng) -> np.ndarray:
+    def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
         """One draw for each mixed state, shape (m or m + 1, *batch)."""
         system, flat = self.system, x.reshape(len(x), -1)
         sensing, choosing = rng.spawn(2)
         w = system.sensor_noise.draw(sensing, flat.shape[1])
         y = np.empty((self.size, flat.shape[1]))
-        choice = drawn(choosing, flat.shape[1], Generator.random) if system.has_indicator else None
+        choice = drawn(choosing, flat.shape[1], Generator.random) if system.indicators else None
         for i, row in enumerate(system.readings):
             here = flat[-1] == i
             state, noise = flat[:-1, here], w[:, here]
             y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
-            if system.has_indicator:
+            if system.indicators:
                 y[-1, here] = _branch(row, t, state, noise, choice[here])
         return y.reshape(self.size, *x.shape[1:])
 
-    def log_density(self, t, y, x) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Logarithm of the density of a measurement with its indicator, shape (*batch).
 
         NaN is a missing component; an indicator that is NaN is missing too.
@@ -104,7 +113,7 @@ class HybridSensor:
         found = np.full(batch, -np.inf)
         for i, row in enumerate(system.readings):
             here = x[-1] == i
-            if not system.has_indicator:
+            if not system.indicators:
                 found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
                 continue
             unseen = here & np.isnan(y[-1])
@@ -121,18 +130,15 @@ def simulate_hybrid(system, times, paths, seed, *, measured=None, workers=1) -> 
     """Simulate a switching system, its modes and indicators apart from the numbers."""
     made = simulate(system.hybrid, times, paths, seed, measured=measured, workers=workers)
     m, shown = system.measurement_size, made.measurements
-    indicators = None
-    if system.has_indicator:
+    indicators, modes = None, made.states[:, -1].astype(int)
+    if system.indicators:
         indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
-    return made._replace(
-        states=made.states[:, :-1],
-        measurements=shown[:, :m],
-        modes=made.states[:, -1].astype(int),
-        indicators=indicators,
-    )
+    return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
 
 
-def _branch(row, t, x, noise, choice):
+def _branch(
+    row: tuple, t: float, x: np.ndarray, noise: np.ndarray, choice: np.ndarray
+) -> np.ndarray:
     """Number of the branch that each uniform number chooses."""
     weights = np.zeros((len(row), x.shape[1]))
     for weight, branch in zip(weights, row, strict=True):
@@ -141,12 +147,6 @@ def _branch(row, t, x, noise, choice):
     return _chosen(np.cumsum(weights, axis=0)[:-1], choice)
 
 
-def _chosen(bounds, choice):
+def _chosen(bounds: np.ndarray, choice: np.ndarray) -> np.ndarray:
     """How many of the bounds lie at or below each number."""
     return (bounds <= choice).sum(axis=0)
-
-
-def _law(part):
-    from seedslib.base.semidefinite import factor
-
-    return part.mean, factor(part.cov)

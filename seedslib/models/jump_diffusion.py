@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
 
 import numpy as np
 
+from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_shape
-from seedslib.models.maps import StochasticMap, Travelling
+from seedslib.base.objects import Travelling
+from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
-from seedslib.models.rates import closed_rates, numeric_rates
+from seedslib.models.rates import closed_rates, rate_map
 from seedslib.models.simulation import Simulation, simulate
-from seedslib.models.stepping import SCHEMES, advance, compiled_increment
+from seedslib.models.stepping import SCHEMES, advance, compiled_increment, compiled_jumps
+from seedslib.models.words import ShownModel
+
+Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
-class JumpDiffusion(Travelling):
+class JumpDiffusion(Travelling, ShownModel):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -65,6 +71,8 @@ class JumpDiffusion(Travelling):
         are not semidefinite.
     """
 
+    indicators = 0
+
     def __init__(
         self, state, drift, diffusion, sensor, noise, mean0, cov0, *, intensity=0, jump=None,
         marks=None, parameters=None, initial=None, step=0.01, time=None,
@@ -73,14 +81,17 @@ class JumpDiffusion(Travelling):
         from seedslib.models.codegen import known_expressions
 
         noise, marks = named_noise("noise", noise), named_noise("marks", marks)
-        names = {"noise": noise.symbols, "marks": marks.symbols}
-        self.state, self.time, values = named_model(state, time, parameters, **names)
+        self.state, self.time, values = named_model(
+            state, time, parameters, noise=noise.symbols, marks=marks.symbols
+        )
 
-        def expressions(name, value, shape):
-            allowed = {self.time, *self.state}
-            if name in ("sensor", "jump"):
-                allowed |= set(names["noise" if name == "sensor" else "marks"])
+        def expressions(name, value, shape, symbols=()):
+            allowed = {self.time, *self.state, *symbols}
             return known_expressions(name, value, shape, values, allowed)
+
+        def mapped(name, value, rows, source):
+            value = expressions(name, value, (rows,), source.symbols)
+            return StochasticMap(self.state, value, source, time=self.time)
 
         n = len(self.state)
         self.drift_expressions = expressions("drift", drift, (n,))
@@ -88,10 +99,8 @@ class JumpDiffusion(Travelling):
         self.intensity_expression = expressions("intensity", intensity, ())[()]
         if (jump is None) != (self.intensity_expression == 0):
             raise ValueError("jump, intensity: wanted both or neither, got one")
-        self.jump = None
-        if jump is not None:
-            self.jump = self._map(expressions("jump", jump, (n,)), marks)
-        self.sensor = self._map(expressions("sensor", sensor, (None,)), noise)
+        self.jump = None if jump is None else mapped("jump", jump, n, marks)
+        self.sensor = mapped("sensor", sensor, None, noise)
         self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
 
     @classmethod
@@ -131,7 +140,7 @@ class JumpDiffusion(Travelling):
         found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
         if intensity is not None:
             as_shape("intensity", intensity(0.0, probe), (3,))
-        self.__dict__.update(_drift=drift, _diffusion=diffusion, _intensity=intensity)
+        vars(self).update(drift=drift, diffusion=diffusion, intensity=intensity or _never)
         self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
@@ -146,9 +155,6 @@ class JumpDiffusion(Travelling):
         if not 0 < self.step < np.inf:
             raise ValueError(f"step: wanted a positive number, got {step}")
 
-    def _map(self, value, noise=None):
-        return StochasticMap(self.state, value, noise, time=self.time)
-
     @property
     def symbolic(self) -> bool:
         """Whether the system was given as SymPy expressions."""
@@ -156,60 +162,35 @@ class JumpDiffusion(Travelling):
 
     # Array functions of (t, x), components first and batch axes last
 
-    def _compiled(self, expression):
+    def _compiled(self, expression: object) -> Rate:
         from seedslib.models.codegen import compile_array
 
         return compile_array((self.time, self.state), expression)
 
     @cached_property
-    def _drift(self):
+    def drift(self) -> Rate:
+        """a(t, x), shape (n, *batch)."""
         return self._compiled(self.drift_expressions)
 
     @cached_property
-    def _diffusion(self):
+    def diffusion(self) -> Rate:
+        """B(t, x), shape (n, number of Wiener processes, *batch)."""
         return self._compiled(self.diffusion_expressions)
 
     @cached_property
-    def _intensity(self):
+    def intensity(self) -> Rate:
+        """mu(t, x), shape (*batch); zero without jumps."""
         return self._compiled(self.intensity_expression)
 
-    def drift(self, t, x) -> np.ndarray:
-        """a(t, x), shape (n, *batch)."""
-        return self._drift(t, x)
-
-    def diffusion(self, t, x) -> np.ndarray:
-        """B(t, x), shape (n, number of Wiener processes, *batch)."""
-        return self._diffusion(t, x)
-
-    def intensity(self, t, x) -> np.ndarray:
-        """mu(t, x), shape (*batch); zero without jumps."""
-        return np.zeros(np.shape(x)[1:]) if self.jump is None else self._intensity(t, x)
-
     @cached_property
-    def intensity_component(self):
-        """The intensity as a function of a list of components, constant where it is constant."""
-        if not self.symbolic:
-            return lambda t, x: self._intensity(t, np.stack(x))
-        from seedslib.models.codegen import compile_components
-
-        given = (self.time, self.state)
-        function = compile_components(given, [self.intensity_expression])
-        return lambda t, x: function(t, x)[0]
-
-    @cached_property
-    def jump_components(self):
-        """The jump as a function of (t, state components, mark components)."""
-        if not self.symbolic:
-            return lambda t, x, z: list(self.jump.value(t, np.stack(x), np.stack(z)))
-        from seedslib.models.codegen import compile_components
-
-        given = (self.time, self.state, self.jump.noise.symbols)
-        return compile_components(given, self.jump.expressions.tolist())
+    def jumps(self) -> tuple[Callable, Callable]:
+        """Intensity and jump on lists of components; see `stepping.compiled_jumps`."""
+        return compiled_jumps(self)
 
     # Mean velocity and rate of covariance, jumps included
 
     @cached_property
-    def moment_expressions(self):
+    def moment_expressions(self) -> tuple[np.ndarray, np.ndarray]:
         """SymPy b = a + mu s̄ of shape (n,) and Sigma = B Bᵀ + mu S₂ of shape (n, n).
 
         Raises
@@ -222,37 +203,17 @@ class JumpDiffusion(Travelling):
     @cached_property
     def drift_map(self) -> StochasticMap:
         """Mean velocity b(t, x) as a map without noise; array functions without a closed form."""
-        n = self.state_size
-        if self._closed_moments is not None:
-            return self._map(self._closed_moments[0])
-        return StochasticMap.from_functions(n, n, lambda t, x, v: numeric_rates(self, t, x)[0])
+        return rate_map(self, 0, ..., self.state_size)
 
     @cached_property
     def spread_map(self) -> StochasticMap:
         """Sigma(t, x) on and below the diagonal as a map without noise."""
-        rows, columns = np.tril_indices(self.state_size)
-        if self._closed_moments is not None:
-            return self._map(self._closed_moments[1][rows, columns])
-        return StochasticMap.from_functions(
-            self.state_size,
-            len(rows),
-            lambda t, x, v: numeric_rates(self, t, x)[1][rows, columns],
-        )
-
-    @cached_property
-    def _closed_moments(self):
-        if not self.symbolic:
-            return None
-        from seedslib.gaussian.means.classes import NoClosedForm
-
-        try:
-            return self.moment_expressions
-        except NoClosedForm:
-            return None
+        lower = np.tril_indices(self.state_size)
+        return rate_map(self, 1, lower, len(lower[0]))
 
     # Sampling
 
-    def increment(self, scheme="euler"):
+    def increment(self, scheme: str = "euler") -> Callable:
         """One step of the diffusion as ``f(t, h, sqrt(h), x, z) -> list of n components``.
 
         Parameters
@@ -273,17 +234,20 @@ class JumpDiffusion(Travelling):
             if scheme == "heun":
                 raise ValueError("scheme: heun wants a symbolic system, got array functions")
             return self._numeric_increment
-        cache = self.__dict__.setdefault("_increment_cache", {})
-        if scheme not in cache:
-            cache[scheme] = compiled_increment(self, scheme)
-        return cache[scheme]
+        if scheme not in self._increments:
+            self._increments[scheme] = compiled_increment(self, scheme)
+        return self._increments[scheme]
 
-    def _numeric_increment(self, t, h, root, x, z):
+    @cached_property
+    def _increments(self) -> dict[str, Callable]:
+        return {}
+
+    def _numeric_increment(self, t, h, root, x, z) -> list[np.ndarray]:
         x = np.stack(x)
         noise = np.einsum("ij...,j...->i...", self.diffusion(t, x), root * z)
         return list(self.drift(t, x) * h + noise)
 
-    def initial_sample(self, rng, count) -> np.ndarray:
+    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
         return self.law.draw(rng, count)
 
@@ -326,3 +290,8 @@ class JumpDiffusion(Travelling):
         return simulate(
             self, times, paths, seed, measured=measured, workers=workers, step=step, scheme=scheme
         )
+
+
+def _never(t: float, x: np.ndarray) -> np.ndarray:
+    """Intensity of no jumps."""
+    return np.zeros(np.shape(x)[1:])

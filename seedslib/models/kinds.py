@@ -1,10 +1,45 @@
-"""What kind a system is: the sentence for a wrong one, and the times that its steps allow."""
+"""What a system is, and of which kind: the sentence for a wrong one, its sizes, its times."""
 
 from __future__ import annotations
 
+from dataclasses import MISSING, dataclass, fields
+from types import SimpleNamespace
+from typing import Any, Protocol, runtime_checkable
+
 import numpy as np
 
-from seedslib.base.checks import as_times
+from seedslib.base.checks import as_count, as_times, is_whole
+
+
+@runtime_checkable
+class System(Protocol):
+    """What simulation, filters and designs ask of a system that is observed.
+
+    Attributes
+    ----------
+    state_size, measurement_size : int
+        Numbers of components.
+    indicators : int
+        Values of the indicator that a switching system shows beside its measurements; 0 for none.
+    sensor : StochasticMap
+        What is measured, with ``sample(t, x, rng)``.
+    """
+
+    state_size: int
+    measurement_size: int
+    indicators: int
+    sensor: Any
+
+    def initial_sample(self, rng: np.random.Generator, count: int) -> np.ndarray:
+        """Draws of the initial state, shape (n, count)."""
+        ...
+
+    def advance(
+        self, x: np.ndarray, start: float, stop: float, rng: np.random.Generator
+    ) -> np.ndarray:
+        """States (n, *batch) at time `stop` from those at time `start`."""
+        ...
+
 
 KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 
@@ -37,37 +72,37 @@ def kind_of(system: object) -> str:
     return type(system).__name__
 
 
-def require_kind(system: object, *kinds: str) -> None:
-    """Refuse a system that a filter or a design cannot take, and say which can.
+def as_system(name: str, value: Any, *wanted: str) -> Any:
+    """The system that was passed, or a sentence that says what it is and what takes it.
+
+    Parameters
+    ----------
+    name : str
+        The caller's name of the argument, for the message.
+    value : System
+    *wanted : str
+        Kinds of systems, by the names of their classes; none for anything that can be sampled,
+        see `System`.
 
     Raises
     ------
     TypeError
         None of the wanted kinds.
     """
-    found = kind_of(system)
-    if found in kinds:
-        return
-    wanted, way = " or ".join(kinds), _WAYS_OUT.get(found)
-    got = f"a {found}"
-    if isinstance(system, type):
-        got, way = f"the class {system.__name__}", "make one"
-    raise TypeError(f"system: wanted a {wanted}, got {got}" + (f"; {way}" if way else ""))
+    found = kind_of(value)
+    if not {found, *(base.__name__ for base in type(value).__mro__)}.isdisjoint(wanted):
+        return value
+    if not wanted and isinstance(value, System) and hasattr(value.sensor, "sample"):
+        return value
+    kinds, way, got = " or ".join(wanted or KINDS), _WAYS_OUT.get(found), f"a {found}"
+    if isinstance(value, type):
+        got, way = f"the class {value.__name__}", "make one"
+    raise TypeError(f"{name}: wanted a {kinds}, got {got}" + (f"; {way}" if way else ""))
 
 
-def require_sampled(system: object) -> None:
-    """Refuse what cannot be simulated path by path with a sensor.
-
-    Raises
-    ------
-    TypeError
-        None of `KINDS`, and nothing with `initial_sample`, `advance` and a `sensor` map.
-    """
-    if not (
-        all(hasattr(system, name) for name in ("initial_sample", "advance"))
-        and hasattr(getattr(system, "sensor", None), "sample")
-    ):
-        require_kind(system, *KINDS)
+def switches(system: object) -> bool:
+    """Whether the system has modes, and so jumps from one law of motion to another."""
+    return getattr(system, "modes", 0) > 0
 
 
 def in_steps(system: object) -> bool:
@@ -98,3 +133,76 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
                 f"{steps[k]:g}; write the missing times with measurements of NaN"
             )
     return times
+
+
+def as_steps(times: object) -> np.ndarray:
+    """Grid of times (K+1,) from a number of steps K or from the grid itself."""
+    if is_whole(times):
+        return np.arange(as_count("times", times) + 1.0)
+    times = as_times("times", times)
+    if times.size < 2:
+        raise ValueError(f"times: wanted at least two times, got {times.size}")
+    return times
+
+
+MOST = 128
+"""Modes, values of an indicator and components of a model that is known from a file only."""
+
+SIZES = {
+    "modes": "modes", "state_size": "state components", "measurement_size": "measured components",
+    "indicators": "values of an indicator",
+}  # fmt: skip
+"""Sizes of a model and their names, for messages."""
+
+
+@dataclass(frozen=True)
+class UnknownModel:
+    """The sizes of a model; stands for it where a filter was loaded without it.
+
+    Attributes
+    ----------
+    state_size, measurement_size : int
+    modes : int
+        Zero for a system without modes.
+    indicators : int
+        Values of the indicator; zero where there is none.
+    """
+
+    state_size: int
+    measurement_size: int
+    modes: int = 0
+    indicators: int = 0
+
+    def bounded(self) -> UnknownModel:
+        """These sizes, where tables can have them.
+
+        Raises
+        ------
+        ValueError
+            More than 128 of something, or less than there must be.
+        """
+        # tables hold the decided mode in a byte, and no table has as many arguments
+        for part in fields(self):
+            value, least = getattr(self, part.name), int(part.default is MISSING)
+            if not is_whole(value) or not least <= value <= MOST:
+                raise ValueError(f"{part.name}: wanted {least} to {MOST}, got {value}")
+        return self
+
+    @classmethod
+    def of(cls, system: object) -> UnknownModel:
+        """The sizes of a model."""
+        modes = getattr(system, "modes", 0)
+        return cls(system.state_size, system.measurement_size, modes, system.indicators)
+
+    @property
+    def sensor(self) -> SimpleNamespace:
+        """What is known of the sensor: the size of a measurement."""
+        return SimpleNamespace(size=self.measurement_size)
+
+    def apart(self, other: UnknownModel) -> tuple[str, int, int] | None:
+        """First size that differs: its name, what it is here and there."""
+        for name, word in SIZES.items():
+            one, two = getattr(self, name), getattr(other, name)
+            if one != two:
+                return word, one, two
+        return None

@@ -12,11 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.bundles import Source
 from seedslib.base.correction import correct
+from seedslib.base.objects import Shown, Travelling
 from seedslib.models.missing import told
-from seedslib.models.noise import HERMITE_ORDER, Noise, hermite_nodes, named_noise
-
-__all__ = ["Conditional", "Noise", "StochasticMap"]
+from seedslib.models.noise import Noise, named_noise
 
 
 class Conditional(NamedTuple):
@@ -27,23 +27,7 @@ class Conditional(NamedTuple):
     weight: object
 
 
-class Travelling:
-    """A symbolic map or system is pickled as its expressions, which are compiled when needed.
-
-    What is made when it is first used is left behind. Given array functions travel themselves.
-    """
-
-    _functions = ("_value", "_weight", "conditional", "_drift", "_diffusion", "_intensity")
-
-    def __getstate__(self):
-        parts = vars(type(self)).items()
-        made = {name for name, part in parts if isinstance(part, cached_property)}
-        made.add("_increment_cache")
-        made = made.union(self._functions) if self.symbolic else made.difference(self._functions)
-        return {name: part for name, part in self.__dict__.items() if name not in made}
-
-
-class StochasticMap(Travelling):
+class StochasticMap(Travelling, Shown):
     """y = value(t, x, v), in a branch of probability weight(t, x, v).
 
     Parameters
@@ -67,21 +51,14 @@ class StochasticMap(Travelling):
         expression without a finite value.
     """
 
-    def __init__(self, state, value, noise=None, weight=1, *, time=None):
-        import sympy
+    _shown = "state_size", "size"
 
-        from seedslib.base.symbols import (
-            as_expression,
-            as_symbols,
-            require_distinct,
-            require_number,
-        )
+    def __init__(self, state, value, noise=None, weight=1, *, time=None):
+        from seedslib.base.symbols import as_expression, named_model, require_number
         from seedslib.models.codegen import as_expressions
 
         self.noise = named_noise("noise", noise)
-        self.time = sympy.Symbol("t") if time is None else time
-        self.state = as_symbols("state", state)
-        require_distinct(state=self.state, noise=self.noise.symbols, time=(self.time,))
+        self.state, self.time, _ = named_model(state, time, None, noise=self.noise.symbols)
         self.expressions = as_expressions("value", value)
         if self.expressions.ndim != 1:
             raise ValueError(f"value: wanted a vector, got shape {self.expressions.shape}")
@@ -99,6 +76,8 @@ class StochasticMap(Travelling):
         log_density=None,
     ):  # fmt: skip
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
+
+        It is pickled where its functions can be: those of a module by their names, lambdas not.
 
         Parameters
         ----------
@@ -128,14 +107,14 @@ class StochasticMap(Travelling):
             self.__dict__["conditional"] = Conditional(mean, cov, None)
         return self
 
-    def _compile(self):
+    def _compile(self) -> None:
         from seedslib.models.codegen import compile_array
 
         given = (self.time, self.state, self.noise.symbols)
         self._value = compile_array(given, self.expressions)
         self._weight = compile_array(given, self.weight_expression)
 
-    def __setstate__(self, state):
+    def __setstate__(self, state: dict) -> None:
         self.__dict__.update(state)
         if self.symbolic:
             self._compile()
@@ -148,9 +127,7 @@ class StochasticMap(Travelling):
     @property
     def weighted(self) -> bool:
         """Whether the branch has a probability other than one."""
-        if self.symbolic:
-            return self.weight_expression != 1
-        return self._weight is not None
+        return self.weight_expression != 1 if self.symbolic else self._weight is not None
 
     def whole(self) -> StochasticMap:
         """The map without its weight: what it does where it applies."""
@@ -182,15 +159,14 @@ class StochasticMap(Travelling):
         if self.symbolic:
             value = terms(self.weight_expression, self.state, self.expressions)
             return StochasticMap(self.state, value, self.noise, time=self.time)
-        size = 1 + n + m + n * (n + 1) // 2 + n * m + m * (m + 1) // 2
-        return StochasticMap.from_functions(
-            n,
-            size,
-            lambda t, x, v: np.stack(terms(self.weight(t, x, v), x, self.value(t, x, v))),
-            self.noise,
-        )
 
-    def value(self, t, x, v) -> np.ndarray:
+        def value(t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+            return np.stack(terms(self.weight(t, x, v), x, self.value(t, x, v)))
+
+        size = (n + m + 1) * (n + m + 2) // 2  # pairs of (1, x, y)
+        return StochasticMap.from_functions(n, size, value, self.noise)
+
+    def value(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Value y of shape (size, *batch) at states x and noises v (components first)."""
         result = np.asarray(self._value(t, x, v), dtype=float)
         if result.shape[:1] != (self.size,):
@@ -199,7 +175,7 @@ class StochasticMap(Travelling):
             )
         return result
 
-    def weight(self, t, x, v) -> np.ndarray:
+    def weight(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Probability of the branch, shape (*batch)."""
         return np.ones(np.shape(x)[1:]) if self._weight is None else self._weight(t, x, v)
 
@@ -234,9 +210,8 @@ class StochasticMap(Travelling):
                 if joint:
                     spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
                 cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
-        return Conditional(
-            np.array(mean, dtype=object), cov, mass if joint else self.weight_expression
-        )
+        weight = mass if joint else self.weight_expression
+        return Conditional(np.array(mean, dtype=object), cov, weight)
 
     @cached_property
     def conditional(self) -> Conditional:
@@ -252,7 +227,7 @@ class StochasticMap(Travelling):
         given = (self.time, self.state)
         return Conditional(*(compile_array(given, part) for part in self.conditional_expressions))
 
-    def conditional_moments(self, t, x) -> tuple[np.ndarray, np.ndarray]:
+    def conditional_moments(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean (size, *batch) and covariance (size, size, *batch) of y given x, in numbers.
 
         The closed forms where there are any; otherwise nine Gauss-Hermite nodes per component
@@ -269,18 +244,13 @@ class StochasticMap(Travelling):
         except ValueError:
             if not self.noise.gaussian:
                 raise
-        x = np.asarray(x, dtype=float)
-        nodes, weights = hermite_nodes(self.noise.size, HERMITE_ORDER)
-        points = self.noise.mean[:, None] + self.noise.root @ nodes
-        points = points.reshape(*points.shape, *(1,) * (x.ndim - 1))
-        batch = (len(weights), *x.shape[1:])
-        states = np.broadcast_to(x[:, None], (len(x), *batch))
-        y = self.value(t, states, np.broadcast_to(points, (self.noise.size, *batch)))
+        states, v, weights = self.noise.nodes(np.asarray(x, dtype=float))
+        y = self.value(t, states, v)
         mean = np.einsum("is...,s->i...", y, weights)
         centred = y - mean[:, None]
         return mean, np.einsum("is...,js...,s->ij...", centred, centred, weights)
 
-    def sample(self, t, x, rng) -> np.ndarray:
+    def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
         """One draw of y for each state, shape (size, *batch).
 
         Parameters
@@ -305,7 +275,7 @@ class StochasticMap(Travelling):
         v = self.noise.symbols
         return all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
 
-    def log_density(self, t, y, x) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
 
         Raises

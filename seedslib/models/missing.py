@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 
-def told(log_density, t, y, x) -> np.ndarray:
+def told(log_density: Callable, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The given log-density; zero where the whole measurement is missing (NaN), log 1.
 
     Parameters

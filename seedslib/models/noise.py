@@ -67,11 +67,7 @@ class Noise:
         cov = np.eye(size) if self.cov is None else as_covariance("cov", self.cov, size)
         if self.sample is not None and not callable(self.sample):
             raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
-        for name, value in (
-            ("symbols", symbols), ("size", size), ("mean", mean), ("cov", cov),
-            ("root", factor(cov)),
-        ):  # fmt: skip
-            object.__setattr__(self, name, value)
+        vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=factor(cov))
 
     def __eq__(self, other: object) -> bool:
         """Whether names, moments and sampler are the same."""
@@ -97,8 +93,25 @@ class Noise:
             return self.mean[:, None] + _apply_root(self.root, normal(rng, self.size, count))
         return drawn(rng, count, self._sampled)
 
-    def _sampled(self, rng, count):
+    def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
         return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
+
+    def nodes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """States beside the nodes of Gaussian noise, nine Gauss-Hermite nodes per component.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n, *batch)
+
+        Returns
+        -------
+        x, v, weights : ndarray, shapes (n, S, *batch), (size, S, *batch) and (S,)
+        """
+        nodes, weights = hermite_nodes(self.size, HERMITE_ORDER)
+        batch = (len(weights), *x.shape[1:])
+        v = self.mean[:, None] + self.root @ nodes
+        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (self.size, *batch))
+        return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 
     def expectation(self, expression):
         """Mean of a SymPy expression over the noise.
@@ -120,7 +133,7 @@ class Noise:
         from sympy import Matrix
 
         from seedslib.gaussian.means.classes import NoClosedForm
-        from seedslib.gaussian.means.symbolic import mean_expression
+        from seedslib.gaussian.means.formulas import mean_expression
         from seedslib.models.codegen import real_part
 
         if not self.gaussian:
@@ -133,15 +146,11 @@ class Noise:
         return real_part(mean_expression(expression, self.symbols, mean, cov, parameters=others))
 
     def _quadratic_mean(self, polynomial):
-        second = self.cov + np.outer(self.mean, self.mean)
+        moments = np.ones(()), self.mean, self.cov + np.outer(self.mean, self.mean)
         total = 0
         for powers, coefficient in polynomial.terms():
-            used = [k for k, power in enumerate(powers) for _ in range(power)]
-            if not used:
-                total += coefficient
-            else:
-                moment = self.mean[used[0]] if len(used) == 1 else second[used[0], used[1]]
-                total += coefficient * _tidy(moment)
+            used = tuple(k for k, power in enumerate(powers) for _ in range(power))
+            total += coefficient * _tidy(moments[len(used)][used])
         return total
 
 
@@ -161,7 +170,7 @@ def named_noise(name: str, noise: Noise | None) -> Noise:
     return noise
 
 
-def _named(symbols) -> tuple:
+def _named(symbols: Sequence) -> tuple:
     """Distinct symbols; a noise without components needs no SymPy."""
     if not isinstance(symbols, tuple | list) or symbols:
         from seedslib.base.symbols import as_symbols, require_distinct
@@ -171,12 +180,12 @@ def _named(symbols) -> tuple:
     return tuple(symbols)
 
 
-def _tidy(number: float):
+def _tidy(number: float) -> float:
     """The exact integer where a float is one: keeps formulas such as 1*x free of 1.0*x."""
     return int(number) if float(number).is_integer() else float(number)
 
 
-def _apply_root(root, normal):
+def _apply_root(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Product of a lower triangular matrix with draws, component by component."""
     if np.array_equal(root, np.eye(len(root))):
         return normal

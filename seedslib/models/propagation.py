@@ -164,15 +164,8 @@ def solve(
     # accurate relative to what they become.
     size = max(np.abs(y0).max(initial=0.0), np.abs(slope(start, y0)).max() * (stop - start))
     with np.errstate(over="ignore", invalid="ignore"):
-        result = solve_ivp(
-            slope,
-            (start, stop),
-            y0,
-            method="DOP853",
-            t_eval=times,
-            rtol=RTOL,
-            atol=ATOL * (size or 1.0),
-        )
+        atol = ATOL * (size or 1.0)
+        result = solve_ivp(slope, (start, stop), y0, "DOP853", times, rtol=RTOL, atol=atol)
     if not result.success:
         raise ValueError(
             f"times: the equations of the moments could not be integrated from {start:g} to "

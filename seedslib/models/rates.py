@@ -6,10 +6,17 @@ Sigma = B Bᵀ + mu S₂: all that a filter which carries two moments has to kno
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from seedslib.models.maps import StochasticMap
 
-def closed_rates(system):
+if TYPE_CHECKING:
+    from seedslib.models.jump_diffusion import JumpDiffusion
+
+
+def closed_rates(system: JumpDiffusion) -> tuple[np.ndarray, np.ndarray]:
     """SymPy b of shape (n,) and Sigma of shape (n, n) of a symbolic `JumpDiffusion`.
 
     Raises
@@ -29,7 +36,7 @@ def closed_rates(system):
     return expand(velocity), expand(spread)
 
 
-def numeric_rates(system, t, x):
+def numeric_rates(system: JumpDiffusion, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The same as arrays (n, *batch) and (n, n, *batch), the jump averaged over its marks."""
     x = np.asarray(x)
     velocity, diffusion = system.drift(t, x), system.diffusion(t, x)
@@ -40,3 +47,21 @@ def numeric_rates(system, t, x):
         velocity = velocity + rate * mean
         spread = spread + rate * (cov + mean[:, None] * mean[None, :])
     return velocity, spread
+
+
+def rate_map(system: JumpDiffusion, part: int, chosen: object, size: int) -> StochasticMap:
+    """Map without noise of b (`part` 0) or Sigma (1): its `chosen` entries, `size` in number.
+
+    The closed form where there is one, array functions otherwise.
+    """
+    if system.symbolic:
+        from seedslib.gaussian.means.classes import NoClosedForm
+
+        try:
+            value = system.moment_expressions[part][chosen]
+            return StochasticMap(system.state, value, time=system.time)
+        except NoClosedForm:
+            pass
+    return StochasticMap.from_functions(
+        system.state_size, size, lambda t, x, v: numeric_rates(system, t, x)[part][chosen]
+    )

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import as_count, in_blocks
-from seedslib.base.checks import unmasked
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_count, unmasked
 from seedslib.models.kinds import as_grid
 
 
@@ -27,6 +27,8 @@ class Simulation(NamedTuple):
         NaN at the times that are not measured.
     modes, indicators : ndarray of int, shape (K+1, paths), or None
         Of a switching system; -1 for an indicator that was not measured.
+    history : ndarray, shape (N, n, paths), or None
+        Of a system with delays: its states at the instants -1, ..., -N.
     """
 
     times: np.ndarray
@@ -34,9 +36,10 @@ class Simulation(NamedTuple):
     measurements: np.ndarray
     modes: np.ndarray | None = None
     indicators: np.ndarray | None = None
+    history: np.ndarray | None = None
 
 
-def as_measured(measured: object, count: int) -> np.ndarray:
+def as_measured(measured: object, count: int, name: str = "measured") -> np.ndarray:
     """Mask of the measured times, shape (K+1,), from None (all), a mask, or a list of indices.
 
     Raises
@@ -46,13 +49,13 @@ def as_measured(measured: object, count: int) -> np.ndarray:
     """
     if measured is None:
         return np.ones(count, dtype=bool)
-    given = np.asarray(unmasked("measured", measured))
+    given = np.asarray(unmasked(name, measured))
     if given.dtype == bool:
         if given.shape != (count,):
-            raise ValueError(f"measured: wanted a mask of shape ({count},), got {given.shape}")
+            raise ValueError(f"{name}: wanted a mask of shape ({count},), got {given.shape}")
         return given
     if given.ndim != 1 or given.dtype.kind not in "iu" or (np.abs(given) >= count).any():
-        raise ValueError(f"measured: wanted indices from 0 to {count - 1}, got {measured!r}")
+        raise ValueError(f"{name}: wanted indices from 0 to {count - 1}, got {measured!r}")
     mask = np.zeros(count, dtype=bool)
     mask[given] = True
     return mask
@@ -87,7 +90,7 @@ def simulate(system, times, paths, seed, *, measured=None, workers=1, **options)
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
-    def work(start, stop, stream):
+    def work(start: int, stop: int, stream: np.random.SeedSequence) -> None:
         x = None
         for k, child in enumerate(stream.spawn(len(times))):
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable, Iterator
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.random import Generator
 
 from seedslib.base.blocks import BLOCK
-from seedslib.base.bundles import drawn, parts
+from seedslib.base.bundles import Source, drawn, parts
+from seedslib.base.clock import step_count
+
+if TYPE_CHECKING:
+    from seedslib.models.jump_diffusion import JumpDiffusion
 
 SCHEMES = ("euler", "heun")
 CHUNK = 16
@@ -19,7 +25,10 @@ LARGEST_LOSS = 0.05
 """Share of jumps lost by the rule of one jump per step above which the step is too coarse."""
 
 
-def advance(system, x, start, stop, rng, step, scheme):
+def advance(
+    system: JumpDiffusion, x: np.ndarray, start: float, stop: float, rng: Source, step: float,
+    scheme: str,
+) -> np.ndarray:  # fmt: skip
     """Move states from one time to a later one.
 
     A jump comes in a step with probability 1 - exp(-mu(t, X) h) and is drawn at the state before
@@ -54,7 +63,7 @@ def advance(system, x, start, stop, rng, step, scheme):
     if not step > 0:
         raise ValueError(f"step: wanted a positive number, got {step:g}")
     increment = system.increment(scheme)
-    steps = max(1, math.ceil((stop - start) / step - 1e-9))
+    steps = step_count(start, stop, step)
     h = (stop - start) / steps
     root = math.sqrt(h)
     shape = np.shape(x)
@@ -82,7 +91,7 @@ def advance(system, x, start, stop, rng, step, scheme):
     return np.stack(state).reshape(shape)
 
 
-def compiled_increment(system, scheme):
+def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable:
     """Code of one step of a symbolic system; see `JumpDiffusion.increment`."""
     import sympy
 
@@ -91,22 +100,37 @@ def compiled_increment(system, scheme):
     drift, matrix = system.drift_expressions, system.diffusion_expressions
     rows, columns = range(matrix.shape[0]), range(matrix.shape[1])
     if scheme == "heun":
-        correction = [
-            sum(
-                sympy.diff(matrix[i, j], x) * matrix[k, j]
-                for j in columns
-                for k, x in enumerate(system.state)
-            )
+        # a - (1/2) sum_j (dB_j/dx) B_j
+        pairs = [(j, k, x) for j in columns for k, x in enumerate(system.state)]
+        drift = [
+            drift[i] - sum(sympy.diff(matrix[i, j], x) * matrix[k, j] for j, k, x in pairs) / 2
             for i in rows
         ]
-        drift = [a - c / 2 for a, c in zip(drift, correction, strict=True)]
     h, root = sympy.Dummy("h"), sympy.Dummy("root")
     z = [sympy.Dummy(f"z{j}") for j in columns]
     moves = [drift[i] * h + root * sum(matrix[i, j] * z[j] for j in columns) for i in rows]
     return compile_components((system.time, h, root, system.state, z), moves)
 
 
-def _normals(rng, steps, size, count):
+def compiled_jumps(system: JumpDiffusion) -> tuple[Callable, Callable]:
+    """Intensity ``(t, x) -> component`` and jump ``(t, x, z) -> list`` on lists of components.
+
+    The intensity comes as a plain number where it is constant.
+    """
+    if not system.symbolic:
+        return (
+            lambda t, x: system.intensity(t, np.stack(x)),
+            lambda t, x, z: list(system.jump.value(t, np.stack(x), np.stack(z))),
+        )
+    from seedslib.models.codegen import compile_components
+
+    given = (system.time, system.state)
+    rate = compile_components(given, [system.intensity_expression])
+    kick = compile_components((*given, system.jump.noise.symbols), system.jump.expressions.tolist())
+    return lambda t, x: rate(t, x)[0], kick
+
+
+def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndarray]:
     """Normal numbers step by step, each of shape (size, count)."""
     if size == 0:
         yield from (np.empty((0, count)) for _ in range(steps))
@@ -126,31 +150,32 @@ def _normals(rng, steps, size, count):
         yield from chunk.reshape(-1, size, count)
 
 
-def _bad_intensity(value, t) -> ValueError:
+def _bad_intensity(value: float, t: float) -> ValueError:
     return ValueError(f"intensity: wanted finite nonnegative numbers, got {value:g} at time {t:g}")
 
 
 class _JumpClock:
     """Unit exponential clocks of the paths of one block over one interval."""
 
-    def __init__(self, system, rng, count):
-        self.system, self.count = system, count
+    def __init__(self, system: JumpDiffusion, rng: Source, count: int):
+        self.count, self.noise = count, system.jump.noise
+        self.rate, self.kick = system.jumps
         self.rng = rng.spawn(1)[0]
         self.jumped = np.zeros(count, dtype=int)
         self.hazards = []
-        self.marks = np.empty((4, system.jump.noise.size, count))
+        self.marks = np.empty((4, self.noise.size, count))
         self.clocks = np.empty((4, count))
         self.ready = 0
         self._extend()
         self.left = self.clocks[0].copy()
 
-    def _extend(self):
+    def _extend(self) -> None:
         """Draw the clocks and marks of every path's next jump, when the first path needs them."""
         if self.ready == len(self.clocks):
             self.clocks, self.marks = (np.concatenate([a, a]) for a in (self.clocks, self.marks))
         waiting, marking = self.rng.spawn(2)
         self.clocks[self.ready] = drawn(waiting, self.count, Generator.standard_exponential)
-        self.marks[self.ready] = self.system.jump.noise.draw(marking, self.count)
+        self.marks[self.ready] = self.noise.draw(marking, self.count)
         self.ready += 1
 
     @property
@@ -163,9 +188,9 @@ class _JumpClock:
         met = np.concatenate(self.hazards) if self.hazards else np.zeros(1)
         return 0.5 * float(met.mean())
 
-    def jump(self, t, h, before, after):
+    def jump(self, t: float, h: float, before: list, after: list) -> None:
         """Run the clocks for one step and add the jumps to the states after it, in place."""
-        hazard = self.system.intensity_component(t, before) * h
+        hazard = self.rate(t, before) * h
         least = hazard.min() if isinstance(hazard, np.ndarray) else hazard
         if not least >= 0:
             raise _bad_intensity(least / h, t)
@@ -182,7 +207,7 @@ class _JumpClock:
         while number.max() + 1 >= self.ready:
             self._extend()
         marks = self.marks[number, :, due]
-        kicks = self.system.jump_components(t, [c[due] for c in before], list(marks.T))
+        kicks = self.kick(t, [c[due] for c in before], list(marks.T))
         for component, kick in zip(after, kicks, strict=True):
             if isinstance(kick, np.ndarray) or kick != 0:
                 component[due] += kick

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.models.branches import Branch
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import named_noise
+from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation
+from seedslib.models.words import ShownModel
 
 CLOSE = 1e-9
 """Probabilities may miss their sum or their range by this much."""
@@ -26,7 +29,7 @@ class InitialMode(NamedTuple):
     cov: np.ndarray
 
 
-class SwitchingSystem:
+class SwitchingSystem(ShownModel):
     """Discrete-time system of several modes, with switching that may depend on the state.
 
     In mode i the state moves as X_{k+1} = a_i(t_k, X_k, V_k), the next mode is l with probability
@@ -61,7 +64,7 @@ class SwitchingSystem:
     Attributes
     ----------
     modes, indicators : int
-        L and M; M is 1 without an indicator.
+        L and M; 0 for M where there is no indicator.
     state_size, measurement_size : int
     dynamics, sensors : tuple of StochasticMap, length L
         The maps without their probabilities.
@@ -80,12 +83,12 @@ class SwitchingSystem:
         initial law, where they depend on the state).
     """
 
+    _shown = "state_size", "measurement_size", "modes"
+
     def __init__(
         self, state, dynamics, noise, switching, sensor, sensor_noise, initial, *, indicator=None,
         parameters=None, time=None,
     ):  # fmt: skip
-        import sympy
-
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -106,10 +109,8 @@ class SwitchingSystem:
         modes = len(moves)
         leave = expressions("switching", switching, (modes, modes), noise)
         shows = expressions("sensor", sensor, (modes, None), sensor_noise)
-        if indicator is None:
-            tells = np.full((modes, 1), sympy.Integer(1), dtype=object)
-        else:
-            tells = expressions("indicator", indicator, (modes, None), sensor_noise)
+        told = [[1]] * modes if indicator is None else indicator
+        tells = expressions("indicator", told, (modes, None), sensor_noise)
 
         def table(values, weights, source):
             return [
@@ -117,10 +118,8 @@ class SwitchingSystem:
                 for row, weight in zip(values, weights, strict=True)
             ]
 
-        self._set_up(
-            table(moves, leave, noise), table(shows, tells, sensor_noise), initial,
-            indicator is not None,
-        )  # fmt: skip
+        moves, readings = table(moves, leave, noise), table(shows, tells, sensor_noise)
+        self._set_up(moves, readings, initial, indicator is not None)
 
     @classmethod
     def from_maps(cls, moves, readings, initial, *, indicator=False) -> SwitchingSystem:
@@ -152,14 +151,14 @@ class SwitchingSystem:
         self._set_up(moves, readings, initial, bool(indicator))
         return self
 
-    def _set_up(self, moves, readings, initial, indicator):
-        self.modes, self.has_indicator = len(moves), indicator
-        self.indicators = len(readings[0])
-        if len(readings) != self.modes or any(len(row) != self.indicators for row in readings):
+    def _set_up(self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool):
+        self.modes, values = len(moves), len(readings[0])
+        self.indicators = values if indicator else 0
+        if len(readings) != self.modes or any(len(row) != values for row in readings):
             raise ValueError(f"sensor: wanted one row for each of {self.modes} modes")
         if any(len(row) != self.modes for row in moves):
             raise ValueError(f"switching: wanted {self.modes} next modes in each row")
-        if not indicator and self.indicators != 1:
+        if not indicator and values != 1:
             raise ValueError("indicator: wanted one column of readings where it is not seen")
         self.noise, self.sensor_noise = moves[0][0].noise, readings[0][0].noise
         self.state_size, self.measurement_size = moves[0][0].state_size, readings[0][0].size
@@ -168,19 +167,17 @@ class SwitchingSystem:
                 if each.state_size != self.state_size:
                     raise ValueError(f"{name}: wanted maps of {self.state_size} components")
         self.initial = self._initial_modes(initial)
-        probability = np.array([part.probability for part in self.initial])
-        means = np.array([part.mean for part in self.initial])
+        probability, means, covs = map(np.array, zip(*self.initial, strict=True))
         self.mean0 = probability @ means
         apart = means - self.mean0
-        self.cov0 = np.einsum("l,li,lj->ij", probability, apart, apart) + np.einsum(
-            "l,lij->ij", probability, np.array([part.cov for part in self.initial])
-        )
+        self.cov0 = np.einsum("l,li,lj->ij", probability, apart, apart)
+        self.cov0 += np.einsum("l,lij->ij", probability, covs)
         self.branches = self._branches("switching", moves, self.noise)
         self.readings = self._branches("indicator", readings, self.sensor_noise)
         self.dynamics = tuple(row[0].whole() for row in moves)
         self.sensors = tuple(row[0].whole() for row in readings)
 
-    def _initial_modes(self, initial):
+    def _initial_modes(self, initial: Sequence) -> tuple[InitialMode, ...]:
         initial = list(initial)
         if len(initial) != self.modes:
             raise ValueError(f"initial: wanted {self.modes} modes, got {len(initial)}")
@@ -192,42 +189,33 @@ class SwitchingSystem:
                 raise TypeError(
                     f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
                 ) from None
-            found.append(
-                InitialMode(
-                    float(as_real(f"initial[{i}] probability", probability, ndim=0)),
-                    as_shape(f"initial[{i}] mean", mean, (n,)),
-                    as_covariance(f"initial[{i}] cov", cov, n),
-                )
-            )
+            probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
+            mean = as_shape(f"initial[{i}] mean", mean, (n,))
+            found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         _want_probabilities("initial", np.array([part.probability for part in found]))
         return tuple(found)
 
-    def _branches(self, name, table, noise):
+    def _branches(self, name: str, table: Sequence, noise: Noise) -> tuple:
         """Branches without those of probability zero; all probabilities are looked at first."""
-        x, v = self._probe(noise)
+        (x, v), size = self._probe(noise), table[0][0].size
         found = []
         for i, row in enumerate(table):
             for other in row:
                 if not _same_law(other.noise, noise):
                     raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
-                if other.size != table[0][0].size:
-                    raise ValueError(
-                        f"{name}: wanted maps of {table[0][0].size} values in mode {i}"
-                    )
-                if not np.allclose(
-                    other.value(0.0, x, v), row[0].value(0.0, x, v), rtol=CLOSE, equal_nan=True
-                ):
+                if other.size != size:
+                    raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
+                values = other.value(0.0, x, v), row[0].value(0.0, x, v)
+                if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
                     raise ValueError(f"{name}: wanted maps of one value in mode {i}, got several")
             weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
             _want_probabilities(f"{name} of mode {i}", weight)
-            found.append(
-                tuple(
-                    None if m.symbolic and m.weight_expression.is_zero else Branch(m) for m in row
-                )
-            )
+            never = [m.symbolic and m.weight_expression.is_zero for m in row]
+            pairs = zip(row, never, strict=True)
+            found.append(tuple(None if none else Branch(m) for m, none in pairs))
         return tuple(found)
 
-    def _probe(self, noise):
+    def _probe(self, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
         """States and noises about the initial law, (n, 64) and (noise size, 64)."""
         rng = np.random.default_rng(0)
         spread = np.sqrt(np.diagonal(self.cov0)) + 1e-3
@@ -263,7 +251,7 @@ class SwitchingSystem:
         return simulate_hybrid(self, times, paths, seed, measured=measured, workers=workers)
 
 
-def _rows(name, table):
+def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
     """Rows of maps, as tuples."""
     try:
         rows = tuple(tuple(row) for row in table)
@@ -274,7 +262,7 @@ def _rows(name, table):
     return rows
 
 
-def _same_law(one, other):
+def _same_law(one: Noise, other: Noise) -> bool:
     """Whether two noises have the same mean and covariance."""
     return one is other or (
         one.size == other.size
@@ -283,7 +271,7 @@ def _same_law(one, other):
     )
 
 
-def _want_probabilities(name, weights):
+def _want_probabilities(name: str, weights: ArrayLike) -> None:
     """Probabilities along the first axis, or ValueError."""
     weights = np.asarray(weights, dtype=float)
     if not (np.isfinite(weights).all() and (weights >= -CLOSE).all()):

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.models.kinds import as_system
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import SwitchingSystem
 
 
-def averaged_switching(system, times, paths, seed) -> SwitchingSystem:
+def averaged_switching(
+    system: SwitchingSystem, times: ArrayLike, paths: int, seed: object
+) -> SwitchingSystem:
     """System whose switching probabilities are the stationary averages of those of another.
 
     A filter made for it shows what it is worth to know how switching depends on the state
@@ -34,8 +38,7 @@ def averaged_switching(system, times, paths, seed) -> SwitchingSystem:
     TypeError, ValueError
         A system of array functions; a mode that no path was in; arguments as in `simulate`.
     """
-    if not isinstance(system, SwitchingSystem):
-        raise TypeError(f"system: wanted a SwitchingSystem, got {system!r}")
+    as_system("system", system, "SwitchingSystem")
     if not system.symbolic:
         raise ValueError("system: wanted a symbolic system, got one of array functions")
     data = system.simulate(times, paths, seed)
@@ -56,11 +59,11 @@ def averaged_switching(system, times, paths, seed) -> SwitchingSystem:
         for map, row in zip(system.sensors, system.readings, strict=True)
     ]
     return SwitchingSystem.from_maps(
-        moves, readings, system.initial, indicator=system.has_indicator
+        moves, readings, system.initial, indicator=system.indicators > 0
     )
 
 
-def _branch(map, weight):
+def _branch(map: StochasticMap, weight: float) -> StochasticMap:
     """A map that applies with a constant probability; 0 stays the integer that means never."""
     weight = float(weight) or 0
     return StochasticMap(map.state, map.expressions, map.noise, weight, time=map.time)

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from seedslib.base.objects import Shown
+from seedslib.models.kinds import in_steps, switches
 
-def model_text(system) -> dict[str, str]:
+
+class ShownModel(Shown):
+    """A model that shows its sizes, and in a notebook its formulas too."""
+
+    _shown = "state_size", "measurement_size"
+
+    def _rows(self) -> dict[str, object]:
+        return super()._rows() | model_text(self)
+
+
+def model_text(system: object) -> dict[str, str]:
     """The model in words, a label for people: nothing of it is ever read back."""
-    if hasattr(system, "dynamics"):
+    modes = switches(system)
+    if in_steps(system) and not modes:
         maps = {"dynamics": system.dynamics, "sensor": system.sensor}
         return {
             name: _lines(map.expressions) if map.symbolic else "array functions"
@@ -13,6 +26,9 @@ def model_text(system) -> dict[str, str]:
         }
     if not system.symbolic:
         return {"model": "array functions"}
+    if modes:
+        tables = {"switching": system.branches, "readings": system.readings}
+        return {name: str([list(map(_branch, row)) for row in t]) for name, t in tables.items()}
     text = {
         "state": ", ".join(map(str, system.state)),
         "drift": _lines(system.drift_expressions),
@@ -25,5 +41,10 @@ def model_text(system) -> dict[str, str]:
     return text
 
 
-def _lines(expressions):
+def _lines(expressions: object) -> str:
     return str(expressions.tolist())
+
+
+def _branch(branch):
+    """Weight and value of a branch, None where there is none."""
+    return branch and [str(branch.map.weight_expression), *map(str, branch.map.expressions)]

@@ -5,8 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_count, as_real
 from seedslib.pareto.result import Criteria, Evaluated
 
 
@@ -22,8 +23,9 @@ class Bisection:
 
 
 def bisect(
-    criteria: Criteria, start: object, end: object, *, tolerance: float = 1e-12, steps: int = 60
-) -> Bisection:
+    criteria: Criteria, start: ArrayLike, end: ArrayLike, *, tolerance: float = 1e-12,
+    steps: int = 60,
+) -> Bisection:  # fmt: skip
     """The paper's method: halve the segment between two minimisers until the losses are equal.
 
     Its convergence follows from the nested segments and continuity. ``|Delta|`` need not fall at
@@ -51,10 +53,7 @@ def bisect(
         raise ValueError(f"end: wanted the shape {low.shape} of start, got {high.shape}")
     if not as_real("tolerance", tolerance, ndim=0) > 0:
         raise ValueError(f"tolerance: wanted a positive number, got {tolerance}")
-    if isinstance(steps, bool) or not isinstance(steps, (int, np.integer)):
-        raise TypeError(f"steps: wanted a whole number, got {steps!r}")
-    if steps < 1:
-        raise ValueError(f"steps: wanted at least 1, got {steps}")
+    steps = as_count("steps", steps)
     unwrap = (lambda point: point.copy()) if low.ndim else float
     evaluate = Evaluated(criteria, unwrap(low))
     at_low, at_high = evaluate(unwrap(low)), evaluate(unwrap(high))

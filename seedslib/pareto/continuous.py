@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.optimize import brentq
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_count, as_real
 from seedslib.pareto.least import box_scan, least_in_box, least_on_segment, minimax_in_box
 from seedslib.pareto.result import Compromise, Criteria, Evaluated, efficiency
 
@@ -15,7 +18,9 @@ SMALLEST = 1e-300  # range of a criterion below which it counts as constant
 JUMP = 1e-6  # |Delta| at a bracketed root above which the criteria are said to jump
 
 
-def compromise(criteria: Criteria, lower: object, upper: object, *, scan: int = 33) -> Compromise:
+def compromise(
+    criteria: Criteria, lower: ArrayLike, upper: ArrayLike, *, scan: int = 33
+) -> Compromise:
     """Point whose largest relative loss is least, among such points an efficient one.
 
     On a segment all minima are found on a scan that includes both end points; for two criteria
@@ -51,12 +56,11 @@ def compromise(criteria: Criteria, lower: object, upper: object, *, scan: int = 
         raise ValueError(f"upper: wanted the shape {low.shape} of lower, got {high.shape}")
     if not (low < high).all():
         raise ValueError(f"upper: wanted upper bounds above the lower, got {upper} and {lower}")
-    if not isinstance(scan, (int, np.integer)) or scan < 5:
-        raise ValueError(f"scan: wanted a whole number of at least 5, got {scan}")
+    scan = as_count("scan", scan, 5)
     if low.ndim == 0:
         nodes = np.linspace(float(low), float(high), scan)
         return _on_segment(Evaluated(criteria, float(nodes[0])), nodes)
-    points = box_scan(low, high, int(scan))
+    points = box_scan(low, high, scan)
     return _in_box(Evaluated(criteria, points[0]), low, high, points)
 
 
@@ -72,9 +76,9 @@ def _payoff(
     if best_for_all.any():
         return utopia, nadir, np.ones_like(utopia), int(np.argmax(best_for_all))
     none = nadir - utopia <= least_range
-    constant = np.ptp(seen, axis=0) <= least_range
-    if (none & ~constant).any():
-        i = int(np.argmax(none & ~constant))
+    lost = none & (np.ptp(seen, axis=0) > least_range)
+    if lost.any():
+        i = int(np.argmax(lost))
         raise ValueError(
             f"criteria[{i}]: wanted a range in the payoff table, got {utopia[i]:.6g} at the "
             "minimisers of all criteria"
@@ -82,7 +86,7 @@ def _payoff(
     return utopia, nadir, np.where(none, np.inf, nadir - utopia), None
 
 
-def _others(evaluate: Evaluated, i: int, seen: np.ndarray) -> object:
+def _others(evaluate: Evaluated, i: int, seen: np.ndarray) -> Callable:
     """Sum of the other criteria, each in units of its range: breaks ties of criterion i."""
     unit = np.ptp(seen, axis=0)
     seen = unit > SMALLEST  # a smaller one has no inverse
@@ -126,18 +130,18 @@ def _on_segment(evaluate: Evaluated, nodes: np.ndarray) -> Compromise:
     if ideal is None and status != "no bracket" and np.ptp(losses(x)) <= JUMP:
         status = "equal losses"
     evaluate.repeat(x)
-    known = np.array(list(evaluate.known.values()))
+    known = evaluate.seen()
     return Compromise(
         x=x, index=None, values=evaluate(x), losses=losses(x) if ideal is None else 0.0 * utopia,
         utopia=utopia, nadir=nadir, minimizers=np.array(minimizers), status=status,
         efficiency=efficiency(evaluate(x), known), balanced=balanced,
         balanced_efficiency="" if balanced is None else efficiency(evaluate(balanced), known),
-        unimodal=unimodal, evaluations=len(evaluate.known),
+        unimodal=unimodal, evaluations=len(known),
     )  # fmt: skip
 
 
 def _equal_losses(
-    gap: object, nodes: list[float], first: float, second: float
+    gap: Callable[[float], float], nodes: list[float], first: float, second: float
 ) -> tuple[list[float], bool]:
     """Points where the losses are seen to be equal; whether the gap is strictly monotone."""
     gaps = np.array([gap(x) for x in nodes])
@@ -179,10 +183,10 @@ def _in_box(
         status = "equal losses" if np.ptp(at_x) <= JUMP else "minimax"
         good &= found
     evaluate.repeat(x)
-    known = np.array(list(evaluate.known.values()))
+    known = evaluate.seen()
     return Compromise(
         x=x, index=None, values=evaluate(x), losses=at_x, utopia=utopia, nadir=nadir,
         minimizers=np.array(minimizers), status=status if good else "not converged",
         efficiency=efficiency(evaluate(x), known) if checked else "unknown",
-        evaluations=len(evaluate.known),
+        evaluations=len(known),
     )  # fmt: skip

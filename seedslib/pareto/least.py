@@ -7,10 +7,11 @@ and what turns a weakly efficient minimax point into an efficient one.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from operator import itemgetter
 
 import numpy as np
 from numpy.polynomial import Chebyshev
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import OptimizeResult, minimize, minimize_scalar
 
 EQUAL = 1e-12  # two minima are equal within this part of the range of the scanned values
 SAME_TIE = 1e-9  # improvement of the tie, in its range, that is none
@@ -20,6 +21,8 @@ DEGREE = 10  # of the interpolant whose derivative locates a smooth minimum
 STARTS = 4  # best points of a scan from which a search in a box starts
 SLACK = 1e-10  # of the first stage's value, allowed in the second stage
 GAIN = 1e-6  # improvement of the tie that counts as real
+
+SEARCH = {"method": "SLSQP", "jac": "3-point", "options": {"ftol": 1e-15, "maxiter": 400}}
 
 Function = Callable[[np.ndarray | float], float]
 
@@ -87,6 +90,7 @@ def _polished(f: Function, node: float, lower: float, upper: float) -> float:
 
 
 def _best_on_plateau(f: Function, tie: Function, x: float, nodes: np.ndarray) -> float:
+    """Best minimiser for `tie` around x, where `f` is flat over a part of the segment."""
     level = f(x) + ROUNDING * abs(f(x))
     step = 0.5 * FLAT * float(nodes[-1] - nodes[0])
     near = [y for y in (x - step, x + step) if nodes[0] <= y <= nodes[-1]]
@@ -141,30 +145,37 @@ def least_in_box(
     """
     # starting points: of equal ones the first, and every end is compared again below
     order = np.argsort([f(x) for x in scan], kind="stable")[:STARTS]
-    size = upper - lower
-    problem = {"bounds": [(0.0, 1.0)] * len(lower), "method": "SLSQP", "jac": "3-point"}
+    point, box = _unit_box(lower, upper)
     scale = max(abs(f(scan[order[-1]]) - f(scan[order[0]])), abs(f(scan[order[0]])), 1e-300)
-    options = {"ftol": 1e-15, "maxiter": 400}
 
-    def unit(g: Function, factor: float) -> Function:
-        return lambda z: g(lower + np.clip(z, 0.0, 1.0) * size) / factor
+    def scaled(z: np.ndarray) -> float:
+        return f(point(z)) / scale
 
     first = [
-        minimize(unit(f, scale), (scan[j] - lower) / size, options=options, **problem)
-        for j in order
+        minimize(scaled, (scan[j] - lower) / (upper - lower), bounds=box, **SEARCH) for j in order
     ]
     best = min(first, key=lambda end: end.fun)
     equal = [end for end in first if end.fun <= best.fun + 1e-9]
     if max(np.abs(end.x - best.x).max() for end in equal) > FLAT:
-        level = best.fun + SLACK
-        rule = {"type": "ineq", "fun": lambda z: level - unit(f, scale)(z)}
+        rule = {"type": "ineq", "fun": lambda z, level=best.fun + SLACK: level - scaled(z)}
         second = [
-            minimize(unit(tie, 1.0), end.x, constraints=[rule], options=options, **problem)
+            minimize(lambda z: tie(point(z)), end.x, bounds=box, constraints=[rule], **SEARCH)
             for end in equal
         ]
-        equal += [end for end in second if unit(f, scale)(end.x) <= best.fun + 1e-9]
-        best = min(equal, key=lambda end: unit(tie, 1.0)(end.x))
-    return lower + np.clip(best.x, 0.0, 1.0) * size, bool(best.success or best.status == 8)
+        equal += [end for end in second if scaled(end.x) <= best.fun + 1e-9]
+        best = min(equal, key=lambda end: tie(point(end.x)))
+    return point(best.x), _ended(best)
+
+
+def _unit_box(lower: np.ndarray, upper: np.ndarray) -> tuple[Callable, list]:
+    """From the unit box to the points of a box, and the bounds of the former."""
+    size = upper - lower
+    return lambda z: lower + np.clip(z, 0.0, 1.0) * size, [(0.0, 1.0)] * len(lower)
+
+
+def _ended(search: OptimizeResult) -> bool:
+    """Whether a search went as far as it could: status 8 is a step lost in rounding."""
+    return bool(search.success or search.status == 8)
 
 
 def minimax_in_box(
@@ -177,41 +188,25 @@ def minimax_in_box(
 
     Returns the point, whether the first stage succeeded, whether the second did.
     """
-    size = upper - lower
-    options = {"ftol": 1e-15, "maxiter": 400}
-    common = {"method": "SLSQP", "jac": "3-point", "options": options}
-    box = [(0.0, 1.0)] * len(lower)
+    point, box = _unit_box(lower, upper)
 
     def at(z: np.ndarray) -> np.ndarray:
-        return losses(lower + np.clip(z, 0.0, 1.0) * size)
+        return losses(point(z))
 
+    # least t with losses <= t: the epigraph form, in the variables (z, t)
+    above = {"type": "ineq", "fun": lambda zt: zt[-1] - at(zt[:-1])}
+    open_box = [*box, (None, None)]
     ends = []
     for start in starts:
-        z = (start - lower) / size
-        ends.append(
-            minimize(
-                lambda zt: zt[-1],
-                np.r_[z, at(z).max()],
-                bounds=[*box, (None, None)],
-                constraints=[{"type": "ineq", "fun": lambda zt: zt[-1] - at(zt[:-1])}],
-                **common,
-            )
-        )
+        z = (start - lower) / (upper - lower)
+        zt = np.r_[z, at(z).max()]
+        ends.append(minimize(itemgetter(-1), zt, bounds=open_box, constraints=[above], **SEARCH))
     best = min(ends, key=lambda end: at(end.x[:-1]).max())
     z = best.x[:-1]
     bound = at(z).max()
-    repaired = minimize(
-        lambda z: at(z).sum(),
-        z,
-        bounds=box,
-        constraints=[{"type": "ineq", "fun": lambda z: bound + SLACK - at(z)}],
-        **common,
-    )
-    settled = bool(repaired.success or repaired.status == 8)
-    if (
-        settled
-        and at(repaired.x).max() <= bound + 1e-9
-        and (at(repaired.x).sum() < at(z).sum() - GAIN)
-    ):
+    below = {"type": "ineq", "fun": lambda z: bound + SLACK - at(z)}
+    repaired = minimize(lambda z: at(z).sum(), z, bounds=box, constraints=[below], **SEARCH)
+    settled, again = _ended(repaired), at(repaired.x)
+    if settled and again.max() <= bound + 1e-9 and again.sum() < at(z).sum() - GAIN:
         z = repaired.x
-    return lower + np.clip(z, 0.0, 1.0) * size, bool(best.success or best.status == 8), settled
+    return point(z), _ended(best), settled

@@ -106,6 +106,10 @@ class Evaluated:
                 f"{again[i]:.6g} at {x}; use common random numbers, or a table in `choose`"
             )
 
+    def seen(self) -> np.ndarray:
+        """Values at all points so far, shape (n, p)."""
+        return np.array(list(self.known.values()))
+
     def _call(self, x: object) -> np.ndarray:
         several = not callable(self.criteria)
         values = [c(x) for c in self.criteria] if several else self.criteria(x)

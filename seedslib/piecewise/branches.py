@@ -51,30 +51,28 @@ class Branches(NamedTuple):
 
     def take(self, index: np.ndarray) -> Branches:
         """Some of the branches."""
+        return self.pieces(index, self.cell[index], self.regions.take(index))
+
+    def pieces(
+        self, parent: np.ndarray, cell: np.ndarray, regions: IntervalRegions | PolygonRegions
+    ) -> Branches:
+        """Branches with the laws of their parents on regions and in cells of their own."""
         return Branches(
-            self.cell[index],
-            self.regions.take(index),
-            self.slope[:, :, index],
-            self.shift[:, index],
-            self.mean[:, index],
-            self.cov[:, :, index],
-            self.log_unit[index],
-        )
+            cell, regions, self.slope[:, :, parent], self.shift[:, parent], self.mean[:, parent],
+            self.cov[:, :, parent], self.log_unit[parent],
+        )  # fmt: skip
 
 
 def prior_branches(system: PiecewiseLinearSystem, datasets: int) -> Branches:
     """One branch per cell, all with the law of the prior and U = 1."""
     cell, regions = prior_regions(system.regions, system.mean0, system.cov0)
-    count, size = cell.size, system.regions.size
+    count, size, n = cell.size, system.regions.size, system.state_size
     return Branches(
-        cell,
-        regions,
-        _identity(size, count),
-        np.zeros((size, count)),
-        np.broadcast_to(system.mean0[:, None, None], (system.n, count, datasets)),
-        np.broadcast_to(system.cov0[:, :, None, None], (system.n, system.n, count, 1)),
+        cell, regions, _identity(size, count), np.zeros((size, count)),
+        np.broadcast_to(system.mean0[:, None, None], (n, count, datasets)),
+        np.broadcast_to(system.cov0[:, :, None, None], (n, n, count, 1)),
         np.zeros((count, datasets)),
-    )
+    )  # fmt: skip
 
 
 def obstacle(c: Coefficients, size: int) -> str | None:
@@ -120,30 +118,18 @@ def move(branches: Branches, cells: Intervals | Polygons, c: Coefficients) -> Br
     mean = offset + np.einsum("ij...,j...->i...", through, branches.mean)
     cov = _sandwich(through, branches.cov)
     if G[size:].any():
-        noise = np.einsum("ip...,jp...->ij...", G, G)
-        cov = cov + noise
+        cov = cov + np.einsum("ip...,jp...->ij...", G, G)
     regions = branches.regions.image(turn, origin)
     slope, shift = np.where(follow, identity, slope), np.where(follow, 0.0, shift)
     target = whole_images(cells, c.offset[:size, :, 0], c.matrix[:size, :size, :, 0])[cell]
-    parent, into, pieces = regions.split(cells, slope, shift, target)
-    return Branches(
-        into,
-        pieces,
-        slope[:, :, parent],
-        shift[:, parent],
-        mean[:, parent],
-        cov[:, :, parent],
-        branches.log_unit[parent],
-    )
+    moved = branches._replace(slope=slope, shift=shift, mean=mean, cov=cov)
+    return moved.pieces(*regions.split(cells, slope, shift, target))
 
 
 def spread_out(
-    cells: Intervals | Polygons,
-    c: Coefficients,
-    log_weight: np.ndarray,
-    mean: np.ndarray,
+    cells: Intervals | Polygons, c: Coefficients, log_weight: np.ndarray, mean: np.ndarray,
     cov: np.ndarray,
-) -> Branches:
+) -> Branches:  # fmt: skip
     """Predict one Gaussian per cell and cut each of them along all cells.
 
     Parameters
@@ -155,24 +141,23 @@ def spread_out(
     mean, cov : ndarray, shapes (k, n, N) and (k, k, n, N)
         Moments of the law in each cell; anything where the weight is zero.
     """
-    alive = np.flatnonzero((log_weight > -np.inf).any(axis=1))
-    alive = alive if alive.size else np.zeros(1, dtype=int)  # every data set has failed
-    a, A, G = c.offset[:, alive], c.matrix[:, :, alive], c.noise[:, :, alive]
-    mean = a + np.einsum("ij...,j...->i...", A, mean[:, alive])
-    cov = _sandwich(A, cov[:, :, alive]) + np.einsum("ip...,jp...->ij...", G, G)
+    kept = alive(log_weight)
+    a, A, G = c.offset[:, kept], c.matrix[:, :, kept], c.noise[:, :, kept]
+    mean = a + np.einsum("ij...,j...->i...", A, mean[:, kept])
+    cov = _sandwich(A, cov[:, :, kept]) + np.einsum("ip...,jp...->ij...", G, G)
     size = cells.size
     cell, regions = _all_regions(cells, mean[:size], cov[:size, :size])
-    parent = np.repeat(np.arange(alive.size), cell.size)
-    child = np.tile(np.arange(cell.size), alive.size)
-    return Branches(
-        cell[child],
-        regions.take(child),
-        _identity(size, parent.size),
-        np.zeros((size, parent.size)),
-        mean[:, parent],
-        cov[:, :, parent],
-        log_weight[alive][parent],
-    )
+    parent = np.repeat(np.arange(kept.size), cell.size)
+    child = np.tile(np.arange(cell.size), kept.size)
+    whole, still = _identity(size, kept.size), np.zeros((size, kept.size))
+    spread = Branches(kept, regions, whole, still, mean, cov, log_weight[kept])
+    return spread.pieces(parent, cell[child], regions.take(child))
+
+
+def alive(log_unit: np.ndarray) -> np.ndarray:
+    """Indices of the branches that some data set still has; one at least, to keep the arrays."""
+    index = np.flatnonzero((log_unit > -np.inf).any(axis=1))
+    return index if index.size else np.zeros(1, dtype=int)
 
 
 def measure(branches: Branches, c: Coefficients, y: np.ndarray) -> tuple[Branches, np.ndarray]:
@@ -244,7 +229,7 @@ def _sandwich(matrix: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return 0.5 * (full + np.swapaxes(full, 0, 1))
 
 
-def _all_regions(cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray):
+def _all_regions(cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray) -> tuple:
     """Regions of all cells; plane cells cut off far beyond every predicted law."""
     if isinstance(cells, Intervals):
         return np.arange(cells.count), IntervalRegions(cells.lower, cells.upper)

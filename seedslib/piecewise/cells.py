@@ -125,8 +125,7 @@ class Polygons:
         if not len(self.cells):
             raise ValueError("regions: wanted at least one cell, got none")
         cells = tuple(_as_half_planes(f"regions[{i}]", cell) for i, cell in enumerate(self.cells))
-        object.__setattr__(self, "cells", cells)
-        object.__setattr__(self, "radius", _extent(cells))
+        vars(self).update(cells=cells, radius=_extent(cells))
         self._check_tiling()
 
     @property
@@ -145,12 +144,8 @@ class Polygons:
         -------
         ndarray of int, shape (*batch)
         """
-        slack = np.stack(
-            [
-                (np.tensordot(cell.normals.T, points, 1).T - cell.offsets).max(-1, initial=-np.inf)
-                for cell in self.cells
-            ]
-        )
+        beyond = (np.tensordot(c.normals.T, points, 1).T - c.offsets for c in self.cells)
+        slack = np.stack([each.max(-1, initial=-np.inf) for each in beyond])
         # on a common edge the cell of the smallest index
         return np.argmin(np.maximum(slack, 0.0), axis=0).T
 
@@ -217,20 +212,13 @@ def line_cells(normals: object, offsets: object) -> Polygons:
     """
     normals = as_shape("normals", normals, (2, -1))
     offsets = as_shape("offsets", offsets, (normals.shape[1],))
-    found = [(np.empty((2, 0)), np.empty(0))]
+    found = [HalfPlanes(np.empty((2, 0)), np.empty(0))]
     square = box(np.zeros(2), np.full(2, _extent([HalfPlanes(normals, offsets)])))
     for normal, offset in zip(normals.T, offsets, strict=True):
-        sides = [
-            (np.c_[n, sign * normal], np.append(c, sign * offset))
-            for n, c in found
-            for sign in (1.0, -1.0)
-        ]
-        found = [
-            side
-            for side in sides
-            if area(clip_all(square, HalfPlanes(*side))) > 1e-12 * area(square)
-        ]
-    return Polygons(tuple(HalfPlanes(n, c) for n, c in found))
+        signed = [(n, c, sign) for n, c in found for sign in (1.0, -1.0)]
+        sides = (HalfPlanes(np.c_[n, s * normal], np.append(c, s * offset)) for n, c, s in signed)
+        found = [side for side in sides if area(clip_all(square, side)) > 1e-12 * area(square)]
+    return Polygons(tuple(found))
 
 
 def _as_half_planes(name: str, cell: object) -> HalfPlanes:

@@ -30,10 +30,7 @@ def box(center: np.ndarray, half_width: np.ndarray) -> np.ndarray:
 
 def area(vertices: np.ndarray) -> float:
     """Signed area of a polygon, shape (2, N); positive counter-clockwise."""
-    if vertices.shape[1] < 3:
-        return 0.0
-    x, y = vertices[:, 1:] - vertices[:, :1]
-    return 0.5 * float(np.sum(x[:-1] * y[1:] - x[1:] * y[:-1]))
+    return 0.5 * float(np.sum(_fan(vertices)[1])) if vertices.shape[1] > 2 else 0.0
 
 
 def clip(vertices: np.ndarray, normal: np.ndarray, offset: float) -> np.ndarray:
@@ -78,8 +75,12 @@ def clip_all(vertices: np.ndarray, cell: HalfPlanes) -> np.ndarray:
 
 def centroid(vertices: np.ndarray) -> np.ndarray:
     """Centre of gravity of a polygon of positive area, shape (2,)."""
-    x, y = vertices[:, 1:] - vertices[:, :1]
-    cross = x[:-1] * y[1:] - x[1:] * y[:-1]
-    return vertices[:, 0] + np.array([(x[:-1] + x[1:]) @ cross, (y[:-1] + y[1:]) @ cross]) / (
-        3.0 * cross.sum()
-    )
+    spokes, cross = _fan(vertices)
+    moment = np.array([(x[:-1] + x[1:]) @ cross for x in spokes])
+    return vertices[:, 0] + moment / (3.0 * cross.sum())
+
+
+def _fan(vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Spokes (2, N - 1) from the first vertex, and twice the areas (N - 2,) between them."""
+    x, y = spokes = vertices[:, 1:] - vertices[:, :1]
+    return spokes, x[:-1] * y[1:] - x[1:] * y[:-1]

@@ -32,25 +32,19 @@ def as_coefficients(
     """Arrays with a cell axis and an axis of data sets, from arrays that may lack both."""
     if len(parts) != 3 or any(part is None for part in parts):
         raise ValueError(f"{name}: wanted an offset, a matrix and a noise, got None among them")
-    offset, matrix, noise = (
-        as_real(f"{name} ({what})", part)
-        for what, part in zip(("offset", "matrix", "noise"), parts, strict=True)
-    )
+    labels = [f"{name} ({what})" for what in Coefficients._fields]
+    arrays = [as_real(label, part) for label, part in zip(labels, parts, strict=True)]
+    offset, _, noise = arrays
     rows = len(offset) if rows is None and offset.ndim else rows
     wanted = ((rows,), (rows, size), (rows, noise.shape[1] if noise.ndim > 1 else -1))
     full = []
-    for what, part, core in zip(
-        ("offset", "matrix", "noise"), (offset, matrix, noise), wanted, strict=True
-    ):
+    for label, part, core in zip(labels, arrays, wanted, strict=True):
         depth = part.ndim - len(core)
         if part.shape[: len(core)] != core or depth not in (0, 1, 2):
-            raise ValueError(
-                f"{name} ({what}): wanted shape {core} and the cells, got {part.shape}"
-            )
+            raise ValueError(f"{label}: wanted shape {core} and the cells, got {part.shape}")
         if depth and part.shape[len(core)] != cells:
             raise ValueError(
-                f"{name} ({what}): wanted {cells} cells along axis {len(core)}, "
-                f"got shape {part.shape}"
+                f"{label}: wanted {cells} cells along axis {len(core)}, got shape {part.shape}"
             )
         part = part.reshape(part.shape + (1,) * (2 - depth))
         full.append(np.broadcast_to(part, (*core, cells, part.shape[-1])))

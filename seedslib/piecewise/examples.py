@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import numpy as np
+import sympy
+from numpy.typing import ArrayLike
+
+from seedslib.base.checks import as_count
+from seedslib.piecewise.system import PiecewiseLinearSystem
+
 
 def falling_body(
-    cells=100, *, partition="gradient", span=(5.0, 50.0), support="centroid", sensor_noise=1e-3
-):
+    cells: int = 100, *, partition: str = "gradient", span: tuple[float, float] = (5.0, 50.0),
+    support: str | ArrayLike = "centroid", sensor_noise: float = 1e-3,
+) -> PiecewiseLinearSystem:  # fmt: skip
     """Body in free fall from rest, of which only the elevation angle is measured.
 
     The example (24) to (30) of the piecewise-linear paper: the range X1 (in km) stays, the small
@@ -37,19 +45,12 @@ def falling_body(
     ValueError
         No cell, a span that is not 0 < low < high, or an unknown partition.
     """
-    import numpy as np
-    import sympy
-
-    from seedslib.base.blocks import as_count
-    from seedslib.piecewise.system import PiecewiseLinearSystem
-
     cells, (low, high) = as_count("cells", cells), span
     if not 0.0 < low < high:
         raise ValueError(f"span: wanted 0 < low < high, got {span!r}")
     powers = {"gradient": -2.0, "curvature": -0.5}
-    if partition not in powers:
+    if (power := powers.get(partition)) is None:
         raise ValueError(f'partition: wanted "gradient" or "curvature", got {partition!r}')
-    power = powers[partition]
     share = np.arange(cells + 1) / cells
     edges = ((1.0 - share) * low**power + share * high**power) ** (1.0 / power)
     x1, x2, v, t, g = sympy.symbols("x1 x2 v t g")

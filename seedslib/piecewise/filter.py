@@ -6,12 +6,14 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_count, as_real
 from seedslib.filters.estimates import Estimates, require_time, stays
+from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import as_steps, as_system
 from seedslib.piecewise import weights
 from seedslib.piecewise.branches import (
     Branches,
+    alive,
     measure,
     move,
     obstacle,
@@ -21,12 +23,12 @@ from seedslib.piecewise.branches import (
 from seedslib.piecewise.local import localise
 from seedslib.piecewise.merging import merge
 from seedslib.piecewise.state import PiecewiseState, check_noise, lost_mass
-from seedslib.piecewise.system import PiecewiseLinearSystem, as_steps
+from seedslib.piecewise.system import PiecewiseLinearSystem
 
 _PAIRS = 2_000_000  # pairs (branch, data set) that are worked on together by `run`
 
 
-class PiecewiseLinearFilter:
+class PiecewiseLinearFilter(Filter):
     """Posterior moments of a piecewise-linear system, exact where its structure allows it.
 
     The posterior is a sum of Gaussian laws, each restricted to a region: a *branch*. A transition
@@ -66,6 +68,9 @@ class PiecewiseLinearFilter:
         Options outside their ranges; merging of a state that is not scalar.
     """
 
+    alone = True  # a measurement that no branch explains is an error there
+    _shown = "method", "prune", "keep", "merge"
+
     def __init__(
         self,
         system: PiecewiseLinearSystem,
@@ -77,8 +82,7 @@ class PiecewiseLinearFilter:
         neglect: float = 1e-30,
         max_branches: int = 20_000,
     ):
-        if not isinstance(system, PiecewiseLinearSystem):
-            raise TypeError(f"system: wanted a PiecewiseLinearSystem, got {type(system).__name__}")
+        as_system("system", system, "PiecewiseLinearSystem")
         if method not in ("auto", "exact", "matched"):
             raise ValueError(f'method: wanted "auto", "exact" or "matched", got {method!r}')
         for name, value in (("prune", prune), ("neglect", neglect)):
@@ -86,8 +90,8 @@ class PiecewiseLinearFilter:
                 raise ValueError(f"{name}: wanted a share in [0, 1), got {value:g}")
         if not as_real("merge", merge, ndim=0) >= 0.0:
             raise ValueError(f"merge: wanted a nonnegative distance, got {merge:g}")
-        if merge > 0.0 and system.n > 1:
-            raise ValueError(f"merge: wanted 0 for a state of {system.n} components")
+        if merge > 0.0 and system.state_size > 1:
+            raise ValueError(f"merge: wanted 0 for a state of {system.state_size} components")
         if not max_branches >= system.regions.count:
             raise ValueError(f"max_branches: wanted at least one per cell, got {max_branches}")
         self.system, self.method = system, method
@@ -137,70 +141,27 @@ class PiecewiseLinearFilter:
         branches, lost = self._moved(state, t)
         return self._corrected(state, branches, float(t), y, lost)
 
-    def forecast(self, state: PiecewiseState, t: float) -> Estimates:
-        """Mean, covariance and probabilities of the cells at a later time."""
-        ahead = self.predict(state, t)
-        return Estimates(ahead.mean, ahead.cov, ahead.mode_prob)
+    def report(self, state: PiecewiseState) -> Estimates:
+        """Mean, covariance and probabilities of the cells."""
+        return Estimates(state.mean, state.cov, state.mode_prob, state.loglik, state.diverged)
 
     def states(self, times: object, measurements: object) -> Iterator[PiecewiseState]:
         """The states at all times, one after the other; arguments as `run`."""
-        times, y = self._checked(times, measurements)
+        times, y = self.record(times, measurements)
         state = self.initial(y.shape[2:])
         for t, now in zip(times, y, strict=True):
             state = self.step(state, float(t), now)
             yield state
 
-    def run(self, times: object, measurements: object) -> Estimates:
-        """Filter whole records.
-
-        Parameters
-        ----------
-        times : int or array_like
-            Number of steps K, or the grid (K+1,).
-        measurements : array_like, shape (K+1, m, *batch)
-            NaN marks what is missing; the system measures nothing at the first time, so NaN
-            there is the rule.
-
-        Returns
-        -------
-        Estimates
-            mean (K+1, k, *batch), cov (K+1, k, k, *batch), mode_prob (K+1, n, *batch): the
-            probability of every cell, loglik (K+1, *batch), diverged (*batch).
-
-        Raises
-        ------
-        TypeError, ValueError
-            Arguments that do not fit; for a single data set, a measurement that is incompatible
-            with every branch (a batch flags such data sets and goes on).
-        """
-        times, y = self._checked(times, measurements)
-        batch = y.shape[2:]
-        flat = y.reshape(*y.shape[:2], -1)
-        width = self._block(float(times[0]), flat.shape[2])
-        blocks = [
-            self._stacked(times, flat[:, :, start : start + width] if batch else y)
-            for start in range(0, flat.shape[2], width)
-        ]
-        if not batch:
-            return blocks[0]
-        joined = (
-            None if parts[0] is None else np.concatenate(parts, axis=-1)
-            for parts in zip(*blocks, strict=True)
-        )
-        return Estimates(*(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in joined))
-
     @property
     def _adaptive(self) -> bool:
         return self.system.functions is not None and self.system.functions.adaptive
 
-    def _stacked(self, times: np.ndarray, y: np.ndarray) -> Estimates:
-        """The estimates of one block of data sets."""
-        kept = []
-        for state in self.states(times, y):
-            kept.append((state.mean, state.cov, state.mode_prob, state.loglik))
-        return Estimates(*(np.stack(part) for part in zip(*kept, strict=True)), state.diverged)
+    def record(self, times: object, measurements: object) -> tuple[np.ndarray, np.ndarray]:
+        """Times, also from the number of steps K, and measurements (K+1, m, *batch), checked.
 
-    def _checked(self, times: object, measurements: object) -> tuple[np.ndarray, np.ndarray]:
+        The system measures nothing at the first time, so NaN there is the rule.
+        """
         times = as_steps(times)
         y = as_real("measurements", measurements, nan=True)
         outputs = self.system.sensor_at(float(times[-1])).offset.shape[0]
@@ -210,17 +171,19 @@ class PiecewiseLinearFilter:
             )
         return times, y
 
-    def _block(self, t: float, datasets: int) -> int:
-        """Data sets per block: all of them unless moment matching makes too many pairs of cells."""
+    def block(self, times: np.ndarray, paths: int, workers: int) -> int:
+        """Data sets worked on together: all, unless matching makes too many pairs of cells."""
         cells = self.system.regions
-        if self.method != "matched" and not obstacle(self.system.dynamics_at(t), cells.size):
-            return max(1, datasets)
-        return max(1, min(datasets, _PAIRS // cells.count**2))
+        if self.method != "matched" and not obstacle(
+            self.system.dynamics_at(float(times[0])), cells.size
+        ):
+            return max(1, paths)
+        return max(1, min(paths, _PAIRS // cells.count**2))
 
     def _moved(self, state: PiecewiseState, t: float) -> tuple[Branches, np.ndarray]:
         """Branches at time t before its measurement, and the bound of the lost mass."""
         system = self.system
-        estimate = state.mean.reshape(system.n, -1) if self._adaptive else None
+        estimate = state.mean.reshape(system.state_size, -1) if self._adaptive else None
         c = system.dynamics_at(state.time, estimate)
         reason = obstacle(c, system.regions.size)
         if self.method == "exact" and reason:
@@ -247,7 +210,7 @@ class PiecewiseLinearFilter:
         if y.shape[1:] != batch or y.ndim != 1 + len(batch):
             raise ValueError(f"y: wanted shape {('any', *batch)}, got {y.shape}")
         if not np.isnan(y).all():  # a sensor need not exist when nothing is measured
-            estimate = state.mean.reshape(self.system.n, -1) if self._adaptive else None
+            estimate = state.mean.reshape(self.system.state_size, -1) if self._adaptive else None
             c = self.system.sensor_at(t, estimate)
             if len(y) != len(c.offset):
                 raise ValueError(f"y: wanted shape {(len(c.offset), *batch)}, got {y.shape}")
@@ -273,7 +236,7 @@ class PiecewiseLinearFilter:
         update: bool = False,
     ) -> PiecewiseState:
         """State from branches whose U are not normalised; prunes and merges after an update."""
-        weighed = weights.weigh(branches, self.neglect)
+        weighed = weights.weigh_branches(branches, self.neglect)
         total = weights.log_sum(weighed.log_joint)
         failed = ~(total > -np.inf)
         if failed.any() and not batch:
@@ -292,14 +255,14 @@ class PiecewiseLinearFilter:
                 lost, share, distance, peak - np.where(failed.reshape(batch), 0.0, loglik)
             )
         branches = branches._replace(log_unit=log_unit)
-        law = weights.Law(weighed, np.exp(log_weight), branches.cell)
+        law = weights.CellLaw(weighed, np.exp(log_weight), branches.cell)
         mean, cov = weights.mixture(law)
         prob = weights.cell_probabilities(law, self.system.regions.count)
         for part in (mean, cov, prob):
             part[..., failed] = np.nan
         if update and (self._cuts or self.merge > 0.0):
-            alive = weights.alive(log_unit)
-            branches, log_weight = branches.take(alive), log_weight[alive]
+            kept = alive(log_unit)
+            branches, log_weight = branches.take(kept), log_weight[kept]
         if update and self.merge > 0.0:
             branches, log_weight, added = merge(branches, log_weight, self.merge)
             distance = distance + added.reshape(batch)

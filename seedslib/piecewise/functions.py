@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from seedslib.base.checks import as_real, as_shape
+from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import factor
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
@@ -18,7 +19,7 @@ Numeric = Callable[[float, np.ndarray], np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
-class Tangents:
+class Tangents(Remade):
     """Nonlinear functions f and h, and where they are linearised.
 
     Made by `PiecewiseLinearSystem.from_functions`. The coefficients of cell i are those of the
@@ -29,22 +30,31 @@ class Tangents:
     ----------
     transition, sensor_map : StochasticMap
         Next state and measurement, with their noises.
-    slopes : tuple of two triples of callables
-        For the dynamics and for the sensor: mean, Jacobian in the state, and coefficients of
-        independent standard normal noise, as functions of t and x (k, *batch).
     support : ndarray, shape (k, n)
         Support points of the cells.
     cells : Intervals or Polygons
     adaptive : bool
         Whether the current estimate replaces the support point of the cell that holds it.
+    slopes : tuple of two triples of callables
+        For the dynamics and for the sensor: mean, Jacobian in the state, and coefficients of
+        independent standard normal noise, as functions of t and x (k, *batch).
+
+    Raises
+    ------
+    ValueError
+        Noise that does not enter linearly.
     """
 
     transition: StochasticMap
     sensor_map: StochasticMap
-    slopes: tuple[tuple[Numeric, Numeric, Numeric], tuple[Numeric, Numeric, Numeric]]
     support: np.ndarray
     cells: Intervals | Polygons
     adaptive: bool
+    slopes: tuple[tuple[Numeric, Numeric, Numeric], ...] = field(init=False)
+
+    def __post_init__(self):
+        slopes = _slopes("dynamics", self.transition), _slopes("sensor", self.sensor_map)
+        object.__setattr__(self, "slopes", slopes)
 
     def points(self, estimate: np.ndarray | None) -> np.ndarray:
         """Support points, (k, n) or, with estimates (k, N) of an adaptive system, (k, n, N)."""
@@ -66,14 +76,17 @@ class Tangents:
         return _tangent(*self.slopes[1], t, self.points(estimate))
 
 
-def _tangent(mean: Numeric, jacobian: Numeric, noise: Numeric, t: float, points: np.ndarray):
+def _tangent(
+    mean: Numeric, jacobian: Numeric, noise: Numeric, t: float, points: np.ndarray
+) -> tuple:
     slope = jacobian(t, points)
     return mean(t, points) - np.einsum("ij...,j...->i...", slope, points), slope, noise(t, points)
 
 
 def tangents(
-    *, state, dynamics, sensor, noise, breakpoints, support, time, mean0, parameters
-) -> Tangents:
+    *, state: Sequence, dynamics: Sequence, sensor: Sequence, noise: object, breakpoints: object,
+    support: object, time: object, mean0: np.ndarray, parameters: Mapping | None,
+) -> Tangents:  # fmt: skip
     """Compile the model of `PiecewiseLinearSystem.from_functions`; see there."""
     from seedslib.base.symbols import named_model
     from seedslib.models.codegen import known_expressions
@@ -91,14 +104,13 @@ def tangents(
         raise ValueError("noise: wanted independent noises in the dynamics and in the sensor")
     transition = StochasticMap(state, list(f), _part(noise, moving), time=time)
     sensor_map = StochasticMap(state, list(h), _part(noise, seen), time=time)
-    slopes = _slopes("dynamics", transition), _slopes("sensor", sensor_map)
     cells, middle = _cells(breakpoints)
     adaptive = isinstance(support, str) and support == "estimate"
     points = _points(support, cells, middle, mean0)
-    return Tangents(transition, sensor_map, slopes, points, cells, adaptive)
+    return Tangents(transition, sensor_map, points, cells, adaptive)
 
 
-def _as_noise(noise) -> Noise:
+def _as_noise(noise: object) -> Noise:
     """A Gaussian `Noise` with named components from what the user passed."""
     if noise is None or isinstance(noise, Noise):
         noise = noise or Noise()
@@ -128,16 +140,13 @@ def _slopes(name: str, map_: StochasticMap) -> tuple[Numeric, Numeric, Numeric]:
     mean = value.subs(dict(zip(symbols, noise.mean.tolist(), strict=True)))
     spread = gain * sp.Matrix(len(symbols), len(symbols), factor(noise.cov).ravel().tolist())
     arguments = (map_.time, map_.state)
-    compiled = [
-        compile_array(arguments, list(mean)),
-        compile_array(arguments, mean.jacobian(map_.state)),
-    ]
+    compiled = (compile_array(arguments, e) for e in (list(mean), mean.jacobian(map_.state)))
     if not symbols:
         return (*compiled, lambda t, x: np.zeros((len(value), 0, *x.shape[1:])))
     return (*compiled, compile_array(arguments, spread))
 
 
-def _cells(breakpoints) -> tuple[Intervals | Polygons, np.ndarray]:
+def _cells(breakpoints: object) -> tuple[Intervals | Polygons, np.ndarray]:
     """Cells that cover the space, and the middles (k1, n) of those given; infinite without one."""
     if not isinstance(breakpoints, Intervals | Polygons) and np.ndim(breakpoints[0]) == 0:
         edges = as_real("breakpoints", breakpoints, ndim=1)
@@ -152,15 +161,15 @@ def _cells(breakpoints) -> tuple[Intervals | Polygons, np.ndarray]:
         return cells, np.where(bounded, 0.5 * (ends[0] + ends[1]), np.inf)[None]
     square, reach = box(np.zeros(2), np.full(2, cells.radius)), cells.radius * (1.0 - 1e-9)
     pieces = [clip_all(square, cell) for cell in cells.cells]
-    unbounded = [np.abs(piece).max() >= reach for piece in pieces]
     middle = [
-        np.full(2, np.inf) if outside else centroid(piece)
-        for piece, outside in zip(pieces, unbounded, strict=True)
+        np.full(2, np.inf) if np.abs(piece).max() >= reach else centroid(piece) for piece in pieces
     ]
     return cells, np.stack(middle, axis=1)
 
 
-def _points(support, cells, middle: np.ndarray, mean0: np.ndarray) -> np.ndarray:
+def _points(
+    support: object, cells: Intervals | Polygons, middle: np.ndarray, mean0: np.ndarray
+) -> np.ndarray:
     """Support points of the cells, shape (k, n)."""
     if isinstance(support, str):
         if support not in ("centroid", "estimate"):

@@ -30,9 +30,6 @@ class IntervalRegions:
     lower: np.ndarray
     upper: np.ndarray
 
-    def __len__(self) -> int:
-        return self.lower.size
-
     def take(self, index: np.ndarray) -> IntervalRegions:
         """The regions of some branches."""
         return IntervalRegions(self.lower[index], self.upper[index])
@@ -44,12 +41,9 @@ class IntervalRegions:
         return IntervalRegions(np.minimum(*ends), np.maximum(*ends))
 
     def split(
-        self,
-        cells: Intervals,
-        slope: np.ndarray,
-        shift: np.ndarray,
+        self, cells: Intervals, slope: np.ndarray, shift: np.ndarray,
         target: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, IntervalRegions]:
+    ) -> tuple[np.ndarray, np.ndarray, IntervalRegions]:  # fmt: skip
         """Cut every region along the cells of ``shift + slope s``.
 
         Parameters
@@ -121,9 +115,6 @@ class PolygonRegions:
 
     vertices: tuple[np.ndarray, ...]
 
-    def __len__(self) -> int:
-        return len(self.vertices)
-
     def take(self, index: np.ndarray) -> PolygonRegions:
         """The regions of some branches."""
         return PolygonRegions(tuple(self.vertices[i] for i in index))
@@ -137,12 +128,9 @@ class PolygonRegions:
         return PolygonRegions(tuple(mapped))
 
     def split(
-        self,
-        cells: Polygons,
-        slope: np.ndarray,
-        shift: np.ndarray,
+        self, cells: Polygons, slope: np.ndarray, shift: np.ndarray,
         target: np.ndarray | None = None,
-    ) -> tuple[np.ndarray, np.ndarray, PolygonRegions]:
+    ) -> tuple[np.ndarray, np.ndarray, PolygonRegions]:  # fmt: skip
         """Cut every region along the cells of ``shift + slope s``; `target` is not used."""
         parent, index, pieces = [], [], []
         for b, vertices in enumerate(self.vertices):
@@ -189,7 +177,7 @@ class PolygonRegions:
         return polygon(mean, cov, vertices[:, :, branch])
 
 
-def prior_regions(cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray):
+def prior_regions(cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray) -> tuple:
     """Region of every cell before anything was measured, and which cells have one.
 
     Plane cells are cut off 40 standard deviations from the prior mean, where the prior mass is

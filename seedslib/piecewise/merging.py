@@ -58,18 +58,11 @@ def merge(
     distance : ndarray, shape (N,)
         Projective distance between the law before and after.
     """
-    shape = log_weight.shape
-    nothing = np.zeros(shape)
-    pieces = _Pieces(
-        np.repeat(branches.regions.lower[:, None], shape[1], axis=1),
-        np.repeat(branches.regions.upper[:, None], shape[1], axis=1),
-        branches.mean[0],
-        np.broadcast_to(branches.cov[0, 0], shape),
-        log_weight,
-        branches.log_unit,
-        nothing,
-        nothing,
-    )
+    shape, regions = log_weight.shape, branches.regions
+    nothing, var = np.zeros(shape), np.broadcast_to(branches.cov[0, 0], shape)
+    ends = (np.repeat(end[:, None], shape[1], axis=1) for end in (regions.lower, regions.upper))
+    laws = branches.mean[0], var, log_weight, branches.log_unit
+    pieces = _Pieces(*ends, *laws, nothing, nothing)
     pieces = _merge_stacks(branches, pieces, tolerance)
     pieces, origin = _merge_rows(branches, pieces, tolerance)
     if not (pieces.largest > pieces.least).any():
@@ -175,16 +168,9 @@ def _join(a: _Pieces, b: _Pieces, stacked: bool) -> _Pieces:
     share = [part / total for part in parts]
     var = 1.0 / (share[0] / a.var + share[1] / b.var)
     mean = var * (share[0] * a.mean / a.var + share[1] * b.mean / b.var)
-    new = _Pieces(
-        np.minimum(a.lower, b.lower),
-        np.maximum(a.upper, b.upper),
-        mean,
-        var,
-        np.where(both, top + np.log(total), -np.inf),
-        a.log_unit,
-        a.least,
-        a.largest,
-    )
+    ends = np.minimum(a.lower, b.lower), np.maximum(a.upper, b.upper)
+    log_weight = np.where(both, top + np.log(total), -np.inf)
+    new = _Pieces(*ends, mean, var, log_weight, a.log_unit, a.least, a.largest)
     peak, log_unit = _height(new)
     lows, highs = [], []
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -196,11 +182,8 @@ def _join(a: _Pieces, b: _Pieces, stacked: bool) -> _Pieces:
             highs.append(high + item.largest)
         low, high = np.minimum(*lows), np.maximum(*highs)
         usable = both & np.isfinite(low) & np.isfinite(high)
-    return new._replace(
-        log_unit=log_unit,
-        least=np.where(usable, low, -np.inf),
-        largest=np.where(usable, high, np.inf),
-    )
+    low, high = np.where(usable, low, -np.inf), np.where(usable, high, np.inf)
+    return new._replace(log_unit=log_unit, least=low, largest=high)
 
 
 def _height(item: _Pieces) -> tuple[np.ndarray, np.ndarray]:
@@ -224,10 +207,8 @@ def _range(constant: np.ndarray, item: _Pieces, new: _Pieces) -> tuple[np.ndarra
     values = np.stack([value(item.lower), value(item.upper), value(inner)])
     values = np.where((item.mean == new.mean) & (item.var == new.var), constant, values)
     bounded = np.isfinite(values).all(axis=0)
-    return (
-        np.where(bounded, values.min(axis=0), -np.inf),
-        np.where(bounded, values.max(axis=0), np.inf),
-    )
+    low, high = values.min(axis=0), values.max(axis=0)
+    return np.where(bounded, low, -np.inf), np.where(bounded, high, np.inf)
 
 
 def _key(branches: Branches) -> np.ndarray:

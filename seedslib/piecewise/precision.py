@@ -19,13 +19,9 @@ def gram(root: np.ndarray) -> np.ndarray:
 
 
 def sharpened(
-    cov: np.ndarray,
-    root: np.ndarray,
-    sensor: np.ndarray,
-    noise: np.ndarray,
-    innovation: np.ndarray,
-    y: np.ndarray,
-) -> np.ndarray:
+    cov: np.ndarray, root: np.ndarray, sensor: np.ndarray, noise: np.ndarray,
+    innovation: np.ndarray, y: np.ndarray,
+) -> np.ndarray:  # fmt: skip
     """Corrected covariances, rebuilt where the plain correction cancels.
 
     Parameters
@@ -45,8 +41,8 @@ def sharpened(
         return cov
     batch = cov.shape[2:]
     branch, dataset = np.nonzero(np.broadcast_to(sharp, batch))
-    root, sensor, noise = (
-        _items(np.broadcast_to(part, part.shape[:2] + batch), branch, dataset)
+    root, sensor, noise = (  # the chosen matrices, items first
+        np.moveaxis(np.broadcast_to(part, part.shape[:2] + batch)[:, :, branch, dataset], -1, 0)
         for part in (root, sensor, noise)
     )
     if batch[1] > 1:
@@ -64,11 +60,6 @@ def sharpened(
     cov = cov.copy()
     cov[:, :, branch[sound], dataset[sound]] = rebuilt[:, :, sound]
     return cov
-
-
-def _items(part: np.ndarray, branch: np.ndarray, dataset: np.ndarray) -> np.ndarray:
-    """The chosen matrices, items first."""
-    return np.moveaxis(part[:, :, branch, dataset], -1, 0)
 
 
 def _determinant(matrix: np.ndarray) -> np.ndarray:

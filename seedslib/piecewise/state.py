@@ -8,7 +8,7 @@ import numpy as np
 
 from seedslib.piecewise.branches import Branches
 from seedslib.piecewise.coefficients import Coefficients
-from seedslib.piecewise.weights import Law
+from seedslib.piecewise.weights import CellLaw
 
 _SINGULAR = 1e-13
 
@@ -35,7 +35,7 @@ class PiecewiseState(NamedTuple):
         Data sets whose measurement no branch could explain.
     branches : Branches
         One axis of data sets, whatever the batch.
-    law : Law
+    law : CellLaw
         Moments of x in every branch, before merging.
     """
 
@@ -49,7 +49,7 @@ class PiecewiseState(NamedTuple):
     distance: np.ndarray
     diverged: np.ndarray
     branches: Branches
-    law: Law
+    law: CellLaw
 
     @property
     def error_bound(self) -> np.ndarray:
@@ -69,7 +69,9 @@ class PiecewiseState(NamedTuple):
         return (self.weights >= threshold * top).sum(axis=0)
 
 
-def lost_mass(lost, share, distance, log_ratio) -> np.ndarray:
+def lost_mass(
+    lost: np.ndarray, share: np.ndarray, distance: np.ndarray, log_ratio: np.ndarray
+) -> np.ndarray:
     """One step of the bound of the ratio between dropped and kept mass."""
     with np.errstate(over="ignore", invalid="ignore"):
         grown = np.where(lost > 0.0, lost * np.exp(log_ratio + distance), 0.0)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from seedslib.base.blocks import as_count
-from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, require_one_size
+from seedslib.base.checks import as_covariance, as_real, as_shape, require_one_size
 from seedslib.models.discrete import DiscreteSystem
-from seedslib.models.simulation import Simulation
+from seedslib.models.kinds import as_steps
+from seedslib.models.simulation import Simulation, as_measured
 from seedslib.piecewise.cells import Intervals, Polygons, as_cells
 from seedslib.piecewise.coefficients import Coefficients, affine_map, as_coefficients
 from seedslib.piecewise.functions import Tangents, tangents
@@ -62,6 +62,7 @@ class PiecewiseLinearSystem:
     cov0: np.ndarray
     noise: np.ndarray | Callable | None = None
     functions: Tangents | None = None
+    indicators = 0
 
     def __post_init__(self):
         mean0 = as_real("mean0", self.mean0, ndim=1)
@@ -73,13 +74,8 @@ class PiecewiseLinearSystem:
             )
         cov0 = as_real("cov0", self.cov0)
         require_one_size("mean0, cov0", mean0, cov0)
-        fields = {
-            "regions": cells,
-            "mean0": mean0,
-            "cov0": as_covariance("cov0", cov0, mean0.size),
-        }
-        for name, value in fields.items():
-            object.__setattr__(self, name, value)
+        cov0 = as_covariance("cov0", cov0, mean0.size)
+        vars(self).update(regions=cells, mean0=mean0, cov0=cov0)
         if self.functions is None:
             if not callable(self.dynamics) and not callable(self.noise):
                 self.dynamics_at(0.0)
@@ -88,18 +84,10 @@ class PiecewiseLinearSystem:
 
     @classmethod
     def from_functions(
-        cls,
-        *,
-        state: Sequence,
-        dynamics: Sequence,
-        sensor: Sequence,
-        breakpoints: object,
-        initial: tuple,
-        noise: object = None,
-        support: object = "centroid",
-        time: object = None,
+        cls, *, state: Sequence, dynamics: Sequence, sensor: Sequence, breakpoints: object,
+        initial: tuple, noise: object = None, support: object = "centroid", time: object = None,
         parameters: Mapping | None = None,
-    ) -> PiecewiseLinearSystem:
+    ) -> PiecewiseLinearSystem:  # fmt: skip
         """Tangents of nonlinear SymPy functions on every cell, equations (21) to (23).
 
         Parameters
@@ -140,19 +128,18 @@ class PiecewiseLinearSystem:
             parameters=parameters,
         )  # fmt: skip
         return cls(
-            regions=model.cells,
-            dynamics=model.dynamics,
-            sensor=model.sensor,
-            sensor_noise=None,
-            mean0=mean0,
-            cov0=initial[1],
-            functions=model,
+            model.cells, model.dynamics, model.sensor, None, mean0, initial[1], functions=model
         )
 
     @property
-    def n(self) -> int:
+    def state_size(self) -> int:
         """Number of state components."""
         return self.mean0.size
+
+    @property
+    def measurement_size(self) -> int:
+        """Number of measured components; of a sensor that is a function of time those at t = 1."""
+        return self.sensor_at(1.0).offset.shape[0]
 
     def dynamics_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
         """Coefficients of the transition that leaves time t.
@@ -164,36 +151,26 @@ class PiecewiseLinearSystem:
             Estimates at time t; used with ``support="estimate"`` only.
         """
         if self.functions is not None:
-            return as_coefficients(
-                "dynamics", self.functions.dynamics(t, estimate), self.regions.count, self.n, self.n
-            )
-        offset, matrix = self.dynamics(t) if callable(self.dynamics) else self.dynamics
-        noise = self.noise(t) if callable(self.noise) else self.noise
-        noise = np.zeros((self.n, 0)) if noise is None else noise
-        return as_coefficients(
-            "dynamics", (offset, matrix, noise), self.regions.count, self.n, self.n
-        )
+            parts = self.functions.dynamics(t, estimate)
+        else:
+            noise = _at(self.noise, t)
+            noise = np.zeros((self.state_size, 0)) if noise is None else noise
+            parts = (*_at(self.dynamics, t), noise)
+        count, n = self.regions.count, self.state_size
+        return as_coefficients("dynamics", parts, count, n, n)
 
     def sensor_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
         """Coefficients of the measurement at time t; `estimate` (k, N) is the predicted one."""
         if self.functions is not None:
-            return as_coefficients(
-                "sensor", self.functions.sensor(t, estimate), self.regions.count, self.n, None
-            )
-        offset, matrix = self.sensor(t) if callable(self.sensor) else self.sensor
-        noise = self.sensor_noise(t) if callable(self.sensor_noise) else self.sensor_noise
-        return as_coefficients("sensor", (offset, matrix, noise), self.regions.count, self.n, None)
+            parts = self.functions.sensor(t, estimate)
+        else:
+            parts = (*_at(self.sensor, t), _at(self.sensor_noise, t))
+        return as_coefficients("sensor", parts, self.regions.count, self.state_size, None)
 
     def simulate(
-        self,
-        times: object,
-        paths: int,
-        seed: object,
-        *,
-        start: object = None,
-        linear: bool = False,
-        workers: int = 1,
-    ) -> Simulation:
+        self, times: object, paths: int, seed: object, *, measured: object = None,
+        start: object = None, linear: bool = False, workers: int = 1,
+    ) -> Simulation:  # fmt: skip
         """Simulate independent paths and their measurements.
 
         Parameters
@@ -203,6 +180,9 @@ class PiecewiseLinearSystem:
         paths : int
             Number of paths N.
         seed : int, SeedSequence or Generator
+        measured : array_like, optional
+            Mask or indices of the times with a measurement: all but the first by default, and
+            at the first nothing is ever measured.
         start : array_like, shape (k,), optional
             Initial state of every path; drawn from the prior by default.
         linear : bool
@@ -225,15 +205,13 @@ class PiecewiseLinearSystem:
         times = as_steps(times)
         source = self.discrete(linear=linear, times=(times[0], times[-1]))
         if start is not None:
-            start = as_shape("start", start, (self.n,))
-            source = replace(
-                source, initial=lambda rng, count: np.repeat(start[:, None], count, axis=1)
-            )
-        return source.simulate(
-            times, paths, seed, measured=np.arange(times.size) > 0, workers=workers
-        )
+            start = as_shape("start", start, (self.state_size,))
+            same = start[:, None]
+            source = replace(source, initial=lambda rng, count: np.repeat(same, count, axis=1))
+        measured = as_measured(measured, times.size) & (np.arange(times.size) > 0)
+        return source.simulate(times, paths, seed, measured=measured, workers=workers)
 
-    def discrete(self, *, linear: bool = False, times=(0.0, 1.0)) -> DiscreteSystem:
+    def discrete(self, *, linear: bool = False, times: Sequence = (0.0, 1.0)) -> DiscreteSystem:
         """The system as a pair of maps, for simulation and for other filters.
 
         Parameters
@@ -249,17 +227,11 @@ class PiecewiseLinearSystem:
             maps = self.functions.transition, self.functions.sensor_map
         else:
             maps = (
-                affine_map(self.regions, self.n, coefficients, float(t))
+                affine_map(self.regions, self.state_size, coefficients, float(t))
                 for coefficients, t in zip((self.dynamics_at, self.sensor_at), times, strict=True)
             )
         return DiscreteSystem(*maps, self.mean0, self.cov0)
 
 
-def as_steps(times: object) -> np.ndarray:
-    """Grid of times (K+1,) from a number of steps K or from the grid itself."""
-    if isinstance(times, int | np.integer) and not isinstance(times, bool):
-        return np.arange(as_count("times", times) + 1.0)
-    times = as_times("times", times)
-    if times.size < 2:
-        raise ValueError(f"times: wanted at least two times, got {times.size}")
-    return times
+def _at(value: object, t: float) -> object:
+    return value(t) if callable(value) else value

@@ -35,7 +35,7 @@ class Weighed(NamedTuple):
     cov: np.ndarray
 
 
-class Law(NamedTuple):
+class CellLaw(NamedTuple):
     """Mixture of conditioned laws: what was weighed, its weights (B, N), and the cells (B,)."""
 
     weighed: Weighed
@@ -43,7 +43,7 @@ class Law(NamedTuple):
     cell: np.ndarray
 
 
-def weigh(branches: Branches, neglect: float) -> Weighed:
+def weigh_branches(branches: Branches, neglect: float) -> Weighed:
     """Masses and conditioned moments of the branches that can matter.
 
     Each log-weight is first bounded from above without an integral. The best branches are
@@ -67,12 +67,6 @@ def weigh(branches: Branches, neglect: float) -> Weighed:
     )
 
 
-def alive(log_unit: np.ndarray) -> np.ndarray:
-    """Indices of the branches that some data set still has; one at least, to keep the arrays."""
-    index = np.flatnonzero((log_unit > -np.inf).any(axis=1))
-    return index if index.size else np.zeros(1, dtype=int)
-
-
 def log_sum(log_joint: np.ndarray) -> np.ndarray:
     """Logarithm of the sum over the branches; -inf where all are -inf."""
     top = log_joint.max(axis=0)
@@ -81,12 +75,12 @@ def log_sum(log_joint: np.ndarray) -> np.ndarray:
         return top + np.log(np.exp(log_joint - top).sum(axis=0))
 
 
-def mixture(law: Law) -> tuple[np.ndarray, np.ndarray]:
+def mixture(law: CellLaw) -> tuple[np.ndarray, np.ndarray]:
     """Mean (k, N) and covariance (k, k, N)."""
     return _grouped(law, law.weighed.dataset, law.weight.shape[1])[1:]
 
 
-def by_cell(law: Law, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def by_cell(law: CellLaw, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weight, mean and covariance of the law in every cell: (n, N), (k, n, N), (k, k, n, N)."""
     shape = (count, law.weight.shape[1])
     group = law.cell[law.weighed.branch] * shape[1] + law.weighed.dataset
@@ -94,7 +88,7 @@ def by_cell(law: Law, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return total.reshape(shape), mean.reshape(-1, *shape), cov.reshape(*cov.shape[:2], *shape)
 
 
-def cell_probabilities(law: Law, count: int) -> np.ndarray:
+def cell_probabilities(law: CellLaw, count: int) -> np.ndarray:
     """Probability of every cell, shape (n, N)."""
     probability = np.zeros((count, law.weight.shape[1]))
     order = np.argsort(law.cell, kind="stable")
@@ -103,9 +97,7 @@ def cell_probabilities(law: Law, count: int) -> np.ndarray:
     return probability
 
 
-def prune(
-    weight: np.ndarray, share: float, keep: int | None = None
-) -> tuple[np.ndarray, np.ndarray]:
+def prune(weight: np.ndarray, share: float, keep: int | None) -> tuple[np.ndarray, np.ndarray]:
     """Branches to drop, the smallest first, for each data set.
 
     Those that together hold at most `share` of the weight, and all but the `keep` largest.
@@ -119,8 +111,7 @@ def prune(
     # in single precision, so that of weights that differ by rounding the smallest index goes first
     order = np.argsort(weight.astype(np.float32), axis=0, kind="stable")
     held = np.take_along_axis(weight, order, axis=0).cumsum(axis=0)
-    dropped = np.empty(weight.shape, dtype=bool)
-    small = held <= share
+    dropped, small = np.empty(weight.shape, dtype=bool), held <= share
     if keep is not None:
         small[: max(0, len(weight) - keep)] = True
     np.put_along_axis(dropped, order, small, axis=0)
@@ -134,13 +125,9 @@ def log_peak(c: Coefficients, y: np.ndarray) -> np.ndarray:
     of the cell where it is largest.
     """
     noise = np.einsum("ipnd,jpnd->ijnd", c.noise, c.noise)
-    zero = np.zeros((len(y), 1, 1))
-    _, _, loglik = correct(
-        zero,
-        None,
-        np.where(np.isnan(y), np.nan, 0.0)[:, None],
-        Moments(zero, np.zeros((len(y), len(y), 1, 1)), noise),
-    )
+    zero, shown = np.zeros((len(y), 1, 1)), np.where(np.isnan(y), np.nan, 0.0)[:, None]
+    moments = Moments(zero, np.zeros((len(y), len(y), 1, 1)), noise)
+    loglik = correct(zero, None, shown, moments)[2]
     return np.broadcast_to(loglik, (noise.shape[2], y.shape[1])).max(axis=0)
 
 
@@ -160,15 +147,15 @@ def _evaluate(branches: Branches, chosen: np.ndarray, log_joint: np.ndarray) -> 
     slope = branches.slope[:, :, branch]
     if (slope != np.eye(size)[:, :, None]).any() or branches.shift.any():
         lead = branches.shift[:, branch] + np.einsum("ijf,jf->if", slope, mean[:size])
-        mean = np.concatenate([lead, mean[size:]])
-        turned = np.einsum("ijf,jkf->ikf", slope, cov[:size])
-        cov = np.concatenate([turned, cov[size:]])
-        turned = np.einsum("ijf,kjf->ikf", cov[:, :size], slope)
-        cov = np.concatenate([turned, cov[:, size:]], axis=1)
+        mean, cov = np.concatenate([lead, mean[size:]]), cov.copy()
+        cov[:size] = np.einsum("ijf,jkf->ikf", slope, cov[:size])
+        cov[:, :size] = np.einsum("ijf,kjf->ikf", cov[:, :size], slope)
     return branch, dataset, mean, cov
 
 
-def _grouped(law: Law, group: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _grouped(
+    law: CellLaw, group: np.ndarray, groups: int
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Total weight, mean and covariance of groups of pairs; zeros where a group has no weight."""
     weighed = law.weighed
     pair = law.weight[weighed.branch, weighed.dataset]

@@ -12,21 +12,6 @@ class UnresolvedError(ValueError):
     """The nodes are too few to count the turns of a phase."""
 
 
-def as_nodes(name: str, value: object, least: int) -> int:
-    """Whole number of nodes (or of lags), at least `least`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not a whole number; below `least`.
-    """
-    if isinstance(value, bool) or not isinstance(value, (int, np.integer)):
-        raise TypeError(f"{name}: wanted a whole number, got {value!r}")
-    if value < least:
-        raise ValueError(f"{name}: wanted at least {least}, got {value}")
-    return int(value)
-
-
 def circle(nodes: int) -> np.ndarray:
     """Nodes ``exp(2 pi i j / M)`` of the unit circle, shape ``(M,)``."""
     return np.exp(2j * np.pi * np.arange(nodes) / nodes)

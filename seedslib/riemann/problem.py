@@ -8,15 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib.riemann.fourier import (
-    UnresolvedError,
-    as_nodes,
-    circle,
-    fourier,
-    split,
-    tail,
-    winding,
-)
+from seedslib.base.checks import as_count
+from seedslib.riemann.fourier import UnresolvedError, circle, fourier, split, tail, winding
 
 FEWEST, MOST = 8, 2**20  # nodes
 WIDEST = 700.0  # largest logarithm whose exponential is a number
@@ -187,7 +180,7 @@ def as_complex(name: str, value: object) -> np.ndarray:
 def _sampled(
     coefficient: Callable, right: Callable, polynomial: object, at_infinity: str, nodes: int | None
 ) -> RiemannSolution:
-    count, before = (64 if nodes is None else as_nodes("nodes", nodes, FEWEST)), np.inf
+    count, before = (64 if nodes is None else as_count("nodes", nodes, FEWEST)), np.inf
     while True:
         t = circle(count)
         try:

@@ -6,17 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.checks import as_count, as_covariance, as_real, as_shape
 from seedslib.base.semidefinite import square_root
-from seedslib.riemann.fourier import (
-    ZERO,
-    UnresolvedError,
-    as_nodes,
-    fourier,
-    series,
-    tail,
-    winding,
-)
+from seedslib.riemann.fourier import ZERO, UnresolvedError, fourier, series, tail, winding
 from seedslib.riemann.problem import FEWEST, MOST, TAIL, solve_boundary_values
 
 
@@ -101,12 +93,12 @@ def wiener_gain(
     if r.size != 1:
         raise ValueError(f"sensor_noise: wanted one number, got shape {r.shape}")
     r = as_covariance("sensor_noise", r.reshape(1, 1), definite=True).item()
-    lags = len(a) - 1 if lags is None else as_nodes("lags", lags, 0)
+    lags = len(a) - 1 if lags is None else as_count("lags", lags, 0)
     least = max(FEWEST, 2 * (len(a) + lags))
     if least > MOST // size:
         raise ValueError(f"lags: wanted at most {MOST // size} nodes, got {least} for {lags} lags")
     if nodes is not None:
-        count = most = as_nodes("nodes", nodes, least)
+        count = most = as_count("nodes", nodes, least)
     else:
         count, most = max(256, 2 ** int(np.ceil(np.log2(4 * least * size)))), MOST // size
     while True:

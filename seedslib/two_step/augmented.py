@@ -9,11 +9,13 @@ leaves the surface behaves differently for each.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
+import sympy
 
+from seedslib.base import symbols
 from seedslib.two_step.linear import LinearDiffusion
 
 
@@ -49,27 +51,20 @@ class AugmentedDiffusion:
     drift: object | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
-        import sympy
-
-        from seedslib.base.symbols import as_expression, as_symbols, require_distinct
-
         if not self.system.constant:
             raise ValueError("system: wanted constant coefficients, got functions of time")
-        variables = as_symbols("variables", self.variables)
-        if len(variables) != self.system.n:
-            raise ValueError(f"variables: wanted {self.system.n} symbols, got {len(variables)}")
-        require_distinct(variables=variables, symbol=(self.symbol,))
-        object.__setattr__(self, "variables", variables)
-        object.__setattr__(self, "f", as_expression("f", self.f))
-        self._known("f", self.f, variables)
+        n, variables = self.system.state_size, symbols.as_symbols("variables", self.variables)
+        if len(variables) != n:
+            raise ValueError(f"variables: wanted {n} symbols, got {len(variables)}")
+        symbols.require_distinct(variables=variables, symbol=(self.symbol,))
+        vars(self).update(variables=variables, f=symbols.as_expression("f", self.f))
+        _require("f", self.f, variables)
         for expression in (self.ito_drift, *self.noise):
             if expression.has(sympy.DiracDelta, sympy.Derivative, sympy.Subs):
                 raise ValueError(f"f: wanted a twice differentiable function, got {self.f}")
-        if self.drift is None:
-            object.__setattr__(self, "drift", self.ito_drift)
-            return
-        object.__setattr__(self, "drift", as_expression("drift", self.drift))
-        self._known("drift", self.drift, (*variables, self.symbol))
+        drift = self.ito_drift if self.drift is None else self.drift
+        vars(self).update(drift=symbols.as_expression("drift", drift))
+        _require("drift", self.drift, (*variables, self.symbol))
         gap = sympy.expand(self.drift.subs(self.symbol, self.f) - self.ito_drift)
         if not _vanishes(gap, variables):
             raise ValueError(
@@ -78,28 +73,24 @@ class AugmentedDiffusion:
             )
 
     @cached_property
-    def ito_drift(self) -> object:
+    def ito_drift(self) -> sympy.Expr:
         """Drift ``∇fᵀ F x + ½ tr(G Q Gᵀ ∇²f)`` as an expression in the state."""
-        import sympy
-
-        known, x = self.system.matrices(0.0), self.variables
-        gradient = [sympy.diff(self.f, s) for s in x]
+        known, x, gradient = self.system.matrices(0.0), self.variables, self._gradient
         flow = [sum(_number(c) * s for c, s in zip(row, x, strict=True)) for row in known.drift]
-        spread = sum(
-            _number(known.diffusion[i, j]) * sympy.diff(gradient[i], x[j])
-            for i in range(len(x))
-            for j in range(len(x))
-        )
+        rates = np.ndenumerate(known.diffusion)
+        spread = sum(_number(c) * sympy.diff(gradient[i], x[j]) for (i, j), c in rates)
         return sympy.expand(sum(g * v for g, v in zip(gradient, flow, strict=True)) + spread / 2)
 
     @cached_property
-    def noise(self) -> object:
+    def noise(self) -> sympy.Matrix:
         """Row ``b Q Gᵀ = ∇fᵀ G Q Gᵀ``: covariance rate of z with the state, Matrix (1, n)."""
-        import sympy
+        diffusion = sympy.Matrix(self.system.matrices(0.0).diffusion.tolist())
+        return self._gradient * diffusion.applyfunc(_number)
 
-        known = self.system.matrices(0.0)
-        gradient = sympy.Matrix([[sympy.diff(self.f, s) for s in self.variables]])
-        return gradient * sympy.Matrix(known.diffusion.tolist()).applyfunc(_number)
+    @cached_property
+    def _gradient(self) -> sympy.Matrix:
+        """Row ∇fᵀ, Matrix (1, n)."""
+        return sympy.Matrix([[sympy.diff(self.f, s) for s in self.variables]])
 
     def rewritten(self) -> AugmentedDiffusion:
         """The same system with the drift reduced by ``f(x) = z`` (polynomial division).
@@ -109,8 +100,6 @@ class AugmentedDiffusion:
         ValueError
             f or its drift is not a polynomial.
         """
-        import sympy
-
         try:
             for expression in (self.f, self.ito_drift):
                 sympy.Poly(expression, *self.variables)
@@ -119,9 +108,7 @@ class AugmentedDiffusion:
             raise ValueError(
                 f"f: wanted a polynomial to rewrite the drift, got {self.f}"
             ) from error
-        return AugmentedDiffusion(
-            self.system, self.f, self.variables, self.symbol, drift=sympy.expand(rest)
-        )
+        return replace(self, drift=sympy.expand(rest))
 
     @cached_property
     def functions(self) -> Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, ...]]:
@@ -129,12 +116,9 @@ class AugmentedDiffusion:
 
         Returns ``a (N,), ∂a/∂x (n, N), ∂a/∂z (N,), G Q bᵀ (n, N), b Q bᵀ (N,)``.
         """
-        import sympy
-
-        x, n = self.variables, self.system.n
+        x, n = self.variables, self.system.state_size
         drift = [self.drift, *(sympy.diff(self.drift, s) for s in (*x, self.symbol))]
-        gradient = sympy.Matrix([[sympy.diff(self.f, s) for s in x]])
-        power = (self.noise * gradient.T)[0, 0]
+        power = (self.noise * self._gradient.T)[0, 0]
         both = sympy.lambdify((*x, self.symbol), [*drift, *self.noise, power], "numpy", cse=True)
 
         def evaluate(state: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -160,24 +144,19 @@ class AugmentedDiffusion:
         variance = posterior_variance_function(self.f, self.variables)(mean0, cov0)
         return float(first), np.array(mixed) - first * mean0, float(variance)
 
-    def _known(self, name: str, expression: object, allowed: Sequence) -> None:
-        from seedslib.base.symbols import require_known, require_number
 
-        require_known(name, [expression], allowed)
-        require_number(name, expression)
+def _require(name: str, expression: sympy.Expr, allowed: Sequence) -> None:
+    symbols.require_known(name, [expression], allowed)
+    symbols.require_number(name, expression)
 
 
-def _number(value: float) -> object:
+def _number(value: float) -> sympy.Rational:
     """Exact rational of a float, so that expressions cancel exactly."""
-    import sympy
-
     return sympy.Rational(float(value))
 
 
-def _vanishes(expression: object, variables: Sequence) -> bool:
+def _vanishes(expression: sympy.Expr, variables: Sequence) -> bool:
     """Whether an expression is zero at some generic points, within rounding."""
-    import sympy
-
     points = np.random.default_rng(0).uniform(0.3, 1.7, (8, len(variables)))
     numeric = sympy.lambdify(variables, expression, "numpy")
     return all(abs(numeric(*point)) < 1e-9 for point in points)

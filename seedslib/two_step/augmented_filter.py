@@ -52,7 +52,7 @@ def augmented_extended_kalman(
     if times[0] != 0:
         raise ValueError(f"times: wanted a grid from time 0, got {times[0]:g}")
     system = augmented.system
-    increments = as_shape("increments", increments, (times.size - 1, system.m, -1))
+    increments = as_shape("increments", increments, (times.size - 1, system.measurement_size, -1))
     state = KalmanBucyFilter(system).run(times, increments)
     known = system.matrices(0.0)
     first, mixed, spread = augmented.initial_moments()

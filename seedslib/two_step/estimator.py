@@ -88,7 +88,7 @@ class TwoStepEstimator:
                 f"quadrature: wanted a Rule, for instance gauss_hermite(n, 20), got {got}"
             )
         if self.quadrature is not None:
-            size = self.system.n * (1 if self.estimate_variables is None else 2)
+            size = self.system.state_size * (1 if self.estimate_variables is None else 2)
             if len(self.quadrature.points) != size:
                 raise ValueError(
                     f"quadrature: wanted a rule in {size} dimensions, "
@@ -153,7 +153,7 @@ class TwoStepEstimator:
             Wrong shape, or not finite.
         """
         mean = as_real("mean", mean)
-        mean = as_shape("mean", mean, (self.system.n, *mean.shape[1:]))
+        mean = as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
         return in_range("mean", lambda: self._law.plugin(mean))
 
     def errors(self, times: ArrayLike) -> MeanSquareErrors:
@@ -269,12 +269,12 @@ class TwoStepEstimator:
 
     def _checked(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         mean = as_real("mean", mean)
-        as_shape("mean", mean, (self.system.n, *mean.shape[1:]))
+        as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
         return gaussian_arguments(mean, cov)
 
     def _used(self) -> np.ndarray:
         """Which components of the state f contains, (n,) bool; all for a Python function."""
-        n, symbols = self.system.n, self._symbols()
+        n, symbols = self.system.state_size, self._symbols()
         if symbols is None:
             return np.ones(n, bool)
         from seedslib.gaussian.means.parse import components_of
@@ -299,8 +299,8 @@ class TwoStepEstimator:
         every: list = []
         for name, symbols in groups:
             known = () if symbols is None else as_symbols(name, symbols)
-            if len(known) != self.system.n:
+            if len(known) != self.system.state_size:
                 got = len(known) or "none"
-                raise ValueError(f"{name}: wanted {self.system.n} symbols, got {got}")
+                raise ValueError(f"{name}: wanted {self.system.state_size} symbols, got {got}")
             every += known
         return tuple(every)

@@ -12,6 +12,7 @@ from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lya
 
 from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
 from seedslib.filters.estimates import Estimates
+from seedslib.models.kinds import as_system
 from seedslib.models.propagation import balanced, bounded, distinct_steps, solve, van_loan
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, make_design
 from seedslib.two_step.linear import LinearDiffusion, Matrices, needed
@@ -55,8 +56,7 @@ class KalmanBucyFilter:
     system: LinearDiffusion
 
     def __post_init__(self) -> None:
-        if not isinstance(self.system, LinearDiffusion):
-            raise TypeError(f"system: wanted a LinearDiffusion, got {type(self.system).__name__}")
+        as_system("system", self.system, "LinearDiffusion")
 
     def moments(self, times: ArrayLike, lead: float = 0.0) -> LinearMoments:
         """Mean, prior covariance and error covariance on a grid (equations (2.1), (3.10)).
@@ -113,8 +113,8 @@ class KalmanBucyFilter:
             Wrong shapes, or not 0 <= start <= stop.
         """
         mean = as_real("mean", mean)
-        as_shape("mean", mean, (self.system.n, *mean.shape[1:]))
-        cov = as_covariance("cov", cov, self.system.n)
+        as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
+        cov = as_covariance("cov", cov, self.system.state_size)
         move, noise = self.system.transition(start, stop)
         return np.tensordot(move, mean, 1), move @ cov @ move.T + noise
 
@@ -132,13 +132,13 @@ class KalmanBucyFilter:
             equation too ill-conditioned to be solved.
         """
         known = self._steady_matrices("steady_error_cov")
-        information = information_rate(known, np.ones(self.system.m, bool))
+        information = information_rate(known, np.ones(self.system.measurement_size, bool))
         unit, drift, _, diffusion = balanced(known.drift, information, known.diffusion)
         # white measurements: unit intensity
         sensor = np.linalg.solve(np.linalg.cholesky(known.sensor_intensity), known.sensor) * unit
         margin = UNDAMPED * np.abs(drift).max()
         for value in np.linalg.eigvals(drift):
-            shifted = value * np.eye(self.system.n) - drift
+            shifted = value * np.eye(self.system.state_size) - drift
             if value.real >= -margin and _deficient(np.vstack([shifted, sensor])):
                 raise ValueError(
                     "system: wanted a detectable pair (drift, sensor) for a steady error "
@@ -150,7 +150,7 @@ class KalmanBucyFilter:
                     f"covariance, but the mode of eigenvalue {value:.4g} is not"
                 )
         try:
-            eye = np.eye(self.system.m)
+            eye = np.eye(self.system.measurement_size)
             cov = solve_continuous_are(drift.T, sensor.T, diffusion, eye, balanced=False)
         except (LinAlgError, ValueError) as error:
             raise ValueError(
@@ -173,7 +173,7 @@ class KalmanBucyFilter:
             As `steady_error_cov`; also when the drift of the wanted components is not Hurwitz, so
             that their covariance has no limit.
         """
-        known, n = self._steady_matrices("steady_moments"), self.system.n
+        known, n = self._steady_matrices("steady_moments"), self.system.state_size
         here = np.ones(n, bool)
         if components is not None and np.linalg.eigvals(known.drift).real.max() >= 0:
             here = needed(known.drift, np.asarray(components, bool))
@@ -234,15 +234,15 @@ class KalmanBucyFilter:
         """
         times = as_times("times", times)
         increments = as_real("increments", increments, nan=True)
-        wanted = (times.size - 1, self.system.m, *increments.shape[2:])
+        wanted = (times.size - 1, self.system.measurement_size, *increments.shape[2:])
         increments = as_shape("increments", increments, wanted, nan=True)
         flat = increments.reshape(*wanted[:2], math.prod(wanted[2:]))
         design = self.design(times, self._seen(flat))
-        mean = np.empty((times.size, self.system.n, flat.shape[2]))
+        mean = np.empty((times.size, self.system.state_size, flat.shape[2]))
         mean[0] = design.start[:, None]
         for k, step in enumerate(np.nan_to_num(flat)):
             mean[k + 1] = design.transition[k] @ mean[k] + design.gain[k] @ step
-        return Estimates(mean.reshape(times.size, self.system.n, *wanted[2:]), design.cov)
+        return Estimates(mean.reshape(times.size, self.system.state_size, *wanted[2:]), design.cov)
 
     def design(self, times: ArrayLike, seen: ArrayLike | None = None) -> KalmanBucyDesign:
         """Everything that does not depend on the data: ``x̂ <- transition x̂ + gain Δy``.
@@ -285,13 +285,13 @@ class KalmanBucyFilter:
     def _constant_moments(self, times: np.ndarray) -> LinearMoments:
         system = self.system
         known = system.matrices(0.0)
-        information = information_rate(known, np.ones(system.m, bool))
+        information = information_rate(known, np.ones(system.measurement_size, bool))
         grid = times if times[0] == 0 else np.concatenate([[0.0], times])
         lengths, index = distinct_steps(grid)
         moves = [van_loan(known.drift, known.diffusion, h) for h in lengths]
         riccati = [riccati_step(known.drift, information, known.diffusion, h) for h in lengths]
-        mean = np.empty((grid.size, system.n))
-        cov, error_cov = np.empty((2, grid.size, system.n, system.n))
+        mean = np.empty((grid.size, system.state_size))
+        cov, error_cov = np.empty((2, grid.size, system.state_size, system.state_size))
         mean[0], cov[0], error_cov[0] = system.mean0, system.cov0, system.cov0
         with np.errstate(over="ignore", invalid="ignore"):
             for k, j in enumerate(index):
@@ -304,8 +304,8 @@ class KalmanBucyFilter:
         return LinearMoments(mean[skipped:], cov[skipped:], error_cov[skipped:])
 
     def _moments(self, times: np.ndarray) -> LinearMoments:
-        system, n = self.system, self.system.n
-        full = np.ones(system.m, bool)
+        system, n = self.system, self.system.state_size
+        full = np.ones(system.measurement_size, bool)
 
         def slope(t: float, y: np.ndarray) -> np.ndarray:
             known = system.matrices(t)

@@ -56,7 +56,7 @@ def make_design(
     ValueError
         `seen` of a wrong shape, or a step longer than the time constant of the filter.
     """
-    n, m, count = system.n, system.m, times.size - 1
+    n, m, count = system.state_size, system.measurement_size, times.size - 1
     seen = np.ones((count, m), bool) if seen is None else np.asarray(unmasked("seen", seen), bool)
     if seen.shape != (count, m):
         raise ValueError(f"seen: wanted shape ({count}, {m}), got {seen.shape}")
@@ -68,14 +68,11 @@ def make_design(
     known: dict = {}
     for k, j in enumerate(index):
         # Constant coefficients: one exponential for each step length and set of sensors.
-        key = (j, seen[k].tobytes()) if system.constant else None
-        step = known.get(key)
-        if step is None:
+        key = (j, seen[k].tobytes()) if system.constant else k
+        if key not in known:
             middle = 0.5 * (times[k] + times[k + 1])
-            step = EstimateStep.of(system.matrices(middle), lengths[j], seen[k])
-        if key is not None:
-            known[key] = step
-        transition[k], gain[k], cov[k + 1] = step.at(cov[k])
+            known[key] = EstimateStep.of(system.matrices(middle), lengths[j], seen[k])
+        transition[k], gain[k], cov[k + 1] = known[key].at(cov[k])
     return KalmanBucyDesign(times, move @ system.mean0, transition, gain, cov)
 
 

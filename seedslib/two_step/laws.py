@@ -16,7 +16,7 @@ from seedslib.gaussian.quadrature import Rule, points_of
 BLOCK_POINTS = 1_000_000
 
 
-class Law(NamedTuple):
+class FunctionLaw(NamedTuple):
     """A function of the state together with its means under Gaussian laws.
 
     Attributes
@@ -46,7 +46,7 @@ class Law(NamedTuple):
     polynomial: dict | None = None
 
 
-def closed_law(f: object, variables: Sequence) -> Law:
+def closed_law(f: object, variables: Sequence) -> FunctionLaw:
     """Law of a SymPy expression by closed forms.
 
     Parameters
@@ -56,7 +56,7 @@ def closed_law(f: object, variables: Sequence) -> Law:
 
     Returns
     -------
-    Law
+    FunctionLaw
 
     Raises
     ------
@@ -75,18 +75,12 @@ def closed_law(f: object, variables: Sequence) -> Law:
         value = compiled.value(point)
         return value[0] if mean.scalar else value
 
-    return Law(
-        str(mean.kind),
-        mean.scalar,
-        plugin,
-        mean,
-        posterior_variance_function(f, variables),
-        mean_square_errors(f, variables),
-        compiled.polynomial() if mean.kind is FunctionClass.POLYNOMIAL else None,
-    )
+    variance, errors = posterior_variance_function(f, variables), mean_square_errors(f, variables)
+    polynomial = compiled.polynomial() if mean.kind is FunctionClass.POLYNOMIAL else None
+    return FunctionLaw(str(mean.kind), mean.scalar, plugin, mean, variance, errors, polynomial)
 
 
-def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> Law:
+def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> FunctionLaw:
     """Law of any function by a quadrature rule; approximate, and named so.
 
     Parameters
@@ -100,7 +94,7 @@ def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> Law:
 
     Returns
     -------
-    Law
+    FunctionLaw
 
     Raises
     ------
@@ -152,17 +146,15 @@ def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> Law:
         pair = MeanSquareErrors(optimal, optimal + excess)
         return MeanSquareErrors(*(float(e[0, 0]) for e in pair)) if scalar else pair
 
-    return Law(
-        "quadrature",
-        scalar,
-        lambda mean: values(mean)[0] if scalar else values(mean),
-        lambda mean, cov: moments(mean, cov)[0][0] if scalar else moments(mean, cov)[0],
-        lambda mean, cov: moments(mean, cov)[1][0, 0] if scalar else moments(mean, cov)[1],
-        errors,
-    )
+    one, two = (0, (0, 0)) if scalar else (..., ...)
+    return FunctionLaw(
+        "quadrature", scalar, lambda mean: values(mean)[one],
+        lambda mean, cov: moments(mean, cov)[0][one],
+        lambda mean, cov: moments(mean, cov)[1][two], errors,
+    )  # fmt: skip
 
 
-def with_estimate(law: Law) -> Law:
+def with_estimate(law: FunctionLaw) -> FunctionLaw:
     """Law of a function of the state and of its estimate, from one in twice as many variables.
 
     Given the measurements the estimate is a constant: the pair has the singular covariance
@@ -171,28 +163,24 @@ def with_estimate(law: Law) -> Law:
     """
 
     def pair(mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.concatenate([mean, mean]), _corner(cov)
+        n = len(cov)
+        corner = np.zeros((2 * n, 2 * n, *cov.shape[2:]))
+        corner[:n, :n] = cov
+        return np.concatenate([mean, mean]), corner
 
     def errors(mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray) -> MeanSquareErrors:
         known = cov - error_cov
         joint = np.block([[cov, known], [known, known]])
-        return law.errors(np.concatenate([mean, mean]), joint, _corner(error_cov))
+        twice, corner = pair(mean, error_cov)
+        return law.errors(twice, joint, corner)
 
-    return Law(
-        law.kind,
-        law.scalar,
-        lambda mean: law.plugin(np.concatenate([mean, mean])),
-        lambda mean, cov: law.mean(*pair(mean, cov)),
-        lambda mean, cov: law.variance(*pair(mean, cov)),
-        errors,
+    return law._replace(
+        plugin=lambda mean: law.plugin(np.concatenate([mean, mean])),
+        mean=lambda mean, cov: law.mean(*pair(mean, cov)),
+        variance=lambda mean, cov: law.variance(*pair(mean, cov)),
+        errors=errors,
+        polynomial=None,
     )
-
-
-def _corner(cov: np.ndarray) -> np.ndarray:
-    n = len(cov)
-    large = np.zeros((2 * n, 2 * n, *cov.shape[2:]))
-    large[:n, :n] = cov
-    return large
 
 
 def _numeric(f: object, variables: Sequence) -> Callable:

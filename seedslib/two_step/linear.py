@@ -14,12 +14,20 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_count, in_blocks
-from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, require_one_size
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import (
+    as_count,
+    as_covariance,
+    as_real,
+    as_shape,
+    as_times,
+    require_one_size,
+)
 from seedslib.base.semidefinite import square_root
 from seedslib.models.propagation import distinct_steps, integrated, van_loan
 
 Coefficient = ArrayLike | Callable[[float], ArrayLike]
+COEFFICIENTS = ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input")
 
 
 class Matrices(NamedTuple):
@@ -78,6 +86,7 @@ class LinearDiffusion:
     mean0: ArrayLike
     cov0: ArrayLike
     noise_input: Coefficient | None = None
+    indicators = 0
 
     def __post_init__(self) -> None:
         mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), ndim=1)
@@ -86,30 +95,28 @@ class LinearDiffusion:
         cov0 = np.atleast_2d(as_real("cov0", self.cov0))
         require_one_size("mean0, cov0", mean0, cov0)
         cov0 = as_covariance("cov0", cov0, mean0.size)
-        for name, value in (("mean0", mean0), ("cov0", cov0)):
-            object.__setattr__(self, name, _frozen(value))
-        for name in ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input"):
+        vars(self).update(mean0=_frozen(mean0), cov0=_frozen(cov0))
+        for name in COEFFICIENTS:
             value = getattr(self, name)
             if value is not None and not callable(value):
-                object.__setattr__(self, name, _frozen(np.atleast_2d(as_real(name, value))))
-        object.__setattr__(self, "_constant", self._read(0.0) if self.constant else None)
+                vars(self)[name] = _frozen(np.atleast_2d(as_real(name, value)))
+        vars(self)["_constant"] = self._read(0.0) if self.constant else None
         self.matrices(0.0)
 
     @property
-    def n(self) -> int:
-        """Dimension of the state."""
+    def state_size(self) -> int:
+        """Dimension n of the state."""
         return self.mean0.size
 
     @property
-    def m(self) -> int:
-        """Dimension of the measurement."""
+    def measurement_size(self) -> int:
+        """Dimension m of the measurement."""
         return self.matrices(0.0).sensor.shape[0]
 
     @property
     def constant(self) -> bool:
         """Whether no coefficient depends on time."""
-        names = ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input")
-        return not any(callable(getattr(self, name)) for name in names)
+        return not any(callable(getattr(self, name)) for name in COEFFICIENTS)
 
     def matrices(self, t: float) -> Matrices:
         """Coefficients at time t, checked.
@@ -175,8 +182,8 @@ class LinearDiffusion:
         first, spread = self.transition(0.0, times[0])
         start = square_root(first @ self.cov0 @ first.T + spread)
         centre = first @ self.mean0
-        states = np.empty((times.size, self.n, paths))
-        increments = np.empty((times.size - 1, self.m, paths))
+        states = np.empty((times.size, self.state_size, paths))
+        increments = np.empty((times.size - 1, self.measurement_size, paths))
 
         def draw(first_path: int, last_path: int, stream: np.random.SeedSequence) -> None:
             rng, width = np.random.default_rng(stream), last_path - first_path
@@ -185,9 +192,9 @@ class LinearDiffusion:
             states[0, :, block] = state
             for k, (move, noise) in enumerate(steps):
                 joint = move @ state + noise @ rng.standard_normal((noise.shape[1], width))
-                state = joint[: self.n]
+                state = joint[: self.state_size]
                 states[k + 1, :, block] = state
-                increments[k, :, block] = joint[self.n :]
+                increments[k, :, block] = joint[self.state_size :]
 
         in_blocks(draw, paths, seed)
         return DiffusionPaths(times, states, increments)
@@ -196,15 +203,14 @@ class LinearDiffusion:
         """For each step (transition, noise factor) of the state and the increment together."""
         if self.constant:
             lengths, index = distinct_steps(times)
-            drift, diffusion = self._joint(times[0])
-            known = [self._drawn(*van_loan(drift, diffusion, step)) for step in lengths]
+            known = [self._drawn(*van_loan(*self._joint(times[0]), step)) for step in lengths]
             return [known[j] for j in index]
         pairs = pairwise(times)
         return [self._drawn(*integrated(self._joint, start, stop)) for start, stop in pairs]
 
     def _joint(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Drift and diffusion of the state and the measurement y taken as one diffusion."""
-        known, n = self.matrices(t), self.n
+        known, n = self.matrices(t), self.state_size
         size = n + known.sensor.shape[0]
         drift, diffusion = np.zeros((2, size, size))
         drift[:n, :n], drift[n:, :n] = known.drift, known.sensor
@@ -212,10 +218,10 @@ class LinearDiffusion:
         return drift, diffusion
 
     def _drawn(self, move: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        return np.ascontiguousarray(move[:, : self.n]), square_root(spread)
+        return np.ascontiguousarray(move[:, : self.state_size]), square_root(spread)
 
     def _read(self, t: float) -> Matrices:
-        n = self.n
+        n = self.state_size
         drift = as_shape("drift", _at(self.drift, t), (n, n))
         sensor = as_shape("sensor", _at(self.sensor, t), (-1, n))
         if len(sensor) == 0:

@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import expm
 
+from seedslib.base.semidefinite import symmetrized
 from seedslib.models.propagation import balanced, halvings
 from seedslib.two_step.linear import Matrices
 
@@ -37,8 +38,8 @@ class RiccatiStep(NamedTuple):
         move, info = inner[:, :n].T, inner[:, n:]
         return RiccatiStep(
             move @ self.transition,
-            _symmetric(self.information + self.transition.T @ info),
-            _symmetric(later.noise + move @ self.noise @ later.transition.T),
+            symmetrized(self.information + self.transition.T @ info),
+            symmetrized(later.noise + move @ self.noise @ later.transition.T),
         )
 
     def closed_loop(self, cov: np.ndarray) -> np.ndarray:
@@ -48,7 +49,7 @@ class RiccatiStep(NamedTuple):
 
     def apply(self, cov: np.ndarray) -> np.ndarray:
         """Covariance after the step."""
-        return _symmetric(self.closed_loop(cov) @ cov @ self.transition.T + self.noise)
+        return symmetrized(self.closed_loop(cov) @ cov @ self.transition.T + self.noise)
 
 
 def hamiltonian(drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray) -> np.ndarray:
@@ -75,24 +76,16 @@ def riccati_step(
     power = expm(matrix * (step / 2**doublings))
     right = np.linalg.solve(power[:n, :n], np.hstack([np.eye(n), power[:n, n:]]))
     noise = np.linalg.solve(power[:n, :n].T, power[n:, :n].T).T
-    result = RiccatiStep(right[:, :n].T, _symmetric(right[:, n:]), _symmetric(noise))
+    result = RiccatiStep(right[:, :n].T, symmetrized(right[:, n:]), symmetrized(noise))
     for _ in range(doublings):
         result = result.then(result)
     column = unit[:, None]
-    return RiccatiStep(
-        result.transition * (column / unit),
-        result.information / column / unit,
-        result.noise * column * unit,
-    )
+    move, info, noise = result
+    return RiccatiStep(move * (column / unit), info / column / unit, noise * column * unit)
 
 
 def information_rate(known: Matrices, seen: np.ndarray) -> np.ndarray:
     """Information rate HᵀR⁻¹H of the measured components, shape (n, n)."""
     sensor = known.sensor[seen]
     noise = known.sensor_intensity[np.ix_(seen, seen)]
-    rate = sensor.T @ np.linalg.solve(noise, sensor)
-    return 0.5 * (rate + rate.T)
-
-
-def _symmetric(matrix: np.ndarray) -> np.ndarray:
-    return 0.5 * (matrix + matrix.T)
+    return symmetrized(sensor.T @ np.linalg.solve(noise, sensor))

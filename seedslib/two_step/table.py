@@ -8,12 +8,12 @@ from math import factorial, prod
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real, as_shape
+from seedslib.base.checks import as_count, as_real, as_shape
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import in_range
 from seedslib.gaussian.means.polynomial import Coefficients, derivative, heat
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign
-from seedslib.two_step.laws import Law
+from seedslib.two_step.laws import FunctionLaw
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class TwoStepTable:
     exponents: np.ndarray | None
     mean_coefficients: np.ndarray | None
     variance_coefficients: np.ndarray | None
-    _law: Law
+    _law: FunctionLaw
 
     @property
     def start(self) -> np.ndarray:
@@ -72,7 +72,7 @@ class TwoStepTable:
         TypeError, ValueError
             No such step, wrong shapes, or not finite.
         """
-        k = _index("k", k, len(self.design.gain))
+        k = as_count("k", k, 0, len(self.design.gain) - 1)
         gain = self.design.gain[k]
         mean, increment = as_real("mean", mean), as_real("increment", increment)
         mean = as_shape("mean", mean, (gain.shape[0], *mean.shape[1:]))
@@ -99,7 +99,7 @@ class TwoStepTable:
         TypeError, ValueError
             No such time, wrong shape, or not finite.
         """
-        k = _index("k", k, len(self.cov))
+        k = as_count("k", k, 0, len(self.cov) - 1)
         mean = as_real("mean", mean)
         mean = as_shape("mean", mean, (self.cov.shape[1], *mean.shape[1:]))
         mean = np.tensordot(self.move[k], mean, 1)
@@ -116,13 +116,13 @@ class TwoStepTable:
 
 
 def make_table(
-    law: Law, design: KalmanBucyDesign, ahead: list[tuple[np.ndarray, np.ndarray]]
+    law: FunctionLaw, design: KalmanBucyDesign, ahead: list[tuple[np.ndarray, np.ndarray]]
 ) -> TwoStepTable:
     """Table of a law along a designed filter.
 
     Parameters
     ----------
-    law : Law
+    law : FunctionLaw
     design : KalmanBucyDesign
     ahead : list of (move, cov)
         For each time the transition over the lead and the covariance at its end.
@@ -202,11 +202,3 @@ def _monomials(exponents: np.ndarray, point: np.ndarray) -> np.ndarray:
         powers.append(powers[-1] * point)
     table = np.stack(powers)
     return np.prod([table[e, i] for i, e in enumerate(exponents.T)], axis=0)
-
-
-def _index(name: str, value: object, count: int) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer):
-        raise TypeError(f"{name}: wanted an integer, got {value!r}")
-    if not 0 <= value < count:
-        raise ValueError(f"{name}: wanted 0 <= {name} < {count}, got {value}")
-    return int(value)

@@ -2,8 +2,15 @@
 
 from __future__ import annotations
 
+import sympy
 
-def van_der_pol(reading="A"):
+from seedslib.models.jump_diffusion import JumpDiffusion
+from seedslib.models.noise import Noise
+
+Pair = tuple[float, float]
+
+
+def van_der_pol(reading: str = "A") -> JumpDiffusion:
     """Van der Pol oscillator with multiplicative noise, section 9 of the jump-diffusion paper.
 
     dX1 = X2 dt, dX2 = [-w² X1 + alpha X2 (1 - beta X1²)] dt + X1 dW, measured Y1 = X1² + V1 and
@@ -23,27 +30,19 @@ def van_der_pol(reading="A"):
     ValueError
         An unknown reading.
     """
-    import sympy
-
-    from seedslib.models.jump_diffusion import JumpDiffusion
-    from seedslib.models.noise import Noise
-
     if reading not in tuple("ABCDEFGHIJKLM"):
         raise ValueError(f"reading: wanted a letter from A to M, got {reading!r}")
     x1, x2, v1, v2, w, alpha, beta = sympy.symbols("x1 x2 v1 v2 w alpha beta")
     frequency = {"I": sympy.pi, "J": 1.1 * sympy.pi, "L": 1, "M": 1}.get(reading, sympy.pi / 10)
     diffusion = {"B": x2, "M": x2, "C": 1}.get(reading, x1)
-    sensor = {
-        "D": [x1**3 + v1, x2 + v2],
-        "E": [x1 + v1, x1**2 + x2 + v2],
-        "K": [x1 + v1, x2 + v2],
-    }.get(reading, [x1**2 + v1, x2 + v2])
+    first = {"D": x1**3, "E": x1, "K": x1}.get(reading, x1**2)
+    second = x1**2 + x2 if reading == "E" else x2
     variance = 0.15**2 if reading == "G" else 0.15
     return JumpDiffusion(
         state=(x1, x2),
         drift=[x2, -(w if reading == "F" else w**2) * x1 + alpha * x2 * (1 - beta * x1**2)],
         diffusion=[[0], [diffusion]],
-        sensor=sensor,
+        sensor=[first + v1, second + v2],
         noise=Noise((v1, v2), cov=[[0.1, 0], [0, 0.1]] if reading == "H" else None),
         mean0=[2, 0],
         cov0=[[variance, 0], [0, variance]],
@@ -53,19 +52,15 @@ def van_der_pol(reading="A"):
 
 
 def kicked_duffing(
-    damping=0.5, diffusion=0.2, rate=(0.2, 0.2), kick=(0.5, 3.0), sensor_noise=(0.2, 1.0)
-):
+    damping: float = 0.5, diffusion: float = 0.2, rate: Pair = (0.2, 0.2), kick: Pair = (0.5, 3.0),
+    sensor_noise: Pair = (0.2, 1.0),
+) -> JumpDiffusion:  # fmt: skip
     """Duffing oscillator kicked at random times, more often where it is far out.
 
     dX1 = X2 dt, dX2 = (X1 - X1³ - damping X2) dt + diffusion dW + kicks; kicks come with
     intensity rate[0] + rate[1] X1² and are N(kick[0], kick[1]²) in velocity;
     Y = X1 (1 + sensor_noise[0] V1) + sensor_noise[1] V2. Default times 0, 0.5, ..., 6.
     """
-    import sympy
-
-    from seedslib.models.jump_diffusion import JumpDiffusion
-    from seedslib.models.noise import Noise
-
     x1, x2, v1, v2, z = sympy.symbols("x1 x2 v1 v2 z")
     return JumpDiffusion(
         state=(x1, x2),
@@ -82,18 +77,16 @@ def kicked_duffing(
     )
 
 
-def flip_process(diffusion=0.5, rate=(0.3, 0.2), flip=2.0, flip_noise=0.3, sensor_noise=(0.3, 0.5)):
+def flip_process(
+    diffusion: float = 0.5, rate: Pair = (0.3, 0.2), flip: float = 2.0, flip_noise: float = 0.3,
+    sensor_noise: Pair = (0.3, 0.5),
+) -> JumpDiffusion:  # fmt: skip
     """Bistable scalar process whose jumps throw it to the other side.
 
     dX = (X - X³) dt + diffusion dW + jumps with intensity rate[0] + rate[1] X² and size
     N(-flip X, flip_noise²); Y = X (1 + sensor_noise[0] V1) + sensor_noise[1] V2. Default times
     0, 0.25, ..., 3.
     """
-    import sympy
-
-    from seedslib.models.jump_diffusion import JumpDiffusion
-    from seedslib.models.noise import Noise
-
     x, v1, v2, z = sympy.symbols("x v1 v2 z")
     return JumpDiffusion(
         state=(x,),
@@ -110,17 +103,12 @@ def flip_process(diffusion=0.5, rate=(0.3, 0.2), flip=2.0, flip_noise=0.3, senso
     )
 
 
-def linear_gaussian():
+def linear_gaussian() -> JumpDiffusion:
     """Damped linear oscillator driven by noise, its position measured every half unit of time.
 
     dX = [[0, 1], [-1, -0.4]] X dt + (0, 1) dW, Y = X1 + V with variance 0.25, X0 of mean
     (1, -0.5) and unit covariance. Every approximation is exact here.
     """
-    import sympy
-
-    from seedslib.models.jump_diffusion import JumpDiffusion
-    from seedslib.models.noise import Noise
-
     x1, x2, v = sympy.symbols("x1 x2 v")
     return JumpDiffusion(
         state=(x1, x2),

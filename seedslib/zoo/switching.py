@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
+import sympy
+
+from seedslib.models.noise import Noise
+from seedslib.models.switching import SwitchingSystem
+
 SCALAR_SENSORS = {"A1H": 2.0, "A1L": 0.5, "A2": 1.0}
 FASTEST = 5 / 3
 """At this factor of its probabilities the switching from mode 1 is certain at x = 0."""
 
 
-def scalar_switching(sensor="A1H", *, deviation=None, rate=1.0):
+def scalar_switching(
+    sensor: str = "A1H", *, deviation: float | None = None, rate: float = 1.0
+) -> SwitchingSystem:
     """Scalar system of two modes whose switching depends on the state.
 
     Mode 0: x + 1.8 sin x + v/2; mode 1: 0.6 x + v/2. From mode 0 it switches with probability
@@ -30,11 +37,6 @@ def scalar_switching(sensor="A1H", *, deviation=None, rate=1.0):
     ValueError
         An unknown sensor, a deviation that is not positive, a rate out of (0, 5/3].
     """
-    import sympy
-
-    from seedslib.models.noise import Noise
-    from seedslib.models.switching import SwitchingSystem
-
     if sensor not in SCALAR_SENSORS:
         raise ValueError(f"sensor: wanted one of {', '.join(SCALAR_SENSORS)}, got {sensor!r}")
     deviation = SCALAR_SENSORS[sensor] if deviation is None else float(deviation)
@@ -63,14 +65,10 @@ def scalar_switching(sensor="A1H", *, deviation=None, rate=1.0):
     )
 
 
-INDICATORS = {
-    "noisy": [[0.9, 0.1], [0.2, 0.8]],
-    "exact": [[1, 0], [0, 1]],
-    "none": None,
-}
+INDICATORS = {"noisy": [[0.9, 0.1], [0.2, 0.8]], "exact": [[1, 0], [0, 1]], "none": None}
 
 
-def manoeuvring_target(indicator="noisy"):
+def manoeuvring_target(indicator: str = "noisy") -> SwitchingSystem:
     """Target that flies evenly or manoeuvres; its position is measured, its mode is hinted at.
 
     State (position, velocity); in mode 1 the velocity decays faster, is driven, and both noises
@@ -82,16 +80,11 @@ def manoeuvring_target(indicator="noisy"):
         An indicator that is right with probability 0.9 and 0.8, one that shows the mode, or no
         indicator.
     """
-    import sympy
-
-    from seedslib.models.noise import Noise
-    from seedslib.models.switching import SwitchingSystem
-
     if indicator not in INDICATORS:
         raise ValueError(f"indicator: wanted one of {', '.join(INDICATORS)}, got {indicator!r}")
     x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
 
-    def moved(decay, drive, noise):
+    def moved(decay: float, drive: float, noise: float) -> list[sympy.Expr]:
         push = drive + noise * v
         return [x1 + x2 + push / 2, decay * x2 + push]
 
@@ -107,7 +100,9 @@ def manoeuvring_target(indicator="noisy"):
     )
 
 
-def steady_target(modes=1, *, decay=0.98, noise=0.1, sensor_noise=1.0):
+def steady_target(
+    modes: int = 1, *, decay: float = 0.98, noise: float = 0.1, sensor_noise: float = 1.0
+) -> SwitchingSystem:
     """Target whose filter is known: a linear system of one mode, or of two that are seen.
 
     State (position, velocity), its position measured. With two modes the indicator shows which,
@@ -123,11 +118,6 @@ def steady_target(modes=1, *, decay=0.98, noise=0.1, sensor_noise=1.0):
     noise, sensor_noise : float
         Deviations of the noises of velocity and measurement.
     """
-    import sympy
-
-    from seedslib.models.noise import Noise
-    from seedslib.models.switching import SwitchingSystem
-
     if modes not in (1, 2):
         raise ValueError(f"modes: wanted 1 or 2, got {modes!r}")
     x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
@@ -144,7 +134,7 @@ def steady_target(modes=1, *, decay=0.98, noise=0.1, sensor_noise=1.0):
     )
 
 
-def dependent_switching(offset=0.0):
+def dependent_switching(offset: float = 0.0) -> SwitchingSystem:
     """Scalar system with a state-dependent indicator and dependent noises in both equations.
 
     The next mode is 1 where V' > alpha_i + beta_i x, the indicator where W' > tau_i + delta_i x;
@@ -156,15 +146,10 @@ def dependent_switching(offset=0.0):
     offset : float
         Added to what the sensor shows: no good filter is moved by it.
     """
-    import sympy
-
-    from seedslib.models.noise import Noise
-    from seedslib.models.switching import SwitchingSystem
-
     x, v, w = sympy.symbols("x v w", real=True)
     q = sympy.nsimplify
 
-    def beyond(threshold, slope, correlation, noise):
+    def beyond(threshold, slope, correlation, noise) -> sympy.Expr:
         """Probability that a normal number, given its correlate `noise`, exceeds a threshold."""
         threshold, slope, correlation = map(q, (threshold, slope, correlation))
         apart = (threshold + slope * x - correlation * noise) / sympy.sqrt(1 - correlation**2)
@@ -174,10 +159,7 @@ def dependent_switching(offset=0.0):
     show = [beyond(1, -0.7, 0.5, w), beyond(-0.2, 0.4, -0.3, w)]
     return SwitchingSystem(
         state=(x,),
-        dynamics=[
-            [q(0.2) + q(0.9) * x + q(0.6) * v],
-            [q(-0.5) + q(0.5) * x + q(0.8) * v],
-        ],
+        dynamics=[[q(0.2) + q(0.9) * x + q(0.6) * v], [q(-0.5) + q(0.5) * x + q(0.8) * v]],
         noise=Noise((v,)),
         switching=[[1 - p, p] for p in switch],
         sensor=[

@@ -76,7 +76,7 @@ def piecewise(y):
 def delayed(y):
     system = DelaySystem({0: 0.5, 1: 0.2}, 1.0, 1.0, 1.0, 1.0)
     start = np.ma.masked_all((1, 1)) if isinstance(y, np.ma.MaskedArray) else [[np.nan]]
-    return DelayKalmanFilter(system).run(np.ma.concatenate([start, y])).mean
+    return DelayKalmanFilter(system).run(len(y), np.ma.concatenate([start, y])).mean
 
 
 def designed(y):

@@ -78,7 +78,12 @@ def varying_plant(delays, steps, seed=8, n=2, m=2):
 
 def by_coefficients(system, gains):
     """Error covariance from the estimates' coefficients on start and noises (a linear filter)."""
-    steps, n, m, reach = len(gains.gain) - 1, system.n, system.m, system.max_delay
+    steps, n, m, reach = (
+        len(gains.gain) - 1,
+        system.state_size,
+        system.measurement_size,
+        system.max_delay,
+    )
     start = (reach + 1) * n
     q = system.step(1).noise_cov.shape[0]
     basis = start + steps * (q + m)
@@ -88,7 +93,7 @@ def by_coefficients(system, gains):
         chain[reach - j, :, j * n : (j + 1) * n] = np.eye(n)
     for k in range(1, steps + 1):
         step, at = system.step(k), start + (k - 1) * (q + m)
-        for d, a in zip(system.delays, step.dynamics, strict=True):
+        for d, a in step.dynamics.items():
             chain[reach + k] += a @ chain[reach + k - 1 - d]
         chain[reach + k, :, at : at + q] += step.noise_input
         y[k] = step.sensor @ chain[reach + k]

@@ -6,7 +6,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from seedslib.delay import DelayKalmanFilter, DelaySystem, apply_gains, error_covariance, examples
-from seedslib.delay.filter import RECURSIONS
+from seedslib.delay.recursions import RECURSIONS
 
 EXACT = ("structured", "array")
 
@@ -31,7 +31,7 @@ class Regression:
     """Everything as a linear function of start and noises; estimates by one regression."""
 
     def __init__(self, system, steps):
-        self.system, n, reach = system, system.n, system.max_delay
+        self.system, n, reach = system, system.state_size, system.max_delay
         q = system.step(1).noise_cov.shape[0]
         start = (reach + 1) * n
         self.states = np.zeros((reach + 1 + steps, n, start + steps * q))
@@ -42,7 +42,7 @@ class Regression:
         spreads = [system.start_cov()]
         for k in range(1, steps + 1):
             step, at = system.step(k), start + (k - 1) * q
-            for d, a in zip(system.delays, step.dynamics, strict=True):
+            for d, a in step.dynamics.items():
                 self.states[reach + k] += a @ self.states[reach + k - 1 - d]
                 self.means[reach + k] += a @ self.means[reach + k - 1 - d]
             self.states[reach + k, :, at : at + q] += step.noise_input
@@ -143,9 +143,9 @@ def test_repaired_filter_equals_the_augmented_one_path_by_path(plant):
     """DK-R2."""
     system = varying_system((0, 4), 50) if plant == "varying" else examples.precise_sensor()
     y = system.simulate(50, 2000, 42).measurements
-    dense = DelayKalmanFilter(system, "augmented").run(y)
+    dense = DelayKalmanFilter(system, "augmented").run(len(y) - 1, y)
     kalman = DelayKalmanFilter(system)
-    run = kalman.run(y)
+    run = kalman.run(len(y) - 1, y)
     by_innovations = apply_gains(system, kalman.innovation_gains(50), y)
     scale = max(1.0, np.abs(dense.mean).max())
     for mean in (run.mean, by_innovations):
@@ -157,7 +157,7 @@ def test_several_delays_against_regression():
     """DK-R3: delays 0, 2, 3, 7, everything time-varying."""
     system = varying_system((0, 2, 3, 7), 30)
     y = system.simulate(30, 2, 4).measurements
-    run, truth = DelayKalmanFilter(system).run(y), Regression(system, 30)
+    run, truth = DelayKalmanFilter(system).run(len(y) - 1, y), Regression(system, 30)
     for k in (1, 3, 9, 30):
         mean, cov, _ = truth.estimate(y[..., 1], k, k)
         np.testing.assert_allclose(run.mean[k, :, 1], mean, rtol=0, atol=1e-11)
@@ -177,13 +177,15 @@ def test_missing_values_and_lags_against_regression(method):
     y[7, :, 4] = np.nan
     kalman, truth = DelayKalmanFilter(system, method), Regression(system, 20)
     for lag in (0, 1, 5):
-        run = kalman.run(y, lag=lag)
-        assert run.cov.shape == (21, system.n, system.n, 6)
+        run = kalman.run(len(y) - 1, y, lag=lag)
+        assert run.cov.shape == (21, system.state_size, system.state_size, 6)
         for path in (0, 3, 4):
             for k in (0, 1, 7, 16, 20):
                 last = max(min(k + lag, 20), 1 if k == 0 and lag else 0)
                 if last == 0:
-                    np.testing.assert_array_equal(run.mean[0, :, path], system.mean0[: system.n])
+                    np.testing.assert_array_equal(
+                        run.mean[0, :, path], system.mean0[: system.state_size]
+                    )
                     continue
                 mean, cov, loglik = truth.estimate(y[..., path], k, last)
                 np.testing.assert_allclose(run.mean[k, :, path], mean, rtol=0, atol=1e-11)
@@ -199,17 +201,17 @@ def test_step_by_step_equals_run():
     y[9] = np.nan
     for method in ("structured", "array", "augmented"):
         kalman = DelayKalmanFilter(system, method)
-        run, state = kalman.run(y), kalman.initial((5,))
+        run, state = kalman.run(len(y) - 1, y), kalman.initial((5,))
         for k in range(1, 16):
             before = state
             copies = [np.copy(part) for part in (before.mean, before.recursion[1])]
-            state = kalman.step(state, y[k])
+            state = kalman.step(state, k, y[k])
             for part, copy in zip((before.mean, before.recursion[1]), copies, strict=True):
                 np.testing.assert_array_equal(part, copy)
             np.testing.assert_allclose(state.mean[0], run.mean[k], rtol=0, atol=1e-13)
             np.testing.assert_allclose(state.loglik, run.loglik[k], rtol=0, atol=1e-12)
             np.testing.assert_allclose(state.cov, run.cov[k], rtol=0, atol=1e-13)
-        smoothed = kalman.run(y, lag=3)
+        smoothed = kalman.run(len(y) - 1, y, lag=3)
         np.testing.assert_allclose(state.mean[3], smoothed.mean[12], rtol=0, atol=1e-13)
 
 
@@ -217,11 +219,11 @@ def test_batch_axes_come_back_as_they_were():
     system = examples.rotation(0.7, 3)
     y = system.simulate(10, 6, 3).measurements
     kalman = DelayKalmanFilter(system)
-    flat, folded = kalman.run(y), kalman.run(y.reshape(11, 1, 2, 3))
+    flat, folded = kalman.run(len(y) - 1, y), kalman.run(10, y.reshape(11, 1, 2, 3))
     assert folded.mean.shape == (11, 2, 2, 3)
     assert folded.loglik.shape == (11, 2, 3)
     np.testing.assert_array_equal(folded.mean.reshape(11, 2, 6), flat.mean)
-    alone = kalman.run(y[..., 4])
+    alone = kalman.run(10, y[..., 4])
     assert (alone.mean.shape, alone.cov.shape, alone.loglik.shape) == ((11, 2), (11, 2, 2), (11,))
     np.testing.assert_allclose(alone.mean, flat.mean[..., 4], rtol=0, atol=1e-14)
 
@@ -236,7 +238,7 @@ def test_gains_are_computed_once_and_a_shorter_record_reuses_them(monkeypatch):
     monkeypatch.setattr(RECURSIONS["structured"], "advance", never)
     short = kalman.gains(12)
     np.testing.assert_array_equal(short.gain, table.gain[:13])
-    kalman.run(kalman.system.simulate(20, 4, 1).measurements)
+    kalman.run(20, kalman.system.simulate(20, 4, 1).measurements)
 
 
 def test_monte_carlo_error_and_innovations():
@@ -244,7 +246,7 @@ def test_monte_carlo_error_and_innovations():
     system, paths = examples.precise_sensor(), 20_000
     run = system.simulate(40, paths, 42)
     kalman = DelayKalmanFilter(system)
-    square = ((run.states[40] - kalman.run(run.measurements).mean[40]) ** 2).sum(axis=0)
+    square = ((run.states[40] - kalman.run(run.times, run.measurements).mean[40]) ** 2).sum(axis=0)
     trace = np.trace(kalman.gains(40).cov[40])
     assert trace == pytest.approx(1.5842, abs=5e-5)
     assert abs(square.mean() - trace) <= 4.0 * square.std() / np.sqrt(paths)
@@ -320,7 +322,7 @@ def test_fast_recursion_gives_way_where_it_fails():
     plain = DelayKalmanFilter(examples.nearly_parallel_sensors()).gains(20)
     np.testing.assert_array_equal(table.cov, plain.cov)
     with pytest.raises(ValueError, match="lost its digits"):
-        hard.step(hard.initial(), np.zeros(2))
+        hard.step(hard.initial(), 1, np.zeros(2))
     for system in (
         varying_system((0, 2), 5),
         DelaySystem({1: 0.5}, 1.0, 1.0, 1.0, np.eye(2) + 0.5),
@@ -396,13 +398,17 @@ def test_square_roots_keep_the_digits_that_covariances_lose():
         (lambda s: DelayKalmanFilter(s).gains(0), ValueError, "steps"),
         (lambda s: DelayKalmanFilter(s).gains(2.5), TypeError, "steps"),
         (lambda s: DelayKalmanFilter(s).gains(3, np.zeros((4, 1))), ValueError, "missing"),
-        (lambda s: DelayKalmanFilter(s).run(np.full((1, 1), np.nan)), ValueError, "measurements"),
-        (lambda s: DelayKalmanFilter(s).run(np.zeros((4, 1))), ValueError, "k = 0"),
-        (lambda s: DelayKalmanFilter(s).run(np.zeros((4, 2, 7))), ValueError, "measurements"),
-        (lambda s: DelayKalmanFilter(s).run(np.zeros((4, 1, 0))), ValueError, "path"),
-        (lambda s: DelayKalmanFilter(s).run([[np.nan], [np.inf]]), ValueError, "measurements"),
-        (lambda s: DelayKalmanFilter(s).run([[np.nan], [1.0]], lag=4), ValueError, "lag"),
-        (lambda s: DelayKalmanFilter(s).run([[np.nan], [1.0]], lag=1.0), TypeError, "lag"),
+        (
+            lambda s: DelayKalmanFilter(s).run(1, np.full((1, 1), np.nan)),
+            ValueError,
+            "measurements",
+        ),
+        (lambda s: DelayKalmanFilter(s).run(3, np.zeros((4, 1))), ValueError, "k = 0"),
+        (lambda s: DelayKalmanFilter(s).run(3, np.zeros((4, 2, 7))), ValueError, "measurements"),
+        (lambda s: DelayKalmanFilter(s).run(3, np.zeros((4, 1, 0))), ValueError, "path"),
+        (lambda s: DelayKalmanFilter(s).run(1, [[np.nan], [np.inf]]), ValueError, "measurements"),
+        (lambda s: DelayKalmanFilter(s).run(1, [[np.nan], [1.0]], lag=4), ValueError, "lag"),
+        (lambda s: DelayKalmanFilter(s).run(1, [[np.nan], [1.0]], lag=1.0), TypeError, "lag"),
         (lambda s: step_of(s, np.zeros(2)), ValueError, "y"),
         (lambda s: step_of(s, [[np.nan, 1.0]], (2,)), ValueError, "y"),
     ],
@@ -414,7 +420,7 @@ def test_bad_input_is_named(call, error, name):
 
 def step_of(system, y, batch=()):
     kalman = DelayKalmanFilter(system)
-    return kalman.step(kalman.initial(batch), y)
+    return kalman.step(kalman.initial(batch), 1, y)
 
 
 def test_fast_recursion_never_loses_digits_silently():
@@ -457,7 +463,7 @@ def test_overflow_is_refused(dynamics, sensor, steps, method):
 def test_overflow_of_means_and_odd_arguments_are_refused():
     plant = DelaySystem({0: 3.0}, 1e-160, 0.0, 1.0, 0.0, mean0=[1e150])
     with pytest.raises(ValueError, match=r"system.*estimates"):
-        DelayKalmanFilter(plant).run(np.full((500, 1), np.nan))
+        DelayKalmanFilter(plant).run(499, np.full((500, 1), np.nan))
     kalman = DelayKalmanFilter(examples.rotation(0.7, 3))
     with pytest.raises(TypeError, match="missing"):
         kalman.gains(3, [[True], [True, False]])

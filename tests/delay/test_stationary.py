@@ -11,9 +11,14 @@ def by_riccati(system):
     step = system.augmented()
     predicted = solve_discrete_are(step.transition.T, step.sensor.T, step.noise, step.sensor_cov)
     inner = step.sensor @ predicted @ step.sensor.T + step.sensor_cov
-    gain = (predicted @ step.sensor.T / inner).reshape(-1, system.n, 1)
+    gain = (predicted @ step.sensor.T / inner).reshape(-1, system.state_size, 1)
     cov = predicted - predicted @ step.sensor.T @ step.sensor @ predicted / inner
-    return gain, inner, predicted[: system.n, : system.n], cov[: system.n, : system.n]
+    return (
+        gain,
+        inner,
+        predicted[: system.state_size, : system.state_size],
+        cov[: system.state_size, : system.state_size],
+    )
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ def moments_by_stacking(system, steps):
         step = system.augmented(k)
         mean = step.transition @ mean
         cov = step.transition @ cov @ step.transition.T + step.noise
-    return mean[: system.n], cov[: system.n, : system.n]
+    return mean[: system.state_size], cov[: system.state_size, : system.state_size]
 
 
 def test_augmented_matrices_by_hand():
@@ -39,7 +39,12 @@ def test_augmented_matrices_by_hand():
     assert stacked.noise[1, 1] == 1.0
     assert np.count_nonzero(stacked.noise) == 1
     np.testing.assert_array_equal(system.start_cov(), np.diag([1.0, 1.0, 0.3, 0.3, 0.3, 0.3]))
-    assert (system.delays, system.max_delay, system.n, system.m) == ((0, 2), 2, 2, 1)
+    assert (system.delays, system.max_delay, system.state_size, system.measurement_size) == (
+        (0, 2),
+        2,
+        2,
+        1,
+    )
 
 
 def test_numbers_stand_for_one_by_one_matrices():
@@ -197,7 +202,7 @@ def test_a_function_is_checked_when_it_is_used():
 
 @pytest.mark.parametrize(("steps", "paths"), [(0, 1), (2, 0), (2.0, 1), (2, True)])
 def test_simulation_refuses_bad_counts(steps, paths):
-    with pytest.raises((TypeError, ValueError), match=r"steps|paths"):
+    with pytest.raises((TypeError, ValueError), match=r"times|paths"):
         DelaySystem(**GIVEN).simulate(steps, paths, 1)
 
 

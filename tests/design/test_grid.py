@@ -17,6 +17,7 @@ from seedslib.design import (
     synthesize,
 )
 from seedslib.designed import Memory, finite_memory, large_order
+from seedslib.designed.outputs.lookup import Output
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import FellerChain, JumpDiffusion, Noise
 
@@ -143,14 +144,14 @@ def test_exact_filter_is_better_than_every_other_of_its_memory(flip, exact, gaus
 def test_every_change_of_the_optimal_function_costs_its_mean_square(flip, change):
     """M(X - f - e h)² = M(X - f)² + e² M h²: orthogonality, by simulation and by the grid."""
     table = grid_synthesis(flip, large_order(1), TIMES[:4], **COARSE, nodes=0)
-    last = table.rules.outputs[-1]
+    last = table.steps[-1]
 
     def risk(amount):
-        outputs = (
-            *table.rules.outputs[:-1],
-            lambda y, u: last(y, u) + amount * change(y, u),
-        )
-        return grid_risk(replace(table, rules=replace(table.rules, outputs=outputs)), **COARSE)
+        def shown(points):
+            return Output(last.shown(points).mean + amount * change(*points))
+
+        steps = (*table.steps[:-1], last._replace(shown=shown))
+        return grid_risk(replace(table, steps=steps), **COARSE)
 
     base = risk(0.0).mse[-1]
     growth = [risk(amount).mse[-1] - base for amount in (0.1, -0.1, 0.3)]
@@ -184,7 +185,7 @@ def test_posterior_mean_of_two_measurements_by_hand(flip):
         likely /= np.sqrt(0.25 + 0.09 * x**2)
         posterior = likely[1] * (chain.transition(0.0, 0.25) @ (likely[0] * chain.start()))
         posterior /= posterior.sum()
-        assert table.rules.outputs[1].values[0, second, first] == pytest.approx(posterior @ x)
+        assert table.steps[1].shown.estimate[0, second, first] == pytest.approx(posterior @ x)
         vector = np.array([x, x**2])
         best = vector @ posterior
         for weight in ([[1.0, 0.3], [0.3, 2.0]], [[5.0, -2.0], [-2.0, 1.0]]):

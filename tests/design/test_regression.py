@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seedslib.designed.regression import inverse_root, merge, regress, scatter
+from seedslib.design.regression import combine, inverse_root, regress, scatter
 
 
 def sample(rows=5, count=5000, seed=3):
@@ -15,7 +15,7 @@ def sample(rows=5, count=5000, seed=3):
 def test_blocks_merge_to_the_moments_of_the_whole():
     data = sample()
     parts = [scatter(data[:, a : a + 700]) for a in range(0, 5000, 700)]
-    found = merge([scatter(data[:, :0]), *parts])
+    found = combine([scatter(data[:, :0]), *parts])
     assert found.count == 5000
     np.testing.assert_allclose(found.mean, data.mean(axis=1), rtol=1e-13)
     np.testing.assert_allclose(found.cov, np.cov(data, bias=True), rtol=1e-11, atol=1e-12)

@@ -4,8 +4,7 @@ import pytest
 from seedslib import zoo
 from seedslib.base import Axis
 from seedslib.design import Polynomial, grid_risk, simulated_synthesis, synthesize
-from seedslib.design.tables.carriers import Lesson
-from seedslib.design.tables.regression import forecast_table, histogram_table, likelihood_table
+from seedslib.design.tables.regression import histogram_table, likelihood_table
 from seedslib.designed import Memory, finite_memory, large_order
 from seedslib.evaluation import compare
 from seedslib.linearization import ExactGaussian
@@ -59,8 +58,12 @@ def test_likelihood_weights_by_hand():
     rng = np.random.default_rng(3)
     x, u = rng.standard_normal((1, 60)), np.where(np.arange(60) < 30, 1.0, 2.0)[None]
     axes = (Axis(-4.0, 4.0, 9),), (Axis(0.0, 3.0, 4),)
-    sensor = zoo.flip_process().sensor
-    table = likelihood_table(sensor, 0.0, Lesson(x, None, u), 1, *axes, 1e-9)
+    sensor, grid = zoo.flip_process().sensor, axes[0][0].nodes
+
+    def log_density(part):
+        return sensor.log_density(0.0, grid[None, None], x[:, part, None])
+
+    table = likelihood_table(log_density, x, u, *axes, 1e-9)
     assert table.shape == (1, 9, 4)
     for cell in (1, 2):
         here = x[0, u[0] == cell]
@@ -75,8 +78,7 @@ def test_histogram_by_hand():
     """Measurements on the nodes, no smoothing: means of the paths there."""
     rng = np.random.default_rng(4)
     x, y = rng.standard_normal((1, 90)), rng.integers(-1, 2, (1, 90)).astype(float)
-    lesson = Lesson(x, y, np.empty((0, 90)))
-    table = histogram_table(lesson, 1, (Axis(-1.0, 1.0, 3),), (), 1e-9)
+    table = histogram_table(x, y, (Axis(-1.0, 1.0, 3),), 1e-9)
     assert table[0] == pytest.approx([x[y == v].mean() for v in (-1.0, 0.0, 1.0)], rel=1e-12)
 
 
@@ -84,7 +86,7 @@ def test_forecast_where_no_path_was_is_that_of_the_nearest_crowd():
     x = np.concatenate([np.full(50, 2.0), np.full(50, 5.0)])[None]
     u = np.concatenate([np.zeros(50), np.full(50, 3.0)])[None]
     axis = Axis(-10.0, 13.0, 93)
-    table = forecast_table(Lesson(x, None, u), 1, (axis,), 0.1)
+    table = histogram_table(x, u, (axis,), 0.1)
     for node, wanted in ((0.0, 2.0), (3.0, 5.0), (4.0, 5.0), (-10.0, 3.5)):
         # at the end, beyond every kernel, the mean of all
         assert table[0, np.argmin(np.abs(axis.nodes - node))] == pytest.approx(wanted)
@@ -131,7 +133,7 @@ def test_one_component_of_two_and_mixed_memory():
     data = system.simulate(times, 500, 55)
     estimates = found.run(times, data.measurements)
     assert estimates.mean.shape == (3, 1, 500)
-    assert found.rules.outputs[1].values.shape == (1, 9, 9, 11, 9, 9)
+    assert found.steps[1].shown.estimate.shape == (1, 9, 9, 11, 9, 9)
     assert np.sqrt(((estimates.mean - data.states[:, :1]) ** 2).mean(axis=2)).max() < 0.35
 
 
@@ -140,7 +142,7 @@ def test_default_axes_and_equal_seeds(flip):
         simulated_synthesis(flip, finite_memory(1), TIMES[:3], paths=500, seed=7, nodes=1)
         for _ in range(2)
     )
-    assert np.array_equal(one.rules.outputs[2].values, two.rules.outputs[2].values)
+    assert np.array_equal(one.steps[2].shown.estimate, two.steps[2].shown.estimate)
     assert one.design.entropy == 7
     assert not one.design.exact
     assert not one.predicted.in_sample
@@ -164,7 +166,7 @@ def test_diverged_paths_are_left_out():
         found = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
     assert 0 < found.design.diverged < 2000
     assert found.design.paths == 4000
-    assert np.isfinite(found.rules.outputs[1].values).all()
+    assert np.isfinite(found.steps[1].shown.estimate).all()
 
 
 @pytest.mark.parametrize(

@@ -174,13 +174,13 @@ def test_recursion_against_loops(case):
     assert np.abs(ours - wanted).max() < 1e-9
     assert np.abs(np.stack([again.mse**0.5, again.mode_error], axis=1) - wanted).max() < 1e-9
     compared = 0
-    for (best, _, _), step in zip(found, filter.tables, strict=True):
+    for (best, _, _), step in zip(found, filter.steps, strict=True):
         shape = tuple(axis.count for axis in step.shown.axes)
         assert step.shown.mode.shape == shape == step.shown.prob.shape[1:]
         for (j, b, u), (mean, mode, prob, mass) in best.items():
             if mass < 1e-6:
                 continue  # events of probability 1e-15 are left out: digits of rare ones are lost
-            told = ((j if j >= 0 else 2),) if system.has_indicator else ()
+            told = ((j if j >= 0 else 2),) if system.indicators else ()
             place = (*told, b, *(part for block in u for part in block))
             assert step.shown.estimate[(0, *place)] == pytest.approx(mean, abs=1e-8)
             assert step.shown.prob[(1, *place)] == pytest.approx(prob, abs=1e-8)
@@ -340,7 +340,7 @@ def test_an_indicator_that_shows_the_mode():
     axes = {"x": (-5, 5, 101), "z": (-4, 4, 81), "y": (-16, 16, 129)}
     filter = grid_synthesis(system, large_order(1), np.arange(5), **axes)
     assert filter.predicted.mode_rate.max() < 1e-12
-    for step in filter.tables:
+    for step in filter.steps:
         for table in step:
             assert np.isfinite(table.estimate).all()
     data = system.simulate(np.arange(5), 4000, 3)

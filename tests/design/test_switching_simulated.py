@@ -131,7 +131,7 @@ def test_the_same_seed_gives_the_same_tables(system):
         simulated_synthesis(system, finite_memory(1), [0, 1], paths=500, seed=s, y=(-16, 18, 35))
         for s in (7, 7)
     )
-    for one, two in zip(first.tables, second.tables, strict=True):
+    for one, two in zip(first.steps, second.steps, strict=True):
         assert np.array_equal(one.shown.estimate, two.shown.estimate)
     assert "1000 paths, seed 7" in str(first)
 

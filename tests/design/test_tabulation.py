@@ -79,7 +79,7 @@ def test_covariance_of_the_table_is_the_predicted_error(tmp_path):
     data = zoo.flip_process().simulate(TIMES, 20_000, 9)
     found = table.run(TIMES, data.measurements, covariances=True)
     square = ((found.mean - data.states) ** 2).mean(axis=2)[:, 0]
-    claimed = found.cov[:, 0, 0, 0]
+    claimed = found.cov[:, 0, 0]
     # design paths and test paths: standard errors of both
     error = 2 * made.predicted.rms[::5, 0] * made.predicted.error[::5, 0]
     assert (np.abs(square - claimed) < 4 * error).all()

@@ -137,7 +137,7 @@ def test_tables_of_another_memory_are_refused(tables, tmp_path, memory, header):
     """A header that tells of a memory with more, fewer or other numbers than the tables take."""
     path = tmp_path / "a.npz"
     save(tables, path)
-    header(path, memory=dataclasses.asdict(memory))
+    header(path, memory={"class": "Memory", **dataclasses.asdict(memory)})
     with pytest.raises(ValueError, match=r"contradicts itself \(.*other axes than the memory"):
         load(path)
 

@@ -13,7 +13,7 @@ from seedslib import zoo
 from seedslib.design import Affine, Continuous, Polynomial, synthesize
 from seedslib.designed import Memory, finite_memory
 from seedslib.designed.between import FORECAST_KINDS, Interval, at
-from seedslib.designed.predictors import FLOOR, floored, monomials
+from seedslib.designed.predictors import FLOOR, bounded_below, monomials
 from seedslib.evaluation import compare
 from seedslib.filters import extended_kalman
 from seedslib.linearization import ExactGaussian, Taylor
@@ -260,7 +260,7 @@ def test_floor_of_conditional_covariances():
     mean_cov = root @ root.T
     items = rng.standard_normal((3, 3, 50))
     items = items + np.swapaxes(items, 0, 1)
-    found = floored(items, mean_cov)
+    found = bounded_below(items, mean_cov)
     lower = np.linalg.cholesky(mean_cov)
     back = np.linalg.inv(lower)
     for i in range(50):

@@ -1,5 +1,6 @@
 """Small files that ask for much, or say a thing twice, are refused in a sentence and at once."""
 
+import json
 import resource
 import time
 import zipfile
@@ -45,10 +46,13 @@ INFINITE = float("inf")
     [
         {"components": INFINITE},
         {"components": 10**30},
-        {"memory": {"estimates": INFINITE}},
-        {"tail": INFINITE, "components": -INFINITE},
-        {"predictor": {"name": "Polynomial", "mean_degree": INFINITE, "cov_degree": 1}},
-        {"linearization": {"name": "GaussHermite", "order": INFINITE}},
+        {"memory": {"class": "Memory", "estimates": INFINITE}},
+        {"memory": {"class": "Memory", "estimates": 10**30}},
+        {"components": -INFINITE},
+        {"predictor": {"class": "Polynomial", "mean_degree": INFINITE, "cov_degree": 1}},
+        {"linearization": {"class": "GaussHermite", "order": INFINITE}},
+        {"linearization": {"class": "GaussHermite", "order": 10**9}},
+        {"linearization": {"class": "GaussHermite", "order": 10**4}},
     ],
 )
 def test_infinite_sizes_of_a_plain_filter(plain, changes, header):
@@ -63,18 +67,26 @@ def test_infinite_sizes_of_a_plain_filter(plain, changes, header):
         {"modes": 10**9},
         {"modes": INFINITE},
         {"modes": 0},
-        {"shape": [1, 10**9]},
-        {"shape": [INFINITE, 1]},
+        {"modes": -1},
+        {"measurement_size": 10**9},
+        {"state_size": INFINITE},
         {"indicators": 10**12},
         {"indicators": -1},
-        {"axes": [[[["labels", INFINITE]], []]] * 2},
-        {"axes": [[[["labels", 10**12]], []]] * 2},
-        {"axes": [[[[-1.0, 1.0, INFINITE]], []]] * 2},
+        {"axes": [{"class": "Labels", "count": INFINITE}]},
+        {"axes": [{"class": "Labels", "count": 10**12}]},
+        {"axes": [{"class": "Axis", "low": -1.0, "high": 1.0, "count": INFINITE}]},
+        {"axes": [{"class": "Axis", "low": -1.0, "high": 1.0, "count": 10**12}]},
     ],
 )
 def test_sizes_beyond_reason_of_a_table(table, changes, header):
     assert load(table).order == 2
-    header(table, **changes)
+    if "axes" in changes:
+        with np.load(table) as archive:
+            steps = json.loads(archive["header"].tobytes().decode())["filter"]["steps"]
+        steps[0]["shown"] |= changes
+        header(table, steps=steps)
+    else:
+        header(table, "sizes", **changes)
     start = time.perf_counter()
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(ValueError, match=r"^t\.npz: the file contradicts itself"):
@@ -84,12 +96,12 @@ def test_sizes_beyond_reason_of_a_table(table, changes, header):
 
 
 def test_on_the_command_line_it_is_one_line(table, header, capsys, tmp_path):
-    header(table, modes=INFINITE)
+    header(table, "sizes", modes=INFINITE)
     (tmp_path / "d.csv").write_text("t,y1\n0,1\n")
     arguments = ["filter", table, tmp_path / "d.csv", "--out", tmp_path / "x.csv"]
     assert main([str(part) for part in arguments]) == 2
     told = capsys.readouterr().err
-    assert "cannot convert float infinity to integer" in told
+    assert "modes: wanted 0 to 128, got inf" in told
     assert told.count("\n") == 1
 
 

@@ -6,7 +6,7 @@ import sympy
 
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
-from seedslib.designed.lemmas import Law, total_covariance
+from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.evaluation import evaluate
 from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
 from seedslib.linearization import ExactGaussian
@@ -18,7 +18,9 @@ x, v, w = sympy.symbols("x v w", real=True)
 def test_two_modes_far_apart():
     """Equal covariances C and means ± d of equal probability: C + d dᵀ."""
     d, inner = np.array([3.0, -40.0]), np.array([[0.5, 0.1], [0.1, 0.2]])
-    law = Law.of(np.array([0.5, 0.5]), np.stack([d, -d], axis=1), np.stack([inner, inner], axis=2))
+    law = ModeLaw.of(
+        np.array([0.5, 0.5]), np.stack([d, -d], axis=1), np.stack([inner, inner], axis=2)
+    )
     np.testing.assert_allclose(total_covariance(law), inner + np.outer(d, d), rtol=1e-14)
 
 
@@ -30,7 +32,7 @@ def test_law_of_total_covariance():
     mean = 4 * rng.standard_normal((n, modes, batch))
     root = rng.standard_normal((n, n, modes, batch))
     cov = np.einsum("ik...,jk...->ij...", root, root)
-    got = total_covariance(Law.of(prob, mean, cov))
+    got = total_covariance(ModeLaw.of(prob, mean, cov))
     for b in range(batch):
         second = sum(
             prob[l, b] * (cov[:, :, l, b] + np.outer(mean[:, l, b], mean[:, l, b]))

@@ -9,6 +9,7 @@ import sympy
 from seedslib import zoo
 from seedslib.base import correct
 from seedslib.design import synthesize
+from seedslib.design.cells import cells_from_moments
 from seedslib.designed import Memory, SwitchingFilter, large_order
 from seedslib.designed.switching_fits import CellFit
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
@@ -142,7 +143,7 @@ def test_sampled_fit_is_the_injected_one():
     root = rng.standard_normal((3, 3, 2, 4))
     cov = np.einsum("ikLC,jkLC->ijLC", root, root)
     mean, prob = rng.standard_normal((3, 2, 4)), rng.dirichlet(np.ones(8)).reshape(2, 4)
-    fit = CellFit.from_moments(prob, mean, cov, 1, jitter=0.0)
+    fit = cells_from_moments(prob, mean, cov, 1, jitter=0.0)
     cell, z = rng.integers(0, 4, 30), rng.standard_normal((2, 30))
     law = fit.forecast(cell, z)
     for k in range(30):
@@ -384,7 +385,9 @@ def test_design_serves_later_steps_only_where_it_has_converged():
 def test_fits_of_another_memory_are_refused():
     system, times = zoo.manoeuvring_target("noisy"), np.arange(3.0)
     made = synthesize(system, large_order(1), ExactGaussian(), times, paths=4000, seed=1)
-    with pytest.raises(ValueError, match="fits: wanted gains of shape"):
+    with pytest.raises(
+        ValueError, match=r"fits\[1\]\.gain: wanted shape \(2, 4, 2, 4\), got \(2, 2, 2, 2\)"
+    ):
         SwitchingFilter(system, ExactGaussian(), large_order(2), times=times, fits=made.fits)
 
 

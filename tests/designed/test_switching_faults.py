@@ -8,9 +8,9 @@ import pytest
 import sympy
 
 from seedslib import zoo
+from seedslib.base.semidefinite import mended
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_order
-from seedslib.designed.lemmas import floored
 from seedslib.filters import KnownModeFilter
 from seedslib.filters.mixture import mix
 from seedslib.linearization import Cubature, ExactGaussian, Taylor, Unscented
@@ -106,19 +106,19 @@ def test_mended_covariances():
     singular = np.outer([3.0, 1e-5], [3.0, 1e-5])
     lost = np.array([[1.0, np.nan], [np.nan, 1.0]])
     cov = np.stack([tiny, bad, singular, np.zeros((2, 2)), lost, 1e-20 * bad], axis=-1)
-    mended, count = floored(cov)
+    found, count = mended(cov)
     assert count == 2
     for k in (0, 3, 4):
-        np.testing.assert_array_equal(mended[..., k], cov[..., k])
-    np.testing.assert_allclose(mended[..., 2], singular, rtol=1e-12)
-    np.testing.assert_allclose(mended[..., 1], np.full((2, 2), 1.5), rtol=1e-11)
-    np.testing.assert_allclose(mended[..., 5], 1e-20 * mended[..., 1], rtol=1e-12)
-    assert np.linalg.eigvalsh(mended[..., 1])[0] > 0
+        np.testing.assert_array_equal(found[..., k], cov[..., k])
+    np.testing.assert_allclose(found[..., 2], singular, rtol=1e-12)
+    np.testing.assert_allclose(found[..., 1], np.full((2, 2), 1.5), rtol=1e-11)
+    np.testing.assert_allclose(found[..., 5], 1e-20 * found[..., 1], rtol=1e-12)
+    assert np.linalg.eigvalsh(found[..., 1])[0] > 0
 
 
 def test_rounding_of_a_posterior_is_no_fault():
     """A variance of -1e-17 where it was one is zero; -0.1 is a fault."""
-    found, count = floored(np.array([[[-1e-17, -0.1, 0.5]]]), np.ones((1, 3)))
+    found, count = mended(np.array([[[-1e-17, -0.1, 0.5]]]), np.ones((1, 3)))
     assert count == 1
     np.testing.assert_allclose(found[0, 0], [0.0, 1e-12, 0.5], rtol=1e-9)
 
@@ -222,7 +222,7 @@ def test_rules_are_compiled_once_for_a_system():
 @pytest.mark.parametrize("make", [zoo.steady_target, zoo.manoeuvring_target])
 def test_no_paths_give_no_estimates(make):
     system = make()
-    shown = np.zeros((3, 0), dtype=int) if system.has_indicator else None
+    shown = np.zeros((3, 0), dtype=int) if system.indicators else None
     for filter in (
         SwitchingFilter(system, Taylor()),
         synthesize(system, Memory(1), Taylor(), np.arange(3.0), paths=3000, seed=1),

@@ -11,9 +11,9 @@ from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from seedslib import zoo
+from seedslib.design.cells import cells_from_moments
 from seedslib.designed import Memory, Past, SwitchingFilter, large_order
-from seedslib.designed.lemmas import Law, Sensed, decide, propagate, sense, weigh
-from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
 from seedslib.designed.switching_rules import SwitchingRules
 from seedslib.linearization import ExactGaussian, GaussHermite, Moments, Taylor
 from seedslib.models import Noise, StochasticMap, SwitchingSystem
@@ -40,7 +40,7 @@ def random_law(shape, seed, scale=1.0):
     rng = np.random.default_rng(seed)
     prob = rng.uniform(0.2, 1.0, shape)
     prob /= prob.sum(axis=tuple(range(len(shape) - 1)), keepdims=True)
-    return Law.of(
+    return ModeLaw.of(
         prob, scale * rng.standard_normal((1, *shape)), rng.uniform(0.2, 1.5, (1, 1, *shape))
     )
 
@@ -114,7 +114,7 @@ def test_lemma_1_with_a_singular_measurement():
 
 
 def test_lemma_2_takes_the_first_of_equal_modes():
-    mode, _ = decide(Law.of(np.array([0.2, 0.4, 0.4]), np.zeros((1, 3)), np.ones((1, 1, 3))))
+    mode, _ = decide(ModeLaw.of(np.array([0.2, 0.4, 0.4]), np.zeros((1, 3)), np.ones((1, 1, 3))))
     assert mode == 1
 
 
@@ -349,7 +349,7 @@ def test_lemma_5_by_the_information_form():
     rng, n, d, modes = np.random.default_rng(8), 2, 3, 3
     prob = np.array([0.5, 0.3, 0.2])
     parts = [joint_gaussian(rng, n, d) for _ in range(modes)]
-    fit = CellFit.from_moments(
+    fit = cells_from_moments(
         prob[:, None],
         np.stack([mean for mean, _ in parts], axis=-1)[..., None],
         np.stack([cov for _, cov in parts], axis=-1)[..., None],
@@ -432,7 +432,7 @@ def memories(scale, count=3000, seed=0):
     """Random laws given a memory, as (6.32) gives them."""
     rng = np.random.default_rng(seed)
     chance = rng.uniform(size=count)
-    return Law.of(
+    return ModeLaw.of(
         np.array([chance, 1 - chance]),
         scale * rng.standard_normal((1, 2, count)),
         rng.uniform(0.1, 1.0, (1, 1, 2, count)),
@@ -475,7 +475,7 @@ def test_printed_normalisation_depends_on_the_origin(sensors, forecast):
     laws = forecast(0.0, memories(0.7, count=5000, seed=2))
     r = leakage(sensors, laws)[0, 1]
     b = int(np.argmin(np.abs(r - 1.009)))
-    law = Law(*(part[..., b : b + 1] for part in laws))
+    law = ModeLaw(*(part[..., b : b + 1] for part in laws))
     r = r[b]
     assert r == pytest.approx(1.009, abs=5e-4)
     far = ExactGaussian().weighted(zoo.dependent_switching(100.0).readings[0][1].map)

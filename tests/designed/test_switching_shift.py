@@ -7,9 +7,9 @@ import pytest
 import sympy
 
 from seedslib import zoo
+from seedslib.base.semidefinite import mended
 from seedslib.design import synthesize
 from seedslib.designed import SwitchingFilter, large_order
-from seedslib.designed.lemmas import floored
 from seedslib.evaluation import compare
 from seedslib.filters import GridBayesFilter
 from seedslib.linearization import GaussHermite
@@ -93,8 +93,8 @@ def test_optimal_errors(moving):
 
 def test_one_lost_path_is_not_all():
     """A variance that is not a number must not keep the negative ones of others from repair."""
-    mended, count = floored(np.array([[[np.nan, -1.0, 2.0]]]))
-    assert np.isnan(mended[0, 0, 0])
-    assert 0 < mended[0, 0, 1] <= 1e-12
-    assert mended[0, 0, 2] == 2.0
+    found, count = mended(np.array([[[np.nan, -1.0, 2.0]]]))
+    assert np.isnan(found[0, 0, 0])
+    assert 0 < found[0, 0, 1] <= 1e-12
+    assert found[0, 0, 2] == 2.0
     assert count == 1

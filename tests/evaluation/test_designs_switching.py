@@ -134,7 +134,7 @@ def test_models_that_differ_are_named(plain):
     assert "model (readings)" in changed
     target = diff(plain, design(zoo.manoeuvring_target()))
     changed = {change.name: change[1:] for change in target.changes}
-    assert changed["model (state size)"] == ("1", "2")
+    assert changed["model (state components)"] == ("1", "2")
     again = SwitchingSystem.from_maps(
         [[b.map for b in row] for row in SYSTEM.branches],
         [[b.map for b in row] for row in SYSTEM.readings],
@@ -144,24 +144,24 @@ def test_models_that_differ_are_named(plain):
 
 
 def test_tables_are_compared_at_nodes(table):
-    steps = list(table.tables)
+    steps = list(table.steps)
     shown = steps[2].shown
     mode = shown.mode.copy()
     mode.flat[:: mode.size // 10] = 1 - mode.flat[:: mode.size // 10]
     changed = shown._replace(estimate=shown.estimate * -0.5, mode=mode)
     steps[2] = steps[2]._replace(shown=changed)
-    found = diff(table, dataclasses.replace(table, tables=tuple(steps))).coefficients
-    assert found["estimate"] == pytest.approx([0.0, 0.0, 1.5, 0.0])
-    assert found["mode"][2] == pytest.approx((mode != shown.mode).mean())
-    assert found["mode"][[0, 1, 3]].tolist() == found["blind mode"][[0, 1, 3]].tolist()
+    found = diff(table, dataclasses.replace(table, steps=tuple(steps))).coefficients
+    assert found["output"] == pytest.approx([0.0, 0.0, 1.5, 0.0])
+    assert found["output mode"][2] == pytest.approx((mode != shown.mode).mean())
+    assert found["output mode"][[0, 1, 3]].tolist() == found["forecast mode"][[0, 1, 3]].tolist()
     finer = grid_synthesis(SYSTEM, large_order(1), TIMES, **{**GRID, "y": (-16, 18, 137)})
-    apart = diff(table, finer).coefficients["estimate"]
+    apart = diff(table, finer).coefficients["output"]
     assert 0.0 < apart.max() < 0.1
 
 
 def test_kinds_that_do_not_compare(plain, table):
     mixed = diff(plain, table)
-    assert {c.name for c in mixed.changes} >= {"kind", "method", "linearization"}
+    assert {c.name for c in mixed.changes} >= {"kind", "functions", "linearization"}
     assert not mixed.comparable
     assert "no coefficients that could be compared" in str(mixed)
     with pytest.raises(TypeError, match="second: wanted a filter of a switching system, got int"):

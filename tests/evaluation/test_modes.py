@@ -20,6 +20,8 @@ def target():
 class Guess:
     """Estimates zero, and decides the mode that the indicator shows."""
 
+    takes = ("indicators",)
+
     def __init__(self, system, components=2):
         self.system, self.components = system, components
 

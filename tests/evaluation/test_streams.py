@@ -28,6 +28,8 @@ def system():
 class Drawn:
     """Estimates that are random numbers and nothing else."""
 
+    takes = ("seed",)
+
     def __init__(self):
         self.seen = []
 

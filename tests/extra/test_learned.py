@@ -54,7 +54,7 @@ def test_gradient_boosting_is_the_default(flip):
     assert "HistGradientBoostingRegressor on 2 measurements of each path" in str(found)
     risk = grid_risk(found, **GRID).mse
     assert (risk < 1.12 * EXACT[:2]).all()
-    assert isinstance(found.rules.outputs[0].models[0], HistGradientBoostingRegressor)
+    assert isinstance(found.steps[0].shown.models[0], HistGradientBoostingRegressor)
 
 
 def test_linear_regression_gives_the_affine_filter_of_a_linear_system(linear):
@@ -143,7 +143,7 @@ def test_missing_measurement_leaves_the_cubic_forecast(flip, network):
     y = flip.simulate(TIMES, 30, 1).measurements.copy()
     y[1] = np.nan
     mean = network.run(TIMES, y).mean
-    assert np.array_equal(mean[1], network.fits[0].mean(mean[0]))
+    assert np.array_equal(mean[1], network.steps[1].blind([*mean[0]]).mean)
 
 
 def test_memory_of_measurements(flip):

@@ -215,7 +215,7 @@ def test_impossible_switches_and_indicators_stay_impossible():
     system = zoo.manoeuvring_target("exact")
     same = averaged_switching(system, np.arange(6.0), 4000, 1)
     assert same.readings[0][1] is None
-    assert same.has_indicator
+    assert same.indicators
     for i in range(2):
         for l in range(2):
             expected = system.branches[i][l].probability(0.0, np.zeros(2))

@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from seedslib.designed import SwitchingFilter
-from seedslib.designed.lemmas import Law, decide, propagate
+from seedslib.designed.lemmas import ModeLaw, decide, propagate
 from seedslib.filters import GridBayesFilter, ParticleFilter, RaoBlackwellFilter
 from seedslib.filters.weights import most_probable, normalised
 from seedslib.linearization import Cubature, ExactGaussian, Gaussian, Moments, Taylor, Weighted
@@ -66,7 +66,7 @@ def test_histories_that_are_not_drawn_hold_any_log_odds():
 
 def test_a_forecast_of_small_masses_is_formed_by_itself():
     """Next mode 1 comes from mode 1 alone, of probability e to the -2000, or by e to the -690."""
-    law = Law(np.array([0.0, -2000.0]), np.array([[1.0, 3.0]]), np.ones((1, 1, 2)))
+    law = ModeLaw(np.array([0.0, -2000.0]), np.array([[1.0, 3.0]]), np.ones((1, 1, 2)))
 
     def row(chances):
         def moments(t, mean, cov):
@@ -101,7 +101,7 @@ def test_an_impossible_indicator_is_flagged_by_all():
 def test_equal_probabilities_are_decided_for_the_first(push):
     prob = np.array([0.2, 0.4 + push, 0.4 - push])
     assert most_probable(prob) == 1
-    assert decide(Law.of(prob, np.zeros((1, 3)), np.ones((1, 1, 3))))[0] == 1
+    assert decide(ModeLaw.of(prob, np.zeros((1, 3)), np.ones((1, 1, 3))))[0] == 1
     assert most_probable(np.array([0.2, 0.4, 0.4 + 1e-8])) == 2
     np.testing.assert_array_equal(most_probable(np.stack([prob, prob[::-1]]), axis=1), [1, 0])
 

@@ -277,7 +277,7 @@ def test_sine_at_the_time_of_the_greatest_loss():
 
 
 def test_bad_input():
-    with pytest.raises(ValueError, match="var: wanted a nonnegative variance"):
+    with pytest.raises(ValueError, match="var: wanted nonnegative variances"):
         abs_moments(0.0, -1.0)
     with pytest.raises(ValueError, match="error_var: wanted at most the variance"):
         abs_errors(0.0, 1.0, 1.1)

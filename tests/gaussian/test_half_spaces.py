@@ -14,7 +14,7 @@ from seedslib.gaussian import (
     expectation_function,
     mean_square_errors,
 )
-from seedslib.gaussian.means.symbolic import mean_expression
+from seedslib.gaussian.means.formulas import mean_expression
 from seedslib.models.codegen import compile_components
 
 x, y, m, P = sp.symbols("x y m P", real=True)

@@ -121,10 +121,11 @@ def test_only_the_coordinates_of_the_function_count():
 
 
 def test_bad_input_is_refused():
+    law = np.zeros(1), np.eye(1), 0.5 * np.eye(1)
     with pytest.raises(ValueError, match="degree"):
-        quadrature_expansion(np.sin, [0.0], [[1.0]], [[0.5]], degree=20, nodes=20)
+        quadrature_expansion(np.sin, *law, degree=20, nodes=20)
     with pytest.raises(ValueError, match="finite"), np.errstate(divide="ignore"):
-        quadrature_expansion(lambda u: 1 / u, [0.0], [[1.0]], [[0.5]], degree=2, nodes=3)
+        quadrature_expansion(lambda u: 1 / u, *law, degree=2, nodes=3)
     with pytest.raises(ValueError, match="points"):
         quadrature_expansion(np.sin, np.zeros(4), np.eye(4), np.eye(4))
     with pytest.raises(ValueError, match="exceeds"):

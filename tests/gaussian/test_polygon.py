@@ -14,6 +14,7 @@ from oracles import polygon_reference
 from seedslib.gaussian import interval, polygon
 from seedslib.gaussian.regions.edges import edge_moments
 from seedslib.gaussian.regions.geometry import outline
+from seedslib.gaussian.regions.law import Cases
 
 KNOWN = json.loads(Path(polygon_reference.__file__).with_suffix(".json").read_text())
 pad_regions = importlib.import_module("seedslib.gaussian.regions.polygon").pad_regions
@@ -71,13 +72,8 @@ def test_error_estimate_on_the_hard_list(name):
     case = KNOWN[name]
     shape = outline(np.array(case["vertices"]), case["rays"] and np.array(case["rays"]))
     rays = None if shape.rays is None else shape.rays[..., None]
-    closed = edge_moments(
-        np.array(case["mean"])[:, None],
-        np.array(case["cov"])[..., None],
-        shape.x[:, None],
-        shape.y[:, None],
-        rays,
-    )
+    law = np.array(case["mean"])[:, None], np.array(case["cov"])[..., None]
+    closed = edge_moments(Cases(*law, shape.x[:, None], shape.y[:, None], rays, shape.convex[None]))
     if np.isfinite(closed.estimate[0]):
         found = type("Found", (), {})()
         found.log_mass, found.mean, found.cov = (item[..., 0] for item in closed[:3])
@@ -127,7 +123,7 @@ def test_error_estimate_is_never_below_the_error(kind):
     for _ in range(6):
         mean, cov, vertices = star_polygons(kind, 200, rng)
         shape = outline(vertices, None)
-        closed = edge_moments(mean, cov, shape.x, shape.y, None)
+        closed = edge_moments(Cases(mean, cov, shape.x, shape.y, None, shape.convex))
         robust = polygon(mean, cov, vertices, tolerance=0.0)
         judged = np.isfinite(closed.estimate)
         sd = np.sqrt(np.array([robust.cov[0, 0], robust.cov[1, 1]]))[:, judged]

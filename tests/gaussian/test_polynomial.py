@@ -11,10 +11,10 @@ from numpy.testing import assert_allclose
 from seedslib.gaussian import gauss_hermite
 from seedslib.gaussian.means.polynomial import (
     derivative,
-    evaluate,
     heat,
     monomial_means,
     polynomial_mean,
+    polynomial_value,
     predecessors,
 )
 
@@ -97,12 +97,12 @@ def test_heat_operator_gives_the_mean(n, degree):
     polynomial = random_polynomial(rng, n, degree, size=2)
     mean, cov = random_law(rng, n)
     by_recursion = polynomial_mean(polynomial, monomial_means(tuple(polynomial), mean, cov), ())
-    assert_allclose(evaluate(heat(polynomial, cov), mean, 2), by_recursion, rtol=1e-11)
+    assert_allclose(polynomial_value(heat(polynomial, cov), mean, 2), by_recursion, rtol=1e-11)
     # without its first term: the mean minus the value, for a small covariance to full accuracy
     small = 1e-12 * cov
-    gap = evaluate(heat(polynomial, small, first=1), mean, 2)
+    gap = polynomial_value(heat(polynomial, small, first=1), mean, 2)
     laplacian = sum(
-        0.5 * cov[i, j] * evaluate(derivative(derivative(polynomial, i), j), mean, 2)
+        0.5 * cov[i, j] * polynomial_value(derivative(derivative(polynomial, i), j), mean, 2)
         for i in range(n)
         for j in range(n)
     )
@@ -125,7 +125,7 @@ def test_empty_and_constant_polynomials():
     assert predecessors([]) == ()
     assert heat({}, np.eye(2)) == {}
     assert heat({(0, 0): np.ones(1)}, np.eye(2), first=1) == {}
-    assert not evaluate({}, np.zeros((2, 7)), 3).any()
-    assert evaluate({}, np.zeros((2, 7)), 3).shape == (3, 7)
+    assert not polynomial_value({}, np.zeros((2, 7)), 3).any()
+    assert polynomial_value({}, np.zeros((2, 7)), 3).shape == (3, 7)
     constant = {(0, 0): np.array([2.0])}
-    assert_allclose(evaluate(constant, np.zeros((2, 4)), 1), np.full((1, 4), 2.0))
+    assert_allclose(polynomial_value(constant, np.zeros((2, 4)), 1), np.full((1, 4), 2.0))

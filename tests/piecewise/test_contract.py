@@ -45,7 +45,7 @@ def test_one_data_set_is_the_same_in_a_batch(system):
     filter_ = PiecewiseLinearFilter(system)
     batch = filter_.run(6, y)
     grid = filter_.run(np.arange(7.0), y.reshape(7, 1, 3, 4))
-    assert grid.mean.shape == (7, system.n, 3, 4)
+    assert grid.mean.shape == (7, system.state_size, 3, 4)
     assert grid.diverged.shape == (3, 4)
     assert np.array_equal(grid.cov.reshape(batch.cov.shape), batch.cov)
     for dataset in (0, 5, 11):

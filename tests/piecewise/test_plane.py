@@ -70,7 +70,7 @@ def test_plane_regions_against_quadrature(third):
     y = system.simulate(3, 2, 3).measurements
     found = PiecewiseLinearFilter(system).run(3, y)
     mean, cov, loglik = lozi_route(y[1:, 0, 0], third)
-    size = system.n
+    size = system.state_size
     assert found.mean[1:, :, 0] == pytest.approx(mean[:, :size], abs=2e-7)
     assert found.cov[1:, :, :, 0] == pytest.approx(cov[:, :size, :size], abs=2e-7)
     assert found.loglik[1:, 0] == pytest.approx(loglik, abs=2e-7)

@@ -424,9 +424,9 @@ def test_bad_input():
     with pytest.raises(ValueError, match="infinite"):
         growing.errors([0.0])
     table = POWER.table([0.0, 0.1])
-    with pytest.raises(ValueError, match="k: wanted 0 <= k < 1"):
+    with pytest.raises(ValueError, match="k: wanted 0 to 0, got 1"):
         table.update(1, [0.0], [0.0])
-    with pytest.raises(TypeError, match="k: wanted an integer"):
+    with pytest.raises(TypeError, match="k: wanted a whole number"):
         table.estimate(0.5, [0.0])
     with pytest.raises(ValueError, match="mean: wanted shape"):
         table.estimate(0, [0.0, 1.0])

@@ -1,29 +1,26 @@
-"""Deterministic synthesis of filters of scalar systems, and their deterministic risk."""
+"""Deterministic synthesis of filters of scalar systems: theorems 1 and 2 on a grid."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import as_count
-from seedslib.design.law.joint import GridRisk, JointLaw
-from seedslib.design.law.switching_grid import optimal_steps, switching_synthesis
-from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.finite_order_rules import Design, FiniteOrderState, Start
-from seedslib.designed.memory import Past
-from seedslib.designed.predictors import Affine
-from seedslib.designed.regression import regress
-from seedslib.designed.switching_table import SwitchingTableFilter
-from seedslib.designed.table import OutputRules, Table, TableFilter, TableFit
-from seedslib.linearization.moments import Linearization
+from seedslib.base.checks import as_count
+from seedslib.base.tables import Labels
+from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
+from seedslib.design.law.recursion import conditional, seen
+from seedslib.designed.outputs.lookup import Output, Step, Table, prior
+from seedslib.designed.outputs.table import TableFilter
 
-BY_GRID = Design(0, 0, 0, (), 0, True)
+METHOD = "density recursion"
 
 
 def grid_synthesis(
     system, memory, times, *, x, z=None, y=None, nodes=4, probabilities=False
-) -> TableFilter | SwitchingTableFilter:
+) -> TableFilter:
     """Optimal filter of finite order by the density recursion of theorem 1.
 
     (4.4)-(4.10) of the jump-diffusion paper: the joint law of the state and the memory moves by
@@ -60,7 +57,8 @@ def grid_synthesis(
 
     Returns
     -------
-    TableFilter, or SwitchingTableFilter for a switching system
+    TableFilter
+        For a switching system it decides the modes too.
 
     Raises
     ------
@@ -76,93 +74,115 @@ def grid_synthesis(
     if nodes != 0:
         as_count("nodes", nodes)
     law = JointLaw(system, memory, times, x, z, y)
-    if law.switching:
-        return switching_synthesis(law, probabilities)
-    if probabilities:
+    if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
-    tables, ends, between = [], [], []
-    for k, t in enumerate(law.times):
-        sight = law.look(t)
-        means, _ = law.posterior(sight.relative)
-        shape = tuple(axis.count for axis in law.measurement_axes)
-        tables.append(
-            TableFit(
-                law.measurement_axes + law.memory_axes,
-                means.reshape(1, *shape, *law.shape),
-            )
-        )
-        law.take(k, means, sight)
-        if k + 1 < len(law.times):
-            found = []
-            stops = np.linspace(t, law.times[k + 1], nodes + 2)
-            for a, b in pairwise(stops):
-                law.move(a, b)
-                found.append(law.forecast(b, last=b == stops[-1]))
-            between.append((stops[1:-1], tuple(found[:-1])))
-            ends.append(found[-1])
-    law.look_at_memory()
-    predictor = Table(law.measurement_axes, law.letter_axes, "density recursion")
+    nodes = 0 if law.switching else nodes
+    steps, changes, between, before = [], [], [], None
+    for k, found in enumerate(optimal_steps(law, nodes)):
+        changes.append(_change(before, found))
+        steps.append(_tables(law, k, found, probabilities))
+        between.append(found.between)
+        before = found
+    stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
     return TableFilter(
-        system=system, memory=memory, predictor=predictor, linearization=None,
-        times=law.times, node_times=tuple(stops for stops, _ in between), components=1,
-        start=Start(system.mean0, system.cov0, None), fits=tuple(ends),
-        node_fits=tuple(fits for _, fits in between), predicted=law.prediction(),
-        design=BY_GRID,
-        rules=OutputRules(
-            memory, 1, sensor=None, outputs=tuple(tables), covariances=law.errors()
-        ),
+        system=system, memory=memory, times=law.times, steps=tuple(steps), method=METHOD,
+        predicted=law.prediction(), covariances=law.errors(), design=BY_GRID,
+        node_times=tuple(stops), node_fits=tuple(between[1:]), changes=np.array(changes).T,
     )  # fmt: skip
 
 
-def affine_synthesis(
-    system, memory, linearization, times, *, x, z=None, y=None
-) -> tuple[FiniteOrderFilter, GridRisk]:
-    """Filter of theorem 2 with moments from the grid instead of simulated ones.
+class Optimal(NamedTuple):
+    """What is optimal at one measurement, on the grid of measurements and memory.
+
+    Attributes
+    ----------
+    held : int
+        Blocks in the memory.
+    law : ndarray, shape (cells, S)
+        Of the chain in each cell of the memory.
+    means : ndarray, shape (1, Y, cells)
+    modes : ndarray of int8, shape (Y, cells), or None
+    prob : ndarray, shape (L, Y, cells), or None
+    mass : ndarray, shape (Y, cells)
+        Probability of measurement and memory.
+    between : tuple of Table
+        Forecasts at the nodes since the measurement before.
+    """
+
+    held: int
+    law: np.ndarray
+    means: np.ndarray
+    modes: np.ndarray | None
+    prob: np.ndarray | None
+    mass: np.ndarray
+    between: tuple[Table, ...]
+
+
+def optimal_steps(law: JointLaw, nodes: int = 0) -> Iterator[Optimal]:
+    """The alternation of theorems 1 and 2: what is optimal at a measurement, then the joint law.
 
     Parameters
     ----------
-    system, memory, times, x, z, y
-        As `grid_synthesis`. The range of `z` should hold the estimates, which are not bounded
-        here; what falls outside is counted.
-    linearization : Linearization
+    law : JointLaw
+        Of a system of either kind; it is moved on.
+    nodes : int
+        Number of evenly spaced forecasts inside each interval.
 
-    Returns
-    -------
-    filter : FiniteOrderFilter
-        Without nodes between measurements.
-    risk : GridRisk
-
-    Raises
+    Yields
     ------
-    TypeError, ValueError
-        As `grid_synthesis`; something that is no linearization.
+    Optimal
     """
-    if not isinstance(linearization, Linearization):
-        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
-    law = JointLaw(system, memory, times, x, z, y)
-    sensor, start, fits = linearization.moments(system.sensor), None, []
+    between = []
     for k, t in enumerate(law.times):
         sight = law.look(t)
-        if k == 0:
-            start = law.sensed(t)
-            mean, cov, moments = start
-            mean = mean[:, None]
-            moments = moments._replace(mean=moments.mean[:, None])
-        else:
-            fits.append(regress(*law.moments(), 1))
-            mean, cov = fits[-1].forecast(law.memory_points)
-            moments = sensor(float(t), mean, cov)
-        law.take(k, law.corrected(mean, cov, moments), sight)
+        held, given = law.held, conditional(law.joint)
+        found = law.posterior(sight.relative, given)
+        mass = law.take(k, found.mean, sight, found.mode)
+        yield Optimal(held, given, *found, mass, tuple(between))
         if k + 1 < len(law.times):
-            law.move(t, law.times[k + 1])
+            stops, between = np.linspace(t, law.times[k + 1], nodes + 2), []
+            for a, b in pairwise(stops):
+                law.move(a, b)
+                if b != stops[-1]:
+                    between.append(law.forecast(b))
     law.look_at_memory()
-    none = tuple(np.empty(0) for _ in fits)
-    designed = FiniteOrderFilter(
-        system=system, memory=memory, predictor=Affine(), linearization=linearization,
-        times=law.times, node_times=none, components=1, start=start, fits=tuple(fits),
-        node_fits=tuple(() for _ in fits), predicted=law.prediction(), design=BY_GRID,
-    )  # fmt: skip
-    return designed, law.risk()
+
+
+def _change(before, now):
+    """How far estimates and modes are from those before, over the law of their arguments."""
+    if before is None or before.means.shape != now.means.shape:
+        return np.nan, np.nan
+    square = np.vdot(now.mass, (now.means[0] - before.means[0]) ** 2)
+    other = 0.0 if now.modes is None else now.mass[now.modes != before.modes].sum()
+    return np.sqrt(square), other
+
+
+def _tables(law, k, optimal, probabilities) -> Step:
+    """Tables of a step: on the grid, with the indicator missing, with the measurement missing."""
+    given, found, t = optimal.law, Output(optimal.means, optimal.modes, optimal.prob), law.times[k]
+    axes, values = law.measurement_axes, law.chain.indicators
+    told, held = (Labels(values + 1),) * bool(values), law.letter_axes * optimal.held
+    if values:
+        axes, y = axes[1:], law.shown[1:, : len(law.weights) // values]
+        unseen = law.chain.log_likelihood(t, np.concatenate([np.full((1, y.shape[1]), -1.0), y]))
+        more = law.posterior(seen(unseen, law.weights[: y.shape[1]]).relative, given)
+        found = Output(*(np.concatenate(pair, axis=-2) for pair in zip(found, more, strict=True)))
+
+    def table(axes, found):
+        shape = tuple(axis.count for axis in axes)
+        means, modes, prob = found
+        return Table(
+            axes,
+            means.reshape(1, *shape),
+            None if modes is None else modes.reshape(shape),
+            prob.reshape(len(prob), *shape) if probabilities else None,
+        )
+
+    shown = table(told + axes + held, found)
+    if law.switching:
+        return Step(shown, table(told + held, law.posterior(law.chain.told(t), given)))
+    blind = table(held, Output(given @ law.values[0]))
+    return Step(shown, blind if k else prior(law.system, 1))
 
 
 def optimal_risk(system, memory, times, *, x, z=None, y=None) -> GridRisk:
@@ -186,97 +206,3 @@ def optimal_risk(system, memory, times, *, x, z=None, y=None) -> GridRisk:
     for _ in optimal_steps(law):
         pass
     return law.risk()
-
-
-def grid_risk(filter: FiniteOrderFilter, *, x, z=None, y=None) -> GridRisk:
-    """Mean-square errors of any designed filter of finite order, without random numbers.
-
-    Parameters
-    ----------
-    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingTableFilter, SwitchingFilter
-        Of a scalar system, with a memory of estimates or of measurements.
-    x, z, y
-        As `grid_synthesis`. Estimates that are not bounded may need a longer `z`.
-
-    Returns
-    -------
-    GridRisk
-        With the probability of a wrong mode for a switching system.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `grid_synthesis`.
-
-    Warns
-    -----
-    UserWarning
-        Probability at the ends of an axis.
-    """
-    if filter.memory is None:
-        raise ValueError("filter: wanted one with a memory, got one that carries whole laws")
-    law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
-    for k, t in enumerate(law.times):
-        sight = law.look(t)
-        if law.switching:
-            means, modes = _decisions(filter, law, k)
-            law.take(k, means, sight, modes)
-        else:
-            law.take(k, _estimates(filter, law, k, float(t)), sight)
-        if k + 1 < len(law.times):
-            law.move(t, law.times[k + 1])
-    law.look_at_memory()
-    return law.risk()
-
-
-def _estimates(filter, law, k, t):
-    """What a filter makes of each measurement in each cell of its memory, (1, Y, cells)."""
-    shown, known = law.shown, law.memory_points
-    if hasattr(filter, "output"):
-        found = filter.output(k, shown[:, :, None], known[:, None, :])
-        return np.broadcast_to(found, (1, shown.shape[1], known.shape[1]))
-    state = filter.initial(known.shape[1:])
-    if k:
-        held = len(known) // (1 if filter.memory.estimates else len(shown))
-        blocks = tuple(np.split(known, held))
-        past = Past(estimates=blocks) if filter.memory.estimates else Past(measurements=blocks)
-        state = FiniteOrderState(k - 1, known[:1], None, past, None, 0.0, None, True)
-    state = filter.predict(state, t)
-    return law.corrected(state.mean, state.cov, filter.expect(state))
-
-
-def _decisions(filter, law, k):
-    """Estimates (1, Y, cells) and modes (Y, cells) of a filter of a switching system."""
-    known, t = law.memory_points, float(law.times[k])
-    state = filter.initial(known.shape[1:])
-    if k:
-        past = _past(law)
-        mode = past.modes[0] if past.modes else np.zeros(known.shape[1], dtype=int)
-        state = state._replace(
-            index=k - 1, time=float(law.times[k - 1]), mode=mode, past=past, corrected=True
-        )
-    state = filter.predict(state, t)
-    told, y = None, law.shown
-    if law.chain.indicators:
-        told, y = y[0].astype(int), y[1:]
-    means = np.empty((1, y.shape[1], known.shape[1]))
-    modes = np.empty(means.shape[1:], dtype=int)
-    for row in range(y.shape[1]):
-        shown = np.repeat(y[:, row, None], known.shape[1], axis=1)
-        seen = None if told is None else np.full(known.shape[1], told[row])
-        found = filter.correct(state, shown, seen)
-        means[0, row], modes[row] = found.mean[0], found.mode
-    return means, modes
-
-
-def _past(law):
-    """The memory of a switching system at each cell; its arrays are (..., cells)."""
-    parts = {"modes": [], "indicators": [], "estimates": [], "measurements": []}
-    memory = law.memory
-    labels = ["modes"] * bool(memory.estimates) + ["indicators"] * bool(memory.indicators)
-    kind = "estimates" if memory.estimates else "measurements"
-    for block in np.split(law.memory_points, law.held):
-        for name, row in zip(labels, block, strict=False):
-            parts[name].append(row.astype(int))
-        parts[kind].append(block[len(labels) :])
-    return Past(**{name: tuple(blocks) for name, blocks in parts.items()})

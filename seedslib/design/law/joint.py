@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.correction import correct
-from seedslib.base.tables import Axis, Labels, as_axes
+from seedslib.base.tables import Axis, Labels, as_axes, mesh
 from seedslib.design.law.recursion import (
     Seen,
     conditional,
@@ -19,12 +18,12 @@ from seedslib.design.law.recursion import (
     remember,
     seen,
 )
-from seedslib.designed.finite_order_rules import Prediction, Start
 from seedslib.designed.memory import Memory
-from seedslib.designed.table import TableFit
-from seedslib.linearization.moments import Moments
+from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
+from seedslib.designed.prediction import Design, Prediction
+from seedslib.filters.weights import most_probable
 from seedslib.models.chain_switching import chain_of
-from seedslib.models.kinds import as_grid, require_kind
+from seedslib.models.kinds import as_grid, as_system, switches
 
 SPREADS = 6.5
 """Default axes of measurements reach this many deviations of the sensor beyond its means."""
@@ -40,6 +39,8 @@ LARGEST = 1 << 27
 
 CLAMPED = 1e-4
 """Probability of estimates beyond the axis that is worth a warning."""
+
+BY_GRID = Design(0, 0, 0, (), 0, True)
 
 UNSEEN = 1e-15
 """Events of this probability or less are left out where a memory holds modes."""
@@ -93,34 +94,25 @@ class JointLaw:
     def __init__(self, system, memory, times, x, z, y):
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        require_kind(system, "JumpDiffusion", "SwitchingSystem")
+        as_system("system", system, "JumpDiffusion", "SwitchingSystem")
         x = Axis.of("x", x)
         self.chain = chain_of(system, x)
-        told = memory.indicators
-        if (
-            bool(memory.estimates) == bool(memory.measurements)
-            or memory.log_odds
-            or (told and not self.chain.indicators)
-            or told not in (0, memory.depth)
-        ):
-            raise ValueError(
-                f"memory: wanted estimates or measurements alone for a grid, got {memory}"
-            )
+        require_letters(memory, self.chain.indicators, " for a grid")
         self.system, self.memory = system, memory
         self.times = as_grid("times", times, system)
         self.values, self.modes = self.chain.values, self.chain.modes
-        self.switching = hasattr(system, "branches")
+        self.switching = switches(system)
         axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes = labels + axes
-        self.shown, self.weights = _product(self.measurement_axes)
-        kept = labels if told else ()
+        self.shown, self.weights = mesh(self.measurement_axes), np.ones(1)
+        for axis in self.measurement_axes:
+            self.weights = np.outer(self.weights, axis.weights).ravel()
         if memory.estimates:
-            z = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
-            decided = (Labels(self.modes),) if self.switching else ()
-            self.letter_axes = (*decided, *kept, z)
-        else:
-            self.letter_axes = kept + axes
+            axes = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
+            axes = (axes,)
+        decided, kept = letter_labels(system, memory)
+        self.letter_axes = decided + kept + axes
         self.letters = int(np.prod([axis.count for axis in self.letter_axes]))
         self.depth, self.held = memory.depth, 0
         size = max(self.values.shape[1], self.shown.shape[1])
@@ -151,7 +143,7 @@ class JointLaw:
     @property
     def memory_points(self) -> np.ndarray:
         """The memory at each cell, (d, cells)."""
-        return _product(self.memory_axes)[0]
+        return mesh(self.memory_axes)
 
     def look(self, t) -> Seen:
         """Likelihood of the measurements on the grid."""
@@ -167,20 +159,22 @@ class JointLaw:
             )
         return sight
 
-    def posterior(self, relative, *, law=None) -> tuple[np.ndarray, np.ndarray]:
-        """Optimal estimates (1, Y, cells) and probabilities of the modes (L, Y, cells).
+    def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
+        """Optimal estimates (1, Y, cells), decided modes (Y, cells) and probabilities.
 
         Parameters
         ----------
         relative : ndarray, shape (Y, S)
             Likelihood up to a factor that depends on the measurement.
-        law : ndarray, shape (cells, S), optional
+        given : ndarray, shape (cells, S)
             Law of the chain in each cell.
         """
-        law = conditional(self.joint) if law is None else law
-        masses = mode_masses(law, relative, self.modes)
-        means = posterior_means(self.values, law, relative, masses.sum(axis=0))
-        return means, posterior_modes(law, masses) if self.switching else masses
+        masses = mode_masses(given, relative, self.modes)
+        means = posterior_means(self.values, given, relative, masses.sum(axis=0))
+        if not self.switching:
+            return Output(means)
+        prob = posterior_modes(given, masses)
+        return Output(means, most_probable(prob).astype(np.int8), prob)
 
     def take(self, k, means, sight, modes=None):
         """Score estimates (1, Y, cells) and put them, or the measurements, in the memory.
@@ -236,55 +230,24 @@ class JointLaw:
         """Let the state move while the memory stays: (4.8)."""
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
-    def forecast(self, t, *, last) -> TableFit:
-        """g(u) = M[X | u], (4.3), as a table."""
-        law = conditional(self.joint)
-        means = law @ self.values[0]
-        if not last:
-            mass = self.joint.sum(axis=1)
-            square = self.joint.sum(axis=0) @ self.values[0] ** 2
-            self.scores.append((t, square - mass @ means**2))
-        return TableFit(self.memory_axes, means.reshape(1, *self.shape))
-
-    def moments(self):
-        """Mean and covariance of state and memory together."""
-        points = self.memory_points
-        mass, law = self.joint.sum(axis=1), self.joint.sum(axis=0)
-        x = self.values[0]
-        centre = np.concatenate([[law @ x], points @ mass])
-        apart, within = points - centre[1:, None], x - centre[0]
-        cov = np.empty((len(centre), len(centre)))
-        cov[0, 0] = law @ within**2
-        cov[0, 1:] = cov[1:, 0] = apart @ (self.joint @ within)
-        cov[1:, 1:] = (apart * mass) @ apart.T
-        return centre, cov
-
-    def sensed(self, t) -> Start:
-        """Moments of the state and the measurement before anything is remembered."""
-        law, x = self.joint.sum(axis=0), self.values
-        shown, noise = self.system.sensor.conditional_moments(float(t), x)
-        shown = np.broadcast_to(shown, (len(shown), x.shape[1]))
-        noise = np.broadcast_to(
-            noise if noise.ndim == 3 else noise[..., None], (*noise.shape[:2], x.shape[1])
-        )
-        mean, expected = x @ law, shown @ law
-        apart, around = shown - expected[:, None], x - mean[:, None]
-        return Start(
-            mean,
-            (around * law) @ around.T,
-            Moments(expected, (around * law) @ apart.T, noise @ law + (apart * law) @ apart.T),
-        )
-
-    def corrected(self, mean, cov, moments):
-        """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
-        moments = Moments(moments.mean[:, None], _apart(moments.cross, 2), _apart(moments.cov, 2))
-        return correct(mean[:, None], None, self.shown[:, :, None], moments)[0]
+    def forecast(self, t: float) -> Table:
+        """g(u) = M[X | u], (4.3), as a table; its error is noted."""
+        means = conditional(self.joint) @ self.values[0]
+        mass = self.joint.sum(axis=1)
+        square = self.joint.sum(axis=0) @ self.values[0] ** 2
+        self.scores.append((t, square - mass @ means**2))
+        return Table(self.memory_axes, means.reshape(1, *self.shape))
 
     def prediction(self) -> Prediction:
         """Root-mean-square errors at measurements and nodes, without sampling error."""
         times, squares = (np.array(part) for part in zip(*self.scores, strict=True))
         rms = np.sqrt(np.maximum(squares, 0.0))[:, None]
-        return Prediction(times, rms, np.zeros_like(rms), False)
+        if not self.switching:
+            return Prediction(times, rms, np.zeros_like(rms))
+        wrong = self.risk().mode_error
+        return Prediction(
+            times, rms, np.zeros_like(rms), mode_rate=wrong, mode_error=np.zeros(len(rms))
+        )
 
     def errors(self) -> np.ndarray:
         """Error covariances (K+1, 1, 1) after each measurement."""
@@ -313,18 +276,3 @@ class JointLaw:
         high = (mean + SPREADS * deviation).max(axis=1)
         count = (high - low) / (FINENESS * deviation.min(axis=1))
         return tuple(Axis(*part, int(n) + 2) for *part, n in zip(low, high, count, strict=True))
-
-
-def _product(axes):
-    """Points (d, N) and trapezoid weights (N,) of a product of axes; one point for none."""
-    points, weights = np.empty((0, 1)), np.ones(1)
-    for axis in axes:
-        old = np.repeat(points, axis.count, axis=1)
-        points = np.concatenate([old, np.tile(axis.nodes, points.shape[1])[None]])
-        weights = np.outer(weights, axis.weights).ravel()
-    return points, weights
-
-
-def _apart(array, lead):
-    """The same array with an axis for measurements before the one for cells, if it has that."""
-    return array if array.ndim == lead else np.expand_dims(array, lead)

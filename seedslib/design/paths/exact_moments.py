@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.correction import correct
-from seedslib.designed.finite_order_rules import Design, Prediction, Start
+from seedslib.design.regression import regress
+from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Past
-from seedslib.designed.regression import regress
+from seedslib.designed.prediction import Design, Prediction
 from seedslib.linearization.moments import Moments
 from seedslib.models.propagation import integrated, van_loan
 
@@ -39,7 +40,7 @@ def linear_design(system, rules, times, grid):
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
     start = joint.first(*linear.sensor(times[0]))
-    scores = [joint.score(times[0])]
+    scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, found = times[k], []
@@ -52,11 +53,11 @@ def linear_design(system, rules, times, grid):
         if k + 1 < len(times):
             joint.move(*linear.transition(t, times[k + 1]))
             fits.append(joint.correct(*linear.sensor(times[k + 1])))
-            scores.append(joint.score(times[k + 1]))
+            scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))
-    predicted = Prediction(stamps, rms, np.zeros_like(rms), False)
-    return start, tuple(fits), tuple(node_fits), predicted, Design(0, 0, 0, (), 0, True)
+    predicted = Prediction(stamps, rms, np.zeros_like(rms))
+    return start, tuple(fits), tuple(node_fits), predicted, Design(0, 0, 0, (), exact=True)
 
 
 class _Linear:
@@ -155,10 +156,6 @@ class _Joint:
         if rules.measured_nodes and not rules.memory.measurements:
             used = len(self.mean) - self.n
         return self._regressed(rules.components, used)
-
-    def score(self, t):
-        """Time and mean-square errors of the last estimate."""
-        return t, self.error
 
     @property
     def _memory(self):

@@ -4,17 +4,18 @@ used.
 
 from __future__ import annotations
 
-import math
 import warnings
 from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.designed.finite_order_rules import FiniteOrderState, Prediction, Rules, Start
+from seedslib.design.fitting import fit_forecast
+from seedslib.design.regression import ABSOLUTE, root_mean_squares
+from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start
 from seedslib.designed.memory import Past
+from seedslib.designed.prediction import Prediction
 from seedslib.designed.predictors import Affine
-from seedslib.designed.regression import ABSOLUTE
 from seedslib.linearization.moments import Moments
 
 DOMINATED = 0.35
@@ -127,9 +128,10 @@ class ForwardPass:
 
     def _fit(self, predictor, u, targets, size):
         """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
-        return predictor.fit(
-            lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u), targets, size
-        )
+        return fit_forecast(
+            predictor, lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u),
+            targets, size,
+        )  # fmt: skip
 
     def _nodes(self, k, t, nodes):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
@@ -187,11 +189,10 @@ class ForwardPass:
             return np.concatenate([(x[:n] - z) ** 2, x[:n] ** 2, x[:n], z])
 
         found = self.walk.gather(rows, estimates)
-        mse, self.size = found.mean[:n], np.sqrt(found.mean[n : 2 * n])
-        rms = np.sqrt(mse)
-        spread = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
-        error = spread[:n] / math.sqrt(found.count)
-        error = np.divide(error, 2.0 * rms, out=np.zeros(n), where=rms > 0)
+        (rms, error, spread), self.size = (
+            root_mean_squares(found, n),
+            np.sqrt(found.mean[n : 2 * n]),
+        )
         if np.any(error > DOMINATED * rms):
             warnings.warn(
                 f"bound: the errors at time {t:g} rest on very few paths ({rms.max():.3g} ± "

@@ -5,14 +5,18 @@ from __future__ import annotations
 import dataclasses
 import math
 import warnings
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from seedslib.base.blocks import BLOCK, child
 from seedslib.base.checks import outside
 from seedslib.design.paths.walk import LARGEST, Crew, Walk
+from seedslib.design.regression import combine, root_mean_squares, scatter
+from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.prediction import HeldOut
-from seedslib.designed.regression import merge, scatter
+from seedslib.models.kinds import switches
 
 SHARE = 8
 """There is one held-out path for so many design paths,"""
@@ -42,12 +46,15 @@ NOTHING = 1e-9
 TINY = np.finfo(float).tiny
 
 
-def examined(filter, root, paths, each, stops, *, options=None, bound=np.inf, forecasts=None):
+def examined(
+    filter: Any, root: np.random.SeedSequence, paths: int, each: Crew, stops: np.ndarray, *,
+    options: Mapping | None = None, bound: float = np.inf, forecasts: np.ndarray | None = None,
+) -> Any:  # fmt: skip
     """The filter with its errors on held-out paths, by its own `run`.
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, SwitchingFilter or SwitchingTableFilter
+    filter : FiniteOrderFilter, SwitchingFilter or TableFilter
         As it was designed, with the errors that it predicts.
     root : SeedSequence
         Of the design; the design paths do not depend on what is done here.
@@ -122,16 +129,13 @@ def _errors(filter, root, paths, each, stops, options, bound, reach):
     at = np.searchsorted(stops, filter.times)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
-        found = list(
-            each(
-                lambda one, job: _block(one, *job, stops, at, options, bound, reach),
-                each.share(filter),
-                jobs,
-            )
-        )
-    blocks, lost, stray = zip(*found, strict=True)
-    switching = hasattr(filter.system, "modes")
-    rows = [_moments(merge(parts), switching) for parts in zip(*blocks, strict=True)]
+        found = each(
+            lambda one, job: _block(one, *job, stops, at, options, bound, reach),
+            each.share(filter), jobs,
+        )  # fmt: skip
+        blocks, lost, stray = zip(*found, strict=True)
+    switching = switches(filter.system)
+    rows = [_moments(combine(parts), switching) for parts in zip(*blocks, strict=True)]
     rms, error, deviation, size, *mode = (np.array(part) for part in zip(*rows, strict=True))
     lost, stray = sum(lost), np.concatenate(stray)
     held = HeldOut(filter.times, rms, error, deviation, count, lost + len(stray), *mode)
@@ -168,7 +172,7 @@ def _block(filter, stream, count, stops, at, options, bound, reach):
         told, modes = {}, None
         if mixed is not system:
             modes = states[:, -1].astype(int)
-            if system.has_indicator:
+            if system.indicators:
                 y, told = y[:, :-1], {"indicators": y[:, -1].astype(int)}
         found = filter.run(filter.times, y, **told)
         fine = (np.abs(found.mean) <= LARGEST).all(axis=1)
@@ -194,13 +198,10 @@ def _moments(found, switching):
     if found.count < 2:
         none = np.full(n, np.nan)
         return (none,) * 4 + (np.nan,) * (2 * switching)
-    spread = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
-    doubt = spread / math.sqrt(found.count)
-    rms = np.sqrt(found.mean[:n])
-    error = np.divide(doubt[:n], 2.0 * rms, out=np.zeros(n), where=rms > 0)
+    rms, error, spread = root_mean_squares(found, n)
     deviation = spread[n : 2 * n]
     size = np.hypot(found.mean[n : 2 * n], deviation)
-    mode = (found.mean[-1], doubt[-1]) if switching else ()
+    mode = (found.mean[-1], spread[-1] / math.sqrt(found.count)) if switching else ()
     return rms, error, deviation, size, *mode
 
 
@@ -281,7 +282,7 @@ def _mode_findings(predicted, held, doubt, share):
         )
 
 
-def forecast_errors(filter) -> np.ndarray:
+def forecast_errors(filter: FiniteOrderFilter) -> np.ndarray:
     """Root-mean-square errors of the forecasts for the measurements, (K+1, n'), by their fits."""
     n = filter.components
     found = np.full((len(filter.times), n), np.nan)

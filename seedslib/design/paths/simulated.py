@@ -6,37 +6,73 @@ online; before each step the forecast it needs is fitted to the paths. Paths are
 
 from __future__ import annotations
 
-import math
 import warnings
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
-from seedslib.base.checks import as_times
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count, as_times, is_whole
+from seedslib.base.clock import step_count
+from seedslib.design.fitting import coefficients_of
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
 from seedslib.design.paths.walk import Walk, crew
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.finite_order_rules import Design, Rules
+from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
+from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import KINDS, as_grid, require_kind
+from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
 
-__all__ = ["Affine", "Continuous", "Polynomial", "synthesize"]
+if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from seedslib.designed.switching import SwitchingFilter
+    from seedslib.models.discrete import DiscreteSystem
+    from seedslib.models.jump_diffusion import JumpDiffusion
+    from seedslib.models.switching import SwitchingSystem
 
 PATHS_PER_COEFFICIENT = 50
 """Fewer design paths than this for each dimension of the memory are worth a warning."""
 
 _AFFINE = Affine()
 
+OF_ONE_MODE = (
+    "predictor", "components", "horizon", "measured_nodes", "exact_moments", "checkpoint", "step",
+    "scheme", "bound",
+)  # fmt: skip
+"""Options of a system without modes."""
+
+OF_MODES = ("normalisation", "split")
+"""Options of a system with them."""
+
+
+# options are not typed by their values: programs keep them in dictionaries
+@overload
+def synthesize(
+    system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
+    paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
+) -> SwitchingFilter: ...  # fmt: skip
+
+
+@overload
+def synthesize(
+    system: JumpDiffusion | DiscreteSystem, memory: Memory, linearization: Linearization,
+    times: ArrayLike, *, predictor: Any = ..., nodes: Any = 4, components: Any = None,
+    paths: Any = None, seed: Any = None, workers: Any = 1, horizon: Any = None,
+    measured_nodes: Any = False, exact_moments: Any = False, step: Any = None,
+    scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None,
+) -> FiniteOrderFilter: ...  # fmt: skip
+
 
 def synthesize(
     system, memory, linearization, times, *, predictor=_AFFINE, nodes=4, components=None,
     paths=None, seed=None, workers=1, horizon=None, measured_nodes=False, exact_moments=False,
-    step=None, scheme="euler", bound=np.inf, checkpoint=None,
-    **switching,
-) -> FiniteOrderFilter:  # fmt: skip
+    step=None, scheme="euler", bound=np.inf, checkpoint=None, normalisation="consistent",
+    split=True,
+):  # fmt: skip
     """Design a filter of finite order for a system.
 
     Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
@@ -46,8 +82,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers` and `switching` only, and gives a
-        `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers`, `normalisation` and `split` only, and
+        gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -87,8 +123,8 @@ def synthesize(
         File that a design is written to after each step between measurements; the same call goes
         on from it, to the same numbers, here or on a cluster. It is replaced as a whole and
         stays when the design is finished; the held-out paths are then run again.
-    **switching
-        `normalisation` and `split` of `SwitchingFilter`.
+    normalisation, split
+        Of a switching system: as `SwitchingFilter`.
 
     Returns
     -------
@@ -114,32 +150,33 @@ def synthesize(
         constant, paths on which the filter diverges; corrections worse than their forecasts.
         Of a switching system also many thin pairs of cell and mode, and mended covariances.
     """
-    require_kind(system, *KINDS)
-    if hasattr(system, "branches"):
+    given = locals()
+    as_system("system", system, *KINDS)
+    switching = switches(system)
+    for name in OF_ONE_MODE if switching else OF_MODES:
+        if given[name] != synthesize.__kwdefaults__[name]:
+            if not switching:
+                raise TypeError(f"{name}: wanted for a switching system only")
+            raise ValueError(f"{name}: wanted none for a switching system, got {given[name]!r}")
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    if not isinstance(linearization, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+    if switching:
         from seedslib.design.paths.switching import synthesize_switching
 
-        for name, given, none in (
-            ("predictor", predictor, _AFFINE), ("components", components, None),
-            ("horizon", horizon, None), ("measured_nodes", measured_nodes, False),
-            ("exact_moments", exact_moments, False), ("checkpoint", checkpoint, None),
-            ("step", step, None), ("scheme", scheme, "euler"), ("bound", bound, np.inf),
-        ):  # fmt: skip
-            if given != none:
-                raise ValueError(f"{name}: wanted none for a switching system, got {given!r}")
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            **switching,
+            normalisation=normalisation, split=split,
         )  # fmt: skip
-    if switching:
-        raise TypeError(f"{next(iter(switching))}: wanted for a switching system only")
     times = as_grid("times", times, system)
     n = system.state_size
-    _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments)
+    _check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components)
     if components > n:
         raise ValueError(f"components: wanted 1 to {n}, got {components}")
     options, size = {}, None
-    if hasattr(system, "dynamics"):
+    if in_steps(system):
         if horizon is not None or exact_moments or isinstance(predictor, Continuous):
             raise ValueError(
                 "system: horizon, exact_moments and Continuous want a system in continuous time"
@@ -152,44 +189,50 @@ def synthesize(
         options = {"step": size, "scheme": scheme}
     grid = _nodes(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
     rules = Rules.of(system, memory, predictor, linearization, components, measured_nodes)
+
+    def made(start, fits, node_fits, predicted, design):
+        return FiniteOrderFilter(
+            system=system, memory=memory, predictor=predictor, linearization=linearization,
+            times=times, node_times=grid, components=components, start=start, fits=fits,
+            node_fits=node_fits, predicted=predicted, design=design,
+            measured_nodes=measured_nodes, rules=rules,
+        )  # fmt: skip
+
     if exact_moments:
         from seedslib.design.paths.exact_moments import linear_design
 
-        found = linear_design(system, rules, times, grid)
-    else:
-        paths = as_count("paths", paths)
-        _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
-        root = as_seed_sequence(seed)
-        found = _simulated_design(
-            system, rules, linearization, predictor, times, grid, paths, root, options,
-            float(bound), crew(workers), checkpoint,
-        )  # fmt: skip
-    start, fits, node_fits, predicted, design = found
-    designed = FiniteOrderFilter(
-        system=system, memory=memory, predictor=predictor, linearization=linearization,
-        times=times, node_times=grid, components=components, start=start, fits=fits,
-        node_fits=node_fits, predicted=predicted, design=design, measured_nodes=measured_nodes,
-        rules=rules,
-    )  # fmt: skip
-    if exact_moments:
-        return designed
-    stops = np.unique(np.concatenate([times, *grid]))
+        return made(*linear_design(system, rules, times, grid))
+    paths = as_count("paths", paths)
+    _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
+    root, bound, file = as_seed_sequence(seed), float(bound), None
+    if checkpoint is not None:
+        from seedslib.design.paths.checkpoint import Checkpoint, identity
+
+        file = Checkpoint(checkpoint, identity(
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound
+        ))  # fmt: skip
+    stops = np.concatenate([times, *grid])
     with crew(workers) as each:
+        forward = ForwardPass(
+            Walk(system, paths, root, len(stops), each, options, bound), rules, predictor
+        )
+        if file is not None:
+            file.restore(forward)
+        found = forward.design(times, grid, file and file.write)
+        lost = forward.walk.warn_of_lost()
+        designed = made(*found, Design(paths, BLOCK, *seed_record(root), lost))
+        del forward  # its paths are not wanted any more
         return examined(
-            designed, root, paths, each, stops, options=options, bound=float(bound),
+            designed, root, paths, each, np.unique(stops), options=options, bound=bound,
             forecasts=forecast_errors(designed),
         )  # fmt: skip
 
 
-def _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments):
-    if not isinstance(memory, Memory):
-        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+def _check_kinds(memory, predictor, measured_nodes, exact_moments):
     if memory.indicators or memory.log_odds:
         raise ValueError(
             f"memory: wanted estimates and measurements, there are no modes here, got {memory}"
         )
-    if not isinstance(linearization, Linearization):
-        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     if not isinstance(predictor, Affine | Polynomial | Continuous):
         raise TypeError(f"predictor: wanted Affine, Polynomial or Continuous, got {predictor!r}")
     if isinstance(predictor, Continuous) and (memory != Memory(1) or measured_nodes):
@@ -200,7 +243,7 @@ def _check_kinds(memory, linearization, predictor, measured_nodes, exact_moments
 
 def _check_paths(paths, memory, predictor, components, measured, measured_nodes):
     order = memory.order(components, measured)
-    coefficients = max(predictor.features(order), order + measured * measured_nodes)
+    coefficients = max(coefficients_of(predictor, order), order + measured * measured_nodes)
     if paths <= coefficients + 1:
         raise ValueError(
             f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
@@ -223,9 +266,9 @@ def _nodes(times, nodes, horizon, step) -> tuple:
                 f"horizon: wanted a time after the last measurement at {times[-1]:g}, got {horizon}"
             )
         ends.append(float(horizon))
-    whole = isinstance(nodes, int | np.integer) and not isinstance(nodes, bool)
-    if whole and nodes < 0:
-        raise ValueError(f"nodes: wanted at least 0, got {nodes}")
+    whole = is_whole(nodes)
+    if whole:
+        as_count("nodes", nodes, 0)
     if not whole and step is None:
         nodes = list(nodes)
         if len(nodes) != len(ends):
@@ -234,7 +277,7 @@ def _nodes(times, nodes, horizon, step) -> tuple:
     for k, (start, end) in enumerate(zip(times, ends, strict=False)):
         inside = k < len(times) - 1
         if step is not None or whole:
-            parts = nodes + 1 if step is None else math.ceil((end - start) / step - 1e-9)
+            parts = nodes + 1 if step is None else step_count(start, end, step)
             grid = start + (end - start) * np.arange(1, parts) / parts
         else:
             grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
@@ -245,30 +288,3 @@ def _nodes(times, nodes, horizon, step) -> tuple:
                 )
         found.append(grid if inside else np.append(grid, end))
     return tuple(found)
-
-
-def _simulated_design(
-    system, rules, linearization, predictor, times, grid, paths, root, options, bound, crew,
-    checkpoint,
-):  # fmt: skip
-    file = None
-    if checkpoint is not None:
-        from seedslib.design.paths.checkpoint import Checkpoint, arguments
-
-        file = Checkpoint(checkpoint, arguments(
-            system, rules, linearization, predictor, times, grid, paths, root, options, bound
-        ))  # fmt: skip
-    stops = len(times) + sum(len(nodes) for nodes in grid)
-    with crew as each:
-        walk = Walk(system, paths, root, stops, each, options, bound)
-        forward = ForwardPass(walk, rules, predictor)
-        if file is not None:
-            file.restore(forward)
-        found = forward.design(times, grid, file and file.write)
-        lost = walk.lost
-    if lost:
-        warnings.warn(
-            f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
-        )
-    design = Design(paths, BLOCK, *seed_record(root), lost, False)
-    return *found, design

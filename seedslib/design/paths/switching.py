@@ -9,25 +9,31 @@ import warnings
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count, outside
+from seedslib.design.cells import fit_cells
 from seedslib.design.paths.held_out import examined
-from seedslib.design.paths.walk import Walk, crew
-from seedslib.designed.prediction import SwitchingDesign, SwitchingPrediction
-from seedslib.designed.regression import merge, scatter
+from seedslib.design.paths.walk import Crew, Walk, crew
+from seedslib.design.regression import combine, root_mean_squares, scatter
+from seedslib.designed.memory import Memory
+from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.switching import SwitchingFilter
-from seedslib.designed.switching_fits import cell_count, cell_number, fit_cells, require_memory
+from seedslib.designed.switching_fits import cell_count, cell_number, require_memory
 from seedslib.designed.switching_rules import compiled_rules
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid
+from seedslib.models.switching import SwitchingSystem
 
 OFTEN = 0.05
 """Part of thin pairs of cell and mode above which the design warns."""
 
 
 def synthesize_switching(
-    system, memory, linearization, times, *, paths, seed, workers=1, normalisation="consistent",
-    split=True,
+    system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
+    paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
+    split: bool = True,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -71,8 +77,6 @@ def synthesize_switching(
     """
     times = as_grid("times", times, system)
     require_memory(memory, system)
-    if not isinstance(linearization, Linearization):
-        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     paths, n = as_count("paths", paths), system.state_size
     order = memory.order(n, system.measurement_size, system.modes)
     if paths < n + order + 2:
@@ -81,32 +85,27 @@ def synthesize_switching(
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
-        found = _pass(walk, system, memory, rules, times)
-        lost = walk.lost
-    fits, scores, forecasts, thin, pairs, raised = found
-    if thin > OFTEN * pairs:
-        warnings.warn(
-            f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
-            stacklevel=3,
-        )
-    if raised:
-        warnings.warn(
-            f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
-            stacklevel=3,
-        )
-    if lost:
-        warnings.warn(
-            f"paths: {lost} of {paths} design paths diverged and were left out", stacklevel=3
-        )
-    designed = SwitchingFilter(
-        system, linearization, memory, times, tuple(fits), normalisation, split,
-        SwitchingPrediction(times, *(np.array(part) for part in zip(*scores, strict=True))),
-        SwitchingDesign(
-            paths, BLOCK, *seed_record(root), thin, pairs, raised, lost,
-        ),
-        rules=rules,
-    )  # fmt: skip
-    with crew(workers) as each:
+        fits, scores, forecasts, thin, pairs, raised = _pass(walk, system, memory, rules, times)
+        if thin > OFTEN * pairs:
+            warnings.warn(
+                f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
+                stacklevel=outside(),
+            )
+        if raised:
+            warnings.warn(
+                f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
+                stacklevel=outside(),
+            )
+        rms, error, rate, doubt = (np.array(part) for part in zip(*scores, strict=True))
+        designed = SwitchingFilter(
+            system, linearization, memory, times, tuple(fits), normalisation, split,
+            Prediction(times, rms, error, True, rate, doubt),
+            Design(
+                paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, raised
+            ),
+            rules=rules,
+        )  # fmt: skip
+        del walk  # its paths are not wanted any more
         return examined(designed, root, paths, each, times, forecasts=np.array(forecasts))
 
 
@@ -134,7 +133,7 @@ def _pass(walk, system, memory, rules, times):
         shown = walk.measure(t)
 
         def correct(state, y, k=k, t=t):
-            seen = y[m].astype(int) if system.has_indicator else None
+            seen = y[m].astype(int) if system.indicators else None
             return rules.correct(state._replace(index=k, time=t), y[:m], seen, memory)
 
         states = walk.kept(correct, states, shown, array=lambda state: state.mean)
@@ -147,7 +146,7 @@ def _pass(walk, system, memory, rules, times):
             walk.states, walk.alive, states,
         )  # fmt: skip
         scatters = [
-            [merge([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
+            [combine([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
             for c in range(cells)
         ]
         left = sum(part.count for row in scatters for part in row)
@@ -158,7 +157,7 @@ def _pass(walk, system, memory, rules, times):
         fit, few, bent = fit_cells(scatters, n, left)
         fits.append(fit)
         thin, pairs, raised = thin + few, pairs + cells * system.modes, raised + bent
-    raised += sum(state.floored for state in states)
+    raised += sum(state.mended for state in states)
     return fits, scores, forecasts, thin, pairs, raised
 
 
@@ -194,7 +193,5 @@ def _score(walk, n, states):
         return np.concatenate([(x[:-1] - state.mean) ** 2, wrong])
 
     found = walk.gather(rows, states)
-    error = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0)) / math.sqrt(found.count)
-    rms = np.sqrt(found.mean[:n])
-    doubt = np.divide(error[:n], 2.0 * rms, out=np.zeros(n), where=rms > 0)
-    return rms, doubt, found.mean[n], error[n]
+    rms, error, spread = root_mean_squares(found, n)
+    return rms, error, found.mean[n], spread[n] / math.sqrt(found.count)

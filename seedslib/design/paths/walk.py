@@ -8,6 +8,8 @@ again elsewhere. How paths are bundled follows from their number alone.
 
 from __future__ import annotations
 
+import warnings
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
@@ -15,9 +17,9 @@ from itertools import repeat
 
 import numpy as np
 
-from seedslib.base.blocks import as_count
 from seedslib.base.bundles import Bundle, bundles
-from seedslib.designed.regression import merge, scatter
+from seedslib.base.checks import as_count, is_whole, outside
+from seedslib.design.regression import Scatter, combine, scatter
 
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
@@ -39,7 +41,7 @@ class Crew:
         """List of ``work(*entries)`` over the entries of the lists."""
         return list(self._map(work, *lists))
 
-    def share(self, thing):
+    def share(self, thing: object) -> repeat:
         """Stand-in for a list that has the same thing for every bundle."""
         return repeat(thing)
 
@@ -49,7 +51,7 @@ class Crew:
 
 
 @contextmanager
-def crew(workers):
+def crew(workers: int | Crew) -> Iterator[Crew]:
     """Map over bundles on a pool of threads, or the crew that was given.
 
     Parameters
@@ -60,7 +62,7 @@ def crew(workers):
     if isinstance(workers, Crew):
         yield workers
         return
-    if isinstance(workers, bool) or not isinstance(workers, int | np.integer):
+    if not is_whole(workers):
         raise TypeError(f"workers: wanted a whole number or a Crew, got {workers!r}")
     if (workers := as_count("workers", workers)) == 1:
         yield Crew()
@@ -131,7 +133,17 @@ class Walk:
         """Number of paths left out."""
         return sum(self.each(lambda alive: int(np.count_nonzero(~alive)), self.alive))
 
-    def begin(self, t):
+    def warn_of_lost(self) -> int:
+        """Number of paths left out; of a design that lost some, they are told to its caller."""
+        if lost := self.lost:
+            paths = sum(map(sum, self.counts))
+            warnings.warn(
+                f"paths: {lost} of {paths} design paths diverged and were left out",
+                stacklevel=outside(),
+            )
+        return lost
+
+    def begin(self, t: float) -> None:
         """Draw the initial states."""
         sizes = [sum(counts) for counts in self.counts]
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
@@ -142,12 +154,12 @@ class Walk:
         self.stop = stop
         self.states, self.alive = (self.each(_itself, part) for part in (states, alive))
 
-    def advance(self, start, stop):
+    def advance(self, start: float, stop: float) -> None:
         """Move all paths to a later time."""
         options = self.options
         self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
 
-    def measure(self, t) -> list:
+    def measure(self, t: float) -> list:
         """What the sensor shows, (m, paths) for each bundle; once at a stop."""
 
         def shown(system, streams, counts, x):
@@ -167,14 +179,14 @@ class Walk:
         """
         return self._guarded(lambda x: np.isfinite(x).all(axis=0), 0.0, array, work, *lists)
 
-    def gather(self, rows, *lists):
+    def gather(self, rows: Callable[..., np.ndarray], *lists) -> Scatter:
         """Moments of ``rows(x, *others)``, (p, paths), over the paths that are left."""
 
         def reduce(x, alive, *others):
             found = rows(x, *others)
             return scatter(found if alive.all() else found[:, alive])
 
-        total = merge(self.each(reduce, self.states, self.alive, *lists))
+        total = combine(self.each(reduce, self.states, self.alive, *lists))
         if total.count < 2:
             raise ValueError(f"paths: wanted at least 2 that stay finite, got {total.count}")
         return total

@@ -8,31 +8,51 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, as_count, as_seed_sequence, seed_record
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import crew
-from seedslib.designed.finite_order_rules import Design, Prediction
 from seedslib.designed.memory import Memory, Past
-from seedslib.models.kinds import as_grid, in_steps
+from seedslib.designed.outputs.lookup import Output, Table, arguments, require_letters
+from seedslib.designed.prediction import Design, Prediction
+from seedslib.models.kinds import as_grid, in_steps, switches
 
 LARGEST = 1e50
 """A state beyond this has no fourth power worth averaging."""
 
 
 class Lesson(NamedTuple):
-    """What a function is fitted to at one time.
+    """What a function is fitted to, or tried on, at one time.
 
     Attributes
     ----------
     states : ndarray, shape (n, N)
     measurements : ndarray, shape (m, N), or None
         None between measurements.
-    memory : ndarray, shape (d, N)
+    past : Past
+    modes : ndarray of int, shape (N,), or None
+        Of a system with modes.
+    indicators : ndarray of int, shape (N,), or None
     """
 
     states: np.ndarray
     measurements: np.ndarray | None
-    memory: np.ndarray
+    past: Past
+    modes: np.ndarray | None = None
+    indicators: np.ndarray | None = None
+
+    @property
+    def memory(self) -> np.ndarray:
+        """Estimates, newest first, then measurements, newest first, (d, N)."""
+        past = self.past
+        if past.estimates or past.measurements:
+            return past.vector
+        return np.empty((0, self.states.shape[1]))
+
+    def points(self, system, blind: bool = False) -> list:
+        """Arguments of an output function, see `seedslib.designed.outputs.lookup.arguments`."""
+        y = () if blind or self.measurements is None else self.measurements
+        return arguments(system, y, self.indicators, self.past)
 
 
 class _Paths(NamedTuple):
@@ -54,7 +74,7 @@ class Carriers:
 
     Parameters
     ----------
-    system : JumpDiffusion
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
     memory : Memory
     times : array_like, shape (K+1,)
     components : int, optional
@@ -72,6 +92,8 @@ class Carriers:
     times : ndarray, shape (K+1,)
     stops : tuple of ndarray
         Nodes and end of each interval.
+    changes : list of (float, float)
+        How far each table is from the one before; NaN where there is none to compare.
     components : int
     root : SeedSequence
 
@@ -84,14 +106,18 @@ class Carriers:
     def __init__(self, system, memory, times, components, paths, sets, nodes, seed, workers):
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        self._check_memory(system, memory)
+        if switches(system):
+            require_letters(memory, system.indicators)
+        elif memory.indicators or memory.log_odds:
+            raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
         n = system.state_size
         components = n if components is None else as_count("components", components)
         if components > n:
             raise ValueError(f"components: wanted 1 to {n}, got {components}")
         if as_count("sets", sets) < 2:
             raise ValueError(f"sets: wanted at least 2, got {sets}")
-        self.memory, self.components, self.workers = memory, components, workers
+        self.system, self.memory = system, memory
+        self.components, self.workers = components, workers
         self.times, self.root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.lost = as_count("paths", paths), 0
         # a system in discrete time has no states between
@@ -100,23 +126,19 @@ class Carriers:
             np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
         )
         self.streams = self.root.spawn(sets + 1)
-        self.sets = [self._simulated(system, s, workers) for s in self.streams[:sets]]
+        self.sets = [self._simulated(s) for s in self.streams[:sets]]
         if self.lost:
             warnings.warn(
                 f"paths: {self.lost} of {paths * sets} design paths diverged and were left out",
                 stacklevel=3,
             )
         self.pasts, self.reached = [Past()] * sets, -1
-        self.scores, self.errors = [], []
+        self.scores, self.errors, self.wrong, self.changes, self.before = [], [], [], [], None
 
-    def _check_memory(self, system, memory):
-        if memory.indicators or memory.log_odds:
-            raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
-
-    def _simulated(self, system, seed, workers):
+    def _simulated(self, seed):
         grid = np.concatenate([self.times[:1], *self.stops])
         at = np.searchsorted(grid, self.times)
-        made = system.simulate(grid, self.paths, seed, measured=at, workers=workers)
+        made = self.system.simulate(grid, self.paths, seed, measured=at, workers=self.workers)
         shown = made.measurements[at]
         with np.errstate(invalid="ignore"):
             good = (np.abs(made.states) <= LARGEST).all(axis=(0, 1))
@@ -133,41 +155,58 @@ class Carriers:
         return _Paths(states, shown[..., kept], *labels)
 
     def lesson(self) -> Lesson:
-        """What the function for the next measurement is fitted to."""
-        k = self.reached + 1
-        return self._lesson(k % len(self.sets), k, self.times[k])
+        """What the functions for the next measurement are fitted to."""
+        return self._lesson(self.reached + 1)
 
     def forecast_lesson(self, t: float) -> Lesson:
         """What a forecast for a time up to the next measurement is fitted to."""
-        return self._lesson((self.reached + 1) % len(self.sets), None, t)
+        return self._lesson(self.reached + 1, t)
 
-    def _lesson(self, which, k, t):
+    def _lesson(self, which, t=None):
+        """Of one of the sets, counted on and on, at the next measurement or at a time before it."""
+        which, k = which % len(self.sets), self.reached + 1
         chosen, past = self.sets[which], self.pasts[which]
-        x = chosen.states[float(t)]
-        shown = None if k is None else chosen.measurements[k]
-        u = past.vector if self.reached >= 0 else np.empty((0, x.shape[1]))
-        return Lesson(x, shown, u)
+        if t is not None:
+            return Lesson(chosen.states[float(t)], None, past)
+        labels = (None if part is None else part[k] for part in (chosen.modes, chosen.indicators))
+        states = chosen.states[float(self.times[k])]
+        return Lesson(states, chosen.measurements[k], past, *labels)
 
-    def take(self, output) -> None:
-        """Apply the function of the next measurement, ``output(y, u)``, on all paths."""
+    def take(self, function) -> None:
+        """Apply the function of the next measurement on all paths, and note its errors."""
         k = self.reached + 1
-        examiner, t = (k + 1) % len(self.sets), float(self.times[k])
-        for which, chosen in enumerate(self.sets):
-            lesson = self._lesson(which, k, t)
-            estimate = output(lesson.measurements, lesson.memory)
+        examiner = (k + 1) % len(self.sets)
+        for which in range(len(self.sets)):
+            lesson = self._lesson(which)
+            points, batch = lesson.points(self.system), lesson.states.shape[1:]
+            found = function(points).filling(batch)
             if which == examiner:
-                error = chosen.states[t][: self.components] - estimate
-                self.scores.append((t, error**2))
+                error = lesson.states[: self.components] - found.mean
+                self.scores.append((float(self.times[k]), error**2))
                 self.errors.append(error @ error.T / error.shape[1])
+                if found.mode is not None:
+                    self.wrong.append(found.mode != lesson.modes)
+                self.changes.append(self._change(function, points, found))
             self.pasts[which] = self.memory.push(
-                self.pasts[which], estimate=estimate, measurement=lesson.measurements
-            )
-        self.reached = k
+                self.pasts[which], estimate=found.mean, measurement=lesson.measurements,
+                mode=found.mode, indicator=lesson.indicators,
+            )  # fmt: skip
+        self.reached, self.before = k, function
+
+    def _change(self, function, points, now: Output):
+        """How far estimates and modes are from those of the table before."""
+        old = self.before
+        if not (isinstance(function, Table) and old is not None and old.axes == function.axes):
+            return np.nan, np.nan
+        before = old(points)
+        apart = np.sqrt(((now.mean - before.mean) ** 2).sum(axis=0).mean())
+        return apart, 0.0 if now.mode is None else (now.mode != before.mode).mean()
 
     def score(self, t: float, forecast) -> None:
-        """Note the errors of a forecast, ``forecast(u)``, at a node."""
-        x, _, u = self._lesson((self.reached + 2) % len(self.sets), None, t)
-        self.scores.append((float(t), (x[: self.components] - forecast(u)) ** 2))
+        """Note the errors of a forecast, a function of the memory, at a node."""
+        lesson = self._lesson(self.reached + 2, t)
+        error = lesson.states[: self.components] - forecast(lesson.points(self.system)).mean
+        self.scores.append((float(t), error**2))
 
     @property
     def covariances(self) -> np.ndarray:
@@ -175,7 +214,7 @@ class Carriers:
         return np.array(self.errors)
 
     def prediction(self) -> Prediction:
-        """Root-mean-square errors and their standard errors."""
+        """Errors and their standard errors on paths that each function has not seen."""
         times = np.array([t for t, _ in self.scores])
         mse = np.array([square.mean(axis=1) for _, square in self.scores])
         deviation = np.array(
@@ -183,7 +222,12 @@ class Carriers:
         )
         rms = np.sqrt(mse)
         error = np.divide(deviation, 2.0 * rms, out=np.zeros_like(rms), where=rms > 0)
-        return Prediction(times, rms, error, False)
+        if not self.wrong:
+            return Prediction(times, rms, error)
+        wrong = np.array([part.mean() for part in self.wrong])
+        count = np.array([len(part) for part in self.wrong])
+        doubt = np.sqrt(wrong * (1.0 - wrong) / count)
+        return Prediction(times, rms, error, mode_rate=wrong, mode_error=doubt)
 
     def examined(self, filter):
         """The finished filter with its errors on other paths than those of all sets."""

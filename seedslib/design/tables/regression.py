@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from seedslib.base.tables import Labels
+from seedslib.base.tables import Labels, locate
 
 METHODS = {
     "likelihood": "likelihood-weighted regression",
@@ -26,7 +26,7 @@ CHUNK = 2048
 NOTHING = 1e-290
 
 
-def likelihood_table(sensor, t, lesson, components, axes_y, axes_u, kernel) -> np.ndarray:
+def likelihood_table(log_density, targets, points, measured, axes, kernel) -> np.ndarray:
     """M[X | y, u] with the known likelihood of y: the Rao-Blackwellised estimate of section 5.
 
     f(y, u) = sum_j w_j(u) X_j beta(y | X_j) / sum_j w_j(u) beta(y | X_j), with a kernel w in the
@@ -34,38 +34,53 @@ def likelihood_table(sensor, t, lesson, components, axes_y, axes_u, kernel) -> n
 
     Parameters
     ----------
-    sensor : StochasticMap
-        With a log-density.
-    t : float
-    lesson : Lesson
-        Its measurements are not used.
-    components : int
-        n'.
-    axes_y, axes_u : tuple of Axis
+    log_density : callable
+        ``log_density(part)`` for a slice of the paths: (paths, nodes of the measured axes).
+    targets : ndarray, shape (p, N)
+        X.
+    points : ndarray, shape (d, N)
+        Memory of the paths.
+    measured, axes : tuple of Axis or Labels
+        Of what is measured, and of the memory.
     kernel : float
         Width in units of the normal reference rule.
 
     Returns
     -------
-    ndarray, shape (n', count of each axis of y and u...)
+    ndarray, shape (p, count of each measured axis and of each axis of the memory...)
     """
-    grid = mesh(axes_y)[:, None, :]
-    x, u = lesson.states, lesson.memory
-    rows = np.concatenate([np.ones((1, x.shape[1])), x[:components]])
-
-    def log_density(part):
-        return sensor.log_density(t, grid, x[:, part, None])
-
-    sums = likelihood_sums(log_density, grid.shape[2], rows, u, axes_u)
-    shape = [axis.count for axis in axes_y + axes_u]
-    counts = path_sums(x[:0], u, axes_u)[0]
-    return smoothed_ratio(sums.reshape(-1, *shape), counts, widths(u, axes_u, kernel), len(axes_y))
+    rows = np.concatenate([np.ones((1, targets.shape[1])), targets])
+    size = math.prod(axis.count for axis in measured)
+    sums = likelihood_sums(log_density, size, rows, points, axes)
+    shape = [axis.count for axis in measured + axes]
+    counts = path_sums(targets[:0], points, axes)[0]
+    wide = widths(points, axes, kernel)
+    return smoothed_ratio(sums.reshape(-1, *shape), counts, wide, len(measured))
 
 
-def mesh(axes) -> np.ndarray:
-    """Points of a product of axes, (size, points)."""
-    grid = np.meshgrid(*[axis.nodes for axis in axes], indexing="ij")
-    return np.array([part.ravel() for part in grid])
+def histogram_table(targets, points, axes, kernel, pooled: bool = False) -> np.ndarray:
+    """M[X | arguments] from simulated arguments: the smoothed histogram of section 5.
+
+    Parameters
+    ----------
+    targets : ndarray, shape (p, N)
+        X.
+    points : ndarray, shape (d, N)
+        Measurement and memory of the paths; for a forecast the memory alone.
+    axes : tuple of Axis or Labels
+    kernel : float
+        Width in units of the normal reference rule.
+    pooled : bool
+        Whether the last label of the first axis stands for all paths together.
+
+    Returns
+    -------
+    ndarray, shape (p, count of each axis...)
+    """
+    sums = path_sums(targets, points, axes)
+    if pooled:
+        sums[:, -1] = sums[:, :-1].sum(axis=1)
+    return smoothed_ratio(sums, sums[0], widths(points, axes, kernel), 0)
 
 
 def likelihood_sums(log_density, size, rows, u, axes_u) -> np.ndarray:
@@ -103,22 +118,6 @@ def likelihood_sums(log_density, size, rows, u, axes_u) -> np.ndarray:
     return np.moveaxis(sums, 1, 2)
 
 
-def histogram_table(lesson, components, axes_y, axes_u, kernel) -> np.ndarray:
-    """M[X | y, u] from simulated measurements: the smoothed histogram of section 5.
-
-    Parameters and result as `likelihood_table`.
-    """
-    points, axes = np.concatenate([lesson.measurements, lesson.memory]), axes_y + axes_u
-    sums = path_sums(lesson.states[:components], points, axes)
-    return smoothed_ratio(sums, sums[0], widths(points, axes, kernel), 0)
-
-
-def forecast_table(lesson, components, axes_u, kernel) -> np.ndarray:
-    """M[X | u], shape (n', count of each axis of u...)."""
-    sums = path_sums(lesson.states[:components], lesson.memory, axes_u)
-    return smoothed_ratio(sums, sums[0], widths(lesson.memory, axes_u, kernel), 0)
-
-
 def path_sums(targets, points, axes):
     """Sums (1 + p, nodes...) of one and of the targets, each path split between its nodes."""
     shape = tuple(axis.count for axis in axes)
@@ -146,17 +145,14 @@ def widths(points, axes, kernel):
 
 def _corners(points, axes):
     """Number and weight of each of the nodes around the points."""
-    if not axes:
-        yield np.zeros(points.shape[1], dtype=np.intp), np.ones(points.shape[1])
-        return
-    places = [axis.place(row) for axis, row in zip(axes, points, strict=True)]
-    for ups in product(*((0,) if share is None else (0, 1) for _, share in places)):
-        number, weight = 0, 1.0
-        for up, axis, (index, share) in zip(ups, axes, places, strict=True):
-            number = number * axis.count + index + up
-            if share is not None:
-                weight = weight * (share if up else 1.0 - share)
-        yield number, np.broadcast_to(weight, number.shape)
+    place = locate(axes, points)
+    index = np.broadcast_to(place.index, points.shape[1:])
+    for ups in product((0, 1), repeat=len(place.shares)):
+        number, weight = index, np.ones(index.shape)
+        for up, stride, share in zip(ups, place.strides, place.shares, strict=True):
+            number = number + up * stride
+            weight = weight * (share if up else 1.0 - share)
+        yield number, weight
 
 
 def smoothed_ratio(sums, counts, widths, lead):

@@ -1,27 +1,16 @@
-"""Synthesis of optimal filters of finite order on simulated paths: tables by regression."""
+"""Synthesis of optimal filters of a given memory on simulated paths: tables by regression."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.tables import Axis, as_axes
+from seedslib.base.tables import Axis, as_axes, mesh
 from seedslib.design.tables.carriers import Carriers
-from seedslib.design.tables.regression import (
-    METHODS,
-    forecast_table,
-    histogram_table,
-    likelihood_table,
-)
-from seedslib.design.tables.switching_simulated import (
-    SwitchingCarriers,
-    switching_tables,
-    want_densities,
-)
-from seedslib.designed.finite_order_rules import Start
-from seedslib.designed.lookup import step_axes
-from seedslib.designed.switching_table import SwitchingTableFilter
-from seedslib.designed.table import OutputRules, Table, TableFilter, TableFit
-from seedslib.models.kinds import KINDS, require_kind
+from seedslib.design.tables.regression import METHODS, histogram_table, likelihood_table
+from seedslib.designed.outputs.lookup import Step, Table, prior, step_axes
+from seedslib.designed.outputs.table import TableFilter
+from seedslib.filters.weights import most_probable
+from seedslib.models.kinds import KINDS, as_system, switches
 
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
@@ -33,7 +22,7 @@ PILOT = 2000
 def simulated_synthesis(
     system, memory, times, *, paths, seed, z=None, y=None, method="likelihood", components=None,
     sets=2, kernel=0.5, nodes=4, workers=1, probabilities=False,
-) -> TableFilter | SwitchingTableFilter:  # fmt: skip
+) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
     Section 5 of the jump-diffusion paper: at each measurement the optimal function
@@ -74,7 +63,7 @@ def simulated_synthesis(
 
     Returns
     -------
-    TableFilter, or SwitchingTableFilter for a switching system
+    TableFilter
         Its predicted errors are those on paths that the function at that time has not seen.
 
     Raises
@@ -90,78 +79,117 @@ def simulated_synthesis(
     """
     if method not in METHODS:
         raise ValueError(f"method: wanted one of {', '.join(METHODS)}, got {method!r}")
-    require_kind(system, *KINDS)
-    switching = hasattr(system, "branches")
-    if probabilities and not switching:
+    as_system("system", system, *KINDS)
+    if probabilities and not switches(system):
         raise ValueError("probabilities: wanted False, the system has no modes")
-    if method == "likelihood" and switching:
-        want_densities(system)
-    elif method == "likelihood" and not system.sensor.has_log_density:
+    if method == "likelihood" and not all(b is None or b.has_log_density for b in _sensors(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
     if not 0 < kernel < np.inf:
         raise ValueError(f"kernel: wanted a positive number, got {kernel}")
-    if switching:
-        return _switching(
-            system, memory, times, paths, seed, z, y, method, components, sets, kernel, workers,
-            probabilities,
-        )  # fmt: skip
     carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
-    components = carriers.components
-    axes_y, axes_z = _axes(system.sensor.size, carriers, y, z)
-    refuse_large(axes_y, axes_z, memory)
-    outputs, ends, between = [], [], []
+    axes_y, axes_z = _axes(carriers, y, z)
+    refuse_large(system, memory, axes_y, axes_z)
+    steps, between = [], []
     for k, t in enumerate(carriers.times):
-        axes_u = held_axes(memory, axes_y, axes_z, k)
+        shown, blind = step_axes(system, memory, axes_y, axes_z, k)
         lesson = carriers.lesson()
         if method == "likelihood":
-            table = likelihood_table(
-                system.sensor, float(t), lesson, components, axes_y, axes_u, kernel
-            )
+            output = _likely(carriers, float(t), lesson, shown, kernel)
         else:
-            table = histogram_table(lesson, components, axes_y, axes_u, kernel)
-        outputs.append(TableFit(axes_y + axes_u, table))
-        carriers.take(outputs[-1])
-        if k + 1 == len(carriers.times):
-            break
-        axes_u, found = held_axes(memory, axes_y, axes_z, k + 1), []
-        for stop in carriers.stops[k]:
-            lesson = carriers.forecast_lesson(stop)
-            found.append(TableFit(axes_u, forecast_table(lesson, components, axes_u, kernel)))
-            if stop != carriers.stops[k][-1]:
-                carriers.score(stop, found[-1])
-        ends.append(found.pop())
-        between.append(tuple(found))
-    letters = axes_z if memory.estimates else axes_y
+            output = _counted(carriers, lesson, shown, kernel)
+        forecast = prior(system, carriers.components)
+        if k or switches(system):
+            forecast = _counted(carriers, lesson, blind, kernel, blind=True)
+        steps.append(Step(output, forecast))
+        carriers.take(output)
+        if k + 1 < len(carriers.times):
+            axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
+            for stop in carriers.stops[k][:-1]:
+                fits.append(_counted(carriers, carriers.forecast_lesson(stop), axes, kernel))
+                carriers.score(stop, fits[-1])
+            between.append(tuple(fits))
+    if not probabilities:
+        steps = [Step(*(table._replace(prob=None) for table in step)) for step in steps]
     return carriers.examined(TableFilter(
-        system=system, memory=memory, predictor=Table(axes_y, letters, METHODS[method]),
-        linearization=None, times=carriers.times,
-        node_times=tuple(s[:-1] for s in carriers.stops), components=components,
-        start=Start(system.mean0, system.cov0, None), fits=tuple(ends),
-        node_fits=tuple(between), predicted=carriers.prediction(), design=carriers.design(),
-        rules=OutputRules(
-            memory, components, sensor=None, outputs=tuple(outputs),
-            covariances=carriers.covariances,
-        ),
+        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
+        method=METHODS[method], predicted=carriers.prediction(),
+        covariances=carriers.covariances, design=carriers.design(),
+        node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
+        changes=np.array(carriers.changes).T,
     ))  # fmt: skip
 
 
-def _switching(
-    system, memory, times, paths, seed, z, y, method, components, sets, kernel, workers,
-    probabilities,
-):  # fmt: skip
-    carriers = SwitchingCarriers(system, memory, times, components, paths, sets, seed, workers)
-    axes_y, axes_z = _axes(system.measurement_size, carriers, y, z)
-    letters = axes_z if memory.estimates else axes_y
-    _refuse(step_axes(system, memory, axes_y, letters, memory.depth)[0])
-    return switching_tables(system, carriers, axes_y, axes_z, method, kernel, probabilities)
+def _counted(carriers, lesson, axes, kernel, blind=False) -> Table:
+    """Smoothed histogram over indicator, measurement unless blind, and memory."""
+    targets, points = _targets(carriers, lesson), _points(carriers, lesson, axes, blind)
+    pooled = carriers.system.indicators > 0
+    return _table(carriers, axes, histogram_table(targets, points, axes, kernel, pooled))
 
 
-def held_axes(memory, axes_y, axes_z, k) -> tuple[Axis, ...]:
-    """Axes of the memory before measurement k."""
-    return axes_z * min(k, memory.estimates) + axes_y * min(k, memory.measurements)
+def _likely(carriers, t, lesson, axes, kernel) -> Table:
+    """Regression in the memory alone, weighted by the likelihoods of measurement and indicator."""
+    targets, told = _targets(carriers, lesson), carriers.system.indicators > 0
+    measured = told + len(lesson.measurements)
+    log_density = _log_density(carriers.system, t, lesson, axes[told:measured])
+    held = axes[measured:]
+    points = _points(carriers, lesson, held, blind=True)
+    found = likelihood_table(log_density, targets, points, axes[:measured], held, kernel)
+    return _table(carriers, axes, found)
 
 
-def refuse_large(axes_y, axes_z, memory) -> None:
+def _points(carriers, lesson, axes, blind) -> np.ndarray:
+    """Arguments over the axes, the last ones of the function, (d, N)."""
+    points = lesson.points(carriers.system, blind)
+    points = np.array(points[len(points) - len(axes) :], dtype=float)
+    return points.reshape(len(axes), lesson.states.shape[1])
+
+
+def _log_density(system, t, lesson, axes):
+    """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
+    grid, x = mesh(axes)[:, None, :], lesson.states
+    if not switches(system):
+        return lambda part: system.sensor.log_density(t, grid, x[:, part, None])
+    values = [*range(system.indicators), -1] if system.indicators else [0]
+
+    def log_density(part):
+        mode, state = lesson.modes[part], x[:, part, None]
+        found = np.full((len(mode), len(values), grid.shape[2]), -np.inf)
+        for i in range(system.modes):
+            here = np.flatnonzero(mode == i)
+            there = np.broadcast_to(state[:, here], (len(x), len(here), grid.shape[2]))
+            for place, j in enumerate(values):
+                reading = system.sensors[i] if j < 0 else system.readings[i][j]
+                if reading is not None and here.size:
+                    found[here, place] = reading.log_density(t, grid, there)
+        return found.reshape(len(mode), -1)
+
+    return log_density
+
+
+def _sensors(system) -> list:
+    """All that may be measured; None for a reading that never comes."""
+    if not switches(system):
+        return [system.sensor]
+    return [reading for row in system.readings for reading in row]
+
+
+def _targets(carriers, lesson) -> np.ndarray:
+    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
+    states = lesson.states[: carriers.components]
+    if lesson.modes is None:
+        return states
+    return np.concatenate([lesson.modes == np.arange(carriers.system.modes)[:, None], states])
+
+
+def _table(carriers, axes, found) -> Table:
+    """Table of what regression found: probabilities, where there are modes, then estimates."""
+    if not switches(carriers.system):
+        return Table(axes, found)
+    prob, means = np.split(found, [carriers.system.modes])
+    return Table(axes, means, most_probable(prob).astype(np.int8), prob)
+
+
+def refuse_large(system, memory, axes_y, axes_z) -> None:
     """Refuse tables that would not fit.
 
     Raises
@@ -169,10 +197,7 @@ def refuse_large(axes_y, axes_z, memory) -> None:
     ValueError
         Too many entries.
     """
-    _refuse(axes_y + held_axes(memory, axes_y, axes_z, memory.depth))
-
-
-def _refuse(axes):
+    axes = step_axes(system, memory, axes_y, axes_z, memory.depth)[0]
     entries = float(np.prod([float(axis.count) for axis in axes]))
     if entries > LARGEST_TABLE:
         raise ValueError(
@@ -181,9 +206,9 @@ def _refuse(axes):
         )
 
 
-def _axes(m, carriers, y, z):
+def _axes(carriers, y, z):
     """Axes of measurements and estimates, laid about the paths where none are given."""
-    n = carriers.components
+    n, m = carriers.components, carriers.system.measurement_size
     arguments = m + carriers.memory.order(n, m)
     most = {2: 201, 3: 81}.get(arguments, max(7, int(LARGEST_TABLE ** (0.9 / arguments))))
     pilot = carriers.sets[0]

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
-from seedslib.base.tables import as_axes
-from seedslib.design.tables.simulated import held_axes, refuse_large
+from seedslib.base.tables import as_axes, mesh
+from seedslib.design.tables.simulated import refuse_large
+from seedslib.designed.between import nodes_after
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.finite_order_rules import Course, FiniteOrderState, Start
-from seedslib.designed.memory import Past
-from seedslib.designed.table import OutputFilter, OutputRules, Table, TableFilter, TableFit
+from seedslib.designed.finite_order_rules import FiniteOrderState
+from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.outputs.lookup import Output, Step, Table, recalled, step_axes
+from seedslib.designed.outputs.table import TableFilter
+from seedslib.models.kinds import switches
 
 BLOCK = 1 << 16
 """Points at which a function is read off together."""
@@ -39,15 +44,13 @@ def output(filter, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
     """
     if not 0 <= k < len(filter.times):
         raise ValueError(f"k: wanted 0 to {len(filter.times) - 1}, got {k}")
-    m = filter.system.sensor.size
+    m = filter.system.measurement_size
     size = filter.memory.dimension(k - 1, filter.components, m) if k else 0
     y, u = np.asarray(y, dtype=float), np.asarray(u, dtype=float)
     if len(u) != size or len(y) != m:
         raise ValueError(f"y, u: wanted {m} and {size} components, got {len(y)} and {len(u)}")
     batch = np.broadcast_shapes(y.shape[1:], u.shape[1:])
     y, u = np.broadcast_to(y, (m, *batch)), np.broadcast_to(u, (size, *batch))
-    if isinstance(filter, OutputFilter):
-        return filter.output(k, y, u)
     state = _after(filter, k - 1, u) if k else filter.initial(batch)
     return filter.correct(filter.predict(state, filter.times[k]), y).mean
 
@@ -59,7 +62,7 @@ def tabulated(filter, *, y, z=None) -> TableFilter:
 
     Parameters
     ----------
-    filter : FiniteOrderFilter
+    filter : FiniteOrderFilter or OutputFilter
         Learned, or with one estimated component: of several, a regression design does not know
         the error covariances that a table holds. Its forecasts end at the last measurement.
     y, z : sequence of Axis or (low, high, count)
@@ -72,79 +75,79 @@ def tabulated(filter, *, y, z=None) -> TableFilter:
         Another filter, axes that are none, tables that would be too large, a filter whose
         forecasts look at a measurement that is not remembered, more than one estimated component.
     """
-    if not isinstance(filter, FiniteOrderFilter):
+    if not isinstance(filter, FiniteOrderFilter | OutputFilter) or switches(filter.system):
         raise TypeError(
             f"filter: wanted a FiniteOrderFilter, got a {type(filter).__name__}; tables of a "
             "switching system come from simulated_synthesis or grid_synthesis"
         )
-    memory, n, times = filter.memory, filter.components, filter.times
-    m = filter.system.sensor.size
-    axes_y = as_axes("y", y, m)
-    axes_z = as_axes("z", z, n) if memory.estimates or z is not None else ()
-    refuse_large(axes_y, axes_z, memory)
-    if filter.measured_nodes and not memory.measurements:
+    system, memory, times = filter.system, filter.memory, filter.times
+    axes_y = as_axes("y", y, system.measurement_size)
+    axes_z = as_axes("z", z, filter.components) if memory.estimates or z is not None else ()
+    refuse_large(system, memory, axes_y, axes_z)
+    if getattr(filter, "measured_nodes", False) and not memory.measurements:
         raise ValueError(
             "filter: wanted forecasts from the memory alone, got measured_nodes, which look at "
             "a measurement that is not remembered"
         )
-    outputs, fits, node_fits = [], [], []
-    for k in range(len(times)):
-        held = held_axes(memory, axes_y, axes_z, k)
-        outputs.append(_read(lambda p, k=k: output(filter, k, p[:m], p[m:]), axes_y + held))
-        if k + 1 == len(times):
-            break
-        held, nodes = held_axes(memory, axes_y, axes_z, k + 1), filter.node_times[k]
-        table = _read(lambda p, k=k: _forecasts(filter, k, p), held).values
-        rows = [TableFit(held, part) for part in table.reshape(-1, n, *table.shape[1:])]
-        node_fits.append(tuple(rows[: len(nodes)]))
-        fits.append(rows[-1])
-    rules = OutputRules(
-        memory, n, sensor=None, outputs=tuple(outputs), covariances=_covariances(filter)
-    )
-    start = Start(filter.start.mean, filter.start.cov, None)
+    known, covariances = isinstance(filter, OutputFilter), _covariances(filter)
+    steps, node_fits = (filter.steps, filter.node_fits) if known else _functions(filter)
+    axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(times))]
     return TableFilter(
-        system=filter.system, memory=memory,
-        predictor=Table(
-            axes_y, axes_z if memory.estimates else axes_y, f"read off {filter.predictor}"
+        system=system, memory=memory, times=times,
+        steps=tuple(Step(*map(_read, *pair)) for pair in zip(steps, axes, strict=True)),
+        method=f"read off {filter.method if known else filter.predictor}",
+        predicted=filter.predicted, covariances=covariances, design=filter.design,
+        node_times=filter.node_times[: len(times) - 1],
+        node_fits=tuple(
+            tuple(_read(fit, blind) for fit in fits)
+            for fits, (_, blind) in zip(node_fits, axes[1:], strict=False)
         ),
-        linearization=None, times=times, node_times=filter.node_times[: len(fits)],
-        components=n, start=start, fits=tuple(fits), node_fits=tuple(node_fits),
-        predicted=filter.predicted, design=filter.design, between=filter.between, rules=rules,
+        between=filter.between,
     )  # fmt: skip
 
 
-def _read(function, axes):
-    points = np.array([g.ravel() for g in np.meshgrid(*[a.nodes for a in axes], indexing="ij")])
-    parts = [function(points[:, a : a + BLOCK]) for a in range(0, points.shape[1], BLOCK)]
-    values = np.concatenate(parts, axis=1)
-    return TableFit(axes, values.reshape(len(values), *(a.count for a in axes)))
+def _read(function, axes) -> Table:
+    """A function at the nodes of the axes."""
+    points = mesh(axes)
+    parts = [points[:, a : a + BLOCK] for a in range(0, points.shape[1], BLOCK)]
+    values = [function([*part]).filling(part.shape[1:]).mean for part in parts]
+    return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))
 
 
-def _forecasts(filter, k, u):
-    """Forecasts at the nodes after measurement k and for the next one, below each other."""
-    state, n = _after(filter, k, u), filter.components
-    start, end = (float(t) for t in filter.times[k : k + 2])
-    course = Course(start, filter.node_times[k], end, filter.node_fits[k])
-    nodes, _ = filter.rules.nodes(course, state)
-    return np.concatenate([*nodes, filter.predict(state, end).mean[:n]])
+def _functions(filter) -> tuple[list, list]:
+    """The functions of a filter with affine or polynomial forecasts: outputs, and at nodes."""
+    m, n, times = filter.system.measurement_size, filter.components, filter.times
+
+    def shown(k, points):
+        points = np.array(points)
+        return Output(output(filter, k, points[:m], points[m:]))
+
+    def blind(k, points):
+        state = _after(filter, k - 1, points) if k else filter.initial()
+        return Output(filter.predict(state, times[k]).mean[:n])
+
+    def node(k, i, points):
+        return Output(nodes_after(filter, k, _after(filter, k, points))[0][i])
+
+    steps = [Step(partial(shown, k), partial(blind, k)) for k in range(len(times))]
+    return steps, [
+        [partial(node, k, i) for i in range(len(stops))]
+        for k, stops in enumerate(filter.node_times[: len(times) - 1])
+    ]
 
 
-def _after(filter, k, u) -> FiniteOrderState:
+def _after(filter, k, points) -> FiniteOrderState:
     """State after measurement k of which only the memory is known."""
-    n, m, memory = filter.components, filter.system.sensor.size, filter.memory
-    held, shown = min(k + 1, memory.estimates), min(k + 1, memory.measurements)
-    estimates = tuple(u[i * n : (i + 1) * n] for i in range(held))
-    rest = u[held * n :]
-    measurements = tuple(rest[i * m : (i + 1) * m] for i in range(shown))
-    mean = estimates[0] if held else np.full((n, *u.shape[1:]), np.nan)
-    past = Past(estimates, measurements)
+    past = recalled(filter.system, filter.memory, filter.components, k, points)
+    unknown = np.full((filter.components, *np.shape(points[0])), np.nan)
+    mean = past.estimates[0] if past.estimates else unknown
     return FiniteOrderState(k, mean, None, past, None, 0.0, None, True)
 
 
 def _covariances(filter) -> np.ndarray:
     """Error covariances at the measurements, shape (K+1, n', n')."""
     if isinstance(filter, OutputFilter):
-        return filter.rules.covariances
+        return filter.covariances
     if filter.components > 1:
         raise ValueError(
             f"filter: wanted one estimated component, got {filter.components}; of several the "

@@ -13,6 +13,7 @@ from seedslib.extra.c.traced import (
     mean_rates,
     record_correction,
 )
+from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
 
 _STEPS = {"rk4": rk4_step, "euler": euler_step}
@@ -87,7 +88,7 @@ static inline int @name_step(@name_state *s, double t, const double *y)
 """
 
 
-def covariance_source(filter) -> tuple[dict, str]:
+def covariance_source(filter: CovarianceFilter) -> tuple[dict, str]:
     """Macros and C of a `CovarianceFilter`.
 
     Raises
@@ -111,7 +112,7 @@ def covariance_source(filter) -> tuple[dict, str]:
     return macros, "\n".join(parts)
 
 
-def _motion(filter) -> str:
+def _motion(filter: CovarianceFilter) -> str:
     """C of one integration step, or of the step of a system in discrete time."""
     system, n, tape = filter.system, filter.n, Tape()
     z, t = tape.inputs("z[{}]", n * (n + 3) // 2), tape.inputs("t")[()]
@@ -136,7 +137,7 @@ def _motion(filter) -> str:
     return function(head, [unused, *tape.body(outputs)])
 
 
-def _correction(filter) -> str:
+def _correction(filter: CovarianceFilter) -> str:
     tape, n = Tape(), filter.n
     y = tape.inputs("y[{}]", filter.system.sensor.size)
     mean, cov = tape.inputs("s->mean[{}]", n), tape.inputs("s->cov[{}][{}]", n, n)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
-from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, roots
+from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, range_roots
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import map_moments
@@ -148,7 +151,7 @@ static inline void @name_move_(int i, double *z)
 """
 
 
-def held(filter, step) -> np.ndarray:
+def held(filter: FiniteOrderFilter, step: int) -> np.ndarray:
     """Places in the full memory of the components that are there after step `step`."""
     memory, n, m = filter.memory, filter.components, filter.system.sensor.size
     estimates = np.arange(n * min(step + 1, memory.estimates))
@@ -156,18 +159,18 @@ def held(filter, step) -> np.ndarray:
     return np.concatenate([estimates, measured])
 
 
-def _spread_out(values, places, size):
+def _spread_out(values: np.ndarray, places: Sequence[int] | np.ndarray, size: int) -> np.ndarray:
     """Columns put at their places among `size`, zeros elsewhere."""
     found = np.zeros((*values.shape[:-1], size))
     found[..., places] = values
     return found
 
 
-def _lower(cov):
+def _lower(cov: np.ndarray) -> np.ndarray:
     return cov[np.tril_indices(len(cov))]
 
 
-def ahead(filter) -> tuple[str, dict]:
+def ahead(filter: FiniteOrderFilter) -> tuple[str, dict]:
     """C of the forecast for the next measurement, and macros that it wants."""
     if isinstance(filter.fits[0], PolynomialFit):
         return _polynomial(filter)
@@ -179,7 +182,7 @@ def ahead(filter) -> tuple[str, dict]:
     return text + _AFFINE, {}
 
 
-def _polynomial(filter):
+def _polynomial(filter: FiniteOrderFilter) -> tuple[str, dict]:
     first, order, fits = filter.fits[0], filter.order, filter.fits
     degree = max(first.mean_degree, first.cov_degree)
     recipe, number = monomial_recipe(order, degree), _numbers(order, degree)
@@ -204,7 +207,7 @@ def _polynomial(filter):
         if first.cov_degree:
             tables["cov_gain"].append(_spread_out(fit.cov_gain, cov_places, low["cov_degree"]))
             tables["cov_offset"].append(fit.cov_offset)
-            root, back = (_square(part) for part in roots(fit.residual))
+            root, back = (_square(part) for part in range_roots(fit.residual))
             tables["root"].append(root)
             tables["back"].append(back)
         else:
@@ -218,7 +221,7 @@ def _polynomial(filter):
     return text + body.replace("FLOOR", literal(FLOOR)).replace("CLIP", literal(CLIP)), macros
 
 
-def _numbers(size, degree) -> dict[tuple, int]:
+def _numbers(size: int, degree: int) -> dict[tuple, int]:
     """Number of each monomial, known by the places of its factors."""
     found: list[tuple] = []
     for factor, lower in monomial_recipe(size, degree):
@@ -226,12 +229,12 @@ def _numbers(size, degree) -> dict[tuple, int]:
     return {powers: number for number, powers in enumerate(found)}
 
 
-def _square(part):
+def _square(part: np.ndarray) -> np.ndarray:
     """Columns of zeros added: they have the eigenvalue zero and no weight."""
     return np.pad(part, ((0, 0), (0, len(part) - part.shape[1])))
 
 
-def course(filter) -> str:
+def course(filter: FiniteOrderFilter) -> str:
     """C of the Euler steps of `Continuous` through all intervals, and where each one starts."""
     system, n = filter.system, filter.components
     tape = Tape()

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import os
+
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.table import OutputFilter, TableFilter
+from seedslib.designed.outputs.table import TableFilter
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
 from seedslib.filters.covariance import CovarianceFilter
+from seedslib.models.kinds import switches
 
 _HEAD = """\
 #ifndef @NAME_H
@@ -48,7 +51,11 @@ used. There is no likelihood; cov is the error covariance that the design found,
 measurement is missing."""
 
 
-def to_c(filter, path=None, name: str = "filter") -> str:
+def to_c(
+    filter: FiniteOrderFilter | TableFilter | CovarianceFilter,
+    path: str | os.PathLike | None = None,
+    name: str = "filter",
+) -> str:
     """Write a designed filter as a C99 header that needs <math.h> and <string.h> only.
 
     The tables of the design are constants, the formulas of the sensor and of the forecast are
@@ -121,9 +128,9 @@ def to_c(filter, path=None, name: str = "filter") -> str:
     return whole
 
 
-def _parts(filter):
+def _parts(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    if isinstance(filter, TableFilter):
+    if isinstance(filter, TableFilter) and not switches(filter.system):
         from seedslib.extra.c.tables import table_source
 
         return *table_source(filter), _WHOLE
@@ -131,7 +138,7 @@ def _parts(filter):
         from seedslib.extra.c.covariance import covariance_source
 
         return *covariance_source(filter), _REDUNDANT
-    if isinstance(filter, FiniteOrderFilter) and not isinstance(filter, OutputFilter):
+    if isinstance(filter, FiniteOrderFilter):
         from seedslib.extra.c.finite_order import finite_order_source
 
         return *finite_order_source(filter), _REDUNDANT
@@ -142,7 +149,7 @@ def _parts(filter):
     )
 
 
-def _described(filter) -> str:
+def _described(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> str:
     """The filter in words, its predicted errors included where it has some."""
     if not isinstance(filter, CovarianceFilter):
         return str(filter)

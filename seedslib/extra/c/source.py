@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import re
 import textwrap
+from collections.abc import Callable
 from string import Template
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.extra.c.tape import literal
 from seedslib.models.words import model_text
@@ -43,7 +45,7 @@ def checked_name(name: object) -> str:
     return name
 
 
-def constants(name: str, values, kind: str = "double") -> str:
+def constants(name: str, values: ArrayLike, kind: str = "double") -> str:
     """A static table; the numbers are read back exactly.
 
     Raises
@@ -57,7 +59,7 @@ def constants(name: str, values, kind: str = "double") -> str:
     return f"static const {kind} {name}{sizes} = {_braces(values, written, '')};\n"
 
 
-def _braces(values, written, indent):
+def _braces(values: np.ndarray, written: Callable, indent: str) -> str:
     inside = indent + "    "
     if values.ndim > 1:
         rows = (inside + _braces(part, written, inside) for part in values)
@@ -83,7 +85,7 @@ def comment(paragraphs: list[str]) -> str:
     return "/*\n" + text.encode("ascii", "replace").decode() + "\n */\n"
 
 
-def model_lines(system) -> str:
+def model_lines(system: object) -> str:
     """The model in words."""
     parts = {**model_text(system), "initial mean": system.mean0.tolist()}
     parts["initial covariance"] = system.cov0.tolist()

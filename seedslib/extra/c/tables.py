@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
 
 from seedslib.base.tables import Axis
-from seedslib.designed.table import TableFit
-from seedslib.extra.c.finite_order import STATE, between, frame, push
+from seedslib.designed.outputs.lookup import Table
+from seedslib.designed.outputs.table import TableFilter
+from seedslib.extra.c.records import STATE, between, frame, push
 from seedslib.extra.c.source import constants
 from seedslib.extra.c.tape import literal
 
@@ -26,29 +27,33 @@ _LOOKUP = """\
 /* Multilinear interpolation, the values at the ends beyond them. */
 static inline void @name_lookup_(const @name_table *table, const double *point, double *out)
 {
-    double share[@NAME_AXES];
-    int index[@NAME_AXES], corner, k, size = 1;
+    double share[@NAME_AXES], value[1 << @NAME_AXES];
+    int place[1 << @NAME_AXES] = { 0 }, corner, i, k, size = 1;
     for (k = 0; k < table->axes; k++) {
         const @name_axis *axis = &@name_axes[table->axis[k]];
         double p = point[k];
+        int below;
         p = ((p < axis->low ? axis->low : p > axis->high ? axis->high : p) - axis->low)
             * axis->scale;
-        index[k] = p < axis->count - 2 ? (int)p : axis->count - 2;
-        share[k] = p - index[k] < 1.0 ? p - index[k] : 1.0;
+        below = p < axis->count - 2 ? (int)p : axis->count - 2;
+        share[k] = p - below < 1.0 ? p - below : 1.0;
         size *= axis->count;
-    }
-    for (corner = 0; corner < 1 << table->axes; corner++) {
-        double weight = 1.0;
-        int place = 0;
-        for (k = 0; k < table->axes; k++) {
+        for (corner = 0; corner < 1 << table->axes; corner++) {
             const int up = corner >> (table->axes - 1 - k) & 1;
-            place = place * @name_axes[table->axis[k]].count + index[k] + up;
-            weight *= up ? share[k] : 1.0 - share[k];
+            place[corner] = place[corner] * axis->count + below + up;
         }
-        for (k = 0; k < @NAME_ESTIMATE; k++) {
-            const double part = table->values[k * size + place] * weight;
-            out[k] = corner ? out[k] + part : part;
+    }
+    for (i = 0; i < @NAME_ESTIMATE; i++) {
+        for (corner = 0; corner < 1 << table->axes; corner++) {
+            value[corner] = table->values[i * size + place[corner]];
         }
+        for (k = table->axes - 1; k >= 0; k--) { /* neighbours on the last axis come first */
+            for (corner = 0; corner < 1 << k; corner++) {
+                const double low = value[2 * corner];
+                value[corner] = low + share[k] * (value[2 * corner + 1] - low);
+            }
+        }
+        out[i] = value[0];
     }
 }
 
@@ -126,7 +131,7 @@ static inline void @name_end_(const @name_state *s, double *out)
 """
 
 
-def table_source(filter) -> tuple[dict, str]:
+def table_source(filter: TableFilter) -> tuple[dict, str]:
     """Macros and C of a `TableFilter`.
 
     Raises
@@ -135,18 +140,18 @@ def table_source(filter) -> tuple[dict, str]:
         Functions that are no tables, or only one measurement.
     """
     nodes = [fit for row in filter.node_fits for fit in row]
-    tables = [*filter.rules.outputs, *filter.fits, *nodes]
-    others = {type(fit).__name__ for fit in tables if not isinstance(fit, TableFit)}
-    given = {axis for fit in tables if isinstance(fit, TableFit) for axis in fit.axes}
-    others |= {type(axis).__name__ for axis in given if not isinstance(axis, Axis)}
-    if others or not filter.fits:
+    outputs, ahead = zip(*filter.steps, strict=True)
+    first, *ahead = ahead
+    tables = [*outputs, *ahead, *nodes]
+    others = {type(fit).__name__ for fit in tables if not isinstance(fit, Table)}
+    if others or not ahead:
         raise TypeError(
             "filter: wanted tables over evenly spaced axes, for at least two measurements, got "
-            f"{', '.join(sorted(others)) or len(filter.rules.outputs)}"
+            f"{', '.join(sorted(others)) or len(outputs)}"
         )
     macros, timing = frame(filter)
     axes = list(dict.fromkeys(axis for fit in tables for axis in fit.axes))
-    m = filter.system.sensor.size
+    m = filter.system.measurement_size
     macros["AXES"] = m + filter.order
     macros["HELD_ESTIMATES"] = filter.memory.estimates
     macros["HELD_MEASUREMENTS"] = filter.memory.measurements
@@ -155,10 +160,10 @@ def table_source(filter) -> tuple[dict, str]:
         for a in axes
     ]
     text = f"static const @name_axis @name_axes[{len(axes)}] = {{\n" + ",\n".join(rows) + "\n};\n"
-    for name, fits in (("output", filter.rules.outputs), ("ahead", filter.fits), ("node", nodes)):
+    for name, fits in (("output", outputs), ("ahead", ahead), ("node", nodes)):
         text += _tables(name, fits, axes, macros["AXES"])
-    text += constants("@name_first_mean", filter.start.mean[: filter.components])
-    text += constants("@name_cov", np.asarray(filter.rules.covariances))
+    text += constants("@name_first_mean", first.estimate)
+    text += constants("@name_cov", filter.covariances)
     lookup = "@name_lookup_(&@name_node[n], point, out);" if nodes else ""
     return macros, "\n".join([
         timing, _TYPES, text, STATE, _LOOKUP, push(filter), _STEP,
@@ -166,13 +171,13 @@ def table_source(filter) -> tuple[dict, str]:
     ])  # fmt: skip
 
 
-def _tables(name, fits, axes, most) -> str:
+def _tables(name: str, fits: Sequence[Table], axes: list[Axis], most: int) -> str:
     """The values of some tables, and the list of the tables."""
     if not fits:
         return ""
     text, rows = "", []
     for k, fit in enumerate(fits):
-        text += constants(f"@name_{name}_{k}_", fit.values.ravel())
+        text += constants(f"@name_{name}_{k}_", fit.estimate.ravel())
         used = [axes.index(axis) for axis in fit.axes] + [0] * (most - len(fit.axes))
         used = ", ".join(map(str, used))
         rows.append(f"    {{ @name_{name}_{k}_, {len(fit.axes)}, {{ {used} }} }}")

@@ -8,9 +8,13 @@ from __future__ import annotations
 
 import math
 import operator
+from collections.abc import Callable
 from numbers import Real
+from typing import TypeAlias
 
 import numpy as np
+
+Number: TypeAlias = "Scalar | float"
 
 LARGEST_POWER = 40
 """Whole powers up to this one are written as products."""
@@ -40,7 +44,7 @@ _TEMPLATES = {
 }
 
 
-def literal(value) -> str:
+def literal(value: float) -> str:
     """A number as a C constant that is read back exactly.
 
     Raises
@@ -54,7 +58,7 @@ def literal(value) -> str:
     return repr(value)
 
 
-def _text(value):
+def _text(value: Number) -> str:
     return value.name if isinstance(value, Scalar) else literal(value)
 
 
@@ -70,44 +74,44 @@ class Scalar:
 
     __slots__ = ("name", "tape")
 
-    def __init__(self, tape, name):
+    def __init__(self, tape: Tape, name: str) -> None:
         self.tape, self.name = tape, name
 
-    def __add__(self, other):
+    def __add__(self, other: Number) -> Number:
         return self if _is(other, 0) else self.tape.infix(self, "+", other)
 
-    def __radd__(self, other):
+    def __radd__(self, other: Number) -> Number:
         return self if _is(other, 0) else self.tape.infix(other, "+", self)
 
-    def __sub__(self, other):
+    def __sub__(self, other: Number) -> Number:
         return self if _is(other, 0) else self.tape.infix(self, "-", other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: Number) -> Number:
         return -self if _is(other, 0) else self.tape.infix(other, "-", self)
 
-    def __mul__(self, other):
+    def __mul__(self, other: Number) -> Number:
         if _is(other, 0) or _is(other, 1):
             return 0.0 if _is(other, 0) else self
         return self.tape.infix(self, "*", other)
 
-    def __rmul__(self, other):
+    def __rmul__(self, other: Number) -> Number:
         if _is(other, 0) or _is(other, 1):
             return 0.0 if _is(other, 0) else self
         return self.tape.infix(other, "*", self)
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: Number) -> Number:
         return self if _is(other, 1) else self.tape.infix(self, "/", other)
 
-    def __rtruediv__(self, other):
+    def __rtruediv__(self, other: Number) -> Number:
         return 0.0 if _is(other, 0) else self.tape.infix(other, "/", self)
 
-    def __neg__(self):
+    def __neg__(self) -> Scalar:
         return self.tape.node("-{0}", self)
 
-    def __abs__(self):
+    def __abs__(self) -> Scalar:
         return self.tape.node("fabs({0})", self)
 
-    def __pow__(self, power):
+    def __pow__(self, power: Number) -> Number:
         if isinstance(power, Scalar) or power != int(power) or abs(power) > LARGEST_POWER:
             return self.tape.node("pow({0}, {1})", self, power)
         product = 1.0
@@ -115,27 +119,29 @@ class Scalar:
             product = product * self
         return product if power >= 0 else 1.0 / product
 
-    def __rpow__(self, base):
+    def __rpow__(self, base: Number) -> Scalar:
         return self.tape.node("pow({0}, {1})", base, self)
 
-    def __lt__(self, other):
+    def __lt__(self, other: Number) -> Scalar:
         return self.tape.infix(self, "<", other)
 
-    def __le__(self, other):
+    def __le__(self, other: Number) -> Scalar:
         return self.tape.infix(self, "<=", other)
 
-    def __gt__(self, other):
+    def __gt__(self, other: Number) -> Scalar:
         return self.tape.infix(self, ">", other)
 
-    def __ge__(self, other):
+    def __ge__(self, other: Number) -> Scalar:
         return self.tape.infix(self, ">=", other)
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         raise TypeError(
             "formulas: wanted choices by one comparison each (Piecewise), which C can follow"
         )
 
-    def __array_ufunc__(self, ufunc, method, *inputs, **options):
+    def __array_ufunc__(
+        self, ufunc: np.ufunc, method: str, *inputs: object, **options: object
+    ) -> object:
         name = ufunc.__name__
         if method != "__call__" or options or not all(map(_scalar, inputs)):
             return NotImplemented
@@ -154,7 +160,9 @@ class Scalar:
             return self.tape.node(_TEMPLATES[name], *inputs)
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
 
-    def __array_function__(self, function, types, arguments, options):
+    def __array_function__(
+        self, function: Callable, types: object, arguments: tuple, options: dict
+    ) -> Number:
         if function is not np.select:
             raise ValueError(f"formulas: wanted functions that C99 has, got {function.__name__}")
         conditions, choices, *rest = arguments
@@ -167,15 +175,15 @@ class Scalar:
         return result
 
 
-def _is(value, number):
+def _is(value: Number, number: float) -> bool:
     return not isinstance(value, Scalar) and value == number
 
 
-def _scalar(value):
+def _scalar(value: object) -> bool:
     return isinstance(value, Scalar | Real) or np.ndim(value) == 0
 
 
-def _plain(value):
+def _plain(value: Number) -> Number:
     """NumPy numbers as Python ones, which leave the arithmetic to the recorder."""
     return value if isinstance(value, Scalar) else float(value)
 
@@ -183,7 +191,7 @@ def _plain(value):
 class Tape:
     """Lines of C in the order in which they were recorded; equal lines are kept once."""
 
-    def __init__(self):
+    def __init__(self) -> None:
         self._lines: dict[str, tuple[str, str, tuple]] = {}
 
     def node(self, template: str, *operands, kind: str = "double") -> Scalar:
@@ -195,7 +203,7 @@ class Tape:
             self._lines[text] = (f"{prefix}{len(self._lines)}", kind, used)
         return Scalar(self, self._lines[text][0])
 
-    def infix(self, first, sign: str, second) -> Scalar:
+    def infix(self, first: Number, sign: str, second: Number) -> Scalar:
         """Two numbers joined by a sign of C; comparisons give truths."""
         kind = "int" if sign in _RELATIONS.values() else "double"
         return self.node(f"{{0}} {sign} {{1}}", first, second, kind=kind)
@@ -210,7 +218,7 @@ class Tape:
             found[index] = self.node(pattern.format(*index))
         return found
 
-    def choose(self, condition, first, second):
+    def choose(self, condition: Scalar, first: Number, second: Number) -> Number:
         """`first` where the truth holds, else `second`."""
         if not isinstance(first, Scalar) and not isinstance(second, Scalar) and first == second:
             return first

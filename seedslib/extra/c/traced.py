@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add
 
 import numpy as np
 
-from seedslib.base.correction import LOG_2PI, eliminate
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
-from seedslib.extra.c.tape import Scalar
-from seedslib.linearization.moments import symmetric
+from seedslib.base.correction import eliminate
+from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.extra.c.tape import Number, Scalar, Tape
+from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.models.maps import StochasticMap
 
 
-def check_formulas(linearization, system) -> None:
+def check_formulas(linearization: Linearization, system: object) -> None:
     """Raise TypeError or ValueError where moments are no formulas."""
     if not hasattr(linearization, "formulas"):
         raise TypeError(
@@ -24,7 +26,7 @@ def check_formulas(linearization, system) -> None:
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
 
 
-def _symbols(n):
+def _symbols(n: int) -> tuple:
     """Mean, entries of the covariance on and below the diagonal, the covariance."""
     import sympy
 
@@ -33,7 +35,9 @@ def _symbols(n):
     return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
 
 
-def map_moments(linearization, map, spread=True):
+def map_moments(
+    linearization: Linearization, map: StochasticMap, spread: bool = True
+) -> Callable[..., tuple]:
     """Moments of a map as ``f(t, mean, lower) -> (E y, cov(x, y), cov y)``, arrays of objects.
 
     `mean` and `lower` are components and entries of the covariance on and below the diagonal;
@@ -47,7 +51,7 @@ def map_moments(linearization, map, spread=True):
     flat = [entry for part in parts[: 2 + spread] for entry in part]
     evaluate = compile_components((map.time, mean, lower), flat)
 
-    def moments(t, mean, lower):
+    def moments(t: Scalar, mean: Sequence, lower: Sequence) -> tuple:
         found = np.array(evaluate(t, list(mean), list(lower)), dtype=object)
         h, cross, cov = np.split(found, [m, m + n * m])
         return h, cross.reshape(n, m), cov.reshape(m, m) if spread else None
@@ -55,7 +59,7 @@ def map_moments(linearization, map, spread=True):
     return moments
 
 
-def mean_rates(linearization, system):
+def mean_rates(linearization: Linearization, system: object) -> Callable[..., list]:
     """Rates of mean and covariance as ``f(t, components) -> list``, for the integrators."""
     from seedslib.models.codegen import compile_components
 
@@ -66,7 +70,9 @@ def mean_rates(linearization, system):
     return compile_components((system.drift_map.time, (*mean, *lower)), [*velocity, *entries])
 
 
-def record_correction(tape, mean, lower, y, moments, rows):
+def record_correction(
+    tape: Tape, mean: Sequence, lower: Sequence, y: Sequence[Scalar], moments: tuple, rows: int
+) -> tuple:
     """Record the correction of the leading rows by a measurement of which parts may be missing.
 
     A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
@@ -106,7 +112,7 @@ def record_correction(tape, mean, lower, y, moments, rows):
     ]
     regular = []
 
-    def reciprocal(pivot, variance):
+    def reciprocal(pivot: Number, variance: Number) -> tuple[Number, Number]:
         if not isinstance(pivot, Scalar):
             regular.append(pivot > ABSOLUTE)
             return (1.0 / pivot, pivot) if regular[-1] else (0.0, 1.0)
@@ -135,13 +141,13 @@ def record_correction(tape, mean, lower, y, moments, rows):
     return mean, cov, -0.5 * reduce(add, terms), shown
 
 
-def _both(tape, first, second):
+def _both(tape: Tape, first: Scalar, second: Scalar) -> Scalar:
     if first.name == second.name:
         return first
     return tape.node("{0} && {1}", first, second, kind="int")
 
 
-def corrected_outputs(found, place="s->") -> dict:
+def corrected_outputs(found: tuple, place: str = "s->") -> dict:
     """Where a recorded correction is stored: mean, both halves of the covariance, likelihood."""
     mean, cov, loglik, _ = found
     outputs = {f"{place}mean[{k}]": part for k, part in enumerate(mean)}

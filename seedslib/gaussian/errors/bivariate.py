@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, owens_t
 
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.checks import as_real
+from seedslib.gaussian.arguments import as_bound
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
 FAR, TINY = 100.0, 1e-200
@@ -15,6 +16,12 @@ FAR, TINY = 100.0, 1e-200
 def density(x: ArrayLike) -> np.ndarray:
     """Standard normal density; an infinite argument gives zero."""
     return np.exp(-0.5 * np.square(np.clip(x, -40.0, 40.0))) / ROOT_TWO_PI
+
+
+def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
+    """Quotient by a nonnegative number; x/0 is infinite, and 0/0 zero."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
 
 def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarray:
@@ -38,8 +45,7 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k = (_limit(name, value) for name, value in (("h", h), ("k", k)))
-    h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
+    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
     # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
     h, k = (
         np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))
@@ -70,12 +76,3 @@ def _correlation(rho: ArrayLike) -> np.ndarray:
     if (np.abs(rho) > 1).any():
         raise ValueError(f"rho: wanted a correlation in [-1, 1], got {rho[np.abs(rho) > 1][0]:g}")
     return rho
-
-
-def _limit(name: str, value: ArrayLike) -> np.ndarray:
-    array = np.asarray(unmasked(name, value))
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
-    if np.isnan(array).any():
-        raise ValueError(f"{name}: wanted a number or an infinity, got NaN")
-    return array.astype(float)

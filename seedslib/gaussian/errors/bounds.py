@@ -23,12 +23,16 @@ from seedslib.gaussian.means.symbolic import FunctionClass, classify, expectatio
 RULE_ERROR = 1e-4
 
 
-def active_coordinates(f: object, variables: tuple[sp.Symbol, ...]) -> tuple[int, ...]:
-    """Indices of the variables that f contains; at least one."""
+def active(
+    f: object, variables: Sequence[sp.Symbol]
+) -> tuple[int, tuple[int, ...], list[sp.Symbol]]:
+    """Number of variables; indices of those that f contains (at least one); their symbols."""
+    variables = as_symbols("variables", variables)
     expressions, _ = components_of(f)
     check_symbols(expressions, variables)
     present = set().union(*(e.free_symbols for e in expressions))
-    return tuple(i for i, symbol in enumerate(variables) if symbol in present) or (0,)
+    coordinates = tuple(i for i, s in enumerate(variables) if s in present) or (0,)
+    return len(variables), coordinates, [variables[i] for i in coordinates]
 
 
 def marginal(
@@ -80,16 +84,13 @@ def hermite_expansion(
     UserWarning
         The error of the rule is above 1e-4 of the error itself.
     """
-    variables = as_symbols("variables", variables)
-    coordinates = active_coordinates(f, variables)
-    law = as_joint_law(mean, cov, error_cov, len(variables))
-    law = marginal(coordinates, *law)
-    active = [variables[i] for i in coordinates]
-    if classify(f, active) is FunctionClass.POLYNOMIAL:
-        polynomial = expectation_function(f, active).compiled().polynomial()
+    size, coordinates, symbols = active(f, variables)
+    law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, size))
+    if classify(f, symbols) is FunctionClass.POLYNOMIAL:
+        polynomial = expectation_function(f, symbols).compiled().polynomial()
         expansion = polynomial_expansion(polynomial, *law)
     else:
-        expansion = _judged(_numeric(f, active), law, degree, nodes)
+        expansion = _judged(_numeric(f, symbols), law, degree, nodes)
     return replace(expansion, coordinates=coordinates)
 
 
@@ -106,11 +107,7 @@ class ErrorBounds(NamedTuple):
 
 
 def approximate_errors(
-    f: object,
-    variables: Sequence[sp.Symbol],
-    *,
-    degree: int = 20,
-    nodes: int = 80,
+    f: object, variables: Sequence[sp.Symbol], *, degree: int = 20, nodes: int = 80
 ) -> Callable[[object, object, object], ErrorBounds]:
     """Bounds of the optimal error and the plug-in error of any function, by quadrature.
 
@@ -143,12 +140,11 @@ def approximate_errors(
     UserWarning
         When called, as `hermite_expansion`.
     """
-    variables = as_symbols("variables", variables)
-    coordinates = active_coordinates(f, variables)
-    numeric, scalar = _numeric(f, [variables[i] for i in coordinates]), components_of(f)[1]
+    size, coordinates, symbols = active(f, variables)
+    numeric, scalar = _numeric(f, symbols), components_of(f)[1]
 
     def errors(mean: object, cov: object, error_cov: object) -> ErrorBounds:
-        law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, len(variables)))
+        law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, size))
         expansion = _judged(numeric, law, degree, nodes)
         points, weights = expansion.estimate_rule(nodes)
         gap = expansion.estimate(points, int(expansion.degrees.max())) - numeric(points)

@@ -9,15 +9,15 @@ the size of P, never differences of quantities of the size of f.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import product
 from math import comb, prod
 from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.gaussian.means.kernels import Group, HalfSpace, dot, half_space_means
-from seedslib.gaussian.means.polynomial import Coefficients, Index, evaluate, monomial_means
+from seedslib.gaussian.means.kernels import Group, HalfSpace, half_space_means, inner_product
+from seedslib.gaussian.means.polynomial import Coefficients, Index, monomial_means, polynomial_value
 
 
 class Switched(NamedTuple):
@@ -32,23 +32,23 @@ class Switched(NamedTuple):
 
 def switched(groups: Sequence[Group], size: int) -> Switched:
     """Collect the groups of a polynomial or piecewise function."""
-    base: Coefficients = {}
-    jump: Coefficients = {}
-    edge: Coefficients = {}
-    plane = None
-    for group in groups:
-        if group.plane is None:
-            _accumulate(base, group.polynomial, 1.0)
-        else:
-            plane = group.plane
-            _accumulate(jump, group.polynomial, 1.0)
-            _accumulate(edge, group.polynomial, group.plane.edge)
-    return Switched(size, base, jump, edge, plane)
+    behind = [group for group in groups if group.plane]
+    return Switched(
+        size,
+        _total((group.polynomial, 1.0) for group in groups if not group.plane),
+        _total((group.polynomial, 1.0) for group in behind),
+        _total((group.polynomial, group.plane.edge) for group in behind),
+        behind[-1].plane if behind else None,
+    )
 
 
-def _accumulate(total: Coefficients, polynomial: Coefficients, weight: float) -> None:
-    for alpha, c in polynomial.items():
-        total[alpha] = total.get(alpha, 0.0) + weight * c
+def _total(parts: Iterable[tuple[Coefficients, float]]) -> Coefficients:
+    """Weighted sum of polynomials."""
+    total: Coefficients = {}
+    for polynomial, weight in parts:
+        for alpha, c in polynomial.items():
+            total[alpha] = total.get(alpha, 0.0) + weight * c
+    return total
 
 
 def _taylor(polynomial: Coefficients) -> dict[Index, Coefficients]:
@@ -117,14 +117,14 @@ class CentredMoments:
         """Switching function at xhat and whether it varies given xhat."""
         normal = self.function.plane.normal
         spread = np.einsum("i,ij...,j->...", normal, cov, normal)
-        return dot(normal, xhat) + self.function.plane.offset, spread > 0
+        return inner_product(normal, xhat) + self.function.plane.offset, spread > 0
 
     def _columns(self, xhat: np.ndarray, cov: np.ndarray) -> tuple[list, list]:
         """Basis functions (alpha, crossed) and their coefficients (p, *batch) at xhat."""
         size, batch = self.function.size, xhat.shape[1:]
 
         def at(table: dict[Index, Coefficients]) -> dict[Index, np.ndarray]:
-            return {alpha: evaluate(poly, xhat, size) for alpha, poly in table.items()}
+            return {alpha: polynomial_value(poly, xhat, size) for alpha, poly in table.items()}
 
         base = at(self.base)
         if self.function.plane is None:
@@ -135,7 +135,7 @@ class CentredMoments:
         edge = at(_taylor(self.function.edge)) if settled.any() else {}
         names, columns = [], []
         for alpha in self.indices:
-            jump = evaluate(self.jump.get(alpha, {}), xhat, size)
+            jump = polynomial_value(self.jump.get(alpha, {}), xhat, size)
             column = base.get(alpha, np.zeros((size, *batch))) + on * jump
             if alpha in edge:
                 column = column + settled * edge[alpha]
@@ -161,8 +161,8 @@ class CentredMoments:
         exact = (u == 0) & varies
         if not exact.any():
             return np.zeros((self.function.size, *xhat.shape[1:]))
-        jump = evaluate(self.function.jump, xhat, self.function.size)
-        return exact * (jump - evaluate(self.function.edge, xhat, self.function.size))
+        jump = polynomial_value(self.function.jump, xhat, self.function.size)
+        return exact * (jump - polynomial_value(self.function.edge, xhat, self.function.size))
 
 
 def _sum(left: Index, right: Index) -> Index:

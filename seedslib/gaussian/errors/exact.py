@@ -9,50 +9,43 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 import sympy as sp
 
-from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.arguments import gaussian_arguments, in_range
-from seedslib.gaussian.errors.bounds import (
-    ErrorBounds,
-    active_coordinates,
-    approximate_errors,
-    hermite_expansion,
-    marginal,
-)
+from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
+from seedslib.gaussian.errors.bounds import active, marginal
 from seedslib.gaussian.errors.centred import CentredMoments, switched
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.errors.hermite import plugin_excess, polynomial_expansion
 from seedslib.gaussian.errors.joint import as_joint_law
-from seedslib.gaussian.errors.norms import norm_errors, norm_variance
+from seedslib.gaussian.errors.norms import estimate_errors, norm_variance
 from seedslib.gaussian.errors.piecewise import piecewise_errors
 from seedslib.gaussian.errors.replica import ReplicaErrors
 from seedslib.gaussian.means.classes import NoClosedForm
-from seedslib.gaussian.means.compile import Compiled, stretched
+from seedslib.gaussian.means.compile import Compiled
 from seedslib.gaussian.means.symbolic import FunctionClass, expectation_function
-
-__all__ = [
-    "ErrorBounds",
-    "MeanSquareErrors",
-    "approximate_errors",
-    "hermite_expansion",
-    "mean_square_errors",
-    "posterior_variance_function",
-]
 
 
 @dataclass(frozen=True, eq=False)
-class ExactErrors:
-    """Callable ``(mean, cov, error_cov) -> (optimal, plugin)``; made by `mean_square_errors`."""
+class _ClosedFunction:
+    """Class, dimension of the state, whether scalar, coordinates that f depends on, f in those."""
 
     kind: FunctionClass
     dimension: int
     scalar: bool
     _coordinates: tuple[int, ...]
     _function: Compiled
+
+    @cached_property
+    def _centred(self) -> CentredMoments:
+        function = self._function
+        return CentredMoments(switched(function.groups, function.size), function.dimension)
+
+
+class ExactErrors(_ClosedFunction):
+    """Callable ``(mean, cov, error_cov) -> (optimal, plugin)``; made by `mean_square_errors`."""
 
     def __call__(self, mean: object, cov: object, error_cov: object) -> MeanSquareErrors:
         """Errors at one time.
@@ -85,15 +78,13 @@ class ExactErrors:
 
     @cached_property
     def _route(self) -> Callable:
-        function = self._function
         if self.kind is FunctionClass.POLYNOMIAL:
             return self._polynomial
         if self.kind is FunctionClass.PIECEWISE:
-            moments = CentredMoments(switched(function.groups, function.size), function.dimension)
-            return lambda *law: piecewise_errors(moments, *law)
+            return partial(piecewise_errors, self._centred)
         if self.kind is FunctionClass.NORM:
             return self._norm
-        return ReplicaErrors(function).errors
+        return ReplicaErrors(self._function).errors
 
     def _polynomial(
         self, mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
@@ -108,7 +99,7 @@ class ExactErrors:
         (norm,) = self._function.norms
         centre, spread = norm.law(mean, cov)
         scale = norm.coefficient[0] ** 2
-        errors = norm_errors(centre, spread, norm.law(mean, error_cov)[1])
+        errors = estimate_errors(centre, spread, norm.law(mean, error_cov)[1])
         return tuple(np.full((1, 1), scale * error) for error in errors)
 
 
@@ -144,30 +135,22 @@ def mean_square_errors(f: object, variables: Sequence[sp.Symbol]) -> ExactErrors
 
 
 def _closed(f: object, variables: Sequence[sp.Symbol]) -> tuple:
-    """Class, dimension, whether scalar, coordinates that f depends on, and f in those."""
-    variables = as_symbols("variables", variables)
-    coordinates = active_coordinates(f, variables)
+    """What a `_ClosedFunction` is made of."""
+    size, coordinates, symbols = active(f, variables)
     advice = "; approximate_errors gives bounds by quadrature"
     try:
-        function = expectation_function(f, [variables[i] for i in coordinates])
+        function = expectation_function(f, symbols)
     except NoClosedForm as error:
         raise NoClosedForm(f"{error}{advice}") from None
     if function.kind is FunctionClass.MIXED:
         raise NoClosedForm(
             f"no exact errors for {f}: it mixes switching planes, norms or exponentials{advice}"
         )
-    return function.kind, len(variables), function.scalar, coordinates, function.compiled()
+    return function.kind, size, function.scalar, coordinates, function.compiled()
 
 
-@dataclass(frozen=True, eq=False)
-class PosteriorVariance:
+class PosteriorVariance(_ClosedFunction):
     """Callable ``(xhat, P) -> V``; made by `posterior_variance_function`."""
-
-    kind: FunctionClass
-    dimension: int
-    scalar: bool
-    _coordinates: tuple[int, ...]
-    _function: Compiled
 
     def __call__(self, mean: object, cov: object) -> np.ndarray:
         """Conditional variance of f(x) for x ~ N(mean, cov).
@@ -185,22 +168,20 @@ class PosteriorVariance:
         """
         mean, cov = gaussian_arguments(mean, cov, self.dimension)
         batch = np.broadcast_shapes(mean.shape[1:], cov.shape[2:])
-        mean = np.broadcast_to(stretched(mean, 1, len(batch)), (self.dimension, *batch))
+        mean = np.broadcast_to(align(mean, 1, len(batch)), (self.dimension, *batch))
         if cov.ndim > 2:
-            cov = np.broadcast_to(stretched(cov, 2, len(batch)), (*cov.shape[:2], *batch))
+            cov = np.broadcast_to(align(cov, 2, len(batch)), (*cov.shape[:2], *batch))
         law = marginal(self._coordinates, mean, cov)
         value = in_range("mean, cov", lambda: self._route(*law))
         return value[0, 0][()] if self.scalar else value
 
     @cached_property
     def _route(self) -> Callable:
-        function = self._function
         if self.kind in (FunctionClass.POLYNOMIAL, FunctionClass.PIECEWISE):
-            moments = CentredMoments(switched(function.groups, function.size), function.dimension)
-            return lambda mean, cov: moments.moments(mean, cov)[0]
+            return lambda mean, cov: self._centred.moments(mean, cov)[0]
         if self.kind is FunctionClass.NORM:
             return self._norm
-        return ReplicaErrors(function).variance
+        return ReplicaErrors(self._function).variance
 
     def _norm(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
         (norm,) = self._function.norms

@@ -8,28 +8,19 @@ axes, last.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_shape
 from seedslib.gaussian.arguments import gaussian_arguments
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.errors.joint import as_joint_law
-from seedslib.gaussian.means.kernels import dot, times
-
-__all__ = [
-    "cubic_errors",
-    "cubic_mean",
-    "linear_mean",
-    "quadratic_errors",
-    "quadratic_mean",
-    "quartic_errors",
-    "quartic_mean",
-]
+from seedslib.gaussian.means.kernels import inner_product, times
 
 
-def linear_mean(A: object, mean: object, cov: object) -> np.ndarray:
+def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     """``E A x = A m``, shape (p, ...).
 
     Parameters
@@ -48,7 +39,7 @@ def linear_mean(A: object, mean: object, cov: object) -> np.ndarray:
     return np.tensordot(as_shape("A", A, (-1, len(mean))), mean, axes=1)
 
 
-def quadratic_mean(A: object, mean: object, cov: object) -> np.ndarray:
+def quadratic_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     """``E x'Ax = tr AP + m'Am``, shape (...).
 
     Parameters
@@ -65,10 +56,10 @@ def quadratic_mean(A: object, mean: object, cov: object) -> np.ndarray:
     """
     mean, cov = gaussian_arguments(mean, cov)
     A = _symmetric("A", A, len(mean))
-    return _trace(A, cov) + dot(mean, times(A, mean))
+    return _trace(A, cov) + inner_product(mean, times(A, mean))
 
 
-def cubic_mean(A: object, B: object, mean: object, cov: object) -> np.ndarray:
+def cubic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     """``E Ax x'Bx = 2 APBm + Am (m'Bm + tr BP)``, shape (p, ...).
 
     Parameters
@@ -88,10 +79,10 @@ def cubic_mean(A: object, B: object, mean: object, cov: object) -> np.ndarray:
     mean, cov = gaussian_arguments(mean, cov)
     A, B = as_shape("A", A, (-1, len(mean))), _symmetric("B", B, len(mean))
     bm = times(B, mean)
-    return times(A, 2 * times(cov, bm) + mean * (dot(mean, bm) + _trace(B, cov)))
+    return times(A, 2 * times(cov, bm) + mean * (inner_product(mean, bm) + _trace(B, cov)))
 
 
-def quartic_mean(A: object, B: object, mean: object, cov: object) -> np.ndarray:
+def quartic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     """``E x'Ax x'Bx = 2 tr APBP + 4 m'APBm + (tr AP + m'Am)(tr BP + m'Bm)``, shape (...).
 
     Parameters
@@ -110,11 +101,13 @@ def quartic_mean(A: object, B: object, mean: object, cov: object) -> np.ndarray:
     A, B = _symmetric("A", A, len(mean)), _symmetric("B", B, len(mean))
     am, bm = times(A, mean), times(B, mean)
     crossed = np.einsum("ij,jk...,kl,li...->...", A, cov, B, cov)
-    ends = (_trace(A, cov) + dot(mean, am)) * (_trace(B, cov) + dot(mean, bm))
-    return 2 * crossed + 4 * dot(am, times(cov, bm)) + ends
+    ends = (_trace(A, cov) + inner_product(mean, am)) * (_trace(B, cov) + inner_product(mean, bm))
+    return 2 * crossed + 4 * inner_product(am, times(cov, bm)) + ends
 
 
-def quadratic_errors(A: object, mean: object, cov: object, error_cov: object) -> MeanSquareErrors:
+def quadratic_errors(
+    A: ArrayLike, mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike
+) -> MeanSquareErrors:
     """Exact errors of the estimates of ``x'Ax``, equations (3.8) and (3.9).
 
     The optimal error is evaluated as ``2 tr APAP + 4 tr APA(C - P) + 4 m'APAm``, a sum of
@@ -146,7 +139,7 @@ def quadratic_errors(A: object, mean: object, cov: object, error_cov: object) ->
 
 
 def cubic_errors(
-    A: object, B: object, mean: object, cov: object, error_cov: object
+    A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike
 ) -> MeanSquareErrors:
     """Exact error matrices of the estimates of ``Ax x'Bx``; beyond the paper.
 
@@ -189,8 +182,7 @@ def cubic_errors(
         chain = A @ X @ B @ Y @ B @ Z @ A.T
         return 2 * A @ X @ A.T * _pair(B, Y, B, Z) + 4 * chain
 
-    forms = enumerate((one, two, three), start=1)
-    optimal = sum(_difference(form, order, cov, error_cov) for order, form in forms)
+    optimal = _differences((one, two, three), cov, error_cov)
     bias = 2 * A @ error_cov @ B + A * np.sum(B * error_cov)
     excess = bias @ (cov - error_cov + np.outer(mean, mean)) @ bias.T
     optimal = 0.5 * _both(optimal)
@@ -198,7 +190,7 @@ def cubic_errors(
 
 
 def quartic_errors(
-    A: object, B: object, mean: object, cov: object, error_cov: object
+    A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike
 ) -> MeanSquareErrors:
     """Exact errors of the estimates of ``x'Ax x'Bx``; beyond the paper.
 
@@ -250,8 +242,7 @@ def quartic_errors(
         pairs = _pair(A, X, A, Y) * _pair(B, Z, B, W) + _pair(A, X, B, Y) * _pair(A, Z, B, W)
         return 4 * (pairs + 4 * np.trace(A @ X @ A @ Y @ B @ Z @ B @ W))
 
-    forms = enumerate((one, two, three, four), start=1)
-    optimal = sum(_difference(form, order, cov, error_cov) for order, form in forms)
+    optimal = _differences((one, two, three, four), cov, error_cov)
     known = cov - error_cov
     twisted = A @ error_cov @ B
     traces = np.sum(A * error_cov), np.sum(B * error_cov)
@@ -262,18 +253,18 @@ def quartic_errors(
     return MeanSquareErrors(float(optimal), float(optimal + level**2 + spread))
 
 
-def _difference(
-    form: Callable, order: int, cov: np.ndarray, error_cov: np.ndarray
+def _differences(
+    forms: Sequence[Callable], cov: np.ndarray, error_cov: np.ndarray
 ) -> np.ndarray | float:
-    """``form(C, ..., C) - form(C - P, ..., C - P)`` of a multilinear form, nothing subtracted.
+    """``sum_k form_k(C, ..., C) - form_k(C - P, ..., C - P)`` of k-linear forms, not subtracted.
 
-    One of the `order` arguments after another is exchanged; each exchange leaves a P in its place.
+    One of the arguments after another is exchanged; each exchange leaves a P in its place.
     """
     known = cov - error_cov
-    total = 0.0
-    for k in range(order):
-        total = total + form(*[cov] * k, error_cov, *[known] * (order - 1 - k))
-    return total
+    return sum(
+        sum(form(*[cov] * k, error_cov, *[known] * (order - 1 - k)) for k in range(order))
+        for order, form in enumerate(forms, start=1)
+    )
 
 
 def _pair(A: np.ndarray, X: np.ndarray, B: np.ndarray, Y: np.ndarray) -> float:
@@ -290,5 +281,5 @@ def _trace(A: np.ndarray, cov: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ji...->...", A, cov)
 
 
-def _symmetric(name: str, value: object, size: int) -> np.ndarray:
+def _symmetric(name: str, value: ArrayLike, size: int) -> np.ndarray:
     return 0.5 * _both(as_shape(name, value, (size, size)))

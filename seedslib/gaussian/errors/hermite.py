@@ -18,10 +18,10 @@ import numpy as np
 from scipy.special import roots_hermitenorm
 
 from seedslib.base.checks import unmasked
-from seedslib.gaussian.errors.joint import as_joint_law, joint_factor
+from seedslib.gaussian.errors.joint import joint_factor, symmetric_part
 from seedslib.gaussian.errors.tensors import contracted, factorial_of, mean_derivatives
 from seedslib.gaussian.means.polynomial import Index, heat
-from seedslib.gaussian.quadrature import gauss_hermite
+from seedslib.gaussian.quadrature import rule_of_rank
 
 LARGEST_TENSOR = 3_000_000
 
@@ -140,19 +140,8 @@ class HermiteExpansion:
         return self.mean[:, None] + root @ grid, weights
 
 
-def rule_of_rank(rank: int, nodes: int) -> tuple[np.ndarray, np.ndarray]:
-    """Tensor Gauss-Hermite points (rank, N) and weights (N,); one point for rank zero."""
-    if rank == 0:
-        return np.zeros((0, 1)), np.ones(1)
-    rule = gauss_hermite(rank, nodes)
-    return rule.points, rule.weights
-
-
 def plugin_excess(
-    polynomial: Mapping[Index, np.ndarray],
-    mean: np.ndarray,
-    cov: np.ndarray,
-    error_cov: np.ndarray,
+    polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
 ) -> np.ndarray:
     """``E (zhat - f(xhat)) (zhat - f(xhat))'`` (p, p) of a polynomial, checked arguments.
 
@@ -163,13 +152,13 @@ def plugin_excess(
     if not bias:
         return np.zeros((size, size))
     factor, shares = joint_factor(cov, error_cov)
-    known = (factor * (1.0 - shares)) @ factor.T
+    known = symmetric_part((factor * (1.0 - shares)) @ factor.T)
     coefficients = polynomial_expansion(bias, mean, known, known).coefficients
     return coefficients @ coefficients.T
 
 
 def polynomial_expansion(
-    polynomial: Mapping[Index, np.ndarray], mean: object, cov: object, error_cov: object
+    polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
 ) -> HermiteExpansion:
     """Exact Hermite expansion of a polynomial map.
 
@@ -177,16 +166,15 @@ def polynomial_expansion(
     ----------
     polynomial : dict from multi-index to ndarray (p,)
         Coefficients.
-    mean, cov, error_cov : array_like (n,), (n, n), (n, n)
-        Prior mean mu, prior covariance C and error covariance P <= C.
+    mean, cov, error_cov : ndarray (n,), (n, n), (n, n)
+        Prior mean mu, prior covariance C and error covariance P <= C, checked.
 
     Raises
     ------
-    TypeError, ValueError
-        Bad mean or covariances, or a degree and dimension beyond about 3e6 tensor entries.
+    ValueError
+        A degree and dimension beyond about 3e6 tensor entries.
     """
-    size = len(next(iter(polynomial)))
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, size)
+    size = mean.size
     factor, shares = joint_factor(cov, error_cov)
     degree = max(sum(alpha) for alpha in polynomial)
     if size**degree > LARGEST_TENSOR:
@@ -214,9 +202,9 @@ def polynomial_expansion(
 
 def quadrature_expansion(
     function: Callable[[np.ndarray], np.ndarray],
-    mean: object,
-    cov: object,
-    error_cov: object,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    error_cov: np.ndarray,
     *,
     degree: int = 20,
     nodes: int = 80,
@@ -230,8 +218,8 @@ def quadrature_expansion(
     ----------
     function : callable
         Vectorised f: points (n, N) to values (N,) or (p, N).
-    mean, cov, error_cov : array_like (n,), (n, n), (n, n)
-        Prior mean, prior covariance and error covariance.
+    mean, cov, error_cov : ndarray (n,), (n, n), (n, n)
+        Prior mean, prior covariance and error covariance, checked.
     degree : int
         Largest exponent of one coordinate that is kept.
     nodes : int
@@ -239,11 +227,10 @@ def quadrature_expansion(
 
     Raises
     ------
-    TypeError, ValueError
-        Bad mean or covariances, `degree` not below `nodes`, values of f that are not finite, or a
+    ValueError
+        `degree` not below `nodes`, values of f that are not finite, or a
         rule of more than two million points.
     """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov)
     factor, shares = joint_factor(cov, error_cov)
     rank = factor.shape[1]
     if not 0 <= degree < nodes:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_covariance, as_shape
 from seedslib.base.semidefinite import square_root
@@ -17,7 +18,7 @@ REPEATED = 1e-12
 
 
 def as_joint_law(
-    mean: object, cov: object, error_cov: object, size: int | None = None
+    mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike, size: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Checked mean (n,), covariance C (n, n) and error covariance P (n, n) with P <= C.
 
@@ -62,7 +63,7 @@ def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np
     keep = values > RANK * max(values[-1], 0.0)
     root = np.sqrt(values[keep])
     whiten = vectors[:, keep] / (scale[:, None] * root)
-    shares, rotation = np.linalg.eigh(_symmetric(whiten.T @ error_cov @ whiten))
+    shares, rotation = np.linalg.eigh(symmetric_part(whiten.T @ error_cov @ whiten))
     # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
     factor = _unique((scale[:, None] * vectors[:, keep] * root) @ rotation, shares)
     return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
@@ -84,5 +85,6 @@ def _unique(factor: np.ndarray, shares: np.ndarray) -> np.ndarray:
     return factor
 
 
-def _symmetric(matrix: np.ndarray) -> np.ndarray:
+def symmetric_part(matrix: np.ndarray) -> np.ndarray:
+    """``(M + M') / 2``."""
     return 0.5 * (matrix + matrix.T)

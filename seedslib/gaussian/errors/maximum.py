@@ -17,14 +17,18 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtr
 
 from seedslib.gaussian.arguments import gaussian_arguments
-from seedslib.gaussian.errors.bivariate import density
-from seedslib.gaussian.errors.functions import FunctionMoments, MeanSquareErrors
+from seedslib.gaussian.errors.bivariate import density, ratio
+from seedslib.gaussian.errors.functions import (
+    NODES,
+    REACH,
+    WEIGHTS,
+    FunctionMoments,
+    MeanSquareErrors,
+)
 from seedslib.gaussian.errors.joint import as_joint_law
 
 FAR, DEPTH = 2.5, 60
 """Beyond FAR the tails are a continued fraction of this depth, short of it differences."""
-REACH = 9.5
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(96)
 
 
 class Tails(NamedTuple):
@@ -57,7 +61,7 @@ def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     """
     mean, cov = gaussian_arguments(mean, cov, 2)
     root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
-    scaled = _ratio(gap, root)
+    scaled = ratio(gap, root)
     tails = _tails(np.abs(scaled))
     first = 1.0 - ndtr(-np.abs(scaled)) - tails.shared
     weights = np.where(gap >= 0, first, tails.other), np.where(gap >= 0, tails.other, first)
@@ -93,16 +97,13 @@ def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSqu
     root = np.sqrt(spread)
     if known == 0.0:  # the estimate of the difference does not vary
         var = max_moments(mean, error_cov).var
-        square = spread * _tails(np.abs(_ratio(gap, root))).square
+        square = spread * _tails(np.abs(ratio(gap, root))).square
         return MeanSquareErrors(var, var + square)
-    offset = np.clip(_ratio(gap, known), -1e150, 1e150)
-    width = _ratio(known, root)
+    offset = np.clip(ratio(gap, known), -1e150, 1e150)
+    width = ratio(known, root)
     sides = [_side(sign * offset, width) for sign in (1.0, -1.0)]
     (mine, others), (mine_below, others_below) = sides
-    weights = (
-        ndtr(offset) - mine + others_below.other,
-        ndtr(-offset) - mine_below + others.other,
-    )
+    weights = (ndtr(offset) - mine + others_below.other, ndtr(-offset) - mine_below + others.other)
     shared = others.shared + others_below.shared
     optimal = _combined(error_cov, *weights, shared)
     return MeanSquareErrors(optimal, optimal + spread * (others.square + others_below.square))
@@ -113,7 +114,9 @@ def _spread(cov: np.ndarray) -> np.ndarray:
     return np.maximum(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1], 0.0)
 
 
-def _combined(cov, first, second, shared) -> np.ndarray:
+def _combined(
+    cov: np.ndarray, first: np.ndarray, second: np.ndarray, shared: np.ndarray
+) -> np.ndarray:
     """Variances weighed; a singular covariance may leave a negative rounding error."""
     total = first * cov[0, 0] + second * cov[1, 1] + 2 * shared * cov[0, 1]
     return np.maximum(total, 0.0)
@@ -161,9 +164,3 @@ def _side(offset: float, width: float) -> tuple[float, Tails]:
     tails = _tails(point)
     mine = np.sum(weight * (ndtr(-point) + tails.shared))
     return mine, Tails(*(np.sum(weight * part) for part in tails))
-
-
-def _ratio(numerator: np.ndarray, denominator: np.ndarray) -> np.ndarray:
-    """Quotient by a nonnegative number; x/0 is infinite, and 0/0 zero."""
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))

@@ -9,12 +9,15 @@ covariances, so the trapezoidal rule converges geometrically for all of them.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.checks import as_covariance
 from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.errors.hermite import quadrature_expansion, rule_of_rank
+from seedslib.gaussian.arguments import align
+from seedslib.gaussian.errors.hermite import quadrature_expansion
 from seedslib.gaussian.errors.joint import joint_factor
 from seedslib.gaussian.means.norm import norm_mean
-from seedslib.gaussian.quadrature import fifth_degree
+from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
 
 STEP = 0.14
 REACH = 19.0
@@ -27,7 +30,37 @@ ROUNDING = 1e-15
 ALMOST_LINEAR = 1e-6
 
 
-def norm_errors(mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray) -> tuple[float, float]:
+def norm_errors(cov: ArrayLike) -> tuple[float, float]:
+    """Mean-square errors of two estimates of the length of the estimation error e ~ N(0, cov).
+
+    Both estimates are constants: the optimal one is the mean length, the other the root of the
+    trace of the covariance (equation (3.4) of Choi, Song, Shin 2019).
+
+    Parameters
+    ----------
+    cov : array_like
+        Shape (n, n).
+
+    Returns
+    -------
+    optimal, root_mean_square : float
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not a covariance.
+    """
+    cov = as_covariance("cov", cov)
+    length = norm_mean(np.zeros(cov.shape[0]), cov)
+    gap = np.sqrt(np.trace(cov)) - length
+    # tr P - z² as a product: no cancellation of squares.
+    optimal = gap * (np.sqrt(np.trace(cov)) + length)
+    return float(optimal), float(optimal + gap**2)
+
+
+def estimate_errors(
+    mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
+) -> tuple[float, float]:
     """Optimal and plug-in mean-square error of the estimates of ``|y|``.
 
     Where the law stays ten standard deviations away from the origin (more in over three dimensions)
@@ -75,9 +108,7 @@ def norm_variance(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
         return variance
     batch = mean.shape[1:]
     centre = mean[:, narrow]
-    part = np.broadcast_to(
-        cov.reshape(*cov.shape, *(1,) * (len(batch) + 2 - cov.ndim)), (*cov.shape[:2], *batch)
-    )[..., narrow]
+    part = np.broadcast_to(align(cov, 2, len(batch)), (*cov.shape[:2], *batch))[..., narrow]
     root = square_root(np.moveaxis(part, -1, 0))
     rule = fifth_degree(len(mean))
     gap = _lengthening(centre[..., None], np.einsum("kij,jq->ikq", root, rule.points))

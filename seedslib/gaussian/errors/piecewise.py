@@ -13,8 +13,8 @@ from scipy.special import roots_legendre
 
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.errors.centred import CentredMoments
-from seedslib.gaussian.errors.hermite import rule_of_rank
 from seedslib.gaussian.errors.joint import joint_factor
+from seedslib.gaussian.quadrature import rule_of_rank
 
 # breakpoints in standard deviations of the estimate and of its error
 ESTIMATE_SCALE = np.array([0.0, 2.0, 4.0, 6.5, 9.0, 12.0, 20.0, 38.0])

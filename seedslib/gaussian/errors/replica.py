@@ -211,7 +211,7 @@ class ReplicaErrors:
         return optimal, optimal + excess
 
     def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Conditional variance (p, p, *batch) of f(x) for x ~ N(mean, cov), batched."""
+        """Conditional variance (p, p, *batch) of f(x); a covariance has all batch axes or none."""
         size, batch = self.function.size, mean.shape[1:]
         average = self.function.mean(mean, cov)
         moment = self.square.mean(mean, cov).reshape(size, size, *batch)
@@ -219,11 +219,7 @@ class ReplicaErrors:
         diagonals = [np.einsum("ii...->i...", v) for v in (value, moment)]
         lost = (diagonals[0] < LOST * diagonals[1]).any(axis=0)
         for index in _blocks(np.argwhere(lost)):
-            part = (
-                cov
-                if cov.ndim == 2
-                else np.broadcast_to(cov, (*cov.shape[:2], *batch))[:, :, *index]
-            )
+            part = cov if cov.ndim == 2 else cov[:, :, *index]
             value[:, :, *index] = self.conditional(mean[:, *index], part, part)
         return value
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from itertools import product
-from math import factorial
+from math import factorial, prod
 
 import numpy as np
 
@@ -13,29 +13,23 @@ from seedslib.gaussian.means.polynomial import Index, monomial_means
 
 def factorial_of(index: Index) -> int:
     """``beta! = prod beta_i!``."""
-    result = 1
-    for k in index:
-        result *= factorial(k)
-    return result
+    return prod(map(factorial, index))
 
 
 def mean_derivatives(
     polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray
 ) -> dict[Index, np.ndarray]:
     """``E (d/dx)^beta f`` (p,) for every multi-index beta that does not annihilate f."""
-    means = monomial_means(tuple(polynomial), mean, cov)
-    missing = {
-        tuple(a - b for a, b in zip(alpha, beta, strict=True))
+    splits = [
+        (alpha, beta, tuple(a - b for a, b in zip(alpha, beta, strict=True)))
         for alpha in polynomial
         for beta in product(*(range(k + 1) for k in alpha))
-    } - means.keys()
-    means |= monomial_means(tuple(missing), mean, cov)
+    ]
+    means = monomial_means(dict.fromkeys(rest for *_, rest in splits), mean, cov)
     result: dict[Index, np.ndarray] = {}
-    for alpha, coefficient in polynomial.items():
-        for beta in product(*(range(k + 1) for k in alpha)):
-            rest = tuple(a - b for a, b in zip(alpha, beta, strict=True))
-            weight = factorial_of(alpha) // factorial_of(rest)
-            result[beta] = result.get(beta, 0.0) + weight * means[rest] * coefficient
+    for alpha, beta, rest in splits:
+        weight = factorial_of(alpha) // factorial_of(rest)
+        result[beta] = result.get(beta, 0.0) + weight * means[rest] * polynomial[alpha]
     return result
 
 

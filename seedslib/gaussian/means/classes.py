@@ -9,6 +9,7 @@ products of terms are terms again (at most one half-space to a term).
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import sympy as sp
@@ -50,16 +51,29 @@ class Key(NamedTuple):
     plane: Plane | None = None
     norm: sp.Poly | None = None
 
+    def put(self, quadratic: object, linear: object, number: Callable = lambda c: c) -> None:
+        """Add M (n, n) and a (n,) of the exponent ``-x'Mx/2 + a'x``, evaluated by `number`."""
+        for monomial, coefficient in self.exponent:
+            axes = [i for i, k in enumerate(monomial) for _ in range(k)]
+            value = number(coefficient)
+            if len(axes) == 1:
+                linear[axes[0]] += value
+            else:
+                # c x_i x_j is -c on both off-diagonal places, -2c on the diagonal
+                quadratic[axes[0], axes[1]] -= value
+                quadratic[axes[1], axes[0]] -= value
+
 
 Terms = dict[Key, sp.Poly]
 PLAIN = Key()
 
 
 def clean(terms: Terms) -> Terms:
+    """The same sum without the terms that are zero."""
     return {key: poly for key, poly in terms.items() if not poly.is_zero}
 
 
-def add(left: Terms, right: Terms) -> Terms:
+def add_terms(left: Terms, right: Terms) -> Terms:
     """Sum of two term sums."""
     total = dict(left)
     for key, poly in right.items():
@@ -89,7 +103,7 @@ def multiply(left: Terms, right: Terms) -> Terms:
                 _meet(key_a.plane, key_b.plane),
                 norm,
             )
-            total = add(total, {key: poly})
+            total = add_terms(total, {key: poly})
     return total
 
 
@@ -109,7 +123,7 @@ def folded(terms: Terms) -> Terms:
         if key.plane and key.plane.blurred and whole in result and (result[whole] + poly).is_zero:
             del result[key]
             other = key._replace(plane=opposite(key.plane))
-            result = add(result, {whole: poly, other: -poly})
+            result = add_terms(result, {whole: poly, other: -poly})
     return result
 
 

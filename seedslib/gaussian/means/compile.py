@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import sympy as sp
 
+from seedslib.gaussian.arguments import align
 from seedslib.gaussian.means.classes import Key
 from seedslib.gaussian.means.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.means.norm import norm_mean
@@ -51,8 +52,8 @@ class Compiled:
         batch = np.broadcast_shapes(mean.shape[1:], cov.shape[2:])
         if cov.ndim > 2:
             # both get all batch axes, so that components broadcast against one another
-            mean = np.broadcast_to(stretched(mean, 1, len(batch)), (self.dimension, *batch))
-            cov = stretched(cov, 2, len(batch))
+            mean = np.broadcast_to(align(mean, 1, len(batch)), (self.dimension, *batch))
+            cov = align(cov, 2, len(batch))
         total = np.zeros((self.size, *batch))
         for group in self.groups:
             total += group_mean(group, mean, cov, batch)
@@ -109,16 +110,13 @@ def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
             continue
         quadratic, linear = _exponent(key, n, number)
         plane = _plane(key, number)
-        phase = [v.imag[v.imag != 0] for v in (linear, quadratic) if v is not None]
-        phase = np.concatenate(phase) if phase else np.zeros(0)
-        if phase.size:
+        parts = [v.imag.ravel() for v in (linear, quadratic) if v is not None]
+        phase = next((turn for part in parts for turn in part if turn), 0.0)
+        if phase:
             waves.append(Group(table, quadratic, linear, plane))
-        if phase.size and phase[0] < 0:
+        if phase < 0:
             continue
-        if phase.size == 0:
-            table = {alpha: _real(c) for alpha, c in table.items()}
-        else:
-            table = {alpha: 2 * c for alpha, c in table.items()}
+        table = {alpha: 2 * c if phase else _real(c) for alpha, c in table.items()}
         groups.append(Group(table, _narrow(quadratic), _narrow(linear), plane))
     if waves:
         _check_conjugates(waves, n)
@@ -169,15 +167,7 @@ def _check_conjugates(waves: Sequence[Group], n: int) -> None:
 
 def _exponent(key: Key, n: int, number: Number) -> tuple[np.ndarray | None, np.ndarray | None]:
     quadratic, linear = np.zeros((n, n), dtype=complex), np.zeros(n, dtype=complex)
-    for monomial, coefficient in key.exponent:
-        axes = [i for i, k in enumerate(monomial) for _ in range(k)]
-        value = number(coefficient)
-        if len(axes) == 1:
-            linear[axes[0]] += value
-        else:
-            # -x'Mx/2: c x_i x_j is -c on both off-diagonal places, -2c on the diagonal
-            quadratic[axes[0], axes[1]] -= value
-            quadratic[axes[1], axes[0]] -= value
+    key.put(quadratic, linear, number)
     return quadratic if quadratic.any() else None, linear if linear.any() else None
 
 
@@ -187,12 +177,6 @@ def _plane(key: Key, number: Number) -> HalfSpace | None:
     normal = np.array([number(c) for c in key.plane.normal]).real
     offset, edge = number(key.plane.offset).real, number(key.plane.edge).real
     return HalfSpace(normal, offset, edge, float(key.plane.blurred))
-
-
-def stretched(array: np.ndarray, axes: int, batch: int) -> np.ndarray:
-    """Unit batch axes inserted behind the first `axes` axes, up to `batch` of them."""
-    head, tail = array.shape[:axes], array.shape[axes:]
-    return array.reshape(*head, *(1,) * (batch - len(tail)), *tail)
 
 
 def _rows(gram: np.ndarray) -> np.ndarray:

@@ -1,29 +1,148 @@
-"""Symbolic Gaussian means of terms: the formulas behind `expectation`."""
+"""Gaussian means of SymPy expressions in symbols: `expectation` and the formulas behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 
+import numpy as np
 import sympy as sp
 
-from seedslib.gaussian.means.classes import Key, Terms
+from seedslib.base.symbols import as_expression, as_symbols
+from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
 from seedslib.gaussian.means.normal_cdf import NormalCDF
+from seedslib.gaussian.means.parse import components_of, parse
 from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
+
+
+def expectation(
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence,
+    cov: sp.MatrixBase,
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr | sp.Matrix:
+    """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
+
+    Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
+    quadratics, times the indicator of one half-space or one error function (erf, erfc) of an
+    affine argument. The result is not simplified.
+
+    Parameters
+    ----------
+    f : expression, list or column Matrix of expressions
+        Real function of `variables`.
+    variables : sequence of n Symbols
+        Components of x.
+    mean : list or Matrix of n expressions
+        Real.
+    cov : Matrix (n, n) of expressions
+        Real, symmetric. The formula of a function with a switching plane divides by the variance
+        of the switching function; use `expectation_function` for degenerate numbers.
+    parameters : sequence of Symbols
+        Further symbols that f may contain; taken as real constants.
+
+    Returns
+    -------
+    Expr, or Matrix (p, 1) for a vector f
+
+    Raises
+    ------
+    NoClosedForm
+        A term is outside the class; a norm has only a numeric mean.
+    TypeError, ValueError
+        Unknown symbols in f, wrong shapes, an asymmetric covariance.
+
+    Examples
+    --------
+    >>> x, m, P = sp.symbols("x m P", real=True)
+    >>> expectation(sp.sin(x), [x], [m], sp.Matrix([[P]]))
+    exp(-P/2)*sin(m)
+    """
+    result = mean_expression(f, variables, mean, cov, parameters=parameters)
+    if isinstance(result, sp.MatrixBase):
+        return result.applyfunc(lambda part: part.rewrite(sp.erf))
+    return result.rewrite(sp.erf)
+
+
+def mean_expression(
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence,
+    cov: sp.MatrixBase,
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr | sp.Matrix:
+    """As `expectation`, with probabilities of half-spaces as `NormalCDF`.
+
+    Code made of it keeps the relative accuracy of small probabilities.
+    """
+    variables = as_symbols("variables", variables)
+    n = len(variables)
+    mean, cov = _matrix("mean", list(mean)), _matrix("cov", cov)
+    if mean.shape != (n, 1):
+        raise ValueError(f"mean: wanted {n} components, got shape {mean.shape}")
+    if cov.shape != (n, n):
+        raise ValueError(f"cov: wanted shape ({n}, {n}), got {cov.shape}")
+    if any(sp.expand(entry) != 0 for entry in cov - cov.T):
+        raise ValueError("cov: wanted a symmetric matrix")
+    formulas, means, covs, scalar = _template(
+        components_of(f), variables, as_symbols("parameters", parameters)
+    )
+    values = dict(zip(means, mean, strict=True))
+    values |= {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
+    results = [formula.xreplace(values) for formula in formulas]
+    return results[0] if scalar else sp.Matrix(results)
+
+
+def _matrix(name: str, value: object) -> sp.Matrix:
+    """Matrix of expressions; SymPy alone would evaluate strings."""
+    if isinstance(value, sp.MatrixBase):
+        return sp.Matrix(value)
+    array = np.array(value, dtype=object)
+    entries = [as_expression(name, entry) for entry in array.ravel()]
+    return sp.Matrix(*(array.shape if array.ndim == 2 else (array.size, 1)), entries)
+
+
+@lru_cache(maxsize=256)
+def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
+    """Formulas in stand-ins for the mean and covariance, cached by (expressions, symbols)."""
+    expressions, scalar = components
+    parsed = parse(list(expressions), variables, parameters)
+    for expression, terms in zip(expressions, parsed.components, strict=True):
+        if any(key.norm is not None for key in terms):
+            raise NoClosedForm(
+                f"no closed form in symbols for {expression}: the mean of a norm is an integral; "
+                "expectation_function gives its numbers"
+            )
+    n = len(variables)
+    means = tuple(sp.Dummy(f"m{i}", real=True) for i in range(n))
+    upper = {
+        (i, j): sp.Dummy(f"P{i}{j}", real=True, nonnegative=True if i == j else None)
+        for i in range(n)
+        for j in range(i, n)
+    }
+    covs = tuple(tuple(upper[min(i, j), max(i, j)] for j in range(n)) for i in range(n))
+    back = dict(zip(parsed.parameters, parameters, strict=True))
+    formulas = tuple(
+        mean_formula(terms, parsed.symbols, means, covs).xreplace(back)
+        for terms in parsed.components
+    )
+    return formulas, means, covs, scalar
 
 
 def mean_formula(
     terms: Terms, symbols: Sequence[sp.Symbol], mean: Sequence, cov: Sequence
 ) -> sp.Expr:
     """Mean of a sum of terms under N(mean, cov), in the components of both."""
-    total = sp.S.Zero
-    for key, poly in terms.items():
-        total += _term(key, poly, symbols, mean, cov)
-    return total
+    return sum((_term(*term, symbols, mean, cov) for term in terms.items()), sp.S.Zero)
 
 
 def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Sequence) -> sp.Expr:
     n = len(symbols)
-    quadratic, linear = _exponent(key, n)
+    quadratic, linear = sp.zeros(n, n), sp.zeros(n, 1)
+    key.put(quadratic, linear)
     m, p = sp.Matrix(list(mean)), sp.Matrix(n, n, lambda i, j: cov[i][j])
     factor, exponent = sp.S.One, sp.S.Zero
     if any(quadratic):
@@ -51,19 +170,6 @@ def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Seque
         wave = real * sp.cos(phase) - imaginary * sp.sin(phase)
         return factor * sp.exp(modulus) * wave
     return factor * sp.exp(exponent) * value
-
-
-def _exponent(key: Key, n: int) -> tuple[sp.Matrix, sp.Matrix]:
-    """M and a of ``-x'Mx/2 + a'x``."""
-    quadratic, linear = sp.zeros(n, n), sp.zeros(n, 1)
-    for monomial, c in key.exponent:
-        axes = [i for i, k in enumerate(monomial) for _ in range(k)]
-        if len(axes) == 1:
-            linear[axes[0]] += c
-        else:
-            quadratic[axes[0], axes[1]] -= c
-            quadratic[axes[1], axes[0]] -= c
-    return quadratic, linear
 
 
 def _tilted(quadratic: sp.Matrix, linear: sp.Matrix, m: sp.Matrix, p: sp.Matrix) -> tuple:

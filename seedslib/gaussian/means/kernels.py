@@ -10,11 +10,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtr
 
+from seedslib.gaussian.arguments import align
 from seedslib.gaussian.means.polynomial import (
     Coefficients,
-    evaluate,
     monomial_means,
     polynomial_mean,
+    polynomial_value,
     predecessors,
 )
 
@@ -52,7 +53,7 @@ def times(matrix: np.ndarray, vector: np.ndarray) -> np.ndarray:
     return np.einsum("ij...,j...->i...", matrix, vector)
 
 
-def dot(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+def inner_product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     """Sum over the first axis of left times right (no conjugation), batch axes last."""
     if left.ndim == 1:
         return np.tensordot(left, right, axes=1)
@@ -74,8 +75,8 @@ def group_mean(
         mean, cov, exponent = tilted(group.quadratic, group.linear, mean, cov)
     elif group.linear is not None:
         shift = times(cov, group.linear)
-        exponent = dot(group.linear, mean) + 0.5 * dot(group.linear, shift)
-        mean = mean + _aligned(shift, mean.ndim)
+        exponent = inner_product(group.linear, mean) + 0.5 * inner_product(group.linear, shift)
+        mean = mean + align(shift, 1, mean.ndim - 1)
     if group.plane is None:
         means = monomial_means(tuple(group.polynomial), mean, cov)
     else:
@@ -93,11 +94,6 @@ def group_mean(
     if np.iscomplexobj(value) and value.imag.any():
         total -= value.imag * np.sin(exponent.imag)
     return np.exp(exponent.real) * total
-
-
-def _aligned(vector: np.ndarray, ndim: int) -> np.ndarray:
-    """Vector (n,) or (n, *batch) with unit batch axes appended up to `ndim` axes."""
-    return vector.reshape(*vector.shape, *(1,) * (ndim - vector.ndim))
 
 
 def tilted(
@@ -123,29 +119,29 @@ def tilted(
     kernel = identity + block @ inner
     # W = M K^-1 solves K' W' = M' ; then K^-1 v = v - P W v
     weight = np.swapaxes(
-        np.linalg.solve(np.swapaxes(kernel, -1, -2), np.broadcast_to(inner.T, kernel.shape)),
-        -1,
-        -2,
+        np.linalg.solve(np.swapaxes(kernel, -1, -2), np.broadcast_to(inner.T, kernel.shape)), -1, -2
     )
     weight = np.moveaxis(weight, (-2, -1), (0, 1))
     columns = cov[:, support]
 
     def reduced(vector: np.ndarray) -> np.ndarray:
         inside = times(columns, times(weight, vector[support]))
-        return vector - _aligned(inside, vector.ndim)
+        return vector - align(inside, 1, vector.ndim - 1)
 
     if weight.ndim == 2:
         new_cov = cov - np.tensordot(np.tensordot(columns, weight, 1), columns.T, 1)
     else:
         new_cov = cov - np.einsum("ia...,ab...,jb...->ij...", columns, weight, columns)
     short = mean[support]
-    log_mass = -0.5 * dot(short, times(weight, short)) - 0.5 * _log_det(kernel, inner)
+    log_mass = -0.5 * inner_product(short, times(weight, short)) - 0.5 * _log_det(kernel, inner)
     new_mean = mean
     if linear is not None:
         shift = times(cov, linear)
-        new_mean = mean + _aligned(shift, mean.ndim)
+        new_mean = mean + align(shift, 1, mean.ndim - 1)
         spread = shift - times(columns, times(weight, shift[support]))
-        log_mass = log_mass + dot(linear, reduced(mean)) + 0.5 * dot(linear, spread)
+        log_mass = (
+            log_mass + inner_product(linear, reduced(mean)) + 0.5 * inner_product(linear, spread)
+        )
     return reduced(new_mean), new_cov, log_mass
 
 
@@ -178,8 +174,8 @@ def half_space_means(
     log_scale : ndarray
     """
     direction = times(cov, plane.normal)
-    location = dot(plane.normal, mean) + plane.offset
-    variance = dot(plane.normal, direction) + plane.blur**2
+    location = inner_product(plane.normal, mean) + plane.offset
+    variance = inner_product(plane.normal, direction) + plane.blur**2
     varies = variance.real > 0
     deviation = np.sqrt(np.where(varies, variance, 1.0))
     ratio = location / deviation
@@ -195,8 +191,8 @@ def half_space_means(
     # the law on the plane; far from it the boundary mass is zero and its mean is not needed
     gain = direction / (deviation * deviation)
     gain = np.where(varies, gain, 0.0)
-    on_mean = mean - _aligned(gain, mean.ndim) * np.where(touched, location, 0.0)
-    on_cov = cov - _aligned(gain, direction.ndim)[:, None] * direction[None]
+    on_mean = mean - align(gain, 1, mean.ndim - 1) * np.where(touched, location, 0.0)
+    on_cov = cov - align(gain, 1, direction.ndim - 1)[:, None] * direction[None]
     visited = predecessors(indices)
     on_plane = monomial_means(visited, on_mean, on_cov)
     boundary = (direction, {alpha: height * value for alpha, value in on_plane.items()})
@@ -213,7 +209,7 @@ def _scaled_tail(ratio: np.ndarray, log_scale: np.ndarray) -> np.ndarray:
 
 def indicator(plane: HalfSpace, point: np.ndarray) -> np.ndarray:
     """Value of the indicator at points (n, *batch), on average over its blur."""
-    u = dot(plane.normal, point) + plane.offset
+    u = inner_product(plane.normal, point) + plane.offset
     if plane.blur:
         return ndtr(u / plane.blur)
     return np.where(u > 0, 1.0, np.where(u < 0, 0.0, plane.edge))
@@ -221,11 +217,11 @@ def indicator(plane: HalfSpace, point: np.ndarray) -> np.ndarray:
 
 def group_value(group: Group, point: np.ndarray, size: int) -> np.ndarray:
     """Value (p, *batch) of a group at points (n, *batch)."""
-    value = evaluate(group.polynomial, point, size)
+    value = polynomial_value(group.polynomial, point, size)
     exponent = 0.0
     if group.quadratic is not None:
-        exponent = -0.5 * dot(point, times(group.quadratic, point))
+        exponent = -0.5 * inner_product(point, times(group.quadratic, point))
     if group.linear is not None:
-        exponent = exponent + dot(group.linear, point)
+        exponent = exponent + inner_product(group.linear, point)
     value = (value * np.exp(exponent)).real
     return value if group.plane is None else value * indicator(group.plane, point)

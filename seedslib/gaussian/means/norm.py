@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance
 from seedslib.gaussian.arguments import gaussian_arguments
 
 STEP = 0.125
@@ -67,34 +66,6 @@ def norm_mean(mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
         centre = np.einsum("...ij,i...->j...", vectors, mean)
         spread, centre = np.broadcast_arrays(spread, centre)
     return _norm_mean(np.maximum(spread, 0.0), centre)[()]
-
-
-def norm_errors(cov: ArrayLike) -> tuple[float, float]:
-    """Mean-square errors of two estimates of the length of the estimation error e ~ N(0, cov).
-
-    Both estimates are constants: the optimal one is the mean length, the other the root of the
-    trace of the covariance (equation (3.4) of Choi, Song, Shin 2019).
-
-    Parameters
-    ----------
-    cov : array_like
-        Shape (n, n).
-
-    Returns
-    -------
-    optimal, root_mean_square : float
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not a covariance.
-    """
-    cov = as_covariance("cov", cov)
-    length = norm_mean(np.zeros(cov.shape[0]), cov)
-    gap = np.sqrt(np.trace(cov)) - length
-    # tr P - z² as a product: no cancellation of squares.
-    optimal = gap * (np.sqrt(np.trace(cov)) + length)
-    return float(optimal), float(optimal + gap**2)
 
 
 def _norm_mean(spread: np.ndarray, centre: np.ndarray) -> np.ndarray:

@@ -178,7 +178,9 @@ def derivative(polynomial: Mapping[Index, np.ndarray], axis: int) -> Coefficient
     return {_lowered(a, axis): a[axis] * c for a, c in polynomial.items() if a[axis]}
 
 
-def evaluate(polynomial: Mapping[Index, np.ndarray], point: np.ndarray, size: int) -> np.ndarray:
+def polynomial_value(
+    polynomial: Mapping[Index, np.ndarray], point: np.ndarray, size: int
+) -> np.ndarray:
     """Values of a polynomial map, shape (p, *batch), at points of shape (n, *batch)."""
     batch = point.shape[1:]
     if not polynomial:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import reduce
 
 import sympy as sp
 
@@ -13,7 +14,7 @@ from seedslib.gaussian.means.classes import (
     NoClosedForm,
     Plane,
     Terms,
-    add,
+    add_terms,
     clean,
     multiply,
     opposite,
@@ -46,6 +47,7 @@ class Reader:
         return NoClosedForm(f"no closed form for {node.xreplace(self.names)}: {why}")
 
     def constant(self, value: sp.Expr) -> Terms:
+        """A polynomial as terms."""
         return clean({PLAIN: sp.Poly(value, *self.symbols)})
 
     def read(self, node: sp.Expr) -> Terms:
@@ -62,7 +64,7 @@ class Reader:
             base, power = node.as_base_exp() if whole else (node, sp.S.One)
             return clean({PLAIN: sp.Poly(base, *self.symbols) ** int(power)})
         if node.is_Add:
-            return self._fold(add, {}, node.args)
+            return self._fold(add_terms, {}, node.args)
         if node.is_Mul:
             return self._fold(multiply, self.one, node.args)
         if node.is_Pow:
@@ -74,8 +76,7 @@ class Reader:
         if isinstance(node, sp.Abs):
             return self._abs(node.args[0], node)
         if isinstance(node, sp.sign):
-            step = self._step(node.args[0], sp.S.Half, node)
-            return add(multiply(self.constant(sp.S(2)), step), self.constant(sp.S.NegativeOne))
+            return self._sign(node.args[0], node)
         if isinstance(node, sp.Heaviside):
             return self._step(node.args[0], node.args[1], node)
         if isinstance(node, (sp.Max, sp.Min)) and len(node.args) == 2:
@@ -84,11 +85,11 @@ class Reader:
             return self._piecewise(node)
         raise self.refuse(node, f"{node.func.__name__} is outside the closed class")
 
+    def _less(self, left: Terms, right: Terms) -> Terms:
+        return add_terms(left, multiply(self.constant(sp.S.NegativeOne), right))
+
     def _fold(self, operation: Callable, start: Terms, nodes: Sequence[sp.Expr]) -> Terms:
-        total = start
-        for node in nodes:
-            total = operation(total, self.read(node))
-        return total
+        return reduce(lambda total, node: operation(total, self.read(node)), nodes, start)
 
     def _power(self, node: sp.Pow) -> Terms:
         base, power = node.as_base_exp()
@@ -97,10 +98,7 @@ class Reader:
         if not base.has(*self.symbols):
             return self._exponential(sp.exp, power * sp.log(base), node)
         if power.is_Integer and power > 0:
-            terms, result = self.read(base), self.one
-            for _ in range(int(power)):
-                result = multiply(result, terms)
-            return result
+            return reduce(multiply, [self.read(base)] * int(power), self.one)
         if (2 * power).is_Integer and power > 0 and base.is_polynomial(*self.symbols):
             whole = self.constant(sp.S.One)
             if power > 1:
@@ -138,7 +136,7 @@ class Reader:
         on = self._affine_exponential(function, outside + inner[key], node)
         sides = [(key.plane, on), (opposite(key.plane), off)]
         halves = [multiply({Key(plane=side): self.one[PLAIN]}, terms) for side, terms in sides]
-        return add(*halves)
+        return add_terms(*halves)
 
     def _affine_exponential(self, function: type, argument: sp.Poly, node: sp.Expr) -> Terms:
         if argument.total_degree() > 2:
@@ -149,7 +147,7 @@ class Reader:
             free = parts.pop((0,) * len(self.symbols), sp.S.Zero)
             key = Key(tuple(sorted(parts.items())))
             scale = sp.Poly(coefficient * sp.exp(free), *self.symbols)
-            total = add(total, {key: scale})
+            total = add_terms(total, {key: scale})
         return total
 
     def _affine(self, argument: sp.Expr, node: sp.Expr) -> sp.Poly:
@@ -171,8 +169,7 @@ class Reader:
         normal = [poly.coeff_monomial(x) for x in self.symbols]
         lead = next(c for c in normal if c != 0)
         if lead.is_negative:
-            flipped = self._step(-argument, 1 - edge, node)
-            return add(self.one, multiply(self.constant(sp.S.NegativeOne), flipped))
+            return self._less(self.one, self._step(-argument, 1 - edge, node))
         scale = lead if lead.is_positive else sp.S.One
         plane = Plane(
             tuple(c / scale for c in normal), poly.coeff_monomial(sp.S.One) / scale, sp.S(edge)
@@ -192,31 +189,33 @@ class Reader:
         minus = next(c for c in normal if c != 0).is_negative
         below = {Key(plane=opposite(plane) if minus else plane): self.one[PLAIN]}
         if minus:
-            below = add(self.one, multiply(self.constant(sp.S.NegativeOne), below))
+            below = self._less(self.one, below)
         if isinstance(node, NormalCDF):
             return below
         shift, scale = (-1, 2) if isinstance(node, sp.erf) else (2, -2)
-        return add(self.constant(sp.S(shift)), multiply(self.constant(sp.S(scale)), below))
+        return add_terms(self.constant(sp.S(shift)), multiply(self.constant(sp.S(scale)), below))
 
     def _abs(self, argument: sp.Expr, node: sp.Expr) -> Terms:
         affine = self.constant(self._affine(argument, node).as_expr())
+        return multiply(affine, self._sign(argument, node))
+
+    def _sign(self, argument: sp.Expr, node: sp.Expr) -> Terms:
         step = self._step(argument, sp.S.Half, node)
-        sign = add(multiply(self.constant(sp.S(2)), step), self.constant(sp.S.NegativeOne))
-        return multiply(affine, sign)
+        return add_terms(multiply(self.constant(sp.S(2)), step), self.constant(sp.S.NegativeOne))
 
     def _larger(self, node: sp.Expr) -> Terms:
         first, second = node.args
         gap = sp.expand(first - second if isinstance(node, sp.Max) else second - first)
         step = self._step(gap, sp.S.Half, node)
         signed = self.read(sp.expand(first - second))
-        return add(self.read(second), multiply(signed, step))
+        return add_terms(self.read(second), multiply(signed, step))
 
     def _piecewise(self, node: sp.Piecewise) -> Terms:
         total, left = self.constant(sp.S.Zero), self.one
         for value, condition in node.args:
             here = multiply(left, self._condition(condition, node))
-            total = add(total, multiply(here, self.read(value)))
-            left = add(left, multiply(self.constant(sp.S.NegativeOne), here))
+            total = add_terms(total, multiply(here, self.read(value)))
+            left = self._less(left, here)
         if left:
             raise self.refuse(node, "wanted a value for every x, the last condition True")
         return total
@@ -224,12 +223,9 @@ class Reader:
     def _condition(self, condition: sp.Basic, node: sp.Expr) -> Terms:
         if condition == sp.true:
             return self.one
-        if isinstance(condition, (sp.StrictGreaterThan, sp.GreaterThan)):
-            edge = sp.S.One if isinstance(condition, sp.GreaterThan) else sp.S.Zero
-            return self._step(condition.lhs - condition.rhs, edge, node)
-        if isinstance(condition, (sp.StrictLessThan, sp.LessThan)):
-            edge = sp.S.One if isinstance(condition, sp.LessThan) else sp.S.Zero
-            return self._step(condition.rhs - condition.lhs, edge, node)
+        if isinstance(condition, (sp.Gt, sp.Ge, sp.Lt, sp.Le)):
+            edge = sp.S.One if isinstance(condition, (sp.Ge, sp.Le)) else sp.S.Zero
+            return self._step(condition.gts - condition.lts, edge, node)
         raise self.refuse(
             node, f"wanted one inequality to a piece, got {condition.xreplace(self.names)}"
         )

@@ -1,4 +1,4 @@
-"""Gaussian means of SymPy expressions: closed forms in symbols and vectorised NumPy functions."""
+"""Classes of functions of a Gaussian vector, and vectorised NumPy functions for their means."""
 
 from __future__ import annotations
 
@@ -11,21 +11,11 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.checks import as_real
-from seedslib.base.symbols import as_expression, as_symbols
+from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.means.classes import Key, NoClosedForm
 from seedslib.gaussian.means.compile import Compiled, compile_terms
-from seedslib.gaussian.means.formulas import mean_formula
-from seedslib.gaussian.means.parse import Parsed, check_symbols, components_of, parse
-
-__all__ = [
-    "FunctionClass",
-    "GaussianMean",
-    "NoClosedForm",
-    "classify",
-    "expectation",
-    "expectation_function",
-]
+from seedslib.gaussian.means.parse import Parsed, components_of, parse
 
 
 class FunctionClass(StrEnum):
@@ -87,123 +77,6 @@ def class_of(parsed: Parsed) -> FunctionClass:
     if any(sum(monomial) == 2 for exponent in exponents for monomial, _ in exponent):
         return FunctionClass.TILT
     return FunctionClass.EXPONENTIAL if exponents else FunctionClass.POLYNOMIAL
-
-
-def expectation(
-    f: object,
-    variables: Sequence[sp.Symbol],
-    mean: Sequence,
-    cov: sp.MatrixBase,
-    *,
-    parameters: Sequence[sp.Symbol] = (),
-) -> sp.Expr | sp.Matrix:
-    """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
-
-    Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
-    quadratics, times the indicator of one half-space or one error function (erf, erfc) of an
-    affine argument. The result is not simplified.
-
-    Parameters
-    ----------
-    f : expression, list or column Matrix of expressions
-        Real function of `variables`.
-    variables : sequence of n Symbols
-        Components of x.
-    mean : list or Matrix of n expressions
-        Real.
-    cov : Matrix (n, n) of expressions
-        Real, symmetric. The formula of a function with a switching plane divides by the variance
-        of the switching function; use `expectation_function` for degenerate numbers.
-    parameters : sequence of Symbols
-        Further symbols that f may contain; taken as real constants.
-
-    Returns
-    -------
-    Expr, or Matrix (p, 1) for a vector f
-
-    Raises
-    ------
-    NoClosedForm
-        A term is outside the class; a norm has only a numeric mean.
-    TypeError, ValueError
-        Unknown symbols in f, wrong shapes, an asymmetric covariance.
-
-    Examples
-    --------
-    >>> x, m, P = sp.symbols("x m P", real=True)
-    >>> expectation(sp.sin(x), [x], [m], sp.Matrix([[P]]))
-    exp(-P/2)*sin(m)
-    """
-    result = mean_expression(f, variables, mean, cov, parameters=parameters)
-    if isinstance(result, sp.MatrixBase):
-        return result.applyfunc(lambda part: part.rewrite(sp.erf))
-    return result.rewrite(sp.erf)
-
-
-def mean_expression(
-    f: object,
-    variables: Sequence[sp.Symbol],
-    mean: Sequence,
-    cov: sp.MatrixBase,
-    *,
-    parameters: Sequence[sp.Symbol] = (),
-) -> sp.Expr | sp.Matrix:
-    """As `expectation`, with probabilities of half-spaces as `NormalCDF`.
-
-    Code made of it keeps the relative accuracy of small probabilities.
-    """
-    variables = as_symbols("variables", variables)
-    n = len(variables)
-    mean, cov = _matrix("mean", list(mean)), _matrix("cov", cov)
-    if mean.shape != (n, 1):
-        raise ValueError(f"mean: wanted {n} components, got shape {mean.shape}")
-    if cov.shape != (n, n):
-        raise ValueError(f"cov: wanted shape ({n}, {n}), got {cov.shape}")
-    if any(sp.expand(entry) != 0 for entry in cov - cov.T):
-        raise ValueError("cov: wanted a symmetric matrix")
-    formulas, means, covs, scalar = _template(
-        components_of(f), variables, as_symbols("parameters", parameters)
-    )
-    values = dict(zip(means, mean, strict=True))
-    values |= {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
-    results = [formula.xreplace(values) for formula in formulas]
-    return results[0] if scalar else sp.Matrix(results)
-
-
-def _matrix(name: str, value: object) -> sp.Matrix:
-    """Matrix of expressions; SymPy alone would evaluate strings."""
-    if isinstance(value, sp.MatrixBase):
-        return sp.Matrix(value)
-    array = np.array(value, dtype=object)
-    entries = [as_expression(name, entry) for entry in array.ravel()]
-    return sp.Matrix(*(array.shape if array.ndim == 2 else (array.size, 1)), entries)
-
-
-@lru_cache(maxsize=256)
-def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
-    """Formulas in stand-ins for the mean and covariance, cached by (expressions, symbols)."""
-    expressions, scalar = components
-    parsed = parse(list(expressions), variables, parameters)
-    for expression, terms in zip(expressions, parsed.components, strict=True):
-        if any(key.norm is not None for key in terms):
-            raise NoClosedForm(
-                f"no closed form in symbols for {expression}: the mean of a norm is an integral; "
-                "expectation_function gives its numbers"
-            )
-    n = len(variables)
-    means = tuple(sp.Dummy(f"m{i}", real=True) for i in range(n))
-    upper = {
-        (i, j): sp.Dummy(f"P{i}{j}", real=True, nonnegative=True if i == j else None)
-        for i in range(n)
-        for j in range(i, n)
-    }
-    covs = tuple(tuple(upper[min(i, j), max(i, j)] for j in range(n)) for i in range(n))
-    back = dict(zip(parsed.parameters, parameters, strict=True))
-    formulas = tuple(
-        mean_formula(terms, parsed.symbols, means, covs).xreplace(back)
-        for terms in parsed.components
-    )
-    return formulas, means, covs, scalar
 
 
 @dataclass(frozen=True, eq=False)
@@ -296,10 +169,8 @@ def expectation_function(
         Unknown symbols in f, repeated variables, complex or infinite values. When called: bad
         means or covariances, or an infinite mean (`ValueError`).
     """
-    expressions, scalar = components_of(f)
     variables, parameters = as_symbols("variables", variables), as_symbols("parameters", parameters)
-    check_symbols(expressions, variables, parameters)
-    return _function(expressions, scalar, variables, parameters)
+    return _function(*components_of(f), variables, parameters)
 
 
 @lru_cache(maxsize=256)

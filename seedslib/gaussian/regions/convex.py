@@ -54,10 +54,9 @@ def convex_moments(zx: Twofold, zy: Twofold) -> ConvexMoments:
     real = length.hi > 0.0
     if not real.any(axis=0).all():
         raise ValueError("vertices: wanted polygons larger than 1e-150 standard deviations")
-    one = Twofold.of(np.ones_like(length.hi))
-    unit = where(real, length, one)
-    tx, ty = ex / unit, ey / unit
-    px, py, boundary = _nearest(zx, zy, tx, ty, length, real)
+    unit = where(real, length, Twofold.of(np.ones_like(length.hi)))
+    edges = _Edges(zx, zy, ex / unit, ey / unit, length, real)
+    px, py, boundary = _nearest(edges)
     square = dot(px, py, px, py)
     reach = np.maximum(np.abs(zx.hi), np.abs(zy.hi)).max(axis=0)
     if ((boundary < _FARTHEST) & (reach > _REACH)).any():
@@ -65,7 +64,7 @@ def convex_moments(zx: Twofold, zy: Twofold) -> ConvexMoments:
             f"vertices: wanted vertices within {_REACH:g} standard deviations of the mean, got "
             f"{reach.max():.3g}; an unbounded region is given by rays"
         )
-    fx, fy = _frame(zx, zy, tx, ty, length, real, square.hi)
+    fx, fy = _frame(edges, square.hi)
     # from here on: coordinates from p, with the chosen edge along the second axis
     ox, oy = zx - px, zy - py
     x, y = ox * fy - oy * fx, ox * fx + oy * fy
@@ -74,10 +73,20 @@ def convex_moments(zx: Twofold, zy: Twofold) -> ConvexMoments:
     return ConvexMoments(square, px, py, fx, fy, integrate(panels, qx.hi, qy.hi))
 
 
-def _nearest(
-    zx: Twofold, zy: Twofold, tx: Twofold, ty: Twofold, length: Twofold, real: np.ndarray
-) -> tuple[Twofold, Twofold, np.ndarray]:
+class _Edges(NamedTuple):
+    """Edges (V, N): where they start, their unit directions, lengths, and which have one."""
+
+    zx: Twofold
+    zy: Twofold
+    tx: Twofold
+    ty: Twofold
+    length: Twofold
+    real: np.ndarray
+
+
+def _nearest(edges: _Edges) -> tuple[Twofold, Twofold, np.ndarray]:
     """The point of each polygon nearest to the origin, and the squared distance of the edges."""
+    zx, zy, tx, ty, length, real = edges
     along = -dot(zx, zy, tx, ty)
     zero = Twofold.of(np.zeros_like(along.hi))
     along = where(along.hi <= 0.0, zero, where(along.hi >= length.hi, length, along))
@@ -91,20 +100,13 @@ def _nearest(
     return where(inside, origin, px), where(inside, origin, py), square.min(axis=0)
 
 
-def _frame(
-    zx: Twofold,
-    zy: Twofold,
-    tx: Twofold,
-    ty: Twofold,
-    length: Twofold,
-    real: np.ndarray,
-    square: np.ndarray,
-) -> tuple[Twofold, Twofold]:
+def _frame(edges: _Edges, square: np.ndarray) -> tuple[Twofold, Twofold]:
     """Direction of the edge with the longest part within the range of the density.
 
     A slender region, or one far in the tail, is then slender along the axes, and neither its
     exponents nor its covariance cancel.
     """
+    zx, zy, tx, ty, length, real = edges
     h = cross(zx, zy, tx, ty).hi
     nearest = np.sqrt(square)
     half = np.sqrt(np.maximum(_RANGE + (nearest - h) * (nearest + h), 0.0))
@@ -139,47 +141,63 @@ class _Lines(NamedTuple):
         return where(x.hi < low.hi, low, where(x.hi > high.hi, high, x))
 
 
+class _Strips(NamedTuple):
+    """Slabs of convex polygons, shape (N,): ``low <= y' <= high`` between two sides.
+
+    `px`, `py` is the polygon's nearest point p, from which all is measured, `square` is |p|^2.
+    """
+
+    left: _Lines
+    right: _Lines
+    low: np.ndarray
+    high: np.ndarray
+    px: np.ndarray
+    py: np.ndarray
+    square: np.ndarray
+
+
 def _panels(x: Twofold, y: Twofold, px: np.ndarray, py: np.ndarray, square: np.ndarray) -> Panels:
     """Slabs between consecutive ordinates of vertices, cut further by `_cut`."""
     order = np.lexsort((y.lo, y.hi), axis=0)
     rank = np.empty_like(order)
     np.put_along_axis(rank, order, np.arange(order.shape[0])[:, None], axis=0)
-    ordinates = y.along(order)
-    height = (ordinates[1:] - ordinates[:-1]).hi
+    levels = y.along(order)
     following = np.roll(rank, -1, axis=0)
     slab = np.arange(order.shape[0] - 1)[:, None, None]
-    up = (rank <= slab) & (following > slab)
-    down = (following <= slab) & (rank > slab)
+    up, down = (rank <= slab) & (following > slab), (following <= slab) & (rank > slab)
     slope_x, slope_y = x.roll() - x, y.roll() - y
     slope = slope_x / where(slope_y.hi != 0.0, slope_y, Twofold.of(np.ones_like(slope_y.hi)))
+    height = (levels[1:] - levels[:-1]).hi
+    used = (height > 0.0) & (square < _FARTHEST)
+    owner = np.broadcast_to(np.arange(px.size), height.shape)[used]
     sides = []
     for mask in (down, up):
         index = np.argmax(mask, axis=1)
         sides.append([item.along(index) for item in (x, y, slope, x.roll())])
-    used = (height > 0.0) & (square < _FARTHEST)
-    owner = np.broadcast_to(np.arange(px.size), height.shape)[used]
     left, right = (_Lines(*(item[used] for item in side)) for side in sides)
-    low, high = ordinates.hi[:-1][used], ordinates.hi[1:][used]
-    return _cut(owner, left, right, low, high, px[owner], py[owner], square[owner])
+    low, high = levels.hi[:-1][used], levels.hi[1:][used]
+    return _cut(owner, _Strips(left, right, low, high, px[owner], py[owner], square[owner]))
 
 
-def _cut(
-    owner: np.ndarray,
-    left: _Lines,
-    right: _Lines,
-    low: np.ndarray,
-    high: np.ndarray,
-    px: np.ndarray,
-    py: np.ndarray,
-    square: np.ndarray,
-) -> Panels:
-    """Slabs to panels: within a panel no side crosses the range of the density abruptly."""
+def _cut(owner: np.ndarray, strips: _Strips) -> Panels:
+    """Slabs to panels: within a panel no side crosses the range of the density abruptly.
+
+    What counts lies within ``R = sqrt(120)`` of p, or of the nearest point of a level line. A
+    slab is cut at the ordinates where
+
+    - its visible part begins and ends,
+    - a side meets the range about the mean, ``px + left(y) = -R`` or ``px + right(y) = R``,
+    - its width ``right(y) - left(y)`` grows beyond 2 R, or beyond what the density reaches from
+      the nearest point of the level line at either end.
+    """
+    left, right, low, _, px, _, _ = strips
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-        begin, end = _visible(left, right, low, high, px, py, square)
+        begin, end = _visible(strips)
         edge = np.sqrt(_RANGE)
         cuts = [begin, end]
         cuts.append((-edge - px - left.level.hi) / left.slope.hi)
         cuts.append((edge - px - right.level.hi) / right.slope.hi)
+        # the width is linear in the ordinate: at_level + y growth
         at_level, growth = (right.level - left.level).hi, (right.slope - left.slope).hi
         widths = [np.full_like(low, 2.0 * edge)]
         for level in (begin, end):
@@ -187,11 +205,13 @@ def _cut(
             widths.append(reach_of(np.maximum(nearest, 0.0)))
         for width in widths:
             cuts.append((width - at_level) / growth)
+        # what is met nowhere, or outside, makes panels without height
         cuts = np.stack(cuts)
         cuts = np.sort(np.clip(np.where(np.isnan(cuts), begin, cuts), begin, end), axis=0)
     height = cuts[1:] - cuts[:-1]
     used = height > 0.0
     x_left, x_right = left.at(cuts), right.at(cuts)
+    # of a narrow slab the abscissas have no digits of the width, their twofold difference has
     width = np.maximum((x_right - x_left).hi, 0.0)
     rows = [cuts[:-1], height]
     for item in (x_left.hi, x_right.hi, width):
@@ -199,16 +219,13 @@ def _cut(
     return Panels(np.broadcast_to(owner, height.shape)[used], np.stack([row[used] for row in rows]))
 
 
-def _visible(
-    left: _Lines,
-    right: _Lines,
-    low: np.ndarray,
-    high: np.ndarray,
-    px: np.ndarray,
-    py: np.ndarray,
-    square: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Ordinates between which a slab meets the disc of the range; equal if nowhere."""
+def _visible(strips: _Strips) -> tuple[np.ndarray, np.ndarray]:
+    """Ordinates between which a slab meets the disc of the range; equal if nowhere.
+
+    The disc ``|z|^2 <= |p|^2 + 120`` enters or leaves a slab where a side meets its circle, at
+    its top or bottom, or at the slab's own ends.
+    """
+    left, right, low, high, px, py, square = strips
     nearest = np.sqrt(square)
     radius = np.sqrt(square + _RANGE)
     points = []

@@ -8,11 +8,13 @@ sums of normal densities and distribution functions of h, t1, t2; the mass needs
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 from scipy.special import ndtr, owens_t
 
+from seedslib.gaussian.regions.law import Cases
 from seedslib.gaussian.regions.twofold import determinant
 
 _U = 0.5 * np.finfo(float).eps
@@ -32,24 +34,10 @@ class EdgeMoments(NamedTuple):
     estimate: np.ndarray
 
 
-def edge_moments(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    rays: np.ndarray | None,
-) -> EdgeMoments:
+def edge_moments(cases: Cases) -> EdgeMoments:
     """Moments over counter-clockwise polygons, by the closed form.
 
-    Parameters
-    ----------
-    mean : ndarray, shape (2, B)
-    cov : ndarray, shape (2, 2, B)
-        Positive definite.
-    x, y : ndarray, shape (V, B)
-        Vertices.
-    rays : ndarray, shape (2, 2, B), or None
-        As in `Outline`.
+    Covariances have to be positive definite.
 
     Returns
     -------
@@ -60,7 +48,7 @@ def edge_moments(
         the sums.
     """
     with np.errstate(all="ignore"):
-        return _moments(mean, cov, x, y, rays)
+        return _moments(cases)
 
 
 class _Lines(NamedTuple):
@@ -76,13 +64,8 @@ class _Lines(NamedTuple):
     tilt: np.ndarray
 
 
-def _moments(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    rays: np.ndarray | None,
-) -> EdgeMoments:
+def _moments(cases: Cases) -> EdgeMoments:
+    mean, cov, x, y, rays, _ = cases
     sigma = np.sqrt(cov[0, 0])
     slope = cov[0, 1] / cov[0, 0]
     rest = np.sqrt(determinant(cov[0, 0], cov[0, 1], cov[0, 1], cov[1, 1])) / sigma
@@ -101,7 +84,7 @@ def _moments(
         lines.real[-1] &= ~unbounded
         turn = np.where(unbounded, _angle(r1, r2, z1, z2), 0.0) / _TWO_PI
         ends = z1[[0, -1]], z2[[0, -1]], error[[0, -1]]
-        more = _rays(*ends, r1, r2, ray_error, unbounded)
+        more = _rays(ends, (r1, r2, ray_error), unbounded)
         lines = _Lines(*(np.concatenate(pair) for pair in zip(lines, more, strict=True)))
     mass, mass_error = _mass(lines, turn)
     first, second, first_error, second_error = _first_and_second(lines, mass)
@@ -133,44 +116,27 @@ def _finite_edges(z1: np.ndarray, z2: np.ndarray, error: np.ndarray) -> _Lines:
     both = error + np.roll(error, -1, axis=0)
     reach = np.abs(z1) + np.abs(z2)
     shift = both + 2.0 * _U * (reach + np.roll(reach, -1, axis=0))
-    return _Lines(
-        h=z1 * tau2 - z2 * tau1,
-        tau1=tau1,
-        tau2=tau2,
-        start=z1 * tau1 + z2 * tau2,
-        end=w1 * tau1 + w2 * tau2,
-        real=real,
-        shift=shift,
-        tilt=both / unit + 2.0 * _U,
-    )
+    tilt = both / unit + 2.0 * _U
+    start, end = z1 * tau1 + z2 * tau2, w1 * tau1 + w2 * tau2
+    return _Lines(z1 * tau2 - z2 * tau1, tau1, tau2, start, end, real, shift, tilt)
 
 
-def _rays(
-    z1: np.ndarray,
-    z2: np.ndarray,
-    error: np.ndarray,
-    r1: np.ndarray,
-    r2: np.ndarray,
-    ray_error: np.ndarray,
-    unbounded: np.ndarray,
-) -> _Lines:
-    """The incoming and the outgoing ray as edges, both in the direction of the boundary."""
+def _rays(ends: Sequence, directions: Sequence, unbounded: np.ndarray) -> _Lines:
+    """The incoming and the outgoing ray as edges, both in the direction of the boundary.
+
+    Ends and directions are each two components, of shape (2, B), and how far off they may be.
+    """
+    (z1, z2, error), (r1, r2, ray_error) = ends, directions
     norm = np.where(unbounded, np.hypot(r1, r2), 1.0)
     way = np.array([[-1.0], [1.0]])
     tau1, tau2 = way * r1 / norm, way * r2 / norm
     position = z1 * tau1 + z2 * tau2
     infinite = np.full_like(position[0], np.inf)
+    start, end = np.stack([-infinite, position[1]]), np.stack([position[0], infinite])
+    real = np.broadcast_to(unbounded, tau1.shape)
     tilt = ray_error / norm + 6.0 * _U
-    return _Lines(
-        h=z1 * tau2 - z2 * tau1,
-        tau1=tau1,
-        tau2=tau2,
-        start=np.stack([-infinite, position[1]]),
-        end=np.stack([position[0], infinite]),
-        real=np.broadcast_to(unbounded, tau1.shape),
-        shift=error + 2.0 * _U * (np.abs(z1) + np.abs(z2)) + tilt * (1.0 + np.abs(position)),
-        tilt=tilt,
-    )
+    shift = error + 2.0 * _U * (np.abs(z1) + np.abs(z2)) + tilt * (1.0 + np.abs(position))
+    return _Lines(z1 * tau2 - z2 * tau1, tau1, tau2, start, end, real, shift, tilt)
 
 
 def _mass(lines: _Lines, turn: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -11,9 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.gaussian.regions.twofold import Twofold, binary_scale, cross, dot
+from seedslib.gaussian.arguments import blockwise
+from seedslib.gaussian.regions.twofold import Twofold, binary_scale, cross, dot, together
 
 _PAIRS = 4_000_000  # pairs of edges looked at together
+_ARC = 8  # chords of a full turn that close an unbounded region
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +36,6 @@ class Outline:
     y: np.ndarray
     rays: np.ndarray | None
     convex: np.ndarray
-
-    @property
-    def unbounded(self) -> np.ndarray:
-        """Which regions are unbounded, shape (...)."""
-        if self.rays is None:
-            return np.zeros(self.x.shape[1:], dtype=bool)
-        return self.rays.any(axis=(0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -87,14 +82,12 @@ def outline(vertices: np.ndarray, rays: np.ndarray | None) -> Outline:
     flat = vertices.reshape(*vertices.shape[:2], -1)
     flat = flat / binary_scale(np.abs(flat).max(axis=(0, 1)))
     flat_rays = None if rays is None else rays.reshape(2, 2, -1)
-    size = flat.shape[2]
-    clockwise, convex = np.empty(size, dtype=bool), np.empty(size, dtype=bool)
-    step = max(1, _PAIRS // flat.shape[0] ** 2)
-    for start in range(0, size, step):
-        block = slice(start, start + step)
-        part = None if flat_rays is None else flat_rays[:, :, block]
-        place = _Place(batch, start)
-        clockwise[block], convex[block] = _judge(flat[:, :, block], part, place)
+
+    def judged(block: slice) -> tuple[np.ndarray, np.ndarray]:
+        part = None if flat_rays is None else flat_rays[..., block]
+        return _judge(flat[..., block], part, _Place(batch, block.start))
+
+    clockwise, convex = blockwise(judged, flat.shape[2], max(1, _PAIRS // flat.shape[0] ** 2))
     shaped = np.where(clockwise.reshape(batch), vertices[::-1], vertices)
     return Outline(shaped[:, 0], shaped[:, 1], rays, convex.reshape(batch))
 
@@ -125,15 +118,13 @@ def _judge(
         place.refuse(present[0] != present[1], "rays", "two nonzero directions, or two zero ones")
         unbounded = present[0]
     edges = _edges(flat, rays, unbounded)
-    real = edges.real
-    count = real.sum(axis=0)
     place.refuse(
-        count < np.where(unbounded, 2, 3),
+        edges.real.sum(axis=0) < np.where(unbounded, 2, 3),
         "vertices",
         "at least three distinct vertices, got a degenerate polygon",
     )
-    turns = _turns(edges, real, unbounded, place)
-    _refuse_contact(edges, real, count, unbounded, place)
+    turns = _turns(edges, place)
+    _refuse_contact(edges, place)
     clockwise = ~unbounded & (_doubled_area(flat).hi < 0.0)
     return clockwise, (turns >= 0).all(axis=0) | (clockwise & (turns <= 0).all(axis=0))
 
@@ -153,10 +144,7 @@ def _edges(flat: np.ndarray, rays: np.ndarray | None, unbounded: np.ndarray) -> 
     inward, outward = Twofold.of(-rays[0]), Twofold.of(rays[1])
 
     def chain(d: Twofold, axis: int) -> Twofold:
-        return Twofold(
-            np.concatenate([inward.hi[axis][None], d.hi, outward.hi[axis][None]]),
-            np.concatenate([inward.lo[axis][None], d.lo, outward.lo[axis][None]]),
-        )
+        return together(np.concatenate, [inward[axis][None], d, outward[axis][None]])
 
     edge = np.zeros((1, x.shape[1]), dtype=bool)
     first = np.concatenate([edge | unbounded, nowhere, edge])
@@ -185,16 +173,16 @@ def _sign(ax: Twofold, ay: Twofold, bx: Twofold, by: Twofold) -> np.ndarray:
     return np.sign(value)
 
 
-def _turns(edges: _Edges, real: np.ndarray, unbounded: np.ndarray, place: _Place) -> np.ndarray:
+def _turns(edges: _Edges, place: _Place) -> np.ndarray:
     """Sign of the turn after each edge; zero for padding and at infinity."""
-    size = real.shape[0]
+    real, size = edges.real, len(edges.x)
     index = np.where(real, np.arange(size)[:, None], size)
     following = np.minimum.accumulate(index[::-1], axis=0)[::-1]
     following = np.concatenate([following[1:], np.full_like(following[:1], size)])
     following = np.where(following < size, following, index.min(axis=0))
     bx, by = edges.dx.along(following), edges.dy.along(following)
     turns = _sign(edges.dx, edges.dy, bx, by)
-    counted = real & ~(edges.to_infinity & unbounded)
+    counted = real & ~edges.to_infinity
     forward = edges.dx.hi * bx.hi + edges.dy.hi * by.hi
     place.refuse(
         (counted & (turns == 0) & (forward < 0.0)).any(axis=0),
@@ -204,19 +192,13 @@ def _turns(edges: _Edges, real: np.ndarray, unbounded: np.ndarray, place: _Place
     return np.where(counted, turns, 0)
 
 
-def _refuse_contact(
-    edges: _Edges,
-    real: np.ndarray,
-    count: np.ndarray,
-    unbounded: np.ndarray,
-    place: _Place,
-) -> None:
+def _refuse_contact(edges: _Edges, place: _Place) -> None:
     """Refuse polygons two edges of which meet anywhere but in their common vertex."""
-    size = real.shape[0]
-    i, j = np.triu_indices(size, 1)
+    real, closed = edges.real, ~edges.to_infinity.any(axis=0)
+    i, j = np.triu_indices(len(real), 1)
     rank = np.cumsum(real, axis=0) - 1
     gap = rank[j] - rank[i]
-    neighbours = (gap == 1) | (~unbounded & (gap == count - 1))
+    neighbours = (gap == 1) | (closed & (gap == rank[-1]))
     pairs = real[i] & real[j] & ~neighbours
     if not pairs.any():
         return
@@ -271,6 +253,16 @@ def _overlap(edges: _Edges, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         low_i, high_i = span(np.zeros_like(length), length, i)
         low_j, high_j = span(first, along, j)
     return np.maximum(low_i, low_j) <= np.minimum(high_i, high_j)
+
+
+def closing_chords(start: np.ndarray, angle: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """How unbounded regions are closed far away: directions from `start` on through `angle`.
+
+    Shape (7, B), and which of them lie within the angle.
+    """
+    chords = np.maximum(np.ceil(angle * (_ARC / (2.0 * np.pi))), 1.0)
+    step = np.arange(1, _ARC)[:, None]
+    return start + angle * step / chords, step < chords
 
 
 def _doubled_area(flat: np.ndarray) -> Twofold:

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.checks import as_real
+from seedslib.gaussian.arguments import as_bound, blockwise, variance_argument
 from seedslib.gaussian.regions.nodes import flat_interval
 from seedslib.gaussian.regions.regions import RegionMoments
 
@@ -12,11 +14,7 @@ _BLOCK = 16384  # intervals at a time
 
 
 def interval(
-    mean: np.ndarray,
-    var: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-    about: float | np.ndarray = 0.0,
+    mean: ArrayLike, var: ArrayLike, lower: ArrayLike, upper: ArrayLike, about: ArrayLike = 0.0
 ) -> RegionMoments:
     """Mass, mean and variance of a scalar Gaussian law over the interval (lower, upper).
 
@@ -52,35 +50,19 @@ def interval(
         A NaN, an infinite `mean`, `var` or `about`, a negative `var`, ``lower > upper``, or
         shapes that do not broadcast.
     """
-    mean, var, about = as_real("mean", mean), as_real("var", var), as_real("about", about)
-    lower, upper = _as_bound("lower", lower), _as_bound("upper", upper)
-    if (var < 0.0).any():
-        raise ValueError(f"var: wanted nonnegative variances, got {var.min():g}")
+    mean, var = as_real("mean", mean), variance_argument("var", var)
+    lower, upper = as_bound("lower", lower), as_bound("upper", upper)
     try:
-        shape = np.broadcast_shapes(mean.shape, var.shape, lower.shape, upper.shape)
-        np.broadcast_to(about, shape)
+        flat = np.broadcast_arrays(mean, var, lower, upper)
     except ValueError as error:
         raise ValueError(
-            "mean, var, lower, upper, about: wanted shapes that broadcast, got "
-            f"{mean.shape}, {var.shape}, {lower.shape}, {upper.shape}, {about.shape}"
+            "mean, var, lower, upper: wanted shapes that broadcast, got "
+            f"{mean.shape}, {var.shape}, {lower.shape}, {upper.shape}"
         ) from error
     if (lower > upper).any():
         raise ValueError("lower: wanted lower <= upper, got an interval with lower > upper")
-    flat = [np.broadcast_to(item, shape).ravel() for item in (mean, var, lower, upper)]
-    out = np.empty((3, flat[0].size))
-    for start in range(0, flat[0].size, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        out[:, block] = flat_interval(*(item[block] for item in flat))
-    log_mass, conditioned_mean, conditioned_var = out.reshape(3, *shape)
-    return RegionMoments(log_mass, conditioned_mean, conditioned_var, about)
-
-
-def _as_bound(name: str, value: object) -> np.ndarray:
-    """Real array in which infinities, but not NaN, are legal."""
-    array = np.asarray(unmasked(name, value))
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
-    array = array.astype(float)
-    if np.isnan(array).any():
-        raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
-    return array
+    shape, flat = flat[0].shape, [item.ravel() for item in flat]
+    found = blockwise(
+        lambda block: flat_interval(*(item[block] for item in flat)), flat[0].size, _BLOCK
+    )
+    return RegionMoments(*(part.reshape(shape)[()] for part in found)).referred_to(about)

@@ -1,6 +1,8 @@
-"""Checks of laws in the plane and beyond, batch axes last, shared by `lift` and `polygon`."""
+"""Laws in the plane and beyond, batch axes last: checks, and the cases that a route takes."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,6 +13,33 @@ from seedslib.gaussian.regions.twofold import binary_scale, determinant
 SINGULAR = 4.0 * np.finfo(float).eps
 _ASYMMETRY = 1e-10
 _INDEFINITE = 1e-10
+
+
+class Cases(NamedTuple):
+    """Laws in the plane beside simple counter-clockwise polygons, one flat batch of size B.
+
+    Means (2, B) and covariances (2, 2, B); vertices (V, B), rays (2, 2, B) or None and convexity
+    (B,) as in `geometry.Outline`.
+    """
+
+    mean: np.ndarray
+    cov: np.ndarray
+    x: np.ndarray
+    y: np.ndarray
+    rays: np.ndarray | None
+    convex: np.ndarray
+
+    def take(self, index: slice | np.ndarray) -> Cases:
+        """The cases at some places of the batch."""
+        return Cases(*(None if part is None else part[..., index] for part in self))
+
+
+class FlatMoments(NamedTuple):
+    """Logarithm of the mass (B,), mean (2, B) and covariance (2, 2, B) of the conditioned law."""
+
+    log_mass: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
 
 
 def as_law(
@@ -51,26 +80,6 @@ def as_law(
                     f"the two standard deviations allow at ({i}, {j})"
                 )
     return mean, cov
-
-
-def as_reference(about: object, size: int, batch: tuple[int, ...]) -> np.ndarray:
-    """Reference point of shape (size, ...), its batch axes aligned with `batch`."""
-    point = as_real("about", about)
-    if point.ndim < 1 or point.shape[0] != size:
-        raise ValueError(f"about: wanted shape ({size}, ...), got {point.shape}")
-    try:
-        np.broadcast_to(point[0], batch)
-    except ValueError as error:
-        raise ValueError(
-            f"about: wanted batch axes that broadcast to {batch}, got {point.shape[1:]}"
-        ) from error
-    return align(point, 1, batch)
-
-
-def align(array: np.ndarray, axes: int, batch: tuple[int, ...]) -> np.ndarray:
-    """Axes of length one between the component axes and the batch axes, up to those of `batch`."""
-    missing = len(batch) - (array.ndim - axes)
-    return array.reshape((*array.shape[:axes], *(1,) * missing, *array.shape[axes:]))
 
 
 def scaled(cov: np.ndarray) -> tuple[np.ndarray, ...]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.gaussian.regions.law import as_law, as_reference, is_regular, scaled
+from seedslib.gaussian.arguments import align
+from seedslib.gaussian.regions.law import as_law, is_regular, scaled
 from seedslib.gaussian.regions.regions import RegionMoments
 from seedslib.gaussian.regions.twofold import binary_scale, determinant
 
 
 def lift(
-    moments: RegionMoments,
-    mean: np.ndarray,
-    cov: np.ndarray,
-    about: np.ndarray | None = None,
+    moments: RegionMoments, mean: ArrayLike, cov: ArrayLike, about: ArrayLike | None = None
 ) -> RegionMoments:
     """Moments of a Gaussian vector of which only the leading one or two components are restricted.
 
@@ -65,15 +64,11 @@ def lift(
             "mean, cov: wanted batch axes that broadcast with those of the moments, got "
             f"{mean.shape[1:]}, {cov.shape[2:]} and {moments.log_mass.shape}"
         ) from error
-    reference = 0.0 if about is None else as_reference(about, size, batch)
-
     gain = _regression(cov, lead)
     lifted_mean = np.empty((size, *batch))
     lifted_cov = np.empty((size, size, *batch))
-    for i in range(lead):
-        lifted_mean[i] = lead_mean[i]
-        for j in range(lead):
-            lifted_cov[i, j] = lead_cov[i, j]
+    lifted_mean[:lead] = align(lead_mean, 1, len(batch))
+    lifted_cov[:lead, :lead] = align(lead_cov, 2, len(batch))
     shift = [lead_mean[i] - mean[i] for i in range(lead)]
     for j in range(lead, size):
         # component j regressed on the block: its cross-covariance, mean, and what is left over
@@ -86,9 +81,8 @@ def lift(
             residual = cov[l, j] - sum(cov[i, l] * k[i] for i in range(lead))
             spread = sum(gain[l - lead][i] * cross[i] for i in range(lead))
             lifted_cov[l, j] = lifted_cov[j, l] = residual + spread
-    return RegionMoments(
-        np.broadcast_to(moments.log_mass, batch), lifted_mean, lifted_cov, reference
-    )
+    lifted = RegionMoments(np.broadcast_to(moments.log_mass, batch), lifted_mean, lifted_cov)
+    return lifted if about is None else lifted.referred_to(about)
 
 
 def _regression(cov: np.ndarray, lead: int) -> list[list[np.ndarray]]:

@@ -4,39 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
+from seedslib.gaussian.regions.geometry import closing_chords
+from seedslib.gaussian.regions.law import Cases, FlatMoments
 from seedslib.gaussian.regions.nodes import flat_interval
 from seedslib.gaussian.regions.twofold import Twofold, binary_scale, cross
 
 _BEYOND = 50.0
-_ARC = 8
 
 
-def singular_moments(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    rays: np.ndarray | None,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def singular_moments(cases: Cases) -> FlatMoments:
     """Moments over polygons of laws whose covariance has rank one or zero.
 
     The line of the law is moved by an infinitesimal ``(e^2, e)``, which makes every polygon
     half-open: a point on a boundary belongs to exactly one cell of a partition.
-
-    Parameters
-    ----------
-    mean : ndarray, shape (2, B)
-    cov : ndarray, shape (2, 2, B)
-        Singular.
-    x, y : ndarray, shape (V, B)
-        Vertices of simple counter-clockwise polygons.
-    rays : ndarray, shape (2, 2, B), or None
-        As in `Outline`.
-
-    Returns
-    -------
-    log_mass, mean, cov : ndarray, shapes (B,), (2, B), (2, 2, B)
     """
+    mean, cov, x, y, rays, _ = cases
     deviation = np.sqrt(np.stack([cov[0, 0], cov[1, 1]]))
     deviation[1] = np.copysign(deviation[1], cov[0, 1])
     point = ~deviation.any(axis=0)
@@ -77,12 +59,8 @@ def _crossings(
 
 
 def _along_line(
-    mean: np.ndarray,
-    deviation: np.ndarray,
-    point: np.ndarray,
-    lower: np.ndarray,
-    upper: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    mean: np.ndarray, deviation: np.ndarray, point: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> FlatMoments:
     """Mixture of the intervals of a standard normal coordinate, (pairs, B) ends."""
     shape = lower.shape
     var = np.broadcast_to(np.where(point, 0.0, 1.0), shape).ravel()
@@ -100,7 +78,7 @@ def _along_line(
     spread = np.where(some, spread.sum(axis=0), np.nan)
     centre = np.where(some, centre, np.nan)
     log_mass = np.where(some, np.log(np.where(some, total, 1.0)) + largest, -np.inf)
-    return (
+    return FlatMoments(
         np.minimum(log_mass, 0.0),
         mean + deviation * centre,
         deviation[:, None] * deviation[None, :] * spread,
@@ -121,18 +99,15 @@ def _close(
     side = ox * (y[0] - y[-1]) - oy * (x[0] - x[-1])
     around = (angle < 0.0) | ((angle == 0.0) & (side < 0.0))
     angle = np.where(around, angle + 2.0 * np.pi, angle)
-    chords = np.maximum(np.ceil(angle * (_ARC / (2.0 * np.pi))), 1.0)
-    step = np.arange(1, _ARC)[:, None]
-    direction = np.arctan2(oy, ox) + angle * step / chords
-    on_arc = step < chords
+    direction, on_arc = closing_chords(np.arctan2(oy, ox), angle)
 
-    def join(z: np.ndarray, m: np.ndarray, out: np.ndarray, back: np.ndarray, arc: np.ndarray):
+    def join(
+        z: np.ndarray, m: np.ndarray, out: np.ndarray, back: np.ndarray, arc: np.ndarray
+    ) -> np.ndarray:
         first, last = z[0] + 2.0 * radius * back, z[-1] + 2.0 * radius * out
         middle = np.where(on_arc, m + 2.0 * radius * arc, first)
         more = [np.where(unbounded, item, z[-1]) for item in (last, *middle, first)]
         return np.concatenate([z, np.stack(more)])
 
-    return (
-        join(x, mean[0], ox, ix, np.cos(direction)),
-        join(y, mean[1], oy, iy, np.sin(direction)),
-    )
+    closed = join(x, mean[0], ox, ix, np.cos(direction))
+    return closed, join(y, mean[1], oy, iy, np.sin(direction))

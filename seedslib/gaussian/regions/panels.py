@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.polynomial import legendre
 
+from seedslib.gaussian.arguments import blockwise
 from seedslib.gaussian.regions.nodes import peak_rule, reach_of, unit_nodes
 
 _OUTER = 20
@@ -78,14 +79,12 @@ def integrate(panels: Panels, px: np.ndarray, py: np.ndarray) -> Gathered:
     return _gather(np.concatenate(owners), np.concatenate(moments, axis=1), regions)
 
 
-def _evaluate_all(panels: Panels, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _evaluate_all(panels: Panels, px: np.ndarray, py: np.ndarray) -> list[np.ndarray]:
     """Block by block: moments (6, N) and tails (N,)."""
-    values, tail = np.empty((6, panels.owner.size)), np.empty(panels.owner.size)
-    for start in range(0, panels.owner.size, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        owner = panels.owner[block]
-        values[:, block], tail[block] = _evaluate(panels.sides[:, block], px[owner], py[owner])
-    return values, tail
+    px, py = px[panels.owner], py[panels.owner]
+    return blockwise(
+        lambda block: _evaluate(panels.sides[:, block], px[block], py[block]), px.size, _BLOCK
+    )
 
 
 def _evaluate(sides: np.ndarray, px: np.ndarray, py: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real
+from seedslib.gaussian.arguments import align, blockwise
 from seedslib.gaussian.regions.edges import edge_moments
 from seedslib.gaussian.regions.geometry import outline
-from seedslib.gaussian.regions.law import align, as_law, as_reference, is_regular
+from seedslib.gaussian.regions.law import Cases, as_law, is_regular
 from seedslib.gaussian.regions.line import singular_moments
 from seedslib.gaussian.regions.regions import RegionMoments
 from seedslib.gaussian.regions.slabs import slab_moments
@@ -18,12 +20,12 @@ _BLOCK = 8192
 
 
 def polygon(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    vertices: np.ndarray,
-    about: np.ndarray | None = None,
+    mean: ArrayLike,
+    cov: ArrayLike,
+    vertices: ArrayLike,
+    about: ArrayLike | None = None,
     *,
-    rays: np.ndarray | None = None,
+    rays: ArrayLike | None = None,
     tolerance: float = 1e-12,
 ) -> RegionMoments:
     """Mass, mean and covariance of a Gaussian law in the plane over simple polygons.
@@ -109,35 +111,20 @@ def polygon(
         ) from error
     if not tolerance >= 0.0:
         raise ValueError(f"tolerance: wanted a nonnegative number, got {tolerance}")
-    reference = 0.0 if about is None else as_reference(about, 2, batch)
-    vertices, rays = (
-        None
-        if item is None
-        else np.broadcast_to(align(item, 2, region_batch), (*item.shape[:2], *region_batch))
-        for item in (vertices, rays)
+    shape = outline(_spread(vertices, 2, region_batch), _spread(rays, 2, region_batch))
+    items = (mean, 1), (cov, 2), (shape.x, 1), (shape.y, 1), (shape.rays, 2), (shape.convex, 0)
+    full = (_spread(item, axes, batch) for item, axes in items)
+    cases = Cases(
+        *(f if f is None else f.reshape(*f.shape[: f.ndim - len(batch)], -1) for f in full)
     )
-    shape = outline(vertices, rays)
-    flat = [
-        _flatten(item, axes, batch)
-        for item, axes in (
-            (mean, 1), (cov, 2), (shape.x, 1), (shape.y, 1), (shape.rays, 2), (shape.convex, 0),
-        )
-    ]  # fmt: skip
-    size = flat[0].shape[-1]
-    log_mass, centre, spread = np.empty(size), np.empty((2, size)), np.empty((2, 2, size))
-    for start in range(0, size, _BLOCK):
-        block = slice(start, start + _BLOCK)
-        part = [None if item is None else item[..., block] for item in flat]
-        log_mass[block], centre[:, block], spread[:, :, block] = _moments(*part, tolerance)
-    return RegionMoments(
-        log_mass.reshape(batch),
-        centre.reshape(2, *batch),
-        spread.reshape(2, 2, *batch),
-        reference,
+    found = blockwise(
+        lambda block: _moments(cases.take(block), tolerance), cases.convex.size, _BLOCK
     )
+    moments = RegionMoments(*(part.reshape((*part.shape[:-1], *batch)) for part in found))
+    return moments if about is None else moments.referred_to(about)
 
 
-def pad_regions(regions: Sequence[np.ndarray]) -> np.ndarray:
+def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:
     """Vertices of several polygons in one array, the shorter ones padded by their last vertex.
 
     Parameters
@@ -168,43 +155,32 @@ def pad_regions(regions: Sequence[np.ndarray]) -> np.ndarray:
     return np.stack(padded, axis=-1)
 
 
-def _moments(
-    mean: np.ndarray,
-    cov: np.ndarray,
-    x: np.ndarray,
-    y: np.ndarray,
-    rays: np.ndarray | None,
-    convex: np.ndarray,
-    tolerance: float,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Each flat batch element by the route that is right for it."""
-    size = convex.size
-    log_mass, centre, spread = np.empty(size), np.empty((2, size)), np.empty((2, 2, size))
+def _moments(cases: Cases, tolerance: float) -> list[np.ndarray]:
+    """Log-mass, mean and covariance of each case, by the route that is right for it."""
+    size = cases.convex.size
+    found = [np.empty(size), np.empty((2, size)), np.empty((2, 2, size))]
 
-    def put(where: np.ndarray, found: tuple) -> None:
-        log_mass[where], centre[:, where], spread[:, :, where] = found
+    def put(where: np.ndarray, parts: Sequence[np.ndarray]) -> None:
+        for whole, part in zip(found, parts, strict=True):
+            whole[..., where] = part
 
-    def take(where: np.ndarray) -> list:
-        return [None if a is None else a[..., where] for a in (mean, cov, x, y, rays)]
-
-    regular = is_regular(cov)
+    regular = is_regular(cases.cov)
     rest = np.flatnonzero(regular)
     if tolerance > 0.0 and rest.size:
-        closed = edge_moments(*take(rest))
+        closed = edge_moments(cases.take(rest))
         good = closed.estimate <= tolerance
-        put(rest[good], tuple(item[..., good] for item in closed[:3]))
+        put(rest[good], [item[..., good] for item in closed[:3]])
         rest = rest[~good]
     if rest.size:
-        put(rest, slab_moments(*take(rest), convex[rest]))
+        put(rest, slab_moments(cases.take(rest)))
     rest = np.flatnonzero(~regular)
     if rest.size:
-        put(rest, singular_moments(*take(rest)))
-    return log_mass, centre, spread
+        put(rest, singular_moments(cases.take(rest)))
+    return found
 
 
-def _flatten(array: np.ndarray | None, axes: int, batch: tuple[int, ...]) -> np.ndarray | None:
-    """Component axes kept, batch axes broadcast and made one."""
+def _spread(array: np.ndarray | None, axes: int, batch: tuple[int, ...]) -> np.ndarray | None:
+    """The array with all batch axes behind its first `axes` axes."""
     if array is None:
         return None
-    full = np.broadcast_to(align(array, axes, batch), (*array.shape[:axes], *batch))
-    return full.reshape(*array.shape[:axes], -1)
+    return np.broadcast_to(align(array, axes, len(batch)), (*array.shape[:axes], *batch))

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real
+from seedslib.gaussian.arguments import align
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +59,7 @@ class RegionMoments:
         """Whether the region is one-dimensional and the arrays carry no component axes."""
         return self.mean.ndim == self.log_mass.ndim
 
-    def referred_to(self, about: float | np.ndarray) -> RegionMoments:
+    def referred_to(self, about: ArrayLike) -> RegionMoments:
         """The same moments with `second` taken about another reference point.
 
         Parameters
@@ -65,11 +67,17 @@ class RegionMoments:
         about : float or array_like
             Scalar case: broadcastable to `mean`. Vector case: shape (k, ...), the batch axes
             broadcastable to those of `mean`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Not real, not finite, or a shape that does not fit.
         """
         point = as_real("about", about)
         if not self.scalar and point.ndim:
-            missing = (1,) * (self.mean.ndim - point.ndim)
-            point = point.reshape(point.shape[:1] + missing + point.shape[1:])
+            point = align(point, 1, self.log_mass.ndim)
+        if not self.scalar and point.shape[:1] != self.mean.shape[:1]:
+            raise ValueError(f"about: wanted shape ({len(self.mean)}, ...), got {np.shape(about)}")
         try:
             np.broadcast_to(point, self.mean.shape)
         except ValueError as error:

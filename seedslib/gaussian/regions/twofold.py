@@ -6,6 +6,7 @@ Geometry of slender or huge polygons loses everything in double precision (a str
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -98,11 +99,9 @@ class Twofold:
     def __getitem__(self, index: object) -> Twofold:
         return Twofold(self.hi[index], self.lo[index])
 
-    def along(self, index: np.ndarray, axis: int = 0) -> Twofold:
-        """`numpy.take_along_axis` of both parts."""
-        return Twofold(
-            np.take_along_axis(self.hi, index, axis), np.take_along_axis(self.lo, index, axis)
-        )
+    def along(self, index: np.ndarray) -> Twofold:
+        """`numpy.take_along_axis` of both parts, along the first axis."""
+        return Twofold(*(np.take_along_axis(part, index, 0) for part in (self.hi, self.lo)))
 
     def roll(self) -> Twofold:
         """Each vertex's successor: the first axis shifted by one, cyclically."""
@@ -112,6 +111,11 @@ class Twofold:
 def where(condition: np.ndarray, a: Twofold, b: Twofold) -> Twofold:
     """`numpy.where` of both parts."""
     return Twofold(np.where(condition, a.hi, b.hi), np.where(condition, a.lo, b.lo))
+
+
+def together(put: Callable, parts: Sequence[Twofold]) -> Twofold:
+    """`numpy.stack` or `numpy.concatenate` of both parts."""
+    return Twofold(put([part.hi for part in parts]), put([part.lo for part in parts]))
 
 
 def cross(ax: Twofold, ay: Twofold, bx: Twofold, by: Twofold) -> Twofold:

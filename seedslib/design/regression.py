@@ -1,4 +1,4 @@
-"""Linear regression from moments: what the synthesis fits before each step.
+"""Linear regression from moments: what a design fits before each step.
 
 Samples are gathered in bundles of paths. Each is reduced to its count, mean and centred sum of
 products; they are merged in their order, so the result does not depend on threads.
@@ -6,10 +6,13 @@ products; they are merged in their order, so the result does not depend on threa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
+
+from seedslib.designed.predictors import AffineFit
 
 RELATIVE = 1e-10
 """Eigenvalues of the correlation matrix at or below this fraction of the largest count as zero."""
@@ -48,7 +51,7 @@ def scatter(rows: np.ndarray) -> Scatter:
     return Scatter(count, mean + shift, products - count * np.outer(shift, shift))
 
 
-def merge(parts: Iterable[Scatter]) -> Scatter:
+def combine(parts: Iterable[Scatter]) -> Scatter:
     """Moments of all samples from those of the bundles, in their order (Chan's update)."""
     total = None
     for part in parts:
@@ -66,39 +69,19 @@ def merge(parts: Iterable[Scatter]) -> Scatter:
     return total
 
 
-class AffineFit(NamedTuple):
-    """Forecast affine in the memory: mean = gain u + offset, with a constant covariance.
+def root_mean_squares(found: Scatter, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Root mean squares from the moments of samples whose first `n` rows are squares.
 
-    Attributes
-    ----------
-    gain : ndarray, shape (n, d)
-        Gamma of the paper, (6.3).
-    offset : ndarray, shape (n,)
-        kappa.
-    cov : ndarray, shape (n, n)
-        T, the covariance of what the memory does not explain.
+    Returns
+    -------
+    rms, error : ndarray, shape (n,)
+        The roots and their standard errors: those of the mean squares by twice the roots.
+    spread : ndarray, shape (p,)
+        Standard deviations of all rows.
     """
-
-    gain: np.ndarray
-    offset: np.ndarray
-    cov: np.ndarray
-
-    def mean(self, u: np.ndarray) -> np.ndarray:
-        """Forecast (n, *batch) from the memory (d, *batch)."""
-        return affine(self.gain, self.offset, u)
-
-    def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Forecast (n, *batch) and its covariance (n, n)."""
-        return affine(self.gain, self.offset, u), self.cov
-
-
-def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
-    """Gain times u plus offset for u of shape (d, *batch)."""
-    if u.ndim == 1:
-        return gain @ u + offset
-    if u.ndim == 2:
-        return gain @ u + offset[:, None]
-    return np.tensordot(gain, u, 1) + offset.reshape(-1, *(1,) * (u.ndim - 1))
+    spread = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
+    rms, error = np.sqrt(found.mean[:n]), spread[:n] / math.sqrt(found.count)
+    return rms, np.divide(error, 2.0 * rms, out=np.zeros(n), where=rms > 0), spread
 
 
 def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
@@ -129,7 +112,9 @@ def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
     return root
 
 
-def regress(mean: np.ndarray, cov: np.ndarray, targets: int, size=None) -> AffineFit:
+def regress(
+    mean: np.ndarray, cov: np.ndarray, targets: int, size: np.ndarray | None = None
+) -> AffineFit:
     """Best affine forecast of the first `targets` components from the others, (6.3).
 
     Parameters

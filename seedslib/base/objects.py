@@ -1,0 +1,78 @@
+"""How objects show themselves, and how they travel to other processes and back."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from functools import cached_property, partial
+from html import escape
+
+
+class Shown:
+    """An object that shows itself: one line in a console, a small table in a notebook.
+
+    A class says in `_shown` which of its attributes are worth a word; one that prints as a page
+    of words, by its own ``__str__``, is that page in a notebook.
+    """
+
+    _shown: tuple[str, ...] = ()
+
+    def _rows(self) -> dict[str, object]:
+        """What the table says, by name."""
+        return {name.replace("_", " "): getattr(self, name) for name in self._shown}
+
+    def __repr__(self) -> str:
+        names = (name.replace("_", " ") for name in self._shown)
+        parts = (f"{n} {getattr(self, a)}" for n, a in zip(names, self._shown, strict=True))
+        return f"<{type(self).__name__}: {', '.join(parts)}>"
+
+    def _repr_html_(self) -> str:
+        if type(self).__str__ is not object.__str__:
+            return f"<pre>{escape(str(self))}</pre>"
+        rows = "".join(
+            f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
+            for name, value in self._rows().items()
+        )
+        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
+
+
+class Remade:
+    """An object that is pickled as the arguments it was made of, and made of them again.
+
+    What was compiled is compiled there. Functions among the arguments are pickled by their names:
+    a model with a lambda in it is refused, in pickle's words.
+    """
+
+    def __new__(cls, *arguments, **options):
+        """Keep what the object is made of."""
+        self = object.__new__(cls)
+        self.__dict__["_made_of"] = arguments, options
+        return self
+
+    def __reduce__(self):
+        return _remade, (type(self), *self.__dict__["_made_of"])
+
+
+def by_fields(description: object, **changes: object) -> tuple:
+    """What ``__reduce__`` gives of a dataclass that is made again from its fields."""
+    parts = {part.name: getattr(description, part.name) for part in fields(description)}
+    return partial(type(description), **(parts | changes)), ()
+
+
+def _remade(kind, arguments, options):
+    return kind(*arguments, **options)
+
+
+class Travelling:
+    """A symbolic map or system is pickled as its expressions, which are compiled when needed.
+
+    What is made when it is first used is left behind. Given array functions travel themselves.
+    """
+
+    _functions = ("_value", "_weight", "conditional", "drift", "diffusion", "intensity")
+
+    def __getstate__(self) -> dict:
+        parts = vars(type(self)).items()
+        made = {name for name, part in parts if isinstance(part, cached_property)}
+        made.add("_increment_cache")
+        made = made.union(self._functions) if self.symbolic else made.difference(self._functions)
+        return {name: part for name, part in self.__dict__.items() if name not in made}

@@ -1,0 +1,84 @@
+"""How forecasts from the memory are found: the regressions of a predictor over design paths."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from seedslib.design.regression import ABSOLUTE, Scatter, regress
+from seedslib.designed.predictors import (
+    AffineFit,
+    Fit,
+    Polynomial,
+    PolynomialFit,
+    monomial_recipe,
+    monomials,
+    standardised,
+)
+
+
+def fit_forecast(
+    predictor: object, gather: Callable[..., Scatter], targets: int, size: np.ndarray
+) -> Fit:
+    """Fit the forecast of the state from the memory.
+
+    Parameters
+    ----------
+    predictor : Affine, Polynomial or Continuous
+    gather : callable
+        ``gather(rows) -> Scatter`` of ``rows(x, u)`` over all design paths.
+    targets : int
+        Number of components of x.
+    size : ndarray, shape (d,)
+        Magnitudes of the memory's components, see `regression.inverse_root`.
+
+    Returns
+    -------
+    AffineFit or PolynomialFit
+        The second of a `Polynomial`, which takes three passes over the paths.
+    """
+    if isinstance(predictor, Polynomial):
+        return _polynomial(predictor, gather, targets, size)
+    return fit_affine(gather, targets, size)
+
+
+def fit_affine(gather: Callable[..., Scatter], targets: int, size: np.ndarray) -> AffineFit:
+    """Affine forecast of the state from the memory; arguments as `fit_forecast`."""
+    found = gather(lambda x, u: np.concatenate([x, u]))
+    return regress(found.mean, found.cov, targets, size)
+
+
+def coefficients_of(predictor: object, dimension: int) -> int:
+    """Number of coefficients per target for a memory of this dimension."""
+    if isinstance(predictor, Polynomial):
+        return len(monomial_recipe(dimension, max(predictor.mean_degree, predictor.cov_degree)))
+    return dimension
+
+
+def _polynomial(predictor, gather, n, size):
+    found = gather(lambda x, u: u)
+    deviation = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
+    kept = deviation > ABSOLUTE * np.maximum(size, np.abs(found.mean))
+    # a constant component gets the scale zero, which makes it and its powers vanish
+    scale = np.where(kept, 1.0, 0.0) / np.where(kept, deviation, 1.0)
+
+    def lifted(u, degree):
+        return monomials(standardised(u, found.mean, scale), degree)
+
+    first = gather(lambda x, u: np.concatenate([x, lifted(u, predictor.mean_degree)]))
+    mean = regress(first.mean, first.cov, n)
+    rows, columns = np.tril_indices(n)
+
+    def products(x, u):
+        error = x - mean.mean(lifted(u, predictor.mean_degree))
+        return np.concatenate([error[rows] * error[columns], lifted(u, predictor.cov_degree)])
+
+    if predictor.cov_degree == 0:
+        gain, offset = np.zeros((len(rows), 0)), mean.cov[rows, columns]
+    else:
+        second = gather(products)
+        gain, offset, _ = regress(second.mean, second.cov, len(rows))
+    return PolynomialFit(
+        found.mean, scale, *mean, gain, offset, predictor.mean_degree, predictor.cov_degree
+    )

@@ -1,0 +1,141 @@
+"""What a design does not say of its filter: covariances after a missing measurement.
+
+Covariances of a designed filter hold under the law that it was designed for, of paths without
+gaps. A memory of estimates never forgets a gap, so from a missing measurement to the end of a
+record they are NaN; means go on.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from seedslib.filters.estimates import Estimates
+
+if TYPE_CHECKING:
+    from seedslib.designed.finite_order_rules import FiniteOrderState
+    from seedslib.designed.switching_rules import SwitchingState
+    from seedslib.linearization.moments import Moments
+
+
+def dropouts(
+    y: np.ndarray, measured: np.ndarray | None = None, indicators: np.ndarray | None = None
+) -> np.ndarray | None:
+    """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
+
+    None where nothing was.
+
+    Parameters
+    ----------
+    y : ndarray, shape (J+1, m, *batch)
+    measured : ndarray of bool, shape (J+1,), optional
+        Times at which the design has a measurement, all by default.
+    indicators : ndarray of int, shape (J+1, *batch), optional
+        -1 is a missing one.
+    """
+    if not np.isnan(y).any() and (indicators is None or not (indicators < 0).any()):
+        return None
+    lost = np.isnan(y).any(axis=1)
+    if indicators is not None:
+        lost |= indicators < 0
+    if measured is not None:
+        lost[~measured] = False
+    return np.logical_or.accumulate(lost)
+
+
+def step_unclaimed(
+    found: FiniteOrderState, state: FiniteOrderState, gap: np.ndarray | bool
+) -> FiniteOrderState:
+    """A corrected state without what it cannot know; cheap where nothing was missing.
+
+    Parameters
+    ----------
+    found, state : FiniteOrderState
+        After the correction and before it.
+    gap : ndarray of bool, shape (*batch), or False
+        Whether some of the measurement was missing.
+    """
+    old = _gap_before(state)
+    if gap is False and old is False:
+        return found
+    cov = _where(old | gap, found.cov)
+    return found._replace(cov=cov, loglik=np.where(old, np.nan, found.loglik))
+
+
+def law_unclaimed(
+    found: SwitchingState, state: SwitchingState, y: np.ndarray, indicator: np.ndarray | None
+) -> SwitchingState:
+    """As `step_unclaimed`, for the law of a `SwitchingState`."""
+    gap = np.isnan(y).any(axis=0) | state.gap
+    if indicator is not None:
+        gap = gap | (indicator < 0)
+    if not np.any(gap):
+        return found
+    law = found.law._replace(cov=np.where(gap, np.nan, found.law.cov))
+    return found._replace(law=law, loglik=np.where(state.gap, np.nan, found.loglik), gap=gap)
+
+
+def unexpected(moments: Moments, state: FiniteOrderState) -> Moments:
+    """Moments of a measurement, only their mean where one before it was missing."""
+    old = _gap_before(state)
+    if old is False:
+        return moments
+    return moments._replace(cross=_where(old, moments.cross), cov=_where(old, moments.cov))
+
+
+def _gap_before(state):
+    """Paths on which a measurement before that of a forecast was missing, or False.
+
+    The covariance of the last estimate is NaN there.
+    """
+    before = state.before
+    if before is None or before.cov is None:
+        return False
+    first = before.cov[0, 0]
+    gap = first != first  # a number that is none; of scalars the quickest way to ask
+    return gap if (gap.any() if gap.ndim else gap) else False
+
+
+def _where(gap, part):
+    """NaN on the paths of a gap (*batch) in an array (a, b) or (a, b, *batch)."""
+    return np.where(gap, np.nan, part.reshape(*part.shape, *(1,) * (np.ndim(gap) + 2 - part.ndim)))
+
+
+def unclaimed(
+    found: Estimates, lost: np.ndarray | None, times: np.ndarray, stacklevel: int = 3
+) -> Estimates:
+    """Estimates without the covariances and likelihoods that a filter cannot know.
+
+    Parameters
+    ----------
+    found : Estimates
+    lost : ndarray of bool, shape (J+1, *batch), or None
+        See `dropouts`.
+    times : ndarray, shape (J+1,)
+
+    Warns
+    -----
+    UserWarning
+        Once where there are any; how many records, and from which time.
+    """
+    if lost is None:
+        return found
+    # the measurement at the first gap was still forecast from a memory without one
+    after = np.concatenate([np.zeros_like(lost[:1]), lost[:-1]])
+    cov, loglik = found.cov, found.loglik
+    if cov is not None and lost.any():
+        cov = cov.reshape(*cov.shape, *(1,) * (lost.ndim + 2 - cov.ndim))
+        cov = np.where(lost[:, None, None], np.nan, cov)
+    if loglik is not None and (after & ~np.isnan(loglik)).any():
+        loglik = np.where(after, np.nan, loglik)
+    if cov is not found.cov or loglik is not found.loglik:
+        records = lost[-1].size
+        warnings.warn(
+            f"measurements: {np.count_nonzero(lost[-1])} of {records} records have gaps, from "
+            f"{times[lost.reshape(len(lost), -1).any(axis=1).argmax()]:g} on, which the design "
+            "does not know of: covariances are NaN from a gap on, likelihoods after it",
+            stacklevel=stacklevel,
+        )
+    return found._replace(cov=cov, loglik=loglik)

@@ -1,0 +1,1 @@
+"""Shelf: filters of output functions, which tables are one kind of."""

@@ -1,0 +1,221 @@
+"""Tables of output functions: their axes, their arguments, and how they are looked up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from seedslib.base.tables import Axis, Labels, locate
+from seedslib.designed.memory import Memory, Past
+from seedslib.designed.prediction import accuracy
+from seedslib.models.kinds import switches
+
+if TYPE_CHECKING:
+    from seedslib.designed.outputs.filter import OutputFilter
+
+
+class Output(NamedTuple):
+    """What an output function gives.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (n', *batch)
+    mode : ndarray of int, shape (*batch), or None
+        The decided mode, of a system with modes.
+    prob : ndarray, shape (L, *batch), or None
+        Probabilities of the modes, where they are wanted.
+    """
+
+    mean: np.ndarray
+    mode: np.ndarray | None = None
+    prob: np.ndarray | None = None
+
+    def filling(self, batch: tuple[int, ...]) -> Output:
+        """The same on all paths, of a function that looked at nothing that has their axes."""
+        if self.mean.ndim > len(batch):
+            return self
+        wide = (..., *(None,) * len(batch))
+        parts = (part if part is None else np.asarray(part) for part in self)
+        return Output(
+            *(
+                None if part is None else np.array(np.broadcast_to(part[wide], part.shape + batch))
+                for part in parts
+            )
+        )
+
+
+class Table(NamedTuple):
+    """Estimate, and where there are modes the decided one and their probabilities, as tables.
+
+    Estimates and probabilities are multilinear between the nodes and constant beyond the ends of
+    an axis; the decided mode is that of the nearest node.
+
+    Attributes
+    ----------
+    axes : tuple of Axis or Labels
+    estimate : ndarray, shape (n', count of each axis...)
+    mode : ndarray of int8, shape (count of each axis...), or None
+    prob : ndarray, shape (L, count of each axis...), or None
+    """
+
+    axes: tuple[Axis | Labels, ...]
+    estimate: np.ndarray
+    mode: np.ndarray | None = None
+    prob: np.ndarray | None = None
+
+    def __call__(self, points: Sequence[np.ndarray]) -> Output:
+        """Values at points, one for each axis, of shapes that broadcast to (*batch)."""
+        place = locate(self.axes, points)
+        mode = None if self.mode is None else place.nearest(self.mode.reshape(-1))
+        prob = None if self.prob is None else place.rows(self.prob)
+        return Output(place.rows(self.estimate), mode, prob)
+
+
+class Step(NamedTuple):
+    """Output functions of one measurement, of arguments as `arguments` lists them.
+
+    Attributes
+    ----------
+    shown : callable
+        Of the measurement and the memory before it.
+    blind : callable
+        Of the memory alone, where the measurement is missing: the forecast.
+    """
+
+    shown: Callable[[Sequence[np.ndarray]], Output]
+    blind: Callable[[Sequence[np.ndarray]], Output]
+
+
+def prior(system, components: int) -> Table:
+    """The forecast for the first measurement of a system without modes: its initial mean."""
+    return Table((), np.array(system.mean0[:components]))
+
+
+def step_axes(system, memory: Memory, measured, estimated, k: int) -> tuple[tuple, tuple]:
+    """Axes of the tables of measurement k.
+
+    The first axis of both is the indicator, where there is one; its last label is a missing one.
+
+    Parameters
+    ----------
+    system : object
+        Of any kind.
+    memory : Memory
+    measured, estimated : tuple of Axis
+        Of the components of a measurement, and of an estimate.
+    k : int
+
+    Returns
+    -------
+    shown, blind : tuple of Axis or Labels
+    """
+    values = system.indicators
+    told = (Labels(values + 1),) if values else ()
+    decided, kept = letter_labels(system, memory)
+    held = (decided + kept + estimated) * min(k, memory.estimates)
+    held += (kept + measured) * min(k, memory.measurements)
+    return told + measured + held, told + held
+
+
+def letter_labels(system, memory: Memory) -> tuple[tuple, tuple]:
+    """Labels before the numbers of a remembered estimate: its decided mode, and its indicator."""
+    decided = (Labels(system.modes),) if switches(system) and memory.estimates else ()
+    return decided, ((Labels(system.indicators),) if memory.indicators else ())
+
+
+def require_letters(memory: Memory, indicators: int, place: str = "") -> None:
+    """Refuse a memory whose blocks are not all alike.
+
+    Parameters
+    ----------
+    memory : Memory
+    indicators : int
+        Values of the indicator, 0 without one.
+    place : str
+        For the message: what they are wanted for.
+
+    Raises
+    ------
+    ValueError
+        Estimates and measurements, or neither; log-odds; other than as many indicators.
+    """
+    told = memory.indicators
+    if (
+        bool(memory.estimates) == bool(memory.measurements)
+        or memory.log_odds
+        or (told and not indicators)
+        or told not in (0, memory.depth)
+    ):
+        raise ValueError(f"memory: wanted estimates or measurements alone{place}, got {memory}")
+
+
+def recalled(system, memory: Memory, components: int, k: int, points) -> Past:
+    """The memory after measurement k from what `arguments` lists of it, (d, *batch)."""
+    decided, kept = letter_labels(system, memory)
+    past: dict[str, list] = {name: [] for name in Past._fields}
+    rows = list(points)
+    for name, size in (("estimates", components), ("measurements", system.measurement_size)):
+        for _ in range(min(k + 1, getattr(memory, name))):
+            if decided and name == "estimates":
+                past["modes"].append(rows.pop(0).astype(int))
+            if kept:
+                past["indicators"].append(rows.pop(0).astype(int))
+            past[name].append(np.array([rows.pop(0) for _ in range(size)]))
+    return Past(**{name: tuple(blocks) for name, blocks in past.items()})
+
+
+def arguments(system, y, indicator, past: Past) -> list:
+    """Arguments of an output function, in the order of the axes of its table.
+
+    Parameters
+    ----------
+    system : object
+        Of any kind.
+    y : sequence of ndarray
+        Components of the measurement; none for a function without it.
+    indicator : ndarray of int, or None
+        -1 is a missing one, and so is None.
+    past : Past
+        The memory before the measurement.
+    """
+    points, values = [], system.indicators
+    if values:
+        # the label after the last value is a missing indicator
+        indicator = np.asarray(-1 if indicator is None else indicator)
+        points.append(np.where(indicator < 0, values, indicator))
+    points += tuple(y)
+    for number, block in enumerate(past.estimates + past.measurements):
+        if past.modes:
+            points.append(past.modes[number])
+        if past.indicators:
+            points.append(past.indicators[number])
+        points += tuple(block)
+    return points
+
+
+def summary(filter: OutputFilter) -> str:
+    """A filter of output functions in words."""
+    times, design = filter.times, filter.design
+    modes = f"{filter.system.modes} modes, of " if switches(filter.system) else ""
+    made = design.source("exact moments or densities on a grid, without random numbers")
+    later = "none after the last time"
+    if filter.lasting:
+        moved, decided = filter.change
+        later = (
+            "the last table serves all; over its last step it changed by "
+            f"{moved:.2g} of the error and {decided:.2g} in the mode"
+        )
+    return "\n".join([
+        f"Finite-order filter of {modes}order {filter.order}: {filter.memory}",
+        f"  estimates    {filter.components} of {filter.system.state_size} state components",
+        f"  by           {filter.made}",
+        f"  measurements {len(times)}, from {times[0]:g} to {times[-1]:g}",
+        f"  later times  {later}",
+        f"  designed on  {made}",
+        "  predicted root-mean-square errors"
+        + (" and probability of a wrong mode" if modes else "")
+        + ("" if design.exact else " (with standard errors)"),
+        *accuracy(filter, not design.exact),
+    ])  # fmt: skip

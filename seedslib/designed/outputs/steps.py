@@ -1,0 +1,150 @@
+"""From one measurement to the next with output functions: arrival, correction, forecasts between.
+
+Functions of a filter, which holds what does not change, and of its state, which does.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from seedslib.designed.between import Interval
+from seedslib.designed.memory import Past
+from seedslib.designed.outputs.lookup import Output, arguments
+
+
+class OutputState(NamedTuple):
+    """What a filter of output functions remembers.
+
+    Attributes
+    ----------
+    index : int
+        Number k of the last measurement time reached; -1 before the first.
+    time : float or None
+    mean : ndarray, shape (n', *batch)
+        Forecast after `predict`, estimate after `correct`, NaN before both.
+    cov : ndarray, shape (n', n') or (n', n', *batch), or None
+        Error covariance of the estimate that the design found, NaN from a gap on.
+    mode : ndarray of int, shape (*batch), or None
+        The mode that is likeliest in the forecast, or the decided one.
+    mode_prob : ndarray, shape (L, *batch), or None
+    past : Past
+        The memory; after `predict` still the one before.
+    before : OutputState or None
+        The state after the measurement before the last, needed by linear forecasts.
+    gap : ndarray of bool, shape (*batch), or False
+        Whether something has been missing so far.
+    corrected : bool
+    """
+
+    index: int
+    time: float | None
+    mean: np.ndarray
+    cov: np.ndarray | None = None
+    mode: np.ndarray | None = None
+    mode_prob: np.ndarray | None = None
+    past: Past = Past()
+    before: OutputState | None = None
+    gap: np.ndarray | bool = False
+    corrected: bool = False
+
+
+def arrived(filter, state: OutputState) -> OutputState:
+    """The state at the next measurement time, with the estimate that it had."""
+    before = state._replace(before=None) if state.corrected else None
+    k, time = state.index + 1, next_time(filter, state)
+    return OutputState(k, time, state.mean, past=state.past, before=before, gap=state.gap)
+
+
+def next_time(filter, state: OutputState) -> float:
+    """The measurement time after that of a state.
+
+    Raises
+    ------
+    ValueError
+        There is none.
+    """
+    k, times = state.index + 1, filter.clock.times
+    if k < len(times):
+        return times[k]
+    if not filter.lasting:
+        raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
+    return state.time + (times[-1] - times[-2])
+
+
+def found(filter, state: OutputState, y, indicator) -> Output:
+    """What the functions of a measurement find; y is None where it is missing."""
+    step = filter.steps[min(state.index, len(filter.steps) - 1)]
+    points = arguments(filter.system, () if y is None else y, indicator, state.past)
+    output = (step.blind if y is None else step.shown)(points)
+    return output.filling(state.mean.shape[1:])
+
+
+def corrected(filter, state: OutputState, y: np.ndarray, indicator) -> OutputState:
+    """The state after a measurement, (m, *batch), and an indicator, (*batch) or None.
+
+    Raises
+    ------
+    ValueError
+        Only some components missing; a missing measurement or indicator that is to be remembered.
+    """
+    memory, lost, gap = filter.memory, np.isnan(y), state.gap
+    if lost.any():
+        output, gap = _without(filter, state, y, indicator, lost), gap | lost.any(axis=0)
+    else:
+        output = found(filter, state, y, indicator)
+    if indicator is not None and (indicator < 0).any():
+        if memory.indicators:
+            raise ValueError("indicator: wanted by the memory, got a missing one")
+        gap = gap | (indicator < 0)
+    mean, mode, prob = output
+    past = memory.push(state.past, estimate=mean, measurement=y, mode=mode, indicator=indicator)
+    cov = filter.covariances[min(state.index, len(filter.covariances) - 1)]
+    if gap is not False:  # the design knows the error without gaps only
+        cov = np.where(gap, np.nan, cov[(..., *(None,) * np.ndim(gap))])
+    return OutputState(
+        state.index, state.time, mean, cov, mode, prob, past, state.before, gap, corrected=True
+    )
+
+
+def _without(filter, state, y, indicator, lost) -> Output:
+    """What is found where some measurements are missing."""
+    missing = lost.all(axis=0)
+    if not np.array_equal(lost.any(axis=0), missing):
+        raise ValueError("y: wanted all components of a measurement or none, got some NaN")
+    if filter.memory.measurements:
+        raise ValueError("y: wanted a measurement, it is to be remembered; got NaN")
+    unseen = found(filter, state, None, indicator)
+    if missing.all():
+        return unseen
+    seen = found(filter, state, np.where(lost, 0.0, y), indicator)
+    return Output(
+        *(None if a is None else np.where(missing, b, a) for a, b in zip(seen, unseen, strict=True))
+    )
+
+
+def interval(filter, state: OutputState) -> Interval:
+    """All that is known from the last measurement to the next: Z_k, nodes, end."""
+    times, values = _nodes(filter, state)
+    nodes, last, last_node = len(times) - 1, None, None
+    if state.before is not None:
+        before = list(zip(*_nodes(filter, state.before), strict=True))
+        last, last_node = before[0], before[-1]
+    if filter.lasting or state.index + 1 < len(filter.times):
+        ahead = arrived(filter, state)
+        times.append(ahead.time)
+        values.append(found(filter, ahead, None, None).mean)
+    return Interval(np.array(times), values, nodes, last, last_node)
+
+
+def _nodes(filter, state):
+    """Times and estimates from the last measurement to the last node after it."""
+    times, values, last = [state.time], [state.mean], len(filter.node_times) - 1
+    k = min(state.index, last) if filter.lasting else state.index
+    if 0 <= k <= last:
+        points = arguments(filter.system, (), None, state.past)
+        # beyond the design the nodes lie as in its last interval
+        times += (filter.node_times[k] + (state.time - filter.times[k])).tolist()
+        values += [fit(points).mean for fit in filter.node_fits[k]]
+    return times, values

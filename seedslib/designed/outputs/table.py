@@ -1,0 +1,85 @@
+"""Filters of tables: output functions that are looked up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from seedslib.designed.outputs.filter import OutputFilter
+
+
+class TableFilter(OutputFilter):
+    """Optimal filter of a given memory as tables; `seedslib.design` makes it.
+
+    Of a system of any kind: where it has modes the tables decide them too.
+
+    Examples
+    --------
+    >>> from seedslib.design import grid_synthesis
+    >>> from seedslib.designed.memory import large_order
+    >>> from seedslib import zoo
+    >>> filter = grid_synthesis(
+    ...     zoo.flip_process(), large_order(1), [0.0, 0.25, 0.5],
+    ...     x=(-3.5, 3.5, 141), z=(-3, 3, 121), y=(-8, 8, 121),
+    ... )
+    >>> filter.order
+    1
+    """
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the tables."""
+        tables = [table for row in (*self.steps, *self.node_fits) for table in row]
+        return sum(part.nbytes for table in tables for part in table[1:] if part is not None)
+
+    @property
+    def made(self) -> str:
+        """How the tables were made, and their axes."""
+        step = self.steps[min(1, len(self.steps) - 1)]
+        told, m = bool(self.system.indicators), self.system.measurement_size
+        shown, memory = _listed(step.shown.axes[: told + m]), _listed(step.blind.axes[told:])
+        return (
+            f"tables ({self.method}) over {'indicator and ' * told}measurements ({shown})"
+            + (f" and memory ({memory})" if memory else "")
+        )  # fmt: skip
+
+    def stationary(self, tolerance: float = 0.02) -> TableFilter:
+        """The same filter with its last table for all later steps, evenly on in time.
+
+        Parameters
+        ----------
+        tolerance : float
+            Largest change over the last step: of the estimates, in units of the root-mean-square
+            error, and of the decided modes, as a probability.
+
+        Raises
+        ------
+        ValueError
+            The tables have not converged; the message says how far they are apart.
+        """
+        if not tolerance > 0:
+            raise ValueError(f"tolerance: wanted a positive number, got {tolerance}")
+        moved, modes = self.change
+        if not max(moved, modes) <= tolerance:
+            raise ValueError(
+                f"tolerance: wanted tables that change by at most {tolerance:g} over the last "
+                f"step, got {moved:.3g} of the error in the estimates and {modes:.3g} in the "
+                "probability of another mode; design for more times"
+            )
+        return replace(self, lasting=True)
+
+    @property
+    def change(self) -> tuple[float, float]:
+        """Change of estimates and modes over the last step; NaN where there is none to compare.
+
+        The first in units of the root-mean-square error.
+        """
+        if self.changes is None:
+            return np.nan, np.nan
+        moved, modes = self.changes[:, -1]
+        return float(moved / np.sqrt(np.trace(self.covariances[-1]))), float(modes)
+
+
+def _listed(axes) -> str:
+    return "; ".join(map(str, axes))

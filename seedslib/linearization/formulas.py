@@ -1,0 +1,215 @@
+"""What all linearizations that are formulas share: from SymPy moments to compiled functions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+import sympy
+
+from seedslib.gaussian.means.classes import NoClosedForm
+from seedslib.linearization.means import Names, mentions
+from seedslib.linearization.moments import (
+    TINY,
+    Gaussian,
+    Linearization,
+    Moments,
+    Weighted,
+    refuse_weight,
+)
+from seedslib.models.codegen import batch_shape, compile_components, stack
+from seedslib.models.maps import StochasticMap
+
+Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
+"""E y (m, 1), cov(x, y) (n, m) and cov y (m, m) or None."""
+
+
+class BranchFormulas(NamedTuple):
+    """SymPy mass of a branch, moments of the state in it, and moments of y with it."""
+
+    mass: object
+    mean: object
+    cov: object
+    value: object
+    cross: object
+    spread: object
+
+
+class Formulas(Linearization):
+    """A linearization given by SymPy formulas in the mean and the covariance of the state."""
+
+    def formulas(
+        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, spread: bool = True
+    ) -> Parts:
+        """SymPy E y (m, 1), cov(x, y) (n, m) and cov y (m, m) at given mean and covariance."""
+        raise NotImplementedError
+
+    def rate_formulas(
+        self, system: object, mean: Sequence, cov: sympy.Matrix
+    ) -> tuple[sympy.Matrix, sympy.Matrix]:
+        """SymPy rates of the mean (n, 1) and the covariance (n, n) of a jump-diffusion."""
+        velocity, cross, _ = self.formulas(system.drift_map, mean, cov, spread=False)
+        lower, _, _ = self.formulas(system.spread_map, mean, cov, spread=False)
+        spread = sympy.zeros(len(mean))
+        for k, (i, j) in enumerate(zip(*np.tril_indices(len(mean)), strict=True)):
+            spread[i, j] = spread[j, i] = lower[k]
+        return velocity, cross + cross.T + spread
+
+    def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
+        """See `Linearization.moments`.
+
+        Raises
+        ------
+        NoClosedForm
+            The map is given by array functions, or a mean has no closed form.
+        """
+        refuse_weight(map)
+        arguments, mean, cov = _arguments(map, type(self).__name__)
+        parts = self.formulas(map, mean, cov, spread)
+        evaluate = _compiled(arguments, parts if spread else parts[:2])
+        n, m = map.state_size, map.size
+
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+            lower = _lower(cov)
+            y, cross, *rest = evaluate(t, mean, lower)
+            return Moments(
+                stack(y, (m,), batch_shape(mean, lower)),
+                stack(cross, (n, m)),
+                stack(rest[0], (m, m)) if spread else None,
+            )
+
+        return f
+
+    def branch(
+        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, name: Callable
+    ) -> BranchFormulas:
+        """SymPy moments of a branch (`BranchFormulas`) at given mean and covariance of the state.
+
+        `name` gives large expressions a symbol, see `Names`.
+        """
+        raise NotImplementedError
+
+    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
+        """See `Linearization.weighted`.
+
+        Raises
+        ------
+        NoClosedForm
+            As `moments`.
+        """
+        row = self.row([map])
+        return lambda t, mean, cov: row(t, mean, cov)[0]
+
+    def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
+        """See `Linearization.row`; one compiled function, in which branches share what they can.
+
+        Raises
+        ------
+        NoClosedForm
+            As `moments`.
+        ValueError
+            Maps of different states.
+        """
+        maps = list(maps)
+        arguments, mean, cov = _arguments(maps[0], type(self).__name__)
+        if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
+            raise ValueError("maps: wanted maps of the same state and time")
+        names = Names()
+        branches = [self.branch(map, mean, cov, names) for map in maps]
+        # equal moments of several branches are evaluated and stored once
+        wanted = [
+            [(slot in (0, 2), sympy.ImmutableMatrix(part)) for slot, part in enumerate(branch[1:])]
+            for branch in branches
+        ]
+        parts = list(dict.fromkeys(part for row in wanted for part in row))
+        places = [[parts.index(part) for part in row] for row in wanted]
+        evaluate = _compiled(
+            arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
+        )
+        varied = [mentions(names.meaning(b.mass), {*mean, *cov}) for b in branches]
+
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
+            lower = _lower(cov)
+            batch = batch_shape(mean, lower)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                masses, *found = evaluate(t, mean, lower)
+            found = [
+                stack(values, part.shape[:1], batch) if vector else stack(values, part.shape)
+                for values, (vector, part) in zip(found, parts, strict=True)
+            ]
+            result = []
+            for mass, row, varies in zip(masses, places, varied, strict=True):
+                branch = [stack([mass], (), batch), *(found[k] for k in row)]
+                mass, x, p, *of_y = _emptied(*branch) if varies else branch
+                result.append(Weighted(mass, Gaussian(x, p), Moments(*of_y)))
+            return result
+
+        return f
+
+    def transition(self, map: StochasticMap) -> Callable[..., Gaussian]:
+        """See `Linearization.transition`."""
+        refuse_weight(map)
+        arguments, mean, cov = _arguments(map, type(self).__name__)
+        y, _, spread = self.formulas(map, mean, cov)
+        evaluate, m = _compiled(arguments, [y, spread]), map.size
+
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
+            lower = _lower(cov)
+            y, spread = evaluate(t, mean, lower)
+            return Gaussian(stack(y, (m,), batch_shape(mean, lower)), stack(spread, (m, m)))
+
+        return f
+
+    def rate(self, system: object) -> Callable[..., list]:
+        """See `Linearization.rate`."""
+        (time, mean, lower), vector, cov = _arguments(system.drift_map, type(self).__name__)
+        velocity, change = self.rate_formulas(system, vector, cov)
+        rows, columns = np.tril_indices(len(mean))
+        rates = [*velocity, *(change[int(i), int(j)] for i, j in zip(rows, columns, strict=True))]
+        return compile_components((time, (*mean, *lower)), rates)
+
+
+def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:
+    """Arguments (t, mean, lower covariance) and the SymPy mean and covariance made of them."""
+    if not map.symbolic:
+        raise NoClosedForm(
+            f"{name}: wanted a symbolic map, got array functions; use Unscented, Cubature or "
+            "GaussHermite"
+        )
+    n = map.state_size
+    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
+    cov = sympy.zeros(n)
+    lower = []
+    for i, j in zip(*np.tril_indices(n), strict=True):
+        entry = sympy.Dummy(f"P{i}{j}", real=True)
+        lower.append(entry)
+        cov[i, j] = cov[j, i] = entry
+    return (map.time, mean, tuple(lower)), list(mean), cov
+
+
+def _lower(cov: np.ndarray) -> list[np.ndarray]:
+    return [cov[i, j] for i in range(len(cov)) for j in range(i + 1)]
+
+
+def _compiled(
+    arguments: tuple, parts: Sequence, named: Sequence[tuple] = ()
+) -> Callable[..., list]:
+    """Function that returns the component lists of several matrices, evaluated together."""
+    sizes = np.cumsum([len(part) for part in parts])[:-1]
+    function = compile_components(arguments, [e for part in parts for e in part], named)
+
+    def evaluate(*values: object) -> list:
+        flat = function(*values)
+        return [flat[a:b] for a, b in zip([0, *sizes], [*sizes, None], strict=True)]
+
+    return evaluate
+
+
+def _emptied(mass: np.ndarray, *moments: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Zero for the mass of an empty branch (rounding may be negative), NaN for its moments."""
+    empty = mass < TINY
+    if empty.any():
+        moments = [np.where(empty, np.nan, part) for part in moments]
+        mass = np.where(empty, 0.0, mass)
+    return mass, *moments
