@@ -37,7 +37,7 @@ execute: setup
 lint: setup
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
-	@$(PY) -m bookkit typecheck README.md
+	@$(PY) -m bookkit typecheck README.md notebooks/*.md
 
 clean:
 	rm -rf $(VENV) _build runs book/claims.md .pytest_cache .ruff_cache

@@ -47,7 +47,7 @@ def rerun(tmp_path):
 
 def test_a_wrong_digit_in_a_formula_fails_the_re_run_and_names_the_number(rerun):
     folder, run = rerun
-    file = folder / "seedslib" / "two_step" / "kalman_bucy.py"
+    file = folder / "seedslib" / "two_step" / "steady.py"
     text = file.read_text()
     right = "solve_continuous_lyapunov(drift, -diffusion)"
     assert right in text

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any, overload
+
 import matplotlib.pyplot as plt
 from cycler import cycler
 from matplotlib.axes import Axes
@@ -27,22 +29,28 @@ _STYLE = {
 }
 
 
+@overload
+def axes(*, size: tuple[float, float] | None = None, **options: Any) -> tuple[Figure, Axes]: ...
+@overload
 def axes(
-    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **options: object
-) -> tuple[Figure, Axes]:
+    rows: int, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
+) -> tuple[Figure, Any]: ...
+def axes(
+    rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
+) -> tuple[Figure, Any]:
     """Figure and axes in the book's style; `size` in inches, `options` as `plt.subplots`."""
     plt.rcParams.update(_STYLE)
     size = size or (6.4 if columns == 1 else 4.6 * columns, 3.8 * rows)
     return plt.subplots(rows, columns, figsize=size, **options)
 
 
-def curve(ax: Axes, x: object, y: object, *, label: str | None = None, **options: object) -> None:
+def curve(ax: Axes, x: Any, y: Any, *, label: str | None = None, **options: Any) -> None:
     """Line with about ten markers, however many points it has."""
     every = max(1, len(x) // 10)
     ax.plot(x, y, label=label, markevery=every, **options)
 
 
-def band(ax: Axes, x: object, y: object, error: object, *, label: str | None = None) -> None:
+def band(ax: Axes, x: Any, y: Any, error: Any, *, label: str | None = None) -> None:
     """Monte Carlo curve with a band of two standard errors on either side."""
     every = max(1, len(x) // 10)
     (line,) = ax.plot(x, y, label=label, markevery=every)

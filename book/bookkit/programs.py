@@ -1,4 +1,4 @@
-"""The programs that pages show, looked over by a type checker as a reader's editor would."""
+"""The programs of pages and notebooks, looked over by a type checker as a reader's editor would."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ import sys
 import tempfile
 from pathlib import Path
 
-FENCE = re.compile(r"^( *)```python\n(.*?)^\1```$", re.M | re.S)
+FENCE = re.compile(
+    r"^( *)```(?:python|\{code-cell\} ipython3)\n((?:---\n.*?^---\n|(?: *:[^\n]*\n)*))(.*?)^\1```$",
+    re.M | re.S,
+)  # an indentation, the options of a cell, the program
 
 
 def program(text: str) -> str:
-    """The Python of a page, each line at its place, all else blank."""
+    """The Python of a page, or the cells of a notebook, each line at its place, all else blank."""
     lines = [""] * (text.count("\n") + 1)
     for match in FENCE.finditer(text):
-        first = text.count("\n", 0, match.start(2))
-        for k, line in enumerate(match[2].splitlines()):
+        first = text.count("\n", 0, match.start(3))
+        for k, line in enumerate(match[3].splitlines()):
             lines[first + k] = line.removeprefix(match[1])
     return "\n".join(lines).rstrip("\n") + "\n"
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import numpy as np
 
@@ -23,9 +24,7 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
     """
     if isinstance(seed, np.random.SeedSequence):
         # a copy without the memory of children: equal seeds give equal runs
-        return np.random.SeedSequence(
-            seed.entropy, spawn_key=seed.spawn_key, pool_size=seed.pool_size
-        )
+        return child(seed)
     if isinstance(seed, np.random.Generator):
         return np.random.SeedSequence(seed.integers(0, 2**32, size=4, dtype=np.uint32).tolist())
     if is_whole(seed):
@@ -47,8 +46,8 @@ def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
 
 
 def in_blocks(
-    work: Callable, total: int, seed: object, *, workers: int = 1, block: int = BLOCK
-) -> list:
+    work: Callable[..., Any], total: int, seed: object, *, workers: int = 1, block: int = BLOCK
+) -> list[Any]:
     """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
 
     Parameters

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -29,8 +30,9 @@ class Bundle:
         Number of paths in each block.
     """
 
-    def __init__(self, generators: Iterable[Generator], counts: Iterable[int]):
-        self.generators, self.counts = tuple(generators), tuple(counts)
+    def __init__(self, generators: Iterable[Generator], counts: Iterable[int]) -> None:
+        self.generators: tuple[Generator, ...] = tuple(generators)
+        self.counts: tuple[int, ...] = tuple(counts)
 
     def spawn(self, number: int) -> list[Bundle]:
         """Children, as those of a generator."""
@@ -42,7 +44,7 @@ Source = Generator | Bundle
 """Where random numbers of paths come from."""
 
 
-def parts(rng: Source, count: int) -> list:
+def parts(rng: Source, count: int) -> list[Any]:
     """Generators with the paths that each of them is to draw for next, as (generator, slice).
 
     Parameters
@@ -58,7 +60,7 @@ def parts(rng: Source, count: int) -> list:
     return [(rng, slice(a, min(a + BLOCK, count))) for a in range(0, count, BLOCK)]
 
 
-def drawn(rng: Source, count: int, draw: Callable) -> np.ndarray:
+def drawn(rng: Source, count: int, draw: Callable[..., Any]) -> np.ndarray:
     """Result of ``draw(generator, count)``, shape (..., count), block by block.
 
     Parameters

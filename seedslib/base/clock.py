@@ -43,13 +43,13 @@ class Clock:
         How far apart two times are the same.
     """
 
-    def __init__(self, times: np.ndarray, end: float | None = None):
+    def __init__(self, times: np.ndarray, end: float | None = None) -> None:
         self.times: list[float] = np.asarray(times, dtype=float).tolist()
         last = self.times[-1] if end is None else max(float(end), self.times[-1])
         steps = np.diff([*self.times, last] if len(self.times) == 1 else self.times)
         # one time alone has no interval: what is left is the rounding of its size
         self._interval = float(steps.min()) if steps.any() else 4.0 * ROUNDING * abs(last)
-        self.tolerance = slack(self._interval, max(abs(self.times[0]), abs(last)))
+        self.tolerance: float = slack(self._interval, max(abs(self.times[0]), abs(last)))
 
     def same(self, t: float, other: float) -> bool:
         """Whether two times are one, also where they lie beyond the grid."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from functools import reduce
 from operator import add
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,10 @@ from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, pseu
 __all__ = ["correct", "eliminate", "factor", "joint_shape"]
 
 
-def correct(mean, cov, y, moments, rows=None, noise=None):
+def correct(
+    mean: np.ndarray, cov: np.ndarray, y: np.ndarray, moments: Any, rows: Any = None,
+    noise: Any = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Correct a predicted mean and covariance by one measurement.
 
     With e = y - E y, C = cov(x, y) and S = cov y the result is m + C S⁺ e and P - C S⁺ Cᵀ: the
@@ -182,7 +186,10 @@ def _without_missing(present, error, cross, spread):
     )
 
 
-def eliminate(mean, cov, error, cross, spread, reciprocal):
+def eliminate(
+    mean: np.ndarray, cov: np.ndarray, error: np.ndarray, cross: np.ndarray, spread: np.ndarray,
+    reciprocal: bool,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Eliminate y component by component; the lists are updated in place.
 
     `cov` and `spread` are read and written on and below the diagonal only. `reciprocal(pivot,

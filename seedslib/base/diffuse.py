@@ -8,6 +8,7 @@ needed apart: with it the measurements are taken in one after another on factors
 from __future__ import annotations
 
 import warnings
+from typing import Any
 
 import numpy as np
 
@@ -32,7 +33,10 @@ def narrowed(cov: np.ndarray, new_cov: np.ndarray) -> np.ndarray:
     return suspect
 
 
-def correct_diffuse(cov, cross, spread, noise, suspect, new_cov) -> None:
+def correct_diffuse(
+    cov: np.ndarray, cross: np.ndarray, spread: np.ndarray, noise: Any, suspect: Any,
+    new_cov: np.ndarray,
+) -> None:  # fmt: skip
     """Write the corrected covariances of the suspect items from the noise apart.
 
     Parameters

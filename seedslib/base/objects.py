@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import fields
 from functools import cached_property, partial
 from html import escape
+from typing import Any
 
 
 class Shown:
@@ -42,17 +43,17 @@ class Remade:
     a model with a lambda in it is refused, in pickle's words.
     """
 
-    def __new__(cls, *arguments, **options):
+    def __new__(cls, *arguments: Any, **options: Any) -> Any:
         """Keep what the object is made of."""
         self = object.__new__(cls)
         self.__dict__["_made_of"] = arguments, options
         return self
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return _remade, (type(self), *self.__dict__["_made_of"])
 
 
-def by_fields(description: object, **changes: object) -> tuple:
+def by_fields(description: object, **changes: object) -> tuple[Any, ...]:
     """What ``__reduce__`` gives of a dataclass that is made again from its fields."""
     parts = {part.name: getattr(description, part.name) for part in fields(description)}
     return partial(type(description), **(parts | changes)), ()
@@ -70,9 +71,9 @@ class Travelling:
 
     _functions = ("_value", "_weight", "conditional", "drift", "diffusion", "intensity")
 
-    def __getstate__(self) -> dict:
+    def __getstate__(self) -> dict[Any, Any]:
         parts = vars(type(self)).items()
         made = {name for name, part in parts if isinstance(part, cached_property)}
-        made.add("_increment_cache")
+        made.add("_increments")
         made = made.union(self._functions) if self.symbolic else made.difference(self._functions)
         return {name: part for name, part in self.__dict__.items() if name not in made}

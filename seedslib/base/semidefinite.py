@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,10 @@ def symmetrized(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + matrix.T)
 
 
-def pseudo_correct(parts, bad, missing, new_mean, new_cov, loglik):
+def pseudo_correct(
+    parts: Any, bad: np.ndarray, missing: np.ndarray, new_mean: np.ndarray, new_cov: np.ndarray,
+    loglik: np.ndarray,
+) -> None:  # fmt: skip
     """Write the Moore-Penrose correction over the flagged items."""
     mean, cov, error, cross, spread = parts
 

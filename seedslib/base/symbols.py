@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
 
 import sympy
 from sympy.core.function import AppliedUndef
@@ -59,7 +60,7 @@ def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
     return symbols
 
 
-def require_distinct(**groups: Sequence | None) -> None:
+def require_distinct(**groups: Sequence[Any] | None) -> None:
     """Refuse a symbol that would have two meanings in one model.
 
     Parameters
@@ -85,7 +86,9 @@ def require_distinct(**groups: Sequence | None) -> None:
             roles[symbol] = role
 
 
-def require_known(name: str, expressions: Iterable, known: Iterable, advice: str = "") -> None:
+def require_known(
+    name: str, expressions: Iterable[Any], known: Iterable[Any], advice: str = ""
+) -> None:
     """Refuse symbols that a model does not have.
 
     Raises
@@ -129,7 +132,9 @@ def require_number(name: str, expression: sympy.Expr) -> None:
         )
 
 
-def named_model(state, time, parameters: Mapping | None, **noises: Sequence) -> tuple:
+def named_model(
+    state: Any, time: Any, parameters: Mapping[Any, Any] | None, **noises: Sequence[Any]
+) -> tuple[Any, ...]:
     """State symbols, symbol of the time (``t`` where None) and values of the parameters.
 
     Raises
@@ -144,7 +149,7 @@ def named_model(state, time, parameters: Mapping | None, **noises: Sequence) -> 
     return state, time, values
 
 
-def parameter_values(values: Mapping | None) -> dict:
+def parameter_values(values: Mapping[Any, Any] | None) -> dict[Any, Any]:
     """Values of parameters as expressions by symbol; None means none.
 
     Raises

@@ -34,7 +34,7 @@ class Axis:
     high: float
     count: int
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         count = as_count("count", self.count, 2)
         try:
             low, high = float(self.low), float(self.high)
@@ -198,6 +198,11 @@ def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
     grid = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
     count = math.prod(axis.count for axis in axes)
     return np.array(grid, dtype=float).reshape(len(axes), count)
+
+
+AxisLike = Axis | tuple[float, float, int]
+AxesLike = AxisLike | Sequence[AxisLike]
+"""An axis, or what makes one; and several of them."""
 
 
 def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from typing import Any
 
 from seedslib.models.kinds import switches
 
@@ -20,7 +21,7 @@ makes one of a design with one estimated component.
       --table y=-8:8:161 z=-3:3:121 --out flip.npz"""
 
 
-def add_design(commands: argparse._SubParsersAction) -> None:
+def add_design(commands: Any) -> None:
     """Add the command to a parser."""
     parser = commands.add_parser(
         "design", help="design a filter for the model in a Python file", description=DESCRIPTION,

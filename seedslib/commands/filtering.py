@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
+from typing import Any
 
 DESCRIPTION = """\
 Run a designed filter on a record of measurements. The CSV file has a first row t,y1,y2,... and one
@@ -26,7 +27,7 @@ a model other than that of the design is refused. With tables, --model only make
   python -m seedslib filter flip.npz data.csv --out estimates.csv"""
 
 
-def add_filter(commands: argparse._SubParsersAction) -> None:
+def add_filter(commands: Any) -> None:
     """Add the command to a parser."""
     parser = commands.add_parser(
         "filter", help="run a designed filter on measurements in a CSV file",

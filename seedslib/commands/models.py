@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 import traceback
+from os import PathLike
 from pathlib import Path
 from types import ModuleType
 
@@ -19,7 +20,7 @@ NAME = "seedslib_model"
 """Under this name the file's module is known while it runs."""
 
 
-def load_model(path) -> tuple[System, np.ndarray | None]:
+def load_model(path: str | PathLike[str]) -> tuple[System, np.ndarray | None]:
     """Model of a file that defines `system`, and its measurement times if it defines `times`.
 
     Parameters

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import csv
 import math
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.atomic import write_whole
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import switches
@@ -19,10 +21,10 @@ class Record(NamedTuple):
 
     times: np.ndarray
     measurements: np.ndarray
-    indicators: np.ndarray | None = None
+    indicators: MaybeArray = None
 
 
-def read_record(path, designed) -> Record:
+def read_record(path: str | PathLike[str], designed: Any) -> Record:
     """Record of a file, checked against the design.
 
     The first row is ``t,y1,...,ym``, and ``j`` for a system with an indicator; then one row for
@@ -72,7 +74,7 @@ def _indicators(path, numbers, values, count):
     return seen.astype(int)
 
 
-def write_estimates(path, times: np.ndarray, found: Estimates) -> None:
+def write_estimates(path: str | PathLike[str], times: np.ndarray, found: Estimates) -> None:
     """Write ``t,x1,...,xn`` and, where the filter claims any, standard deviations ``sd1,...``.
 
     With modes ``mode,p1,...,pL`` stand before ``x1``: the decided mode, from 0 on, and the

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import cho_factor, cho_solve
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
 from seedslib.models.kinds import as_steps
 
@@ -114,7 +115,7 @@ def as_delays(dynamics: object) -> list[int]:
     return sorted(int(d) for d in dynamics)
 
 
-class Step(NamedTuple):
+class InstantStep(NamedTuple):
     """What leads from instant k-1 to k and to the measurement of instant k.
 
     dynamics: the matrix (n, n) of each delay, in increasing order of delay; noise_input (n, q);
@@ -164,7 +165,7 @@ class StartLaw(NamedTuple):
 
     mean: np.ndarray
     cov: np.ndarray
-    past: np.ndarray | None
+    past: MaybeArray
 
 
 def start_law(mean0: object, cov0: object, history_cov: object, n: int, reach: int) -> StartLaw:

@@ -9,6 +9,7 @@ and `augmented` (the dense Kalman filter of the stacked state, as a reference).
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,7 +28,7 @@ from seedslib.delay.means import (
     predicted_mean,
     start_mean,
 )
-from seedslib.delay.recursions import RECURSIONS, DelayState, tabulated
+from seedslib.delay.recursions import RECURSIONS, DelayState, gains_up_to
 from seedslib.delay.structure import StructureGains
 from seedslib.delay.system import DelaySystem
 from seedslib.filters.estimates import Estimates, stays
@@ -60,7 +61,7 @@ class DelayKalmanFilter(Filter):
 
     system: DelaySystem
     method: str = "structured"
-    _memo: dict = field(default_factory=dict, init=False, repr=False)
+    _memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
     _shown = ("method",)
 
     def __post_init__(self) -> None:
@@ -93,7 +94,7 @@ class DelayKalmanFilter(Filter):
             missing = None if not missing[1:].any() else missing
         if missing is None:
             return self._complete_gains(steps)
-        return tabulated(self.system, self.method, steps, missing)
+        return gains_up_to(self.system, self.method, steps, missing)
 
     def innovation_gains(self, steps: int) -> StructureGains:
         """Gains of the innovations form (R1), with all measurements present.
@@ -288,7 +289,7 @@ class DelayKalmanFilter(Filter):
     def _complete_gains(self, steps: int) -> DelayGains:
         known = self._memo.get("complete")
         if known is None or len(known.cov) <= steps:
-            known = self._memo["complete"] = tabulated(self.system, self.method, steps, None)
+            known = self._memo["complete"] = gains_up_to(self.system, self.method, steps, None)
             for array in known[:-1]:
                 array.flags.writeable = False
         return DelayGains(*(array[: steps + 1] for array in known[:-1]), known.method)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor
 
-from seedslib.delay.coefficients import Step, require_finite
+from seedslib.delay.coefficients import InstantStep, require_finite
 from seedslib.delay.system import DelaySystem
 
 
@@ -68,7 +68,7 @@ def empty_gains(steps: int, blocks: int, cov: np.ndarray, m: int, method: str) -
     return table
 
 
-def present_sensor(step: Step, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def present_sensor(step: InstantStep, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Sensor and its noise covariance with missing components switched off.
 
     A missing component measures nothing (zero row) with an independent noise of variance one:

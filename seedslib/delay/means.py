@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 from scipy.linalg import solve_triangular
@@ -14,7 +15,9 @@ from seedslib.delay.gains import DelayGains, StepGains
 from seedslib.delay.system import DelaySystem
 
 
-def as_records(value: object, m: int, count: int | None = None) -> tuple[np.ndarray, tuple]:
+def as_records(
+    value: object, m: int, count: int | None = None
+) -> tuple[np.ndarray, tuple[Any, ...]]:
     """Measurements (K+1, m, N) with one batch axis, and the batch axes as given.
 
     Raises

@@ -8,11 +8,12 @@ covariance of these gains use `seedslib.delay.error_covariance`.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count, as_shape
 from seedslib.delay.analysis import apply_gains
 from seedslib.delay.coefficients import as_instants, divided, require_finite
@@ -70,7 +71,7 @@ class PrintedDelayFilter(Filter):
     """
 
     system: DelaySystem
-    _memo: dict = field(default_factory=dict, init=False, repr=False)
+    _memo: dict[Any, Any] = field(default_factory=dict, init=False, repr=False)
 
     def __post_init__(self) -> None:
         system = as_system("system", self.system, "DelaySystem")
@@ -209,7 +210,7 @@ class _Instant(NamedTuple):
     past: np.ndarray
     claimed: np.ndarray
     expanded: np.ndarray
-    lags: np.ndarray | None
+    lags: MaybeArray
 
 
 def _coefficients(system: DelaySystem, k: int) -> _Matrices:

@@ -36,7 +36,7 @@ class DelayState(NamedTuple):
     ahead: tuple[Any, StepGains] | None = None
 
 
-def tabulated(
+def gains_up_to(
     system: DelaySystem, method: str, steps: int, missing: np.ndarray | None
 ) -> DelayGains:
     """Table of gains up to K = `steps`, by another recursion where the fast one breaks down."""

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.semidefinite import symmetrized
-from seedslib.delay.coefficients import Step, divided, require_finite
+from seedslib.delay.coefficients import InstantStep, divided, require_finite
 from seedslib.delay.system import DelaySystem
 
 
@@ -40,7 +40,7 @@ class PriorMoments(NamedTuple):
     """
 
     k: int
-    step: Step
+    step: InstantStep
     predicted: np.ndarray
     cross: np.ndarray
     past: np.ndarray
@@ -96,7 +96,7 @@ def structured_errors(
 
 def _advance(
     joint: np.ndarray, row: np.ndarray, seen: np.ndarray, keep: np.ndarray, gain: np.ndarray,
-    c: Step, errors: int,
+    c: InstantStep, errors: int,
 ) -> np.ndarray:  # fmt: skip
     """Covariance of the stack one instant on: new rows on top of each part, the rest shifted.
 

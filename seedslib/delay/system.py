@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,7 +23,7 @@ from seedslib.base.semidefinite import square_root
 from seedslib.delay.coefficients import (
     Augmented,
     Coefficient,
-    Step,
+    InstantStep,
     as_delays,
     as_instants,
     as_noise,
@@ -117,7 +118,7 @@ class DelaySystem:
         vars(self).update(values, state_size=n, measurement_size=m, _table=table)
         self.step(1)
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         past = self.history_cov if np.size(self.history_cov) else None
         return by_fields(self, dynamics=dict(self.dynamics), history_cov=past)
 
@@ -159,7 +160,7 @@ class DelaySystem:
         joint[np.arange(blocks), :, np.arange(blocks)] = self.start_blocks()
         return joint.reshape(blocks * n, blocks * n)
 
-    def step(self, k: int) -> Step:
+    def step(self, k: int) -> InstantStep:
         """Coefficients of the step from instant k-1 to k, checked, k >= 1.
 
         Raises
@@ -246,10 +247,10 @@ class DelaySystem:
         return Simulation(times, *parts[:2], history=parts[2])
 
     @cached_property
-    def _only(self) -> Step:
+    def _only(self) -> InstantStep:
         return self._read(1)
 
-    def _read(self, k: int) -> Step:
+    def _read(self, k: int) -> InstantStep:
         k = as_count("k", k)
         if self.horizon is not None and k > self.horizon:
             raise ValueError(
@@ -267,4 +268,4 @@ class DelaySystem:
         with np.errstate(over="ignore", invalid="ignore"):
             state_noise = g @ q @ g.T
         require_finite("noise_input and noise_cov", k, state_noise)
-        return Step(dynamics, g, q, state_noise, c, r)
+        return InstantStep(dynamics, g, q, state_noise, c, r)

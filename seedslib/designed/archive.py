@@ -12,7 +12,9 @@ import math
 import zipfile
 import zlib
 from functools import lru_cache
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +30,7 @@ DAMAGE = (
 """What reading an archive raises that is damaged."""
 
 
-def write(path, header: dict, arrays: dict[str, np.ndarray]) -> None:
+def write(path: str | PathLike[str], header: dict[Any, Any], arrays: dict[str, np.ndarray]) -> None:
     """Write a header and arrays of numbers, in the place of an old file when all is there."""
     versions = {"seedslib": seedslib.__version__, "numpy": np.__version__}
     header = {"format": FORMAT, "version": VERSION, "versions": versions, **header}
@@ -65,7 +67,7 @@ def _count_in(whole, name, content):
     whole.update(content)
 
 
-def read(path: Path, wanted: str = FORMAT) -> tuple[dict, dict[str, np.ndarray]]:
+def read(path: Path, wanted: str = FORMAT) -> tuple[dict[Any, Any], dict[str, np.ndarray]]:
     """Header and arrays of a file.
 
     Parameters

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.clock import slack
+from seedslib.base.clock import Clock, slack
+from seedslib.designed.guards import want_corrected
+from seedslib.designed.runs import DesignedFilter
+from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from seedslib.designed.finite_order import FiniteOrderFilter
     from seedslib.designed.finite_order_rules import FiniteOrderState
 
@@ -40,30 +46,71 @@ class Interval(NamedTuple):
     """
 
     times: np.ndarray
-    values: list
+    values: list[Any]
     nodes: int
-    last: tuple | None = None
-    last_node: tuple | None = None
+    last: tuple[Any, ...] | None = None
+    last_node: tuple[Any, ...] | None = None
 
 
-def interval_after(filter: FiniteOrderFilter, state: FiniteOrderState) -> Interval:
-    """All that a `FiniteOrderFilter` knows from a correction to the next: Z_k, nodes, end."""
-    k, times = state.index, filter.times
-    grid, values, end, count = [times[k]], [state.mean], None, 0
-    if k < len(filter.node_times):
-        found, end = nodes_after(filter, k, state)
-        grid, values, count = [*grid, *filter.node_times[k]], values + found, len(found)
-    if k < len(filter.fits):
-        if end is None:
-            end = filter.fits[k].mean(state.past.vector)[: filter.components]
-        grid, values = [*grid, times[k + 1]], [*values, end]
-    last = last_node = None
-    if k > 0:
-        before = state.before
-        last = last_node = (times[k - 1], before.mean)
-        if len(filter.node_times[k - 1]):
-            last_node = (filter.node_times[k - 1][-1], nodes_after(filter, k - 1, before)[0][-1])
-    return Interval(np.array(grid), values, count, last, last_node)
+class BetweenFilter(DesignedFilter):
+    """A designed filter that forecasts between measurements, from its values at nodes.
+
+    Attributes
+    ----------
+    between : str
+        Kind of the forecasts, see `at`.
+    """
+
+    between: str
+    clock: Clock
+
+    def nodes(self, state: Any, end: bool = True) -> tuple[list, list, tuple | None]:
+        """Times and estimates (n', *batch) from a correction to the last node after it.
+
+        And, where it is wanted and known, time and forecast of the next measurement.
+        """
+        raise NotImplementedError
+
+    def interval(self, state: Any) -> Interval:
+        """All that is known from a correction to the next: Z_k, nodes, end."""
+        times, values, end = self.nodes(state)
+        count, last, last_node = len(times) - 1, None, None
+        if state.before is not None:
+            before = list(zip(*self.nodes(state.before, end=False)[:2], strict=True))
+            last, last_node = before[0], before[-1]
+        if end is not None:
+            times.append(end[0])
+            values.append(end[1])
+        return Interval(np.array(times), values, count, last, last_node)
+
+    def forecasting(self, kind: str) -> Self:
+        """The same filter with another kind of forecast between measurements."""
+        return replace(self, between=kind)
+
+    def forecast(self, state: Any, t: float, kind: str | None = None) -> Estimates:
+        """Estimate of the first n' components at a time up to the next measurement.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            After a correction.
+        t : float
+            From the time of the state to the next measurement time (before that measurement),
+            or to the horizon.
+        kind : str, optional
+            One of `FORECAST_KINDS`; the filter's own `between` by default.
+
+        Raises
+        ------
+        ValueError
+            A time outside the interval, an unknown kind, a state that was not corrected.
+        """
+        want_corrected(state)
+        known, room = self.interval(state), self.clock.tolerance
+        start, end = known.times[0], known.times[-1]
+        if not start - room <= t <= end + room:
+            raise ValueError(f"t: wanted a time from {start:g} to {end:g}, got {t:g}")
+        return Estimates(at(known, t, self.between if kind is None else kind))
 
 
 def nodes_after(

@@ -6,7 +6,9 @@ fixed points. The filter is: a tree of descriptions in the header, see `seedslib
 
 from __future__ import annotations
 
+from os import PathLike
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +31,7 @@ MOST_NODES, MOST_POINTS = 256, 2**22
 """Nodes in a direction, and points, of a linearization that a file may ask for."""
 
 
-def save(filter, path) -> None:
+def save(filter: Any, path: str | PathLike[str]) -> None:
     """Write a designed filter to a file; equal filters give equal bytes.
 
     Parameters
@@ -67,7 +69,9 @@ def save(filter, path) -> None:
     write(path, header, {k: np.asarray(a, order="C") for k, a in {**known, **arrays}.items()})
 
 
-def load(path, system=None, *, linearization: Linearization | None = None):
+def load(
+    path: str | PathLike[str], system: Any = None, *, linearization: Linearization | None = None
+) -> Any:
     """Read a designed filter for a model.
 
     Parameters

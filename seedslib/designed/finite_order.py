@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, unmasked
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
-from seedslib.designed.between import at, interval_after, known_kind, nodes_after
+from seedslib.designed.between import BetweenFilter, at, known_kind, nodes_after
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start, initial_moments
-from seedslib.designed.gaps import dropouts, step_unclaimed, unclaimed, unexpected
-from seedslib.designed.guards import freeze, positions, want_corrected, want_forecast, want_next
+from seedslib.designed.gaps import step_unclaimed, unexpected
+from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import (
     Design,
@@ -23,15 +22,13 @@ from seedslib.designed.prediction import (
     finite_order_page,
     headline,
 )
-from seedslib.designed.predictors import Fit
 from seedslib.designed.shapes import check_shapes
-from seedslib.filters.estimates import Estimates, as_record
-from seedslib.filters.verbs import Filter
+from seedslib.filters.estimates import Estimates
 from seedslib.linearization.moments import Linearization, Moments
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FiniteOrderFilter(Filter):
+class FiniteOrderFilter(BetweenFilter):
     """A designed filter of finite order; `seedslib.design.synthesize` makes it.
 
     At measurement k the state is forecast from the memory, Lambda_k = Gamma_k U_{k-1} + kappa_k
@@ -68,19 +65,18 @@ class FiniteOrderFilter(Filter):
     """
 
     takes = ("covariances",)
+    alone = True  # one record goes through compiled lines for plain numbers
 
-    takes = ("covariances",)
-
-    system: object
+    system: Any
     memory: Memory
-    predictor: object
+    predictor: Any
     linearization: Linearization
     times: np.ndarray
-    node_times: tuple
+    node_times: tuple[np.ndarray, ...]
     components: int
     start: Start
-    fits: tuple[Fit, ...]
-    node_fits: tuple
+    fits: tuple[Any, ...]
+    node_fits: tuple[Any, ...]
     predicted: Prediction
     design: Design
     measured_nodes: bool = False
@@ -88,7 +84,7 @@ class FiniteOrderFilter(Filter):
     held_out: HeldOut | None = None
     rules: Rules | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_shapes(self)
         if self.rules is None:
             rules = Rules.of(
@@ -111,10 +107,6 @@ class FiniteOrderFilter(Filter):
         """Last time the filter can forecast."""
         tail = self.node_times[len(self.fits) :]
         return float(tail[0][-1] if tail else self.times[-1])
-
-    def forecasting(self, kind: str) -> FiniteOrderFilter:
-        """The same filter with another kind of forecast between measurements."""
-        return replace(self, between=kind)
 
     def __reduce__(self) -> tuple:
         return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
@@ -159,13 +151,7 @@ class FiniteOrderFilter(Filter):
         TypeError, ValueError
             A state without a forecast, a wrong shape, an infinite measurement.
         """
-        y, gap = np.asarray(unmasked("y", y, missing=np.nan)), False
-        if y.dtype != np.float64 or not np.isfinite(y).all():
-            y = as_real("y", y, nan=True)
-            gap = np.isnan(y).any(axis=0)
-        if y.shape != (self.system.sensor.size, *state.mean.shape[1:]):
-            wanted = (self.system.sensor.size, *state.mean.shape[1:])
-            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
+        y, _, gap = self.measured(y, None, state.mean.shape[1:])
         return step_unclaimed(self._correct(state, y, True), state, gap)
 
     def _correct(self, state, y, spread):
@@ -188,100 +174,44 @@ class FiniteOrderFilter(Filter):
         moments = self.rules.sensor(self.clock.times[state.index], state.mean, state.cov)
         return unexpected(moments, state)
 
-    def forecast(self, state: FiniteOrderState, t: float, kind: str | None = None) -> Estimates:
-        """Estimate of the first n' components at a time up to the next measurement.
-
-        Parameters
-        ----------
-        state : FiniteOrderState
-            After a correction.
-        t : float
-            From the time of the state to the next measurement time (before that measurement),
-            or to the horizon.
-        kind : str, optional
-            One of `FORECAST_KINDS`; the filter's own `between` by default.
-
-        Raises
-        ------
-        ValueError
-            A time outside the interval, an unknown kind, a state that was not corrected.
-        """
-        want_corrected(state)
-        interval, k = interval_after(self, state), state.index
-        end = self.times[k + 1] if k + 1 < len(self.times) else self.horizon
-        room = self.clock.tolerance
-        if not self.times[k] - room <= t <= end + room:
-            raise ValueError(f"t: wanted a time from {self.times[k]:g} to {end:g}, got {t:g}")
-        return Estimates(at(interval, t, self.between if kind is None else kind))
+    def nodes(self, state: FiniteOrderState, end: bool = True) -> tuple[list, list, tuple | None]:
+        """Times and estimates to the last node after a correction, and the next measurement's."""
+        k, times = state.index, self.times
+        grid, values, last = [times[k]], [state.mean], None
+        if k < len(self.node_times) and (end or len(self.node_times[k])):
+            found, last = nodes_after(self, k, state)
+            grid, values = [*grid, *self.node_times[k]], values + found
+        if not end or k >= len(self.fits):
+            return grid, values, None
+        if last is None:
+            last = self.fits[k].mean(state.past.vector)[: self.components]
+        return grid, values, (times[k + 1], last)
 
     # Whole records
 
-    def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, covariances: bool = False,
-        workers: int = 1,
-    ) -> Estimates:  # fmt: skip
-        """Filter a record, or many at once.
+    def sizes(self, covariances: bool) -> Estimates:
+        """Shapes of what is found at each time."""
+        n = self.components
+        return Estimates((n,), (n, n) if covariances else None, None, ())
 
-        Parameters
-        ----------
-        times : array_like, shape (J+1,)
-            The measurement times of the design up to some of them, and any times between.
-        measurements : array_like, shape (J+1, m, *batch)
-            NaN marks a missing component; between measurement times all must be NaN.
-        covariances : bool
-            Whether `cov` is wanted.
-        workers : int
-            Threads over blocks of paths.
-
-        Returns
-        -------
-        Estimates
-            ``mean`` (J+1, n', *batch), at measurement times after the correction and between
-            them the forecasts; ``loglik`` (J+1, *batch), zero between; ``diverged`` (*batch),
-            estimates that are not finite. ``cov`` (J+1, n', n', *batch), NaN where the filter
-            claims none: between measurement times, and from a missing component to the end of
-            its record; so is ``loglik`` after it.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase or leave out a measurement time of the design; a
-            measurement where the design has none; infinite measurements; wrong shapes.
-
-        Warns
-        -----
-        UserWarning
-            Records with missing components: how many, and from which time.
-        """
-        times = as_times("times", times)
-        y = as_record(measurements, len(times), self.system.sensor.size)
-        index = positions(times, y, self.clock, self.horizon)
-        lost, batch, n = dropouts(y, index >= 0), y.shape[2:], self.components
-        flat = y.reshape(*y.shape[:2], -1) if batch else y
-        tail = flat.shape[2:]
-        mean, loglik = np.empty((len(times), n, *tail)), np.zeros((len(times), *tail))
-        cov = np.full((len(times), n, n, *tail), np.nan) if covariances else None
-
-        def work(a, b, _):
-            state, interval = self.initial((b - a,) if batch else ()), None
-            for j, (t, k) in enumerate(zip(times, index, strict=True)):
-                own = (j, ..., slice(a, b)) if batch else (j, ...)
-                if k < 0:
-                    interval = interval or interval_after(self, state)
-                    mean[own] = at(interval, t, self.between)
-                    continue
-                state = self._correct(self._predict(state, t, interval), flat[own], covariances)
-                mean[own], loglik[own], interval = state.mean, state.loglik, None
-                if covariances:
-                    cov[own] = state.cov.reshape(n, n, *(state.cov.shape[2:] or (1,) * len(tail)))
-
-        if batch:
-            in_blocks(work, tail[0], 0, workers=workers)
-        else:
-            work(0, 1, None)
-        parts = (mean, cov, None, loglik, ~np.isfinite(mean).all(axis=(0, 1)))
-        found = (p if p is None or not batch else p.reshape((*p.shape[:-1], *batch)) for p in parts)
-        return unclaimed(Estimates(*found), lost, times)
+    def fill(
+        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
+        indicators: np.ndarray | None,
+    ) -> int:  # fmt: skip
+        """Run over a block of records; covariances are formed where they are wanted."""
+        state, interval, spread = self.initial(y.shape[2:]), None, rows.cov is not None
+        for j, (t, k) in enumerate(zip(times, index, strict=True)):
+            if k < 0:
+                interval = interval or self.interval(state)
+                rows.mean[j], rows.loglik[j] = at(interval, t, self.between), 0.0
+                if spread:
+                    rows.cov[j] = np.nan
+                continue
+            state = self._correct(self._predict(state, t, interval), y[j], spread)
+            rows.mean[j], rows.loglik[j], interval = state.mean, state.loglik, None
+            if spread:
+                rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
+        return 0
 
     def __repr__(self) -> str:
         return f"<FiniteOrderFilter of {headline(self)}>"

@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from operator import mul
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.correction import correct
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.predictors import AffineFit, Continuous
 from seedslib.designed.traced import TracedCorrection, mean_velocity, traced_correction
-from seedslib.linearization.moments import Moments
+from seedslib.linearization.moments import Linearization, Moments
+from seedslib.models.kinds import AnySystem
 
 
 class Start(NamedTuple):
@@ -58,9 +60,9 @@ class FiniteOrderState(NamedTuple):
 
     index: int
     mean: np.ndarray
-    cov: np.ndarray | None
+    cov: MaybeArray
     past: Past
-    measurement: np.ndarray | None
+    measurement: MaybeArray
     loglik: np.ndarray | float
     before: object
     corrected: bool
@@ -83,7 +85,10 @@ class Rules:
     measured_nodes: bool = False
 
     @classmethod
-    def of(cls, system, memory, predictor, linearization, components, measured_nodes) -> Rules:
+    def of(
+        cls, system: AnySystem, memory: Memory, predictor: Any, linearization: Linearization,
+        components: int, measured_nodes: bool,
+    ) -> Rules:  # fmt: skip
         """Rules of a filter; the moment functions are compiled here."""
         velocity = None
         if isinstance(predictor, Continuous):

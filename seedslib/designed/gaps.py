@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from seedslib.base.checks import outside
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
@@ -65,12 +66,10 @@ def step_unclaimed(
 
 
 def law_unclaimed(
-    found: SwitchingState, state: SwitchingState, y: np.ndarray, indicator: np.ndarray | None
+    found: SwitchingState, state: SwitchingState, gap: np.ndarray | bool
 ) -> SwitchingState:
-    """As `step_unclaimed`, for the law of a `SwitchingState`."""
-    gap = np.isnan(y).any(axis=0) | state.gap
-    if indicator is not None:
-        gap = gap | (indicator < 0)
+    """As `step_unclaimed`, for the law of a `SwitchingState`; an indicator may be missing too."""
+    gap = state.gap | gap
     if not np.any(gap):
         return found
     law = found.law._replace(cov=np.where(gap, np.nan, found.law.cov))
@@ -103,9 +102,7 @@ def _where(gap, part):
     return np.where(gap, np.nan, part.reshape(*part.shape, *(1,) * (np.ndim(gap) + 2 - part.ndim)))
 
 
-def unclaimed(
-    found: Estimates, lost: np.ndarray | None, times: np.ndarray, stacklevel: int = 3
-) -> Estimates:
+def unclaimed(found: Estimates, lost: np.ndarray | None, times: np.ndarray) -> Estimates:
     """Estimates without the covariances and likelihoods that a filter cannot know.
 
     Parameters
@@ -136,6 +133,6 @@ def unclaimed(
             f"measurements: {np.count_nonzero(lost[-1])} of {records} records have gaps, from "
             f"{times[lost.reshape(len(lost), -1).any(axis=1).argmax()]:g} on, which the design "
             "does not know of: covariances are NaN from a gap on, likelihoods after it",
-            stacklevel=stacklevel,
+            stacklevel=outside(),
         )
     return found._replace(cov=cov, loglik=loglik)

@@ -1,16 +1,20 @@
-"""What a designed filter refuses: states in the wrong order, times that are not its own.
+"""What a designed filter refuses and warns of: states in the wrong order, times not its own.
 
 And what nobody may change in it.
 """
 
 from __future__ import annotations
 
+import warnings
+from typing import Any
+
 import numpy as np
 
+from seedslib.base.checks import outside
 from seedslib.base.clock import Clock
 
 
-def want_forecast(state) -> None:
+def want_forecast(state: Any) -> None:
     """Refuse to correct a state that holds no forecast.
 
     Raises
@@ -22,7 +26,7 @@ def want_forecast(state) -> None:
         raise ValueError("state: wanted a forecast, got a state without; call predict first")
 
 
-def want_corrected(state) -> None:
+def want_corrected(state: Any) -> None:
     """Refuse to forecast from a state that holds a forecast.
 
     Raises
@@ -88,6 +92,15 @@ def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) ->
                 "design"
             )
     return index
+
+
+def warn_of_mended(raised: int) -> None:
+    """Tell the caller of a run or a design of covariances that had to be mended, if any."""
+    if raised:
+        warnings.warn(
+            f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
+            stacklevel=outside(),
+        )
 
 
 def freeze(part: object) -> None:

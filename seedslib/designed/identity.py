@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
+from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
-from seedslib.models.kinds import in_steps, switches
+from seedslib.models.kinds import AnySystem, in_steps, switches
 from seedslib.models.noise import hermite_nodes
 
 SAME = 1e-9
@@ -29,7 +32,7 @@ OF_STATE = ("dynamics", "jump", "drift", "mean0", "switching", "initial")
 """How the names of quantities begin whose components are those of the state."""
 
 
-def probe_points(system, start: float, stop: float) -> np.ndarray:
+def probe_points(system: AnySystem, start: float, stop: float) -> np.ndarray:
     """Times and states (1 + n, 12) where the model is looked at, about its initial law."""
     n = system.state_size
     spread = np.sqrt(np.diagonal(system.cov0))
@@ -44,7 +47,9 @@ def probe_points(system, start: float, stop: float) -> np.ndarray:
 
 
 @np.errstate(all="ignore")  # a model may have no value at a point
-def probe(system, points: np.ndarray, linearization=None) -> dict[str, np.ndarray]:
+def probe(
+    system: AnySystem, points: np.ndarray, linearization: Linearization | None = None
+) -> dict[str, np.ndarray]:
     """What the model's functions give at the points, by name.
 
     Diffusions are compared by B Bᵀ and noises by their effect, so that equal laws are equal
@@ -141,7 +146,7 @@ def _branches(system, points):
     return found
 
 
-def difference(expected: dict, found: dict, points: np.ndarray) -> str:
+def difference(expected: dict[Any, Any], found: dict[Any, Any], points: np.ndarray) -> str:
     """What differs between two probes, in words; empty where nothing does.
 
     Parameters
@@ -225,12 +230,12 @@ def _outer(a, b):
     return a[..., :, None] * b[..., None, :]
 
 
-def probe_arrays(points: np.ndarray, values: dict) -> dict[str, np.ndarray]:
+def probe_arrays(points: np.ndarray, values: dict[Any, Any]) -> dict[str, np.ndarray]:
     """Arrays of a file that keep a probe."""
     return {"probe_x": points, **{f"{PROBED}{name}": part for name, part in values.items()}}
 
 
-def probe_values(arrays: dict, size: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def probe_values(arrays: dict[Any, Any], size: int) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Points and values of the probe in a file of a model with `size` state components.
 
     Raises

@@ -7,7 +7,7 @@ Probabilities are carried as logarithms, so that none is lost however small it b
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -37,7 +37,7 @@ class ModeLaw(NamedTuple):
     cov: np.ndarray
 
     @classmethod
-    def of(cls, prob, mean, cov) -> ModeLaw:
+    def of(cls, prob: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> ModeLaw:
         """Law from the probabilities themselves."""
         return cls(logarithm(prob), mean, cov)
 
@@ -70,7 +70,7 @@ class Sensed(NamedTuple):
         return np.exp(self.log_prob)
 
 
-def propagate(rows, t, law: ModeLaw) -> ModeLaw:
+def propagate(rows: Any, t: float, law: ModeLaw) -> ModeLaw:
     """Forecast of mode and state from their law: lemmas 4 and 6, (6.35).
 
     Parameters
@@ -120,7 +120,7 @@ def propagate(rows, t, law: ModeLaw) -> ModeLaw:
     return ModeLaw(log_prob, mean, cov)
 
 
-def sense(readings, t, law: ModeLaw, column=None) -> Sensed:
+def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
     """Moments of the measurement from the forecast: lemma 3 in its consistent form.
 
     Parameters
@@ -177,7 +177,7 @@ def sense(readings, t, law: ModeLaw, column=None) -> Sensed:
     return Sensed(log_prob, mean[:n], cov[:n, :n], moments)
 
 
-def mix_logs(log_mass, mean, cov):
+def mix_logs(log_mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Any:
     """As `mix`, from and to logarithms of masses, which may be too small for numbers."""
     mass, highest, lost = relative(log_mass, 0)
     total, mean, cov = mix(mass, mean, cov)
@@ -201,7 +201,7 @@ def _printed(logs, both, spread, part, column):
     return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
 
 
-def weigh(sensed: Sensed, y, noise=None) -> tuple[ModeLaw, np.ndarray]:
+def weigh(sensed: Sensed, y: np.ndarray, noise: Any = None) -> tuple[ModeLaw, np.ndarray]:
     """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters

@@ -9,9 +9,10 @@ grows at the start: after step k it holds min(k + 1, l) blocks and is never padd
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
 
@@ -32,10 +33,10 @@ class Past(NamedTuple):
         Decided modes (one with each estimate) and past indicators, shape (*batch) each.
     """
 
-    estimates: tuple = ()
-    measurements: tuple = ()
-    modes: tuple = ()
-    indicators: tuple = ()
+    estimates: tuple[Any, ...] = ()
+    measurements: tuple[Any, ...] = ()
+    modes: tuple[Any, ...] = ()
+    indicators: tuple[Any, ...] = ()
 
     @property
     def vector(self) -> np.ndarray:
@@ -78,7 +79,7 @@ class Memory:
     indicators: int = 0
     log_odds: bool = False
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name in KEPT:
             object.__setattr__(self, name, as_count(name, getattr(self, name), 0))
         if not isinstance(self.log_odds, bool | np.bool_):
@@ -107,9 +108,9 @@ class Memory:
         return self.dimension(self.depth, estimate, measurement, modes)
 
     def push(
-        self, past: Past, *, estimate: np.ndarray | None = None,
-        measurement: np.ndarray | None = None, mode: np.ndarray | None = None,
-        indicator: np.ndarray | None = None, log_odds: np.ndarray | None = None,
+        self, past: Past, *, estimate: ArrayLike | None = None,
+        measurement: ArrayLike | None = None, mode: ArrayLike | None = None,
+        indicator: ArrayLike | None = None, log_odds: ArrayLike | None = None,
     ) -> Past:  # fmt: skip
         """Memory after one more step; blocks beyond the memory's length drop out.
 

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
+
 if TYPE_CHECKING:
     from seedslib.designed.finite_order import FiniteOrderFilter
     from seedslib.designed.switching import SwitchingFilter
@@ -39,8 +41,8 @@ class Prediction(NamedTuple):
     rms: np.ndarray
     error: np.ndarray
     in_sample: bool = False
-    mode_rate: np.ndarray | None = None
-    mode_error: np.ndarray | None = None
+    mode_rate: MaybeArray = None
+    mode_error: MaybeArray = None
 
 
 class Design(NamedTuple):
@@ -54,7 +56,7 @@ class Design(NamedTuple):
     paths: int
     block: int
     entropy: object
-    spawn_key: tuple
+    spawn_key: tuple[Any, ...]
     diverged: int = 0
     exact: bool = False
     thin: int = 0
@@ -96,8 +98,8 @@ class HeldOut(NamedTuple):
     deviation: np.ndarray
     paths: int
     diverged: int
-    mode_rate: np.ndarray | None = None
-    mode_error: np.ndarray | None = None
+    mode_rate: MaybeArray = None
+    mode_error: MaybeArray = None
 
 
 def headline(designed: FiniteOrderFilter) -> str:
@@ -161,7 +163,7 @@ def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
         lost = f", {held.diverged} of them diverged" if held.diverged else ""
         lines.append(f"  after the bar: on {held.paths} paths that the design has not seen{lost}")
     at = designed.clock.rows(predicted.times)
-    for k in np.linspace(0, len(at) - 1, min(ROWS, len(at))).astype(int):
+    for k in shown_rows(len(at)):
         j = at[k]
         row = f"    t = {predicted.times[j]:<8g} {_errors(predicted, j, doubts, modes)}"
         if held is None:
@@ -171,6 +173,11 @@ def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
         beside = len(row) + len(other) + 3 <= WIDTH
         lines += [f"{row} | {other}"] if beside else [row, f"{'|':>17} {other}"]
     return lines
+
+
+def shown_rows(count: int) -> np.ndarray:
+    """Numbers of at most `ROWS` rows, evenly chosen."""
+    return np.linspace(0, count - 1, min(ROWS, count)).astype(int)
 
 
 def _errors(found, j, doubts, modes):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,7 +49,7 @@ class Polynomial:
     mean_degree: int = 3
     cov_degree: int = 2
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for name, least in (("mean_degree", 1), ("cov_degree", 0)):
             object.__setattr__(self, name, as_count(name, getattr(self, name), least))
 
@@ -154,7 +154,7 @@ def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.nda
 
 
 @lru_cache(maxsize=64)
-def monomial_recipe(size: int, degree: int) -> tuple:
+def monomial_recipe(size: int, degree: int) -> tuple[Any, ...]:
     """For each monomial of degree 1 to `degree` its factor and the monomial it multiplies.
 
     Lower degrees come first, so the monomials of a lower degree are the first ones.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +15,7 @@ from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.designed.switching_fits import CellFit, cell_count
 
 
-def check_shapes(filter) -> None:
+def check_shapes(filter: Any) -> None:
     """Refuse a filter whose parts do not fit together.
 
     Regressions and tables are held against the memory, the times and the model's sizes; functions

@@ -2,38 +2,34 @@
 
 from __future__ import annotations
 
-import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock
-from seedslib.designed.gaps import dropouts, law_unclaimed, unclaimed
+from seedslib.designed.gaps import law_unclaimed
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
+from seedslib.designed.runs import DesignedFilter
 from seedslib.designed.shapes import check_shapes
-from seedslib.designed.switching_fits import (
-    CellFit,
-    cell_number,
-    fits_apart,
-    require_memory,
-)
+from seedslib.designed.switching_fits import cell_number, fits_apart, require_memory
 from seedslib.designed.switching_rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
+from seedslib.filters.estimates import Estimates
 from seedslib.filters.mixture import mix
-from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, as_system
+from seedslib.models.kinds import as_system
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class SwitchingFilter(Filter):
+class SwitchingFilter(DesignedFilter):
     """Mode and state of a switching system, by Gaussian laws in each mode.
 
     Without a memory it carries the posterior laws of all modes: the normal approximation of the
@@ -74,15 +70,11 @@ class SwitchingFilter(Filter):
         The linearization has no formulas for a branch; the message offers one that works.
     """
 
-    takes = ("indicators", "covariances")
-
-    takes = ("indicators", "covariances")
-
     system: object
     linearization: Linearization
     memory: Memory | None = None
-    times: np.ndarray | None = None
-    fits: tuple[CellFit, ...] = ()
+    times: MaybeArray = None
+    fits: Sequence[Any] = ()
     normalisation: str = "consistent"
     split: bool = True
     predicted: Prediction | None = None
@@ -91,7 +83,7 @@ class SwitchingFilter(Filter):
     held_out: HeldOut | None = None
     rules: SwitchingRules | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
         if not isinstance(self.linearization, Linearization):
             raise TypeError(f"linearization: wanted a Linearization, got {self.linearization!r}")
@@ -179,16 +171,9 @@ class SwitchingFilter(Filter):
             of range.
         """
         want_forecast(state)
-        y = as_real("y", y, nan=True)
-        wanted = (self.system.measurement_size, *state.law.log_prob.shape[2:])
-        if y.shape != wanted:
-            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
-        if indicator is not None:
-            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
-        indicator = as_indicators(indicator, self.system, (1, *wanted[1:]), "indicator")
-        seen = None if indicator is None else indicator[0]
+        y, seen, gap = self.measured(y, indicator, state.law.log_prob.shape[2:])
         found = self.rules.correct(state, y, seen, self.memory)
-        return found if self.memory is None else law_unclaimed(found, state, y, seen)
+        return found if self.memory is None else law_unclaimed(found, state, gap)
 
     def report(self, state: SwitchingState) -> Estimates:
         """What is estimated after a correction."""
@@ -204,79 +189,33 @@ class SwitchingFilter(Filter):
         cov = np.where(state.gap, np.nan, mixed.cov) if np.any(state.gap) else mixed.cov
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
-    def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        covariances: bool = False, workers: int = 1,
-    ) -> Estimates:  # fmt: skip
-        """Filter a record, or many at once.
+    def sizes(self, covariances: bool) -> Estimates:
+        """Shapes of what is found at each time."""
+        n = self.system.state_size
+        return Estimates((n,), (n, n) if covariances else None, (self.system.modes,), (), None, ())
 
-        Parameters
-        ----------
-        times : array_like, shape (J+1,)
-            For a designed filter the times of its design up to some of them.
-        measurements : array_like, shape (J+1, m, *batch)
-            NaN marks a missing component.
-        indicators : array_like of int, shape (J+1, *batch), optional
-            -1 marks a missing one; wanted where the system has an indicator.
-        covariances : bool
-            Whether `cov` is wanted.
-        workers : int
-            Threads over blocks of paths.
+    def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Number of the measurement at each time: there are none between."""
+        return np.arange(len(times))
 
-        Returns
-        -------
-        Estimates
-            With ``mode_prob`` (J+1, L, *batch), ``modes``, ``loglik`` (J+1, *batch), and
-            ``diverged`` (*batch): what became NaN, or what no mode can have shown. With a memory
-            ``cov`` is NaN from a gap on, and ``loglik`` after it: the design knows none.
+    def fill(
+        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
+        indicators: np.ndarray | None,
+    ) -> int:  # fmt: skip
+        """Run over a block of records."""
+        state = self.initial(y.shape[2:])
+        for k, t in enumerate(times):
+            shown = None if indicators is None else indicators[k]
+            state = self.rules.correct(self.predict(state, t), y[k], shown, self.memory)
+            rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
+            rows.modes[k], rows.loglik[k] = state.mode, state.loglik
+            if rows.cov is not None:
+                rows.cov[k] = total_covariance(state.law)
+        return state.mended
 
-        Raises
-        ------
-        TypeError, ValueError
-            As `predict` and `correct`.
-
-        Warns
-        -----
-        UserWarning
-            Covariances that had to be mended; records with gaps of a filter with a memory.
-        """
-        designed = self.memory is not None  # then they are those of the design
-        times = as_times("times", times) if designed else as_grid("times", times, self.system)
-        y = as_record(measurements, len(times), self.system.measurement_size)
-        batch = y.shape[2:]
-        told = as_indicators(indicators, self.system, (len(times), *batch))
-        flat, n = y.reshape(*y.shape[:2], -1), self.system.state_size
-        seen = None if told is None else told.reshape(len(times), -1)
-        whole = len(times), flat.shape[2]
-        mean, prob = (np.empty((whole[0], size, whole[1])) for size in (n, self.system.modes))
-        cov = np.empty((whole[0], n, n, whole[1])) if covariances else None
-        loglik, modes = np.empty(whole), np.empty(whole, dtype=int)
-
-        def work(a, b, _):
-            state = self.initial((b - a,))
-            for k, t in enumerate(times):
-                shown = None if seen is None else seen[k, a:b]
-                state = self.predict(state, t)
-                state = self.rules.correct(state, flat[k, :, a:b], shown, self.memory)
-                mean[k, :, a:b], prob[k, :, a:b] = state.mean, state.law.prob
-                modes[k, a:b], loglik[k, a:b] = state.mode, state.loglik
-                if covariances:
-                    cov[k, ..., a:b] = total_covariance(state.law)
-            return state.mended
-
-        if raised := sum(in_blocks(work, whole[1], 0, workers=workers)):
-            warnings.warn(
-                f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
-                stacklevel=2,
-            )
-        mean, cov, prob, loglik, modes = (
-            None if part is None else part.reshape(*part.shape[:-1], *batch)
-            for part in (mean, cov, prob, loglik, modes)
-        )
-        diverged = ~np.isfinite(mean).all(axis=(0, 1)) | (loglik == -np.inf).any(axis=0)
-        found = Estimates(mean, cov, prob, loglik, diverged, modes)
-        lost = None if self.memory is None else dropouts(y, None, told)
-        return unclaimed(found, lost, times)
+    def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
+        """What no mode can have shown is lost too."""
+        return found._replace(diverged=lost | (found.loglik == -np.inf).any(axis=0))
 
     def stationary(self, tolerance: float = 0.05) -> SwitchingFilter:
         """The same filter with its last fit for all later steps.

@@ -4,14 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
+from typing import Any
 
 import numpy as np
 
 from seedslib.linearization.moments import Gaussian, Linearization, Weighted
+from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
 
 
-def forecast_row(system, i: int, linearization: Linearization, split: bool) -> Callable:
+def forecast_row(
+    system: AnySystem, i: int, linearization: Linearization, split: bool
+) -> Callable[..., Any]:
     """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode and part.
 
     Where forecasts are split there is a part for each value of the indicator, (6.19).
@@ -61,14 +65,16 @@ def _each_moments(maps, linearization):
     return row
 
 
-def alone_moments(branch, linearization: Linearization) -> Callable:
+def alone_moments(branch: Any, linearization: Linearization) -> Callable[..., Any]:
     """Moments of one branch with the state in it."""
     if not branch.constant:
         return linearization.weighted(branch.map)
     return plain_moments(branch.whole, branch, linearization)
 
 
-def plain_moments(map: StochasticMap, share, linearization: Linearization) -> Callable:
+def plain_moments(
+    map: StochasticMap, share: Any, linearization: Linearization
+) -> Callable[..., Any]:
     """Moments of a map that applies with a probability that does not depend on the state."""
     moments = linearization.moments(map)
 

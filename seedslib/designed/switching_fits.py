@@ -6,12 +6,13 @@ and measurements). In each cell and mode the state and the vector are taken for 
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.designed.lemmas import ModeLaw
 from seedslib.designed.memory import Memory, Past
+from seedslib.models.kinds import AnySystem
 
 
 class CellFit(NamedTuple):
@@ -91,14 +92,14 @@ def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...])
     return number
 
 
-def cell_count(memory: Memory, system, k: int) -> int:
+def cell_count(memory: Memory, system: AnySystem, k: int) -> int:
     """Number of cells of the memory after measurement k."""
     return system.modes ** min(k + 1, memory.estimates) * system.indicators ** min(
         k + 1, memory.indicators
     )
 
 
-def require_memory(memory, system) -> None:
+def require_memory(memory: Memory, system: AnySystem) -> None:
     """Refuse a memory of what a switching system does not have.
 
     Raises
@@ -114,7 +115,7 @@ def require_memory(memory, system) -> None:
         raise ValueError("memory: wanted several modes for log-odds, got one")
 
 
-def fits_apart(fits, memory) -> float:
+def fits_apart(fits: Any, memory: Memory) -> float:
     """How far the last two forecasts are apart, in deviations of the state given the memory.
 
     Root of the mean square over cells and modes, at the means of the memory, with the

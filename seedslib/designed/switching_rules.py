@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import mended
 from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
-from seedslib.designed.memory import Past
+from seedslib.designed.memory import Memory, Past
 from seedslib.designed.switching_branches import (
     alone_moments,
     forecast_row,
@@ -18,6 +20,7 @@ from seedslib.designed.switching_branches import (
 from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Moments
 from seedslib.linearization.points import PointRule
+from seedslib.models.kinds import AnySystem
 
 NORMALISATIONS = ("consistent", "printed")
 
@@ -56,8 +59,8 @@ class SwitchingState(NamedTuple):
     index: int
     time: float | None
     law: ModeLaw
-    mean: np.ndarray | None
-    mode: np.ndarray | None
+    mean: MaybeArray
+    mode: MaybeArray
     past: Past
     loglik: np.ndarray | float
     mended: int
@@ -83,29 +86,32 @@ class SwitchingRules:
         The linearization has no formulas for a branch; the message offers one that works.
     """
 
-    def __init__(self, system, linearization, normalisation="consistent", split=True):
+    def __init__(
+        self, system: AnySystem, linearization: Any, normalisation: str = "consistent",
+        split: bool = True,
+    ) -> None:  # fmt: skip
         if normalisation not in NORMALISATIONS:
             raise ValueError(
                 f"normalisation: wanted one of {', '.join(NORMALISATIONS)}, got {normalisation!r}"
             )
         self.system = system
         self._made_of = (system, linearization, normalisation, split)
-        self.split = split and not system.indicator_is_blind
-        self.printed = self.split and normalisation == "printed"
+        self.split: bool = split and not system.indicator_is_blind
+        self.printed: bool = self.split and normalisation == "printed"
         # rules of points may have negative weights
-        self.guarded = isinstance(linearization, PointRule)
-        self.rows = [
+        self.guarded: bool = isinstance(linearization, PointRule)
+        self.rows: list[Any] = [
             forecast_row(system, i, linearization, self.split) for i in range(system.modes)
         ]
-        self.readings = [
+        self.readings: list[Any] = [
             [reading and alone_moments(reading, linearization) for reading in row]
             for row in system.readings
         ]
-        self.unseen = None
+        self.unseen: list[Any] | None = None
         if system.indicators:
             self.unseen = [plain_moments(sensor, 1.0, linearization) for sensor in system.sensors]
 
-    def __reduce__(self):
+    def __reduce__(self) -> tuple[Any, ...]:
         return compiled_rules, self._made_of
 
     def initial(self, batch: tuple[int, ...]) -> ModeLaw:
@@ -182,7 +188,9 @@ class SwitchingRules:
         """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
         return j if self.printed and law.log_prob.shape[1] > 1 else None
 
-    def correct(self, state: SwitchingState, y, indicator, memory) -> SwitchingState:
+    def correct(
+        self, state: SwitchingState, y: np.ndarray, indicator: ArrayLike | None, memory: Memory
+    ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return self._corrected(state, y, indicator, memory)
@@ -233,7 +241,9 @@ class SwitchingRules:
 
 
 @lru_cache(maxsize=16)
-def compiled_rules(system, linearization, normalisation, split) -> SwitchingRules:
+def compiled_rules(
+    system: AnySystem, linearization: Any, normalisation: str, split: bool
+) -> SwitchingRules:
     """Rules of a system and a linearization, the same object for the same arguments."""
     return SwitchingRules(system, linearization, normalisation, split)
 

@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import ABSOLUTE, RELATIVE
 from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
 
 LARGEST_STATE = 4
@@ -32,7 +34,7 @@ def traced_correction(
     return TracedCorrection(map, linearization, rows)
 
 
-def mean_velocity(system, linearization: Linearization) -> Callable:
+def mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[..., Any]:
     """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
 
     The covariance is common to all paths, (n, n).
@@ -71,8 +73,10 @@ class TracedCorrection:
         Leading components of the state to correct.
     """
 
-    def __init__(self, map, linearization, rows):
-        self.map, self.linearization, self.rows = map, linearization, rows
+    def __init__(self, map: Any, linearization: Linearization, rows: Any) -> None:
+        self.map: Any = map
+        self.linearization: Linearization = linearization
+        self.rows: Any = rows
 
     @cached_property
     def _mean(self):
@@ -109,7 +113,9 @@ class TracedCorrection:
             return None  # a component of the measurement is always redundant
         return compile_components((self.map.time, mean, lower, y), found)
 
-    def __call__(self, t, mean, cov, y, spread):
+    def __call__(
+        self, t: float, mean: np.ndarray, cov: np.ndarray, y: np.ndarray, spread: np.ndarray
+    ) -> Any:
         """Mean (rows,), covariance (rows, rows) or None, and log-likelihood.
 
         None for a measurement with missing components, and where a component is redundant; the

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.clock import Clock
 from seedslib.designed.identity import difference, probe, probe_points
+from seedslib.designed.prediction import ROWS
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.words import model_text
-
-ROWS = 12
-"""Times that are printed at most."""
 
 
 class Change(NamedTuple):
@@ -32,7 +30,7 @@ CHOICES = {
 """What is chosen for a design, and where the filter has it."""
 
 
-def choices(designed) -> dict[str, str]:
+def choices(designed: Any) -> dict[str, str]:
     """What was chosen for a design, in words that are equal where the choices are."""
     found = {"kind": type(designed).__name__}
     for name, field in CHOICES.items():
@@ -77,7 +75,7 @@ def _grid(times):
     return ", ".join(f"{t:.12g}" for t in times)
 
 
-def model_changes(first, second) -> list[Change]:
+def model_changes(first: Any, second: Any) -> list[Change]:
     """What differs between the models; nothing where they are one, however they are written."""
     one, two = first.system, second.system
     if one is two:

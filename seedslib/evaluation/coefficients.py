@@ -48,13 +48,13 @@ class _Part(NamedTuple):
     """Arrays or functions, and what they weigh: numbers of one shape may be of other things."""
 
     weighs: object
-    values: list
+    values: list[Any]
 
 
 class _Function(NamedTuple):
     """The estimate, or the decided mode, of an output function; of a table so many arguments."""
 
-    call: Callable
+    call: Callable[..., Any]
     size: int | None
     mode: bool = False
 

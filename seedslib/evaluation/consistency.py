@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from seedslib.base.semidefinite import range_root, square_root
@@ -9,7 +11,7 @@ from seedslib.base.semidefinite import range_root, square_root
 CONFIDENCE = 0.95
 
 
-def mahalanobis(error, cov) -> tuple[np.ndarray, int] | None:
+def mahalanobis(error: np.ndarray, cov: Any) -> tuple[np.ndarray, int] | None:
     """Normalised squares eᵀ P⁺ e, shape (J, N), and their degrees of freedom.
 
     Parameters

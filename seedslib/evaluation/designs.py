@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -11,8 +11,9 @@ from seedslib.base.clock import Clock
 from seedslib.base.objects import Shown
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.filter import OutputFilter
+from seedslib.designed.prediction import shown_rows
 from seedslib.designed.switching import SwitchingFilter
-from seedslib.evaluation.choices import ROWS, Change, choices, model_changes
+from seedslib.evaluation.choices import Change, choices, model_changes
 from seedslib.evaluation.coefficients import relative_differences
 from seedslib.models.kinds import switches
 
@@ -112,7 +113,7 @@ class DesignDifference(Shown):
         width = max(9, *(len(name) for name in shown))
         head = "  ".join(f"{name:>{width}}" for name in shown)
         lines.append(f"  {'':12}  {head}")
-        for j in _some(len(self.times)):
+        for j in shown_rows(len(self.times)):
             cells = (f"{part[j]:.3g}" if np.isfinite(part[j]) else "" for part in shown.values())
             row = "  ".join(f"{cell:>{width}}" for cell in cells)
             lines.append(f"  {f't = {self.times[j]:g}':12}  {row}".rstrip())
@@ -123,7 +124,7 @@ def _predicted_lines(name, p):
     if not len(p.times):
         return [f"no time at which both predict their {name}"]
     lines = [f"predicted {name}, second minus first"]
-    for j in _some(len(p.times)):
+    for j in shown_rows(len(p.times)):
         row = "  ".join(
             f"{a:.4f} to {b:.4f} ({d:+.4f}{_in_errors(e, z)})"
             for a, b, d, e, z in zip(*(part[j] for part in p[1:]), strict=True)
@@ -132,7 +133,7 @@ def _predicted_lines(name, p):
     return lines
 
 
-def diff(first, second) -> DesignDifference:
+def diff(first: Any, second: Any) -> DesignDifference:
     """Compare two designed filters by what they hold; nothing is simulated.
 
     Errors on held-out paths are not compared: they follow from coefficients, model and seed, which
@@ -209,11 +210,6 @@ def _predicted(first, second, *names) -> PredictedDifference:
     apart, error = after - before, np.hypot(one[1][a, :c], two[1][b, :c])
     z = np.divide(apart, error, out=np.full(apart.shape, np.nan), where=error > 0)
     return PredictedDifference(times[a], before, after, apart, error, z)
-
-
-def _some(count):
-    """Numbers of at most `ROWS` rows, evenly chosen."""
-    return range(count) if count <= ROWS else np.linspace(0, count - 1, ROWS).astype(int)
 
 
 def _in_errors(error, z):

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.objects import Shown
 
 
@@ -60,19 +61,19 @@ class Evaluation(NamedTuple):
     paths: int
     scored: int
     diverged: int
-    nees: np.ndarray | None
-    nis: np.ndarray | None
-    nees_bounds: tuple | None
-    nis_bounds: tuple | None
+    nees: MaybeArray
+    nis: MaybeArray
+    nees_bounds: tuple[Any, ...] | None
+    nis_bounds: tuple[Any, ...] | None
     seconds_per_step: float
     total: np.ndarray
     total_error: np.ndarray
     average_total: float
     average_total_error: float
-    mode_error: np.ndarray | None = None
-    mode_error_error: np.ndarray | None = None
-    average_mode_error: float | None = None
-    average_mode_error_error: float | None = None
+    mode_error: MaybeArray = None
+    mode_error_error: MaybeArray = None
+    average_mode_error: Any = None
+    average_mode_error_error: Any = None
 
 
 class Difference(NamedTuple):
@@ -102,13 +103,13 @@ class Difference(NamedTuple):
     square_error: np.ndarray
     average_square: float
     average_square_error: float
-    mode: np.ndarray | None = None
-    mode_error: np.ndarray | None = None
-    average_mode: float | None = None
-    average_mode_error: float | None = None
+    mode: MaybeArray = None
+    mode_error: MaybeArray = None
+    average_mode: Any = None
+    average_mode_error: Any = None
 
 
-class Comparison(Shown, Mapping):
+class Comparison(Shown, Mapping[str, Evaluation]):
     """Evaluations by name, and paired differences; read like a mapping."""
 
     _shown = ("names",)
@@ -118,7 +119,7 @@ class Comparison(Shown, Mapping):
         """Of the filters."""
         return tuple(self._evaluations)
 
-    def __init__(self, evaluations, squares, cov, scored):
+    def __init__(self, evaluations: Any, squares: Any, cov: np.ndarray, scored: Any) -> None:
         """Squares (F, J+1, c+1 or c+2) and their covariances over paths (F, F, ...): those of
         the components, their sum, and the shares of wrong modes where there are modes.
         """
@@ -126,13 +127,13 @@ class Comparison(Shown, Mapping):
         self._squares, self._cov, self._scored = squares, cov, scored
         self._components = next(iter(evaluations.values())).rms.shape[1]
 
-    def __getitem__(self, name) -> Evaluation:
+    def __getitem__(self, name: str) -> Evaluation:
         return self._evaluations[name]
 
-    def __iter__(self):
+    def __iter__(self) -> Iterator[str]:
         return iter(self._evaluations)
 
-    def __len__(self):
+    def __len__(self) -> int:
         return len(self._evaluations)
 
     def difference(self, first: str, second: str) -> Difference:
@@ -181,7 +182,7 @@ class Comparison(Shown, Mapping):
         return "\n".join(lines)
 
 
-def roots(mean) -> tuple[np.ndarray, np.ndarray]:
+def roots(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Roots of mean squares, and the derivatives of a root by its mean square."""
     rms = np.sqrt(mean)
     return rms, np.divide(0.5, rms, out=np.zeros_like(rms), where=rms > 0)

@@ -11,16 +11,20 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Mapping
+from functools import reduce
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import child, in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
 from seedslib.evaluation.consistency import bounds, mahalanobis
 from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
-from seedslib.models.kinds import KINDS, as_system
+from seedslib.models.kinds import KINDS, AnySystem, as_system
 from seedslib.models.simulation import as_measured
 
 FILTERS = 0x46494C54
@@ -30,14 +34,17 @@ BLOCK = 2048
 """Paths in a block of an evaluation, where whole trajectories of all filters are held."""
 
 
-def evaluate(filter, system, times, paths, seed, **options) -> Evaluation:
+def evaluate(
+    filter: Any, system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, **options: Any
+) -> Evaluation:
     """Accuracy of one filter; arguments as `compare`."""
     return compare({"filter": filter}, system, times, paths, seed, **options)["filter"]
 
 
 def compare(
-    filters, system, times, paths, seed, *, measured=None, components=None, window=None,
-    bound=np.inf, consistency=False, workers=1, **options,
+    filters: Mapping[str, Any], system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
+    measured: ArrayLike | None = None, components: int | None = None, window: Any = None,
+    bound: Any = np.inf, consistency: bool = False, workers: int = 1, **options: Any,
 ) -> Comparison:  # fmt: skip
     """Accuracy of several filters on the same simulated paths.
 
@@ -183,15 +190,12 @@ def _block(filters, data, measured, components, window, bound, consistency, stre
 
 def _wanted(filter, data, stream, consistency):
     """What the run of a filter takes beside times and measurements."""
+    shown = getattr(getattr(filter, "system", None), "indicators", True)
     given = {
-        "indicators": data.indicators,
-        "modes": data.modes,
-        "seed": stream,
+        "indicators": data.indicators if shown else None, "modes": data.modes, "seed": stream,
         "covariances": consistency or None,
-    }
-    if not getattr(getattr(filter, "system", None), "indicators", True):
-        del given["indicators"]
-    takes = set(getattr(filter, "takes", ()))
+    }  # fmt: skip
+    takes = getattr(filter, "takes", ())
     return {name: part for name, part in given.items() if part is not None and name in takes}
 
 
@@ -205,17 +209,13 @@ def _innovations(filter, data, measured):
     for j in np.flatnonzero(measured):
         state = filter.predict(state, data.times[j])
         expected = filter.expect(state)
-        error = (y[j] - expected.mean)[None]
-        cov = expected.cov[None]
-        result[j] = mahalanobis(error, cov)[0][0]
+        result[j] = mahalanobis((y[j] - expected.mean)[None], expected.cov[None])[0][0]
         state = filter.correct(state, y[j])
     return result, y.shape[1]
 
 
 def _summed(filters, times, paths, tallies) -> Comparison:
-    total = None
-    for part in tallies:
-        total = part if total is None else merged(total, part)
+    total = reduce(merged, tallies)
     if total.count < 2:
         raise ValueError(f"paths: wanted at least 2 without divergence, got {total.count}")
     count = total.count
@@ -228,40 +228,22 @@ def _summed(filters, times, paths, tallies) -> Comparison:
         error = slope * spread[:, : components + 1]
         bias = total.error[f] / count
         variance = total.mean[f, :-1, :components] - bias**2
-        decides = {}
+        decides = ()
         if total.mean.shape[2] > components + 1 and np.isfinite(total.mean[f, -1, -1]):
             share, width = total.mean[f, :, -1], spread[:, -1]
-            decides = {
-                "mode_error": share[:-1],
-                "mode_error_error": width[:-1],
-                "average_mode_error": float(share[-1]),
-                "average_mode_error_error": float(width[-1]),
-            }
+            decides = share[:-1], width[:-1], float(share[-1]), float(width[-1])
         nees, nees_bounds = _consistency(total.normalised[f], 0, name, "nees", count)
         nis, nis_bounds = _consistency(total.normalised[f], 1, name, "nis", count)
         evaluations[name] = Evaluation(
-            times=times,
-            rms=rms[:-1, :-1],
-            rms_error=error[:-1, :-1],
-            rms_all=np.sqrt(total.everything[f] / total.simulated),
-            bias=bias,
-            bias_error=np.sqrt(np.maximum(variance, 0.0) / count),
-            average=rms[-1, :-1],
-            average_error=error[-1, :-1],
-            paths=paths,
-            scored=count,
-            diverged=int(total.diverged[f]),
-            nees=nees,
-            nis=nis,
-            nees_bounds=nees_bounds,
-            nis_bounds=nis_bounds,
-            seconds_per_step=float(total.seconds[f] / total.steps) if total.steps else np.nan,
-            total=rms[:-1, -1],
-            total_error=error[:-1, -1],
-            average_total=float(rms[-1, -1]),
-            average_total_error=float(error[-1, -1]),
-            **decides,
-        )
+            times, rms[:-1, :-1], error[:-1, :-1],
+            np.sqrt(total.everything[f] / total.simulated),
+            bias, np.sqrt(np.maximum(variance, 0.0) / count),
+            rms[-1, :-1], error[-1, :-1],
+            paths, count, int(total.diverged[f]),
+            nees, nis, nees_bounds, nis_bounds,
+            float(total.seconds[f] / total.steps) if total.steps else np.nan,
+            rms[:-1, -1], error[:-1, -1], float(rms[-1, -1]), float(error[-1, -1]), *decides,
+        )  # fmt: skip
     return Comparison(evaluations, total.mean, cov, count)
 
 

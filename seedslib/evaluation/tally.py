@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -21,14 +21,19 @@ class Tally(NamedTuple):
     error: np.ndarray  # (F, J, c) sums of the errors
     everything: np.ndarray  # (F, J, c) sums of the squares of all paths
     diverged: np.ndarray  # (F,)
-    normalised: list  # for each filter sums and counts of NEES and NIS
+    normalised: list[Any]  # for each filter sums and counts of NEES and NIS
     seconds: np.ndarray  # (F,) per block
     steps: int  # measurements times paths
 
 
+SUMS = "simulated", "count", "error", "everything", "diverged", "seconds", "steps"
+"""What is added up as it is."""
+
+
 def tally(
-    error, good, truth, astray, normalised, seconds, steps, *, wrong=None, window=None
-) -> Tally:
+    error: Any, good: Any, truth: Any, astray: Any, normalised: Any, seconds: float, steps: int, *,
+    wrong: Any = None, window: Any = None,
+) -> Tally:  # fmt: skip
     """Sums of one block.
 
     Parameters
@@ -69,17 +74,9 @@ def tally(
         products[a, b] = products[b, a] = np.einsum("jcN,jcN->jc", centred[a], centred[b])
     sums = [None if pair is None else [_sum(part, good) for part in pair] for pair in normalised]
     return Tally(
-        simulated=int(truth.sum()),
-        count=count,
-        mean=mean,
-        products=products,
-        error=error.sum(axis=-1),
-        everything=everything,
-        diverged=(astray & truth).sum(axis=1),
-        normalised=sums,
-        seconds=seconds,
-        steps=steps,
-    )
+        int(truth.sum()), count, mean, products, error.sum(axis=-1), everything,
+        (astray & truth).sum(axis=1), sums, seconds, steps,
+    )  # fmt: skip
 
 
 def _sum(values, good):
@@ -92,10 +89,9 @@ def _sum(values, good):
     return np.where(known, squares, 0.0).sum(axis=1), np.count_nonzero(known, axis=1), freedom
 
 
-def merged(a, b) -> Tally:
+def merged(a: Any, b: Any) -> Tally:
     """Sums of two sets of blocks (Chan's update of means and products)."""
-    count = a.count + b.count
-    share = b.count / max(count, 1)
+    share = b.count / max(a.count + b.count, 1)
     shift = b.mean - a.mean
     products = a.products + b.products + a.count * share * shift[:, None] * shift[None, :]
     normalised = [
@@ -107,15 +103,5 @@ def merged(a, b) -> Tally:
         ]
         for one, two in zip(a.normalised, b.normalised, strict=True)
     ]
-    return Tally(
-        simulated=a.simulated + b.simulated,
-        count=count,
-        mean=a.mean + share * shift,
-        products=products,
-        error=a.error + b.error,
-        everything=a.everything + b.everything,
-        diverged=a.diverged + b.diverged,
-        normalised=normalised,
-        seconds=a.seconds + b.seconds,
-        steps=a.steps + b.steps,
-    )
+    sums = {name: getattr(a, name) + getattr(b, name) for name in SUMS}
+    return a._replace(mean=a.mean + share * shift, products=products, normalised=normalised, **sums)

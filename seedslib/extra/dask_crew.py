@@ -20,6 +20,7 @@ from contextlib import contextmanager
 from functools import cache
 from itertools import chain, count, pairwise, repeat
 from operator import itemgetter
+from typing import Any
 
 import cloudpickle
 import distributed
@@ -99,7 +100,7 @@ class Cluster(Crew):
         self._memories = [{}] * self._shares
         self._steps, self._sent = [], []
 
-    def __call__(self, work: Callable, *lists: Iterable) -> Remote:
+    def __call__(self, work: Callable[..., Any], *lists: Iterable[Any]) -> Remote:
         """Entries ``work(*entries)`` over the entries of the lists; they stay on the workers."""
         return self._noted(work, lists)
 
@@ -107,11 +108,11 @@ class Cluster(Crew):
         """Stand-in for a list that has the same thing for every bundle, sent once."""
         return self._noted(None, [_Same(thing)])
 
-    def unzip(self, pairs: Remote) -> list:
+    def unzip(self, pairs: Remote) -> list[Any]:
         """Lists of the first and of the second parts of the entries of a list."""
         return [self(itemgetter(k), pairs) for k in range(2)]
 
-    def fetch(self, name: int) -> list:
+    def fetch(self, name: int) -> list[Any]:
         """Entries of a list by its name, in the order of the bundles."""
         try:
             if self._steps:
@@ -183,9 +184,10 @@ class Remote:
     """A list with an entry for each bundle that stays on the workers; iteration fetches it."""
 
     def __init__(self, cluster: Cluster, name: int) -> None:
-        self.cluster, self.name = cluster, name
+        self.cluster: Any = cluster
+        self.name: int = name
 
-    def __iter__(self) -> Iterator:
+    def __iter__(self) -> Iterator[Any]:
         return iter(self.cluster.fetch(self.name))
 
 
@@ -195,7 +197,7 @@ class _Same:
     def __init__(self, thing: object) -> None:
         self.thing = thing
 
-    def __iter__(self) -> Iterator:
+    def __iter__(self) -> Iterator[Any]:
         return repeat(self.thing)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -63,9 +63,12 @@ class LearnedOutput:
     """
 
     def __init__(
-        self, centre: np.ndarray, scale: np.ndarray, ends: np.ndarray, models: list
+        self, centre: np.ndarray, scale: np.ndarray, ends: np.ndarray, models: list[Any]
     ) -> None:
-        self.centre, self.scale, self.ends, self.models = centre, scale, ends, models
+        self.centre: np.ndarray = centre
+        self.scale: np.ndarray = scale
+        self.ends: np.ndarray = ends
+        self.models: list[Any] = models
 
     def __call__(self, points: Sequence[np.ndarray]) -> Output:
         """Value (n', *batch) at points, the components of y and u, that broadcast to (*batch)."""
@@ -92,7 +95,7 @@ class LearnedFilter(OutputFilter):
     that is.
     """
 
-    def tabulated(self, *, y: Sequence, z: Sequence) -> TableFilter:
+    def tabulated(self, *, y: Sequence[Any], z: Sequence[Any]) -> TableFilter:
         """The same filter with its functions read off at the nodes of axes.
 
         Parameters
@@ -111,7 +114,7 @@ class LearnedFilter(OutputFilter):
 
 def learn(
     system: JumpDiffusion | DiscreteSystem, memory: Memory, times: ArrayLike, *, paths: int,
-    seed: int | np.random.SeedSequence | np.random.Generator, regressor: object = None,
+    seed: int | np.random.SeedSequence | np.random.Generator, regressor: Any = None,
     components: int | None = None, draws: int = 1, sets: int = 4, joint: bool = False,
     nodes: int = 4, workers: int = 1,
 ) -> LearnedFilter:  # fmt: skip
@@ -195,7 +198,7 @@ def learn(
 
 
 def _output(
-    regressor: object, sensor: StochasticMap, t: float, lesson: Lesson, components: int,
+    regressor: Any, sensor: StochasticMap, t: float, lesson: Lesson, components: int,
     draws: int, joint: bool, rng: np.random.Generator, fitting: np.random.Generator,
 ) -> LearnedOutput:  # fmt: skip
     """The function of one measurement, fitted to `draws` measurements of each path."""

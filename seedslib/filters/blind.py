@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import warnings
 from itertools import product
+from typing import Any
 
 import numpy as np
+
+from seedslib.models.kinds import AnySystem
 
 TIMES = (0.0, 0.7, 1.0, 10.0, 1e3)
 """Where it is looked; a sensor may be switched off for a while."""
@@ -17,7 +20,7 @@ NOTHING = 1e-14
 """A correlation below this is rounding."""
 
 
-def warn_blind(sensor, system) -> None:
+def warn_blind(sensor: Any, system: AnySystem) -> None:
     """Warn of components of a measurement that no state is correlated with, wherever it is.
 
     Parameters

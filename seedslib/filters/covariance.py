@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count
@@ -18,7 +19,7 @@ from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import as_system, in_steps
+from seedslib.models.kinds import AnySystem, as_system, in_steps
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -80,9 +81,9 @@ class CovarianceFilter(Filter, Remade):
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
-        self, system, linearization, *, step=None, integrator="rk4", bound=None, rtol=1e-6,
-        atol=1e-9,
-    ):  # fmt: skip
+        self, system: AnySystem, linearization: Linearization, *, step: float | None = None,
+        integrator: str = "rk4", bound: float | None = None, rtol: float = 1e-6, atol: float = 1e-9,
+    ) -> None:  # fmt: skip
         if not isinstance(linearization, Linearization):
             raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
         if integrator not in INTEGRATORS:
@@ -90,14 +91,16 @@ class CovarianceFilter(Filter, Remade):
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
             )
         as_system("system", system, "JumpDiffusion", "DiscreteSystem")
-        self.system, self.linearization, self.integrator = system, linearization, integrator
-        self.continuous = not in_steps(system)
-        self.integration_step = float(getattr(system, "step", 1.0) if step is None else step)
-        self.bound = np.inf if bound is None else float(bound)
+        self.system: Any = system
+        self.linearization: Linearization = linearization
+        self.integrator: str = integrator
+        self.continuous: bool = not in_steps(system)
+        self.integration_step: float = float(getattr(system, "step", 1.0) if step is None else step)
+        self.bound: float = np.inf if bound is None else float(bound)
         for name, value in (("step", self.integration_step), ("bound", self.bound)):
             if not value > 0:
                 raise ValueError(f"{name}: wanted a positive number, got {value}")
-        self.n = len(system.mean0)
+        self.n: int = len(system.mean0)
         self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
         self._by_points = isinstance(linearization, PointRule)
@@ -111,7 +114,7 @@ class CovarianceFilter(Filter, Remade):
         else:
             self._dynamics = linearization.transition(system.dynamics)
 
-    def initial(self, batch=(), seed=None) -> FilterState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
         """State before any measurement: the moments of the initial law.
 
         Parameters
@@ -155,7 +158,7 @@ class CovarianceFilter(Filter, Remade):
             change[k] = component
         return FilterState(float(t), mean, symmetric(change, self.n), state.loglik)
 
-    def correct(self, state: FilterState, y) -> FilterState:
+    def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
         """Correct by the measurement y, shape (m, *batch), at the time of the state.
 
         Raises
@@ -193,28 +196,31 @@ class CovarianceFilter(Filter, Remade):
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 
-def extended_kalman(system, **options) -> CovarianceFilter:
+def extended_kalman(system: AnySystem, **options: Any) -> CovarianceFilter:
     """Extended Kalman filter (the paper's OFK, or L-AOF): `CovarianceFilter` with `Taylor`."""
     from seedslib.linearization.symbolic import Taylor
 
     return CovarianceFilter(system, Taylor(), **options)
 
 
-def assumed_density(system, **options) -> CovarianceFilter:
+def assumed_density(system: AnySystem, **options: Any) -> CovarianceFilter:
     """Gaussian assumed-density filter (the paper's FNA): `CovarianceFilter` with exact means."""
     from seedslib.linearization.symbolic import ExactGaussian
 
     return CovarianceFilter(system, ExactGaussian(), **options)
 
 
-def unscented_kalman(system, *, alpha=1.0, beta=0.0, kappa=None, **options) -> CovarianceFilter:
+def unscented_kalman(
+    system: AnySystem, *, alpha: float = 1.0, beta: float = 0.0, kappa: float | None = None,
+    **options: Any,
+) -> CovarianceFilter:  # fmt: skip
     """Unscented Kalman filter: `CovarianceFilter` with `Unscented(alpha, beta, kappa)`."""
     from seedslib.linearization.points import Unscented
 
     return CovarianceFilter(system, Unscented(alpha, beta, kappa), **options)
 
 
-def cubature_kalman(system, **options) -> CovarianceFilter:
+def cubature_kalman(system: AnySystem, **options: Any) -> CovarianceFilter:
     """Cubature Kalman filter: `CovarianceFilter` with `Cubature`."""
     from seedslib.linearization.points import Cubature
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_real, as_whole, unmasked
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import AnySystem, switches
 
 
 class Estimates(NamedTuple):
@@ -31,20 +32,11 @@ class Estimates(NamedTuple):
     """
 
     mean: np.ndarray
-    cov: np.ndarray | None = None
-    mode_prob: np.ndarray | None = None
-    loglik: np.ndarray | None = None
-    diverged: np.ndarray | None = None
-    modes: np.ndarray | None = None
-
-
-def gathered(columns, batch: tuple[int, ...]) -> list:
-    """Results of blocks of paths, a column for each kind, put together along their batch axes.
-
-    A column of None stays None.
-    """
-    whole = (None if c[0] is None else np.concatenate(c, axis=-1) for c in columns)
-    return [None if c is None else c.reshape(*c.shape[:-1], *batch) for c in whole]
+    cov: MaybeArray = None
+    mode_prob: MaybeArray = None
+    loglik: MaybeArray = None
+    diverged: MaybeArray = None
+    modes: MaybeArray = None
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
@@ -107,7 +99,9 @@ def require_time(state: object) -> None:
         raise ValueError("state: wanted a state with a time, got None; predict to it first")
 
 
-def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | None:
+def as_indicators(
+    indicators: Any, system: AnySystem, shape: tuple[int, ...], name: str = "indicators"
+) -> np.ndarray | None:
     """Indicators of a switching system, whole numbers in the shape; -1, or a mask, is missing.
 
     Raises
@@ -129,6 +123,21 @@ def as_indicators(indicators, system, shape, name="indicators") -> np.ndarray | 
         worst = seen.max() if seen.max() >= values else seen.min()
         raise ValueError(f"{name}: wanted 0 to {values - 1}, or -1 for a missing one, got {worst}")
     return seen
+
+
+def as_seen(
+    state: object, system: object, y: object, indicator: object
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """What a state with a time is corrected by: a measurement (m, *batch), and an indicator.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `require_time` and `as_indicators`.
+    """
+    require_time(state)
+    y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+    return y, as_indicators(indicator, system, y.shape[1:], "indicator")
 
 
 def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np.ndarray:

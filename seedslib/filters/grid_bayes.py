@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.checks import unmasked
-from seedslib.base.tables import Axis
-from seedslib.filters.estimates import as_indicators, require_time, stays
+from seedslib.base.tables import Axis, AxisLike
+from seedslib.filters.estimates import as_seen, stays
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chain_switching import SwitchingChain
-from seedslib.models.kinds import as_system
+from seedslib.models.kinds import AnySystem, as_system
 
 FAINT = -460.0
 """Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
@@ -59,14 +59,16 @@ class GridBayesFilter(Filter):
     """
 
     _shown = ("axis",)
-    takes, records = ("indicators",), 512
+    takes: ClassVar[tuple[str, ...]] = ("indicators",)
+    records: int = 512
 
-    def __init__(self, system, x=(-8.0, 8.0, 161)):
+    def __init__(self, system: AnySystem, x: AxisLike = (-8.0, 8.0, 161)) -> None:
         as_system("system", system, "SwitchingSystem")
-        self.system, self.axis = system, Axis.of("x", x)
+        self.system: Any = system
+        self.axis: Axis = Axis.of("x", x)
         self._chain = SwitchingChain(system, self.axis)
 
-    def initial(self, batch=(), seed=None) -> GridState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self.system.modes, self.axis.count)
         law = self._chain.start().reshape(*shape, *(1,) * len(batch))
@@ -110,7 +112,9 @@ class GridBayesFilter(Filter):
         total, mixed = _split((share[:, None] * parts).sum(axis=0)[None])
         return np.where(lost, 0.0, highest) + total[0], mixed[0]
 
-    def correct(self, state: GridState, y, indicator=None) -> GridState:
+    def correct(
+        self, state: GridState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> GridState:
         """Weight the law by a measurement.
 
         Parameters
@@ -126,9 +130,7 @@ class GridBayesFilter(Filter):
         ValueError
             A state without a time: `predict` gives it one.
         """
-        require_time(state)
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
-        shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
+        y, shown = as_seen(state, self.system, y, indicator)
         seen = y if shown is None else np.concatenate([shown[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             score = self._chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from seedslib.base.clock import step_count
@@ -32,17 +35,17 @@ def _moved(y, h, slopes, weights):
     return result
 
 
-def euler(rate, y, start, stop, step):
+def euler(rate: Callable[..., Any], y: Any, start: float, stop: float, step: float) -> Any:
     """Explicit Euler steps of at most `step`; see `rk4`."""
     return _steps(euler_step, rate, y, start, stop, step)
 
 
-def euler_step(rate, t, y, h):
+def euler_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
     """One explicit Euler step of size h."""
     return [a + h * b for a, b in zip(y, rate(t, y), strict=True)]
 
 
-def rk4(rate, y, start, stop, step):
+def rk4(rate: Callable[..., Any], y: Any, start: float, stop: float, step: float) -> Any:
     """Classical Runge-Kutta steps of at most `step`.
 
     Parameters
@@ -65,7 +68,7 @@ def _steps(one, rate, y, start, stop, step):
     return y
 
 
-def rk4_step(rate, t, y, h):
+def rk4_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
     """One classical Runge-Kutta step of size h."""
     k1 = rate(t, y)
     k2 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k1, strict=True)])
@@ -77,7 +80,10 @@ def rk4_step(rate, t, y, h):
     ]
 
 
-def adaptive(rate, y, start, stop, step, rtol=1e-6, atol=1e-9):
+def adaptive(
+    rate: Callable[..., Any], y: Any, start: float, stop: float, step: float, rtol: float = 1e-6,
+    atol: float = 1e-9,
+) -> Any:  # fmt: skip
     """Dormand-Prince 5(4) steps of a size common to all paths, at most `step`.
 
     The largest estimated error of any component and path stays below ``atol + rtol |y|``. A path

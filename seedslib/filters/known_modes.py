@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
-from seedslib.filters.estimates import Estimates, as_indicators, as_modes, require_time, stays
+from seedslib.filters.estimates import Estimates, as_modes, as_seen, stays
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Gaussian, Linearization
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import as_system
+from seedslib.models.kinds import AnySystem, as_system
 
 
 class KnownModeState(NamedTuple):
@@ -50,9 +50,9 @@ class KnownModeFilter(Filter, Remade):
     """
 
     _shown = ("linearization",)
-    takes = ("indicators", "modes")
+    takes: ClassVar[tuple[str, ...]] = ("indicators", "modes")
 
-    def __init__(self, system, linearization=None):
+    def __init__(self, system: AnySystem, linearization: Any = None) -> None:
         as_system("system", system, "SwitchingSystem")
         if linearization is None:
             from seedslib.linearization.symbolic import Taylor
@@ -60,7 +60,8 @@ class KnownModeFilter(Filter, Remade):
             linearization = Taylor()
         if not isinstance(linearization, Linearization):
             raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
-        self.system, self.linearization = system, linearization
+        self.system: Any = system
+        self.linearization: Linearization = linearization
         self._moves = [
             [self._move(i, branch) for branch in row] for i, row in enumerate(system.branches)
         ]
@@ -84,7 +85,9 @@ class KnownModeFilter(Filter, Remade):
 
         return move
 
-    def initial(self, batch=(), seed=None, *, mode=0) -> KnownModeState:
+    def initial(
+        self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
+    ) -> KnownModeState:
         """State before any measurement, for known modes of shape (*batch) or one for all.
 
         `seed` is not used, every filter has the same verbs.
@@ -94,7 +97,9 @@ class KnownModeFilter(Filter, Remade):
         cov = np.stack([part.cov for part in self.system.initial], axis=2)[:, :, mode]
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
-    def predict(self, state: KnownModeState, t: float, mode=None) -> KnownModeState:
+    def predict(
+        self, state: KnownModeState, t: float, mode: ArrayLike | None = None
+    ) -> KnownModeState:
         """One step of the system to time t, where the mode is `mode` (*batch).
 
         A state without a time is only given one, and keeps its mode.
@@ -121,7 +126,9 @@ class KnownModeFilter(Filter, Remade):
                 _put(mean, cov, here, move(state.time, state.mean[:, here], state.cov[:, :, here]))
         return state._replace(time=float(t), mode=mode, mean=mean, cov=cov)
 
-    def correct(self, state: KnownModeState, y, indicator=None) -> KnownModeState:
+    def correct(
+        self, state: KnownModeState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> KnownModeState:
         """Correct by a measurement, shape (m, *batch).
 
         An indicator (*batch) is used only where it depends on the state; -1 is missing.
@@ -131,9 +138,7 @@ class KnownModeFilter(Filter, Remade):
         ValueError
             A state without a time: `predict` gives it one.
         """
-        require_time(state)
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
-        shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
+        y, shown = as_seen(state, self.system, y, indicator)
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
         for i, row in enumerate(self._readings):

@@ -15,7 +15,7 @@ class Mixture(NamedTuple):
     cov: np.ndarray
 
 
-def mix(mass, mean, cov) -> Mixture:
+def mix(mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Mixture:
     """Moments of a mixture, in centred form: no digits are lost far from the origin.
 
     Parameters

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import BLOCK, as_seed_sequence
-from seedslib.base.checks import as_count, unmasked
-from seedslib.filters.estimates import Estimates, as_indicators, require_time, stays
+from seedslib.base.arrays import Count, MaybeArray
+from seedslib.base.blocks import BLOCK, as_seed_sequence, child
+from seedslib.base.checks import as_count
+from seedslib.filters.estimates import Estimates, as_seen, stays
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import relative
-from seedslib.models.kinds import as_system, switches
+from seedslib.models.kinds import AnySystem, as_system, switches
 
 
 class ParticleState(NamedTuple):
@@ -31,7 +33,7 @@ class ParticleState(NamedTuple):
     cov: np.ndarray
     loglik: np.ndarray
     diverged: np.ndarray
-    mode_prob: np.ndarray | None = None
+    mode_prob: MaybeArray = None
 
 
 class ParticleFilter(Filter):
@@ -53,24 +55,29 @@ class ParticleFilter(Filter):
     ------
     TypeError, ValueError
         Another system, a count below one, or a sensor without a log-density.
+
+    Notes
+    -----
+    A mode whose last particle is gone does not come back unless the system can switch to it.
     """
 
     _shown = "particles", "options"
-    takes = ("indicators", "seed")
+    takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
-    def __init__(self, system, particles=1000, **options):
+    def __init__(self, system: AnySystem, particles: Count = 1000, **options: Any) -> None:
         self._modes = system.modes if switches(system) else None
         self._moving = as_system("system", system.hybrid if self._modes else system)
-        self.system, self.options = system, options
-        self.particles = as_count("particles", particles)
-        self.records = max(1, BLOCK // self.particles)
+        self.system: Any = system
+        self.options: dict[str, Any] = options
+        self.particles: int = as_count("particles", particles)
+        self.records: int = max(1, BLOCK // self.particles)
         if not self._moving.sensor.has_log_density:
             raise ValueError(
                 "system: wanted a sensor affine in Gaussian noise or one with a log_density, "
                 "got one whose likelihood has no closed form"
             )
 
-    def initial(self, batch=(), seed=None) -> ParticleState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> ParticleState:
         """Particles of the initial law for data sets of the given batch shape."""
         seed = as_seed_sequence(0 if seed is None else seed)
         count = self.particles * int(np.prod(batch, dtype=int))
@@ -95,7 +102,9 @@ class ParticleFilter(Filter):
         x = self._moving.advance(state.particles, state.time, t, rng, **self.options)
         return state._replace(time=float(t), particles=x, draws=state.draws + 1)
 
-    def correct(self, state: ParticleState, y, indicator=None) -> ParticleState:
+    def correct(
+        self, state: ParticleState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> ParticleState:
         """Weight by the measurement y, shape (m, *batch), estimate, resample.
 
         The indicator (*batch) of a switching system is a whole number, -1 where it is missing.
@@ -105,12 +114,8 @@ class ParticleFilter(Filter):
         ValueError
             A state without a time: `predict` gives it one.
         """
-        require_time(state)
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        y, shown = as_seen(state, self.system, y, indicator)
         x = state.particles
-        shown = None
-        if self._modes is not None:
-            shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         if shown is not None:
             y = np.concatenate([y, np.where(shown < 0, np.nan, shown)[None]])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
@@ -143,12 +148,9 @@ class ParticleFilter(Filter):
         return *_moments(x[:-1], weight), prob
 
 
-def stream(seed, draw) -> np.random.Generator:
+def stream(seed: Any, draw: Any) -> np.random.Generator:
     """Generator of one draw, found from its number alone."""
-    child = np.random.SeedSequence(
-        seed.entropy, spawn_key=(*seed.spawn_key, draw), pool_size=seed.pool_size
-    )
-    return np.random.default_rng(child)
+    return np.random.default_rng(child(seed, draw))
 
 
 def _moments(x, weight):
@@ -160,10 +162,10 @@ def _moments(x, weight):
 
 def _resample(x, weight, rng):
     """Systematic resampling of every data set with one uniform number each."""
-    return np.take_along_axis(x, choose(weight, len(weight), rng)[None], axis=1)
+    return np.take_along_axis(x, resampled(weight, len(weight), rng)[None], axis=1)
 
 
-def choose(weight, count, rng) -> np.ndarray:
+def resampled(weight, count, rng) -> np.ndarray:
     """Numbers (count, *batch) of the particles that systematic resampling draws.
 
     Parameters

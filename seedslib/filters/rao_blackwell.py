@@ -2,20 +2,22 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count
 from seedslib.base.blocks import BLOCK, as_seed_sequence
-from seedslib.base.checks import as_count, unmasked
+from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.filters.estimates import as_indicators, require_time, stays
+from seedslib.filters.estimates import as_seen, stays
 from seedslib.filters.mixture import mix
-from seedslib.filters.particle import choose, stream
+from seedslib.filters.particle import resampled, stream
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised
-from seedslib.models.kinds import as_system
+from seedslib.models.kinds import AnySystem, as_system
 
 
 class RaoBlackwellState(NamedTuple):
@@ -30,7 +32,7 @@ class RaoBlackwellState(NamedTuple):
 
     time: float | None
     log_prob: np.ndarray
-    law: tuple
+    law: tuple[Any, ...]
     seed: np.random.SeedSequence
     draws: int
     mean: np.ndarray
@@ -60,22 +62,27 @@ class RaoBlackwellFilter(Filter, Remade):
     ------
     TypeError, ValueError
         No switching system, or one that is not jump-linear; a count below one.
+
+    Notes
+    -----
+    A mode whose last history is gone does not come back unless the system can switch to it.
     """
 
     _shown = ("particles",)
-    takes = ("indicators", "seed")
+    takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
-    def __init__(self, system, particles=100):
+    def __init__(self, system: AnySystem, particles: Count = 100) -> None:
         require_jump_linear(system)
         from seedslib.linearization.symbolic import Taylor
 
-        self.system, self.particles = system, as_count("particles", particles)
-        self.records = max(1, 2 * BLOCK // self.particles)
+        self.system: Any = system
+        self.particles: int = as_count("particles", particles)
+        self.records: int = max(1, 2 * BLOCK // self.particles)
         exact = Taylor()
         self._move = [exact.transition(map) for map in system.dynamics]
         self._sense = [exact.moments(map) for map in system.sensors]
 
-    def initial(self, batch=(), seed=None) -> RaoBlackwellState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
         seed = as_seed_sequence(0 if seed is None else seed)
         modes, n, parts = self.system.modes, self.system.state_size, self.system.initial
@@ -89,8 +96,8 @@ class RaoBlackwellFilter(Filter, Remade):
             np.broadcast_to(cov, (n, n, modes, 1, *batch)),
         )
         return RaoBlackwellState(
-            None, prob, law, seed, 0, *_estimate(prob, law), np.zeros(batch),
-            np.zeros(batch, dtype=bool),
+            None, prob, law, seed, 0, **_estimate(prob, law), loglik=np.zeros(batch),
+            diverged=np.zeros(batch, dtype=bool),
         )  # fmt: skip
 
     def predict(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
@@ -113,7 +120,7 @@ class RaoBlackwellFilter(Filter, Remade):
         )
         draws = state.draws
         if count > self.particles:
-            chosen = choose(np.exp(prob), self.particles, stream(state.seed, draws))
+            chosen = resampled(np.exp(prob), self.particles, stream(state.seed, draws))
             mean, cov = (_taken(part, chosen) for part in (mean, cov))
             mode = np.take_along_axis(mode, chosen, axis=0)
             prob = np.full(mode.shape, -np.log(self.particles))
@@ -132,18 +139,12 @@ class RaoBlackwellFilter(Filter, Remade):
             np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
         )
         prob = prob + leave
-        mean, cov, mode_prob = _estimate(prob, law)
-        return state._replace(
-            time=float(t),
-            log_prob=prob,
-            law=law,
-            draws=draws,
-            mean=mean,
-            cov=cov,
-            mode_prob=mode_prob,
-        )
+        found = _estimate(prob, law)
+        return state._replace(time=float(t), log_prob=prob, law=law, draws=draws, **found)
 
-    def correct(self, state: RaoBlackwellState, y, indicator=None) -> RaoBlackwellState:
+    def correct(
+        self, state: RaoBlackwellState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> RaoBlackwellState:
         """Correct every history by a measurement, shape (m, *batch), and weight it.
 
         Parameters
@@ -159,10 +160,8 @@ class RaoBlackwellFilter(Filter, Remade):
         ValueError
             A state without a time: `predict` gives it one.
         """
-        require_time(state)
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        y, shown = as_seen(state, self.system, y, indicator)
         n, t = self.system.state_size, state.time
-        shown = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         mean, cov = (np.empty(part.shape) for part in state.law)
         score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
@@ -182,11 +181,11 @@ class RaoBlackwellFilter(Filter, Remade):
             prob, loglik = np.where(lost, state.log_prob, prob), np.where(lost, -np.inf, loglik)
         return state._replace(
             log_prob=prob, law=law, loglik=loglik, diverged=state.diverged | lost,
-            **dict(zip(("mean", "cov", "mode_prob"), _estimate(prob, law), strict=True)),
+            **_estimate(prob, law),
         )  # fmt: skip
 
 
-def require_jump_linear(system) -> None:
+def require_jump_linear(system: AnySystem) -> None:
     """Refuse anything but a jump-linear system with Gaussian noise.
 
     Raises
@@ -241,10 +240,10 @@ def _taken(part, chosen):
     return np.take_along_axis(part, chosen[(None,) * core], axis=core)
 
 
-def _estimate(prob, law):
-    """Mean, covariance and mode probabilities of a weighted mixture."""
+def _estimate(prob, law) -> dict[str, np.ndarray]:
+    """Mean, covariance and mode probabilities of a weighted mixture, by the state's names."""
     prob, batch, n = np.exp(prob), prob.shape[2:], len(law[0])
     found = mix(
         prob.reshape(-1, *batch), law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
     )
-    return found.mean, found.cov, prob.sum(axis=1)
+    return {"mean": found.mean, "cov": found.cov, "mode_prob": prob.sum(axis=1)}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -35,7 +35,7 @@ class Filter(Shown):
     """
 
     system: Any
-    takes: tuple[str, ...] = ()
+    takes: ClassVar[tuple[str, ...]] = ()
     records: int = BLOCK
     alone: bool = False
 

@@ -23,13 +23,13 @@ def most_probable(prob: np.ndarray, axis: int = 0) -> np.ndarray:
     return (prob >= (1.0 - TIE) * prob.max(axis=axis, keepdims=True)).argmax(axis=axis)
 
 
-def logarithm(weight) -> np.ndarray:
+def logarithm(weight: np.ndarray) -> np.ndarray:
     """Logarithms of weights; -inf for none, and for negative ones, which count as none."""
     with np.errstate(divide="ignore"):
         return np.log(np.maximum(weight, 0.0))
 
 
-def normalised(score, axis) -> tuple[np.ndarray, np.ndarray]:
+def normalised(score: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     """Logarithms of weights whose sum is one, and the logarithm of their sum before, (*batch).
 
     Where nothing has a finite weight the logarithms are returned as they are, and the sum is the
@@ -42,7 +42,7 @@ def normalised(score, axis) -> tuple[np.ndarray, np.ndarray]:
     return shifted, highest + np.where(lost, 0.0, total)
 
 
-def relative(score: np.ndarray, axis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def relative(score: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Weights relative to the largest, so that none of the large ones overflows or vanishes.
 
     Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def blockwise(
     return [np.concatenate(part, axis=-1) for part in zip(*map(work, blocks), strict=True)]
 
 
-def in_range(names: str, compute: Callable) -> object:
+def in_range(names: str, compute: Callable[..., Any]) -> object:
     """Result of a computation, an array or a tuple of arrays, if all of it is finite.
 
     Raises

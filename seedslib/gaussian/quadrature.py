@@ -11,6 +11,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, reduce
 from itertools import combinations, product
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -132,7 +133,7 @@ def fifth_degree(n: int) -> Rule:
     return Rule(np.stack(points, axis=1), weights, 5)
 
 
-def mean_of(f: Callable, mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
+def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
     """Approximate mean of f(x), x ~ N(mean, cov).
 
     Parameters

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import sympy
@@ -40,13 +40,13 @@ class Formulas(Linearization):
     """A linearization given by SymPy formulas in the mean and the covariance of the state."""
 
     def formulas(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, spread: bool = True
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True
     ) -> Parts:
         """SymPy E y (m, 1), cov(x, y) (n, m) and cov y (m, m) at given mean and covariance."""
         raise NotImplementedError
 
     def rate_formulas(
-        self, system: object, mean: Sequence, cov: sympy.Matrix
+        self, system: object, mean: Sequence[Any], cov: sympy.Matrix
     ) -> tuple[sympy.Matrix, sympy.Matrix]:
         """SymPy rates of the mean (n, 1) and the covariance (n, n) of a jump-diffusion."""
         velocity, cross, _ = self.formulas(system.drift_map, mean, cov, spread=False)
@@ -82,7 +82,7 @@ class Formulas(Linearization):
         return f
 
     def branch(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, name: Callable
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
     ) -> BranchFormulas:
         """SymPy moments of a branch (`BranchFormulas`) at given mean and covariance of the state.
 
@@ -161,7 +161,7 @@ class Formulas(Linearization):
 
         return f
 
-    def rate(self, system: object) -> Callable[..., list]:
+    def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
         (time, mean, lower), vector, cov = _arguments(system.drift_map, type(self).__name__)
         velocity, change = self.rate_formulas(system, vector, cov)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
+from typing import Any
 
 import numpy as np
 import sympy
@@ -48,7 +49,7 @@ def mentions(expression: sympy.Expr, symbols: Iterable[sympy.Symbol]) -> bool:
     return bool(sympy.sympify(expression).free_symbols & set(symbols))
 
 
-def joined(map: StochasticMap, mean: Sequence, cov: sympy.Matrix) -> tuple:
+def joined(map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> tuple[Any, ...]:
     """State, value, its covariance given the state, and the law of the state of a branch.
 
     Where the weight mentions the noise, the noise is the lower part of the state; its mean is
@@ -76,7 +77,7 @@ def _number(value: float) -> sympy.Number:
 
 
 def affine_part(
-    expressions: Sequence, state: Sequence[sympy.Symbol]
+    expressions: Sequence[Any], state: Sequence[sympy.Symbol]
 ) -> tuple[sympy.Matrix, sympy.Matrix, list[sympy.Expr]]:
     """Slope (m, n), constant (m, 1) and rest (m,) of y = slope x + constant + rest(x)."""
     flat, rest = [], []
@@ -91,7 +92,7 @@ def affine_part(
 
 
 def averager(
-    state: Sequence[sympy.Symbol], mean: Sequence, cov: sympy.Matrix
+    state: Sequence[sympy.Symbol], mean: Sequence[Any], cov: sympy.Matrix
 ) -> Callable[[sympy.Expr], sympy.Expr]:
     """Exact mean of an expression of the state; what does not depend on the state passes."""
     known = {}
@@ -126,8 +127,9 @@ def expand(expression: sympy.Expr) -> sympy.Expr:
 
 
 def centred_square(
-    average: Callable, conditional: Sequence, noise_cov: Sequence, mean: Sequence
-) -> sympy.Matrix:
+    average: Callable[..., Any], conditional: Sequence[Any], noise_cov: Sequence[Any],
+    mean: Sequence[Any],
+) -> sympy.Matrix:  # fmt: skip
     """Mean of cov(y | x) plus cov of E(y | x); what cancels does so before numbers are put in."""
     size = len(conditional)
     spread = sympy.zeros(size)
@@ -140,8 +142,9 @@ def centred_square(
 
 
 def raw_square(
-    average: Callable, weight: sympy.Expr, conditional: Sequence, noise_cov: Sequence
-) -> sympy.Matrix:
+    average: Callable[..., Any], weight: sympy.Expr, conditional: Sequence[Any],
+    noise_cov: Sequence[Any],
+) -> sympy.Matrix:  # fmt: skip
     """Mean of the weight times the second moment of y given the state."""
     size = len(conditional)
     square = sympy.zeros(size)
@@ -152,7 +155,7 @@ def raw_square(
     return square
 
 
-def noise_spread(map: StochasticMap, value: sympy.Matrix, here: dict) -> sympy.Matrix:
+def noise_spread(map: StochasticMap, value: sympy.Matrix, here: dict[Any, Any]) -> sympy.Matrix:
     """Covariance of y by the expanded noise."""
     if map.noise.size == 0:
         return sympy.zeros(map.size)

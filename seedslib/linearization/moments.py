@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.models.maps import StochasticMap
 
 TINY = np.finfo(float).tiny
@@ -36,7 +37,7 @@ class Moments(NamedTuple):
 
     mean: np.ndarray
     cross: np.ndarray
-    cov: np.ndarray | None
+    cov: MaybeArray
 
 
 class Gaussian(NamedTuple):
@@ -136,7 +137,7 @@ class Linearization(ABC):
 
         return rates
 
-    def rate(self, system: object) -> Callable[..., list]:
+    def rate(self, system: object) -> Callable[..., list[Any]]:
         """The same on a list of components, for the integration of many paths at once.
 
         Returns

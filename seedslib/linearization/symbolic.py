@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import sympy
 
@@ -30,7 +31,7 @@ class Taylor(Formulas):
     """
 
     def formulas(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, spread: bool = True
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True
     ) -> Parts:
         """See `Formulas.formulas`."""
         here, value, slope = _expanded(map, mean)
@@ -40,7 +41,7 @@ class Taylor(Formulas):
         return value.subs(here), cross, slope * cross + means.noise_spread(map, value, here)
 
     def branch(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, name: Callable
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
     ) -> BranchFormulas:
         """Moments of a branch, (7.3) of the switching paper.
 
@@ -85,7 +86,7 @@ class ExactGaussian(Formulas):
     """
 
     def formulas(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, spread: bool = True
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True
     ) -> Parts:
         """See `Formulas.formulas`."""
         conditional, noise_cov, _ = map.conditional_expressions
@@ -97,7 +98,7 @@ class ExactGaussian(Formulas):
         return y, cross, means.centred_square(average, conditional, noise_cov, y)
 
     def branch(
-        self, map: StochasticMap, mean: Sequence, cov: sympy.Matrix, name: Callable
+        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
     ) -> BranchFormulas:
         """Moments of a branch, the centred form of (6.22) and (6.36) of the switching paper.
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -24,10 +25,11 @@ class Branch:
         With the weight, and without.
     """
 
-    def __init__(self, map: StochasticMap):
-        self.map, self.whole = map, map.whole()
+    def __init__(self, map: StochasticMap) -> None:
+        self.map: StochasticMap = map
+        self.whole: StochasticMap = map.whole()
 
-    def __reduce__(self) -> tuple:
+    def __reduce__(self) -> tuple[Any, ...]:
         return Branch, (self.map,)  # what was compiled stays behind
 
     @cached_property
@@ -54,7 +56,7 @@ class Branch:
         return not self.depends_on_noise or self._residual_noise is not None
 
     @cached_property
-    def probability_expression(self):
+    def probability_expression(self) -> Any:
         """SymPy probability of the branch given the state.
 
         Raises

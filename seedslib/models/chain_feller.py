@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib.base.clock import lengths_alike, step_count
 from seedslib.base.objects import Shown
-from seedslib.base.tables import Axis
+from seedslib.base.tables import Axis, AxisLike
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.maps import StochasticMap
 
@@ -93,19 +93,21 @@ class FellerChain(Shown):
         More than one state component, no likelihood, or an initial law that is not Gaussian.
     """
 
-    modes, indicators = 1, 0
+    modes: int = 1
+    indicators: int = 0
 
     _shown = ("axis",)
 
-    def __init__(self, system: JumpDiffusion, axis: Axis):
+    def __init__(self, system: JumpDiffusion, axis: AxisLike) -> None:
         want_scalar(system)
         if not system.sensor.has_log_density:
             raise ValueError(
                 "system: wanted a sensor affine in Gaussian noise or one with a log_density, "
                 "got one whose likelihood has no closed form"
             )
-        self.system, self.axis = system, Axis.of("axis", axis)
-        self.values = self.axis.nodes[None]
+        self.system: JumpDiffusion = system
+        self.axis: Axis = Axis.of("axis", axis)
+        self.values: np.ndarray = self.axis.nodes[None]
         self._known: dict = {}
 
     def start(self) -> np.ndarray:

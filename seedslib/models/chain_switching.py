@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.objects import Shown
-from seedslib.base.tables import Axis
+from seedslib.base.tables import Axis, AxisLike
 from seedslib.models.chain_feller import (
     FellerChain,
     cell_masses,
@@ -46,7 +46,7 @@ class SwitchingChain(Shown):
 
     _shown = ("axis",)
 
-    def __init__(self, system: SwitchingSystem, axis: Axis):
+    def __init__(self, system: SwitchingSystem, axis: AxisLike) -> None:
         want_scalar(system)
         for name, table in (("dynamics", system.branches), ("sensor", system.readings)):
             if not all(b is None or b.has_log_density for row in table for b in row):
@@ -54,10 +54,11 @@ class SwitchingChain(Shown):
                     f"{name}: wanted values affine in Gaussian noise or with a log_density, got "
                     "one whose density has no closed form"
                 )
-        self.system, self.axis = system, Axis.of("axis", axis)
-        self.modes = system.modes
-        self.indicators = system.indicators
-        self.values = np.tile(self.axis.nodes, self.modes)[None]
+        self.system: SwitchingSystem = system
+        self.axis: Axis = Axis.of("axis", axis)
+        self.modes: int = system.modes
+        self.indicators: int = system.indicators
+        self.values: np.ndarray = np.tile(self.axis.nodes, self.modes)[None]
         self._known: dict = {}
 
     def start(self) -> np.ndarray:
@@ -150,6 +151,6 @@ class SwitchingChain(Shown):
         warn_at_ends(mass.reshape(self.modes, -1).sum(axis=0))
 
 
-def chain_of(system: object, axis: Axis) -> FellerChain | SwitchingChain:
+def chain_of(system: object, axis: AxisLike) -> FellerChain | SwitchingChain:
     """The chain of a scalar system of either kind."""
     return SwitchingChain(system, axis) if switches(system) else FellerChain(system, axis)

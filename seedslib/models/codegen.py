@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from itertools import count
+from typing import Any
 
 import numpy as np
 import sympy
@@ -112,7 +113,9 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     return result
 
 
-def known_expressions(name, value, shape, values, allowed) -> np.ndarray:
+def known_expressions(
+    name: str, value: Any, shape: tuple[int | None, ...], values: Any, allowed: Any
+) -> np.ndarray:
     """Expressions of a wanted shape with parameters put in and no unknown symbol left.
 
     Parameters
@@ -178,8 +181,9 @@ def _split(expression: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
 
 
 def compile_components(
-    arguments: Sequence[object], expressions: Sequence[sympy.Expr], named: Sequence[tuple] = ()
-) -> Callable[..., list]:
+    arguments: Sequence[object], expressions: Sequence[sympy.Expr],
+    named: Sequence[tuple[Any, ...]] = (),
+) -> Callable[..., list[Any]]:  # fmt: skip
     """Function of the arguments that returns the list of the expressions' values.
 
     Parameters
@@ -246,7 +250,9 @@ def batch_shape(*arguments: object) -> tuple[int, ...]:
     return joint_shape(*[np.shape(c) for argument in arguments for c in argument])
 
 
-def stack(components: Sequence, shape: tuple[int, ...], batch: tuple[int, ...] | None = None):
+def stack(
+    components: Sequence[Any], shape: tuple[int, ...], batch: tuple[int, ...] | None = None
+) -> Any:
     """Array of the given component shape; batch axes last, those of the components by default."""
     if batch is None:
         batch = joint_shape(*[np.shape(c) for c in components])

@@ -5,7 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.models.maps import StochasticMap
@@ -41,14 +43,14 @@ class DiscreteSystem(ShownModel):
 
     dynamics: StochasticMap
     sensor: StochasticMap
-    mean0: np.ndarray
-    cov0: np.ndarray
+    mean0: Array
+    cov0: Array
     initial: object = None
     state_size: int = field(init=False)
     law: Noise = field(init=False, repr=False)
     indicators = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         n = self.dynamics.size
         if self.dynamics.state_size != n or self.sensor.state_size != n:
             raise ValueError(
@@ -83,6 +85,9 @@ class DiscreteSystem(ShownModel):
         """States of shape (n, *batch) one step later; the dynamics are those of time `start`."""
         return self.dynamics.sample(start, x, rng)
 
-    def simulate(self, times, paths, seed, *, measured=None, workers=1) -> Simulation:
+    def simulate(
+        self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
+        workers: int = 1,
+    ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""
         return simulate(self, times, paths, seed, measured=measured, workers=workers)

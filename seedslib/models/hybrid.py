@@ -7,11 +7,13 @@ path i of a small run is path i of a large one.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source, drawn, normal
 from seedslib.base.semidefinite import factor
 from seedslib.models.simulation import Simulation, simulate
@@ -38,14 +40,18 @@ class Hybrid:
         A harmless mixed state.
     """
 
-    def __init__(self, system: SwitchingSystem):
-        self.system, self.state_size = system, system.state_size + 1
-        self.sensor, self.indicators = HybridSensor(system), system.indicators
-        self.measurement_size = self.sensor.size
+    def __init__(self, system: SwitchingSystem) -> None:
+        self.system: SwitchingSystem = system
+        self.state_size: int = system.state_size + 1
+        self.sensor: HybridSensor = HybridSensor(system)
+        self.indicators: int = system.indicators
+        self.measurement_size: int = self.sensor.size
         # of the numbers the user gave, so no rounding decides; it is a stand-in for lost paths only
         likely = system.initial[int(np.argmax(system.initial_probabilities))]
-        self.mean0 = np.append(likely.mean, float(np.argmax(system.initial_probabilities)))
-        self.initial_laws = [(part.mean, factor(part.cov)) for part in system.initial]
+        self.mean0: np.ndarray = np.append(
+            likely.mean, float(np.argmax(system.initial_probabilities))
+        )
+        self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
 
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of mode and state, shape (n + 1, count)."""
@@ -78,9 +84,9 @@ class Hybrid:
 class HybridSensor:
     """Measurement (m, *batch) of a mixed state, with the indicator as last row if there is one."""
 
-    def __init__(self, system: SwitchingSystem):
-        self.system = system
-        self.size = system.measurement_size + (system.indicators > 0)
+    def __init__(self, system: SwitchingSystem) -> None:
+        self.system: SwitchingSystem = system
+        self.size: int = system.measurement_size + (system.indicators > 0)
 
     @property
     def has_log_density(self) -> bool:
@@ -126,7 +132,10 @@ class HybridSensor:
         return found
 
 
-def simulate_hybrid(system, times, paths, seed, *, measured=None, workers=1) -> Simulation:
+def simulate_hybrid(
+    system: Any, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
+    workers: int = 1,
+) -> Simulation:  # fmt: skip
     """Simulate a switching system, its modes and indicators apart from the numbers."""
     made = simulate(system.hybrid, times, paths, seed, measured=measured, workers=workers)
     m, shown = system.measurement_size, made.measurements

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_shape
 from seedslib.base.objects import Travelling
+from seedslib.models import stepping
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.rates import closed_rates, rate_map
 from seedslib.models.simulation import Simulation, simulate
-from seedslib.models.stepping import SCHEMES, advance, compiled_increment, compiled_jumps
 from seedslib.models.words import ShownModel
 
 Rate = Callable[[float, np.ndarray], np.ndarray]
@@ -71,12 +74,18 @@ class JumpDiffusion(Travelling, ShownModel):
         are not semidefinite.
     """
 
-    indicators = 0
+    indicators: int = 0
+    state: Any
+    time: Any
+    state_size: int
+    wiener_size: int
+    measurement_size: int
 
     def __init__(
-        self, state, drift, diffusion, sensor, noise, mean0, cov0, *, intensity=0, jump=None,
-        marks=None, parameters=None, initial=None, step=0.01, time=None,
-    ):  # fmt: skip
+        self, state: Any, drift: Any, diffusion: Any, sensor: Any, noise: Any, mean0: ArrayLike,
+        cov0: ArrayLike, *, intensity: Any = 0, jump: Any = None, marks: Any = None,
+        parameters: Any = None, initial: Any = None, step: float = 0.01, time: Any = None,
+    ) -> None:  # fmt: skip
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -94,20 +103,21 @@ class JumpDiffusion(Travelling, ShownModel):
             return StochasticMap(self.state, value, source, time=self.time)
 
         n = len(self.state)
-        self.drift_expressions = expressions("drift", drift, (n,))
-        self.diffusion_expressions = expressions("diffusion", diffusion, (n, None))
-        self.intensity_expression = expressions("intensity", intensity, ())[()]
+        self.drift_expressions: Any = expressions("drift", drift, (n,))
+        self.diffusion_expressions: Any = expressions("diffusion", diffusion, (n, None))
+        self.intensity_expression: Any = expressions("intensity", intensity, ())[()]
         if (jump is None) != (self.intensity_expression == 0):
             raise ValueError("jump, intensity: wanted both or neither, got one")
-        self.jump = None if jump is None else mapped("jump", jump, n, marks)
-        self.sensor = mapped("sensor", sensor, None, noise)
+        self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
+        self.sensor: StochasticMap = mapped("sensor", sensor, None, noise)
         self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
 
     @classmethod
     def from_functions(
-        cls, drift, diffusion, sensor, mean0, cov0, *, intensity=None, jump=None, initial=None,
-        step=0.01, wiener_size=None,
-    ):  # fmt: skip
+        cls, drift: Rate, diffusion: Rate, sensor: StochasticMap, mean0: ArrayLike, cov0: ArrayLike,
+        *, intensity: Rate | None = None, jump: StochasticMap | None = None, initial: Any = None,
+        step: float = 0.01, wiener_size: int | None = None,
+    ) -> JumpDiffusion:  # fmt: skip
         """Make a system of array functions.
 
         It takes the sigma-point and quadrature approximations, and the Euler scheme.
@@ -145,13 +155,13 @@ class JumpDiffusion(Travelling, ShownModel):
         return self
 
     def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
-        self.mean0 = as_shape("mean0", mean0, (n,))
-        self.cov0 = as_covariance("cov0", cov0, n)
-        self.law = Noise(n, self.mean0, self.cov0, initial)
+        self.mean0: np.ndarray = as_shape("mean0", mean0, (n,))
+        self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
+        self.law: Noise = Noise(n, self.mean0, self.cov0, initial)
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):
             raise ValueError(f"sensor, jump: wanted maps of a state of {n} components")
         self.state_size, self.wiener_size, self.measurement_size = n, wiener_size, self.sensor.size
-        self.step = float(step)
+        self.step: float = float(step)
         if not 0 < self.step < np.inf:
             raise ValueError(f"step: wanted a positive number, got {step}")
 
@@ -159,8 +169,6 @@ class JumpDiffusion(Travelling, ShownModel):
     def symbolic(self) -> bool:
         """Whether the system was given as SymPy expressions."""
         return self.drift_expressions is not None
-
-    # Array functions of (t, x), components first and batch axes last
 
     def _compiled(self, expression: object) -> Rate:
         from seedslib.models.codegen import compile_array
@@ -183,11 +191,9 @@ class JumpDiffusion(Travelling, ShownModel):
         return self._compiled(self.intensity_expression)
 
     @cached_property
-    def jumps(self) -> tuple[Callable, Callable]:
+    def jumps(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
         """Intensity and jump on lists of components; see `stepping.compiled_jumps`."""
-        return compiled_jumps(self)
-
-    # Mean velocity and rate of covariance, jumps included
+        return stepping.compiled_jumps(self)
 
     @cached_property
     def moment_expressions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -211,9 +217,7 @@ class JumpDiffusion(Travelling, ShownModel):
         lower = np.tril_indices(self.state_size)
         return rate_map(self, 1, lower, len(lower[0]))
 
-    # Sampling
-
-    def increment(self, scheme: str = "euler") -> Callable:
+    def increment(self, scheme: str = "euler") -> Callable[..., Any]:
         """One step of the diffusion as ``f(t, h, sqrt(h), x, z) -> list of n components``.
 
         Parameters
@@ -228,30 +232,25 @@ class JumpDiffusion(Travelling, ShownModel):
         ValueError
             An unknown scheme, or Heun for array functions, whose derivatives are unknown.
         """
-        if scheme not in SCHEMES:
-            raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
+        if scheme not in stepping.SCHEMES:
+            raise ValueError(f"scheme: wanted one of {', '.join(stepping.SCHEMES)}, got {scheme!r}")
         if not self.symbolic:
             if scheme == "heun":
                 raise ValueError("scheme: heun wants a symbolic system, got array functions")
-            return self._numeric_increment
-        if scheme not in self._increments:
-            self._increments[scheme] = compiled_increment(self, scheme)
-        return self._increments[scheme]
-
-    @cached_property
-    def _increments(self) -> dict[str, Callable]:
-        return {}
-
-    def _numeric_increment(self, t, h, root, x, z) -> list[np.ndarray]:
-        x = np.stack(x)
-        noise = np.einsum("ij...,j...->i...", self.diffusion(t, x), root * z)
-        return list(self.drift(t, x) * h + noise)
+            return partial(stepping.numeric_increment, self)
+        made = self.__dict__.setdefault("_increments", {})
+        if scheme not in made:
+            made[scheme] = stepping.compiled_increment(self, scheme)
+        return made[scheme]
 
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
         return self.law.draw(rng, count)
 
-    def advance(self, x, start, stop, rng, *, step=None, scheme="euler") -> np.ndarray:
+    def advance(
+        self, x: np.ndarray, start: float, stop: float, rng: Source, *, step: float | None = None,
+        scheme: str = "euler",
+    ) -> np.ndarray:  # fmt: skip
         """Move states of shape (n, *batch) from one time to a later one; see `stepping.advance`.
 
         Parameters
@@ -260,11 +259,13 @@ class JumpDiffusion(Travelling, ShownModel):
             Largest integration step; the system's own by default.
         scheme : {"euler", "heun"}
         """
-        return advance(self, x, start, stop, rng, self.step if step is None else step, scheme)
+        step = self.step if step is None else step
+        return stepping.advance(self, x, start, stop, rng, step, scheme)
 
     def simulate(
-        self, times, paths, seed, *, step=None, scheme="euler", measured=None, workers=1
-    ) -> Simulation:
+        self, times: ArrayLike, paths: Count, seed: Seed, *, step: float | None = None,
+        scheme: str = "euler", measured: ArrayLike | None = None, workers: int = 1,
+    ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements.
 
         Parameters

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass, fields
 from types import SimpleNamespace
-from typing import Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
@@ -40,6 +40,12 @@ class System(Protocol):
         """States (n, *batch) at time `stop` from those at time `start`."""
         ...
 
+
+if TYPE_CHECKING:
+    from seedslib.models.discrete import DiscreteSystem
+    from seedslib.models.jump_diffusion import JumpDiffusion
+    from seedslib.models.switching import SwitchingSystem
+AnySystem: TypeAlias = "JumpDiffusion | DiscreteSystem | SwitchingSystem"
 
 KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 

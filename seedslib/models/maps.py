@@ -7,8 +7,9 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -22,9 +23,9 @@ from seedslib.models.noise import Noise, named_noise
 class Conditional(NamedTuple):
     """What a map does on average at a fixed state; SymPy expressions or array functions."""
 
-    mean: object
-    cov: object
-    weight: object
+    mean: Any
+    cov: Any
+    weight: Any
 
 
 class StochasticMap(Travelling, Shown):
@@ -52,17 +53,23 @@ class StochasticMap(Travelling, Shown):
     """
 
     _shown = "state_size", "size"
+    state: Any
+    time: Any
+    state_size: int
+    size: int
 
-    def __init__(self, state, value, noise=None, weight=1, *, time=None):
+    def __init__(
+        self, state: Any, value: Any, noise: Any = None, weight: Any = 1, *, time: Any = None
+    ) -> None:
         from seedslib.base.symbols import as_expression, named_model, require_number
         from seedslib.models.codegen import as_expressions
 
-        self.noise = named_noise("noise", noise)
+        self.noise: Noise = named_noise("noise", noise)
         self.state, self.time, _ = named_model(state, time, None, noise=self.noise.symbols)
-        self.expressions = as_expressions("value", value)
+        self.expressions: Any = as_expressions("value", value)
         if self.expressions.ndim != 1:
             raise ValueError(f"value: wanted a vector, got shape {self.expressions.shape}")
-        self.weight_expression = as_expression("weight", weight)
+        self.weight_expression: Any = as_expression("weight", weight)
         for name, parts in (("value", self.expressions), ("weight", (self.weight_expression,))):
             for part in parts:
                 require_number(name, part)
@@ -72,9 +79,10 @@ class StochasticMap(Travelling, Shown):
 
     @classmethod
     def from_functions(
-        cls, state_size, size, value, noise=None, *, weight=None, mean=None, cov=None,
-        log_density=None,
-    ):  # fmt: skip
+        cls, state_size: int, size: int, value: Callable[..., Any], noise: Noise | None = None, *,
+        weight: Callable[..., Any] | None = None, mean: Callable[..., Any] | None = None,
+        cov: Callable[..., Any] | None = None, log_density: Callable[..., Any] | None = None,
+    ) -> StochasticMap:  # fmt: skip
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
 
         It is pickled where its functions can be: those of a module by their names, lambdas not.
@@ -114,7 +122,7 @@ class StochasticMap(Travelling, Shown):
         self._value = compile_array(given, self.expressions)
         self._weight = compile_array(given, self.weight_expression)
 
-    def __setstate__(self, state: dict) -> None:
+    def __setstate__(self, state: dict[Any, Any]) -> None:
         self.__dict__.update(state)
         if self.symbolic:
             self._compile()
@@ -251,14 +259,7 @@ class StochasticMap(Travelling, Shown):
         return mean, np.einsum("is...,js...,s->ij...", centred, centred, weights)
 
     def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
-        """One draw of y for each state, shape (size, *batch).
-
-        Parameters
-        ----------
-        t : float
-        x : ndarray, shape (n, *batch)
-        rng : numpy.random.Generator
-        """
+        """One draw of y, shape (size, *batch), for each state, (n, *batch)."""
         batch = np.shape(x)[1:]
         v = self.noise.draw(rng, int(np.prod(batch, dtype=int))).reshape(self.noise.size, *batch)
         return self.value(t, x, v)

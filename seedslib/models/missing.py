@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 
 
-def told(log_density: Callable, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+def told(log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
     """The given log-density; zero where the whole measurement is missing (NaN), log 1.
 
     Parameters

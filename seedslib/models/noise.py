@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
+from seedslib.base.arrays import Array
 from seedslib.base.bundles import drawn, normal
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.semidefinite import factor
@@ -45,14 +47,14 @@ class Noise:
         Repeated symbols, shapes that do not fit or a covariance that is not positive semidefinite.
     """
 
-    symbols: Sequence | int = ()
-    mean: float | np.ndarray = 0.0
-    cov: np.ndarray | None = None
-    sample: Callable | None = None
+    symbols: Sequence[Any] | Any = ()
+    mean: Array = 0.0
+    cov: Array = None
+    sample: Callable[..., Any] | None = None
     size: int = field(init=False)
     root: np.ndarray = field(init=False, repr=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if isinstance(self.symbols, int):
             symbols, size = None, self.symbols
         else:
@@ -113,7 +115,7 @@ class Noise:
         v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (self.size, *batch))
         return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 
-    def expectation(self, expression):
+    def expectation(self, expression: Any) -> Any:
         """Mean of a SymPy expression over the noise.
 
         Raises

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -151,8 +152,9 @@ def integrated(coefficients: Callable[[float], Pair], start: float, stop: float)
 
 
 def solve(
-    slope: Callable, start: float, stop: float, y0: np.ndarray, times: np.ndarray | None = None
-) -> np.ndarray:
+    slope: Callable[..., Any], start: float, stop: float, y0: np.ndarray,
+    times: np.ndarray | None = None,
+) -> np.ndarray:  # fmt: skip
     """Solution of a differential equation at `times` (at `stop` by default), shape (y, K).
 
     Raises

@@ -7,13 +7,15 @@ how many paths follow: path i of a small run is path i of a large one.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, unmasked
-from seedslib.models.kinds import as_grid
+from seedslib.models.kinds import AnySystem, as_grid
 
 
 class Simulation(NamedTuple):
@@ -34,9 +36,9 @@ class Simulation(NamedTuple):
     times: np.ndarray
     states: np.ndarray
     measurements: np.ndarray
-    modes: np.ndarray | None = None
-    indicators: np.ndarray | None = None
-    history: np.ndarray | None = None
+    modes: MaybeArray = None
+    indicators: MaybeArray = None
+    history: MaybeArray = None
 
 
 def as_measured(measured: object, count: int, name: str = "measured") -> np.ndarray:
@@ -61,7 +63,10 @@ def as_measured(measured: object, count: int, name: str = "measured") -> np.ndar
     return mask
 
 
-def simulate(system, times, paths, seed, *, measured=None, workers=1, **options) -> Simulation:
+def simulate(
+    system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
+    measured: ArrayLike | None = None, workers: int = 1, **options: Any,
+) -> Simulation:  # fmt: skip
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
     Parameters

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
@@ -91,7 +91,7 @@ def advance(
     return np.stack(state).reshape(shape)
 
 
-def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable:
+def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable[..., Any]:
     """Code of one step of a symbolic system; see `JumpDiffusion.increment`."""
     import sympy
 
@@ -112,7 +112,16 @@ def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable:
     return compile_components((system.time, h, root, system.state, z), moves)
 
 
-def compiled_jumps(system: JumpDiffusion) -> tuple[Callable, Callable]:
+def numeric_increment(
+    system: JumpDiffusion, t: float, h: float, root: float, x: list[np.ndarray], z: np.ndarray
+) -> list[np.ndarray]:
+    """Euler increment of a system of array functions; see `JumpDiffusion.increment`."""
+    state = np.stack(x)
+    noise = np.einsum("ij...,j...->i...", system.diffusion(t, state), root * z)
+    return list(system.drift(t, state) * h + noise)
+
+
+def compiled_jumps(system: JumpDiffusion) -> tuple[Callable[..., Any], Callable[..., Any]]:
     """Intensity ``(t, x) -> component`` and jump ``(t, x, z) -> list`` on lists of components.
 
     The intensity comes as a plain number where it is constant.

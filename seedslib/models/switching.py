@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.models.branches import Branch
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
@@ -84,11 +85,19 @@ class SwitchingSystem(ShownModel):
     """
 
     _shown = "state_size", "measurement_size", "modes"
+    state: Any
+    time: Any
+    modes: int
+    state_size: int
+    measurement_size: int
+    noise: Noise
+    sensor_noise: Noise
 
     def __init__(
-        self, state, dynamics, noise, switching, sensor, sensor_noise, initial, *, indicator=None,
-        parameters=None, time=None,
-    ):  # fmt: skip
+        self, state: Any, dynamics: Any, noise: Any, switching: Any, sensor: Any, sensor_noise: Any,
+        initial: Any, *, indicator: Any = None, parameters: Mapping[Any, Any] | None = None,
+        time: Any = None,
+    ) -> None:  # fmt: skip
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -122,7 +131,9 @@ class SwitchingSystem(ShownModel):
         self._set_up(moves, readings, initial, indicator is not None)
 
     @classmethod
-    def from_maps(cls, moves, readings, initial, *, indicator=False) -> SwitchingSystem:
+    def from_maps(
+        cls, moves: Any, readings: Any, initial: Any, *, indicator: bool = False
+    ) -> SwitchingSystem:
         """Make a system of maps with probabilities, such as those of array functions.
 
         Parameters
@@ -153,7 +164,7 @@ class SwitchingSystem(ShownModel):
 
     def _set_up(self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool):
         self.modes, values = len(moves), len(readings[0])
-        self.indicators = values if indicator else 0
+        self.indicators: int = values if indicator else 0
         if len(readings) != self.modes or any(len(row) != values for row in readings):
             raise ValueError(f"sensor: wanted one row for each of {self.modes} modes")
         if any(len(row) != self.modes for row in moves):
@@ -166,16 +177,16 @@ class SwitchingSystem(ShownModel):
             for each in (m for row in table for m in row):
                 if each.state_size != self.state_size:
                     raise ValueError(f"{name}: wanted maps of {self.state_size} components")
-        self.initial = self._initial_modes(initial)
+        self.initial: tuple[InitialMode, ...] = self._initial_modes(initial)
         probability, means, covs = map(np.array, zip(*self.initial, strict=True))
-        self.mean0 = probability @ means
+        self.mean0: np.ndarray = probability @ means
         apart = means - self.mean0
-        self.cov0 = np.einsum("l,li,lj->ij", probability, apart, apart)
+        self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
-        self.branches = self._branches("switching", moves, self.noise)
-        self.readings = self._branches("indicator", readings, self.sensor_noise)
-        self.dynamics = tuple(row[0].whole() for row in moves)
-        self.sensors = tuple(row[0].whole() for row in readings)
+        self.branches: Any = self._branches("switching", moves, self.noise)
+        self.readings: Any = self._branches("indicator", readings, self.sensor_noise)
+        self.dynamics: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in moves)
+        self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
 
     def _initial_modes(self, initial: Sequence) -> tuple[InitialMode, ...]:
         initial = list(initial)
@@ -242,7 +253,10 @@ class SwitchingSystem(ShownModel):
         """The system as one whose state has the mode as last row, and the measurement J."""
         return Hybrid(self)
 
-    def simulate(self, times, paths, seed, *, measured=None, workers=1) -> Simulation:
+    def simulate(
+        self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
+        workers: int = 1,
+    ) -> Simulation:  # fmt: skip
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,

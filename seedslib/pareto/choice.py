@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -13,7 +14,7 @@ SEPARABLE = 2.0  # standard errors
 
 
 def choose(
-    criteria: object, choices: Sequence | None = None, *, errors: object = None
+    criteria: object, choices: Sequence[Any] | None = None, *, errors: object = None
 ) -> Compromise:
     """Choice whose largest relative loss is least, for instance the memory of a filter.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from seedslib.base.checks import as_real
 SAME, BETTER = 1e-12, 1e-5  # of the range of a criterion
 LARGEST = 1e300  # size of a value beyond which ranges overflow
 
-Criteria = Sequence[Callable] | Callable
+Criteria = Sequence[Callable[..., Any]] | Callable[..., Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +57,8 @@ class Compromise:
         the answer depends on the range that was offered.
     """
 
-    x: object
-    index: int | None
+    x: Any
+    index: Any
     values: np.ndarray
     losses: np.ndarray
     utopia: np.ndarray
@@ -65,7 +66,7 @@ class Compromise:
     minimizers: np.ndarray
     status: str
     efficiency: str
-    balanced: float | None = None
+    balanced: Any = None
     balanced_efficiency: str = ""
     unimodal: bool = True
     evaluations: int = 0
@@ -89,9 +90,9 @@ class Evaluated:
                 raise ValueError(f"criteria: wanted at least two, got {len(criteria)}")
             if not all(callable(c) for c in criteria):
                 raise TypeError("criteria: wanted callables, one for each criterion")
-        self.criteria = criteria
-        self.known: dict = {}
-        self.count = self._call(probe).size
+        self.criteria: Criteria = criteria
+        self.known: dict[Any, np.ndarray] = {}
+        self.count: int = self._call(probe).size
         if self.count < 2:
             raise ValueError(f"criteria: wanted at least two, got {self.count}")
         self.repeat(probe)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -42,7 +42,7 @@ class Branches(NamedTuple):
     """
 
     cell: np.ndarray
-    regions: IntervalRegions | PolygonRegions
+    regions: Any
     slope: np.ndarray
     shift: np.ndarray
     mean: np.ndarray

@@ -33,7 +33,7 @@ class Intervals:
 
     size = 1  # number of restricted components
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         edges = np.asarray(unmasked("regions", self.edges))
         if edges.dtype.kind not in "fiu":
             raise TypeError(f"regions: wanted real edges, got an array of dtype {edges.dtype}")
@@ -121,7 +121,7 @@ class Polygons:
 
     size = 2
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not len(self.cells):
             raise ValueError("regions: wanted at least one cell, got none")
         cells = tuple(_as_half_planes(f"regions[{i}]", cell) for i, cell in enumerate(self.cells))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,7 +27,7 @@ class Coefficients(NamedTuple):
 
 
 def as_coefficients(
-    name: str, parts: tuple, cells: int, size: int, rows: int | None
+    name: str, parts: tuple[Any, ...], cells: int, size: int, rows: int | None
 ) -> Coefficients:
     """Arrays with a cell axis and an axis of data sets, from arrays that may lack both."""
     if len(parts) != 3 or any(part is None for part in parts):
@@ -52,7 +52,7 @@ def as_coefficients(
 
 
 def affine_map(
-    cells: Intervals | Polygons, size: int, coefficients: Callable, reference: float
+    cells: Intervals | Polygons, size: int, coefficients: Callable[..., Any], reference: float
 ) -> StochasticMap:
     """The piecewise-linear map with the coefficients ``coefficients(t)`` at time t.
 

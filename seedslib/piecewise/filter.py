@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import Any
 
 import numpy as np
 
@@ -72,16 +73,10 @@ class PiecewiseLinearFilter(Filter):
     _shown = "method", "prune", "keep", "merge"
 
     def __init__(
-        self,
-        system: PiecewiseLinearSystem,
-        *,
-        method: str = "auto",
-        prune: float = 0.0,
-        keep: int | None = None,
-        merge: float = 0.0,
-        neglect: float = 1e-30,
+        self, system: PiecewiseLinearSystem, *, method: str = "auto", prune: float = 0.0,
+        keep: int | None = None, merge: float = 0.0, neglect: float = 1e-30,
         max_branches: int = 20_000,
-    ):
+    ) -> None:  # fmt: skip
         as_system("system", system, "PiecewiseLinearSystem")
         if method not in ("auto", "exact", "matched"):
             raise ValueError(f'method: wanted "auto", "exact" or "matched", got {method!r}')
@@ -94,11 +89,14 @@ class PiecewiseLinearFilter(Filter):
             raise ValueError(f"merge: wanted 0 for a state of {system.state_size} components")
         if not max_branches >= system.regions.count:
             raise ValueError(f"max_branches: wanted at least one per cell, got {max_branches}")
-        self.system, self.method = system, method
-        self.keep = None if keep is None else as_count("keep", keep)
+        self.system: Any = system
+        self.method: str = method
+        self.keep: int | None = None if keep is None else as_count("keep", keep)
         self._cuts = prune > 0.0 or keep is not None
-        self.prune, self.merge, self.neglect = float(prune), float(merge), float(neglect)
-        self.max_branches = int(max_branches)
+        self.prune: float = float(prune)
+        self.merge: float = float(merge)
+        self.neglect: float = float(neglect)
+        self.max_branches: int = int(max_branches)
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> PiecewiseState:
         """State before any measurement, with no time yet; `seed` is not used."""

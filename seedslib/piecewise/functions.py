@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -52,7 +53,7 @@ class Tangents(Remade):
     adaptive: bool
     slopes: tuple[tuple[Numeric, Numeric, Numeric], ...] = field(init=False)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         slopes = _slopes("dynamics", self.transition), _slopes("sensor", self.sensor_map)
         object.__setattr__(self, "slopes", slopes)
 
@@ -67,11 +68,11 @@ class Tangents(Remade):
         points[:, self.cells.locate(estimate[:lead, sound]), sound] = estimate[:, sound]
         return points
 
-    def dynamics(self, t: float, estimate: np.ndarray | None = None) -> tuple:
+    def dynamics(self, t: float, estimate: np.ndarray | None = None) -> tuple[Any, ...]:
         """Offset, matrix and noise of every cell, as arrays (k, n), (k, k, n), (k, p, n)."""
         return _tangent(*self.slopes[0], t, self.points(estimate))
 
-    def sensor(self, t: float, estimate: np.ndarray | None = None) -> tuple:
+    def sensor(self, t: float, estimate: np.ndarray | None = None) -> tuple[Any, ...]:
         """Offset, matrix and noise of every cell, as arrays (m, n), (m, k, n), (m, q, n)."""
         return _tangent(*self.slopes[1], t, self.points(estimate))
 
@@ -84,8 +85,9 @@ def _tangent(
 
 
 def tangents(
-    *, state: Sequence, dynamics: Sequence, sensor: Sequence, noise: object, breakpoints: object,
-    support: object, time: object, mean0: np.ndarray, parameters: Mapping | None,
+    *, state: Sequence[Any], dynamics: Sequence[Any], sensor: Sequence[Any], noise: object,
+    breakpoints: object, support: object, time: object, mean0: np.ndarray,
+    parameters: Mapping[Any, Any] | None,
 ) -> Tangents:  # fmt: skip
     """Compile the model of `PiecewiseLinearSystem.from_functions`; see there."""
     from seedslib.base.symbols import named_model

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -177,7 +178,9 @@ class PolygonRegions:
         return polygon(mean, cov, vertices[:, :, branch])
 
 
-def prior_regions(cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray) -> tuple:
+def prior_regions(
+    cells: Intervals | Polygons, mean: np.ndarray, cov: np.ndarray
+) -> tuple[Any, ...]:
     """Region of every cell before anything was measured, and which cells have one.
 
     Plane cells are cut off 40 standard deviations from the prior mean, where the prior mass is

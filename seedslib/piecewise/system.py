@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Array
 from seedslib.base.checks import as_covariance, as_real, as_shape, require_one_size
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.kinds import as_steps
 from seedslib.models.simulation import Simulation, as_measured
-from seedslib.piecewise.cells import Intervals, Polygons, as_cells
+from seedslib.piecewise.cells import as_cells
 from seedslib.piecewise.coefficients import Coefficients, affine_map, as_coefficients
 from seedslib.piecewise.functions import Tangents, tangents
 
@@ -54,17 +57,17 @@ class PiecewiseLinearSystem:
         entries that are not finite, an indefinite `cov0`.
     """
 
-    regions: Intervals | Polygons
-    dynamics: tuple | Callable
-    sensor: tuple | Callable
-    sensor_noise: np.ndarray | Callable
-    mean0: np.ndarray
-    cov0: np.ndarray
-    noise: np.ndarray | Callable | None = None
+    regions: Any
+    dynamics: tuple[ArrayLike, ArrayLike] | Callable[..., Any]
+    sensor: tuple[ArrayLike, ArrayLike] | Callable[..., Any]
+    sensor_noise: ArrayLike | Callable[..., Any] | None
+    mean0: Array
+    cov0: Array
+    noise: ArrayLike | Callable[..., Any] | None = None
     functions: Tangents | None = None
     indicators = 0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         mean0 = as_real("mean0", self.mean0, ndim=1)
         cells = as_cells(self.regions)
         if mean0.size < cells.size:
@@ -84,9 +87,10 @@ class PiecewiseLinearSystem:
 
     @classmethod
     def from_functions(
-        cls, *, state: Sequence, dynamics: Sequence, sensor: Sequence, breakpoints: object,
-        initial: tuple, noise: object = None, support: object = "centroid", time: object = None,
-        parameters: Mapping | None = None,
+        cls, *, state: Sequence[Any], dynamics: Sequence[Any], sensor: Sequence[Any],
+        breakpoints: object, initial: tuple[Any, ...], noise: object = None,
+        support: object = "centroid", time: object = None,
+        parameters: Mapping[Any, Any] | None = None,
     ) -> PiecewiseLinearSystem:  # fmt: skip
         """Tangents of nonlinear SymPy functions on every cell, equations (21) to (23).
 
@@ -211,7 +215,9 @@ class PiecewiseLinearSystem:
         measured = as_measured(measured, times.size) & (np.arange(times.size) > 0)
         return source.simulate(times, paths, seed, measured=measured, workers=workers)
 
-    def discrete(self, *, linear: bool = False, times: Sequence = (0.0, 1.0)) -> DiscreteSystem:
+    def discrete(
+        self, *, linear: bool = False, times: Sequence[Any] = (0.0, 1.0)
+    ) -> DiscreteSystem:
         """The system as a pair of maps, for simulation and for other filters.
 
         Parameters

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 ZERO = 1e-12  # |G| below this part of its largest value counts as a zero on the circle
 PHASE = 0.9 * np.pi  # largest step of the phase between nodes that still gives a certain index
@@ -12,7 +13,7 @@ class UnresolvedError(ValueError):
     """The nodes are too few to count the turns of a phase."""
 
 
-def circle(nodes: int) -> np.ndarray:
+def circle(nodes: int | np.integer) -> NDArray[np.complex128]:
     """Nodes ``exp(2 pi i j / M)`` of the unit circle, shape ``(M,)``."""
     return np.exp(2j * np.pi * np.arange(nodes) / nodes)
 

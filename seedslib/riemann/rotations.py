@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from seedslib.riemann.fourier import circle
@@ -12,7 +14,7 @@ INVARIANT = 1e-10  # relative deviation of a coefficient from its rotation
 
 def solve_rotations(
     coefficients: object, right: object, polynomials: object = None
-) -> tuple[np.ndarray, np.ndarray, tuple]:
+) -> tuple[np.ndarray, np.ndarray, tuple[Any, ...]]:
     """Solve ``Phi+(t) = sum_j G_j(t) Phi-(w^j t) + g(t)``, w = exp(2 pi i / p), ``Phi-(oo) = 0``.
 
     Each of the p coefficients must be a function of ``s = t^p``. Then the powers of t that are

@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 import sympy
@@ -45,10 +46,10 @@ class AugmentedDiffusion:
     """
 
     system: LinearDiffusion
-    f: object
-    variables: Sequence
-    symbol: object
-    drift: object | None = field(default=None, kw_only=True)
+    f: Any
+    variables: Sequence[Any]
+    symbol: Any
+    drift: Any = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         if not self.system.constant:

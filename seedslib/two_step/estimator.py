@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,13 @@ from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule
 from seedslib.two_step.kalman_bucy import KalmanBucyFilter, LinearMoments
-from seedslib.two_step.laws import closed_law, quadrature_law, with_estimate
+from seedslib.two_step.laws import (
+    checked_symbols,
+    closed_law,
+    quadrature_law,
+    used_symbols,
+    with_estimate,
+)
 from seedslib.two_step.linear import LinearDiffusion
 from seedslib.two_step.table import TwoStepTable, make_table
 
@@ -69,11 +75,12 @@ class TwoStepEstimator:
     """
 
     system: LinearDiffusion
-    f: object
-    variables: Sequence | None = field(default=None, kw_only=True)
-    estimate_variables: Sequence | None = field(default=None, kw_only=True)
+    f: Any
+    variables: Sequence[Any] | None = field(default=None, kw_only=True)
+    estimate_variables: Sequence[Any] | None = field(default=None, kw_only=True)
     quadrature: Rule | None = field(default=None, kw_only=True)
     lead: float = field(default=0.0, kw_only=True)
+    filter: KalmanBucyFilter = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "filter", KalmanBucyFilter(self.system))
@@ -81,14 +88,18 @@ class TwoStepEstimator:
         if lead < 0:
             raise ValueError(f"lead: wanted a nonnegative time, got {lead:g}")
         object.__setattr__(self, "lead", lead)
-        symbols = self._symbols()
+        groups = {"variables": self.variables}
+        if self.estimate_variables is not None:
+            groups["estimate_variables"] = self.estimate_variables
+        n = self.system.state_size
+        symbols = checked_symbols(self.f, groups, n, self.quadrature)
         if not isinstance(self.quadrature, Rule | None):
             got = type(self.quadrature).__name__
             raise TypeError(
                 f"quadrature: wanted a Rule, for instance gauss_hermite(n, 20), got {got}"
             )
         if self.quadrature is not None:
-            size = self.system.state_size * (1 if self.estimate_variables is None else 2)
+            size = n * (1 if self.estimate_variables is None else 2)
             if len(self.quadrature.points) != size:
                 raise ValueError(
                     f"quadrature: wanted a rule in {size} dimensions, "
@@ -99,6 +110,7 @@ class TwoStepEstimator:
             law = closed_law(self.f, symbols)
         law = law if self.estimate_variables is None else with_estimate(law)
         object.__setattr__(self, "_law", law)
+        object.__setattr__(self, "_used", used_symbols(self.f, symbols, n))
 
     @property
     def kind(self) -> str:
@@ -194,7 +206,7 @@ class TwoStepEstimator:
         ValueError
             No steady state: see `KalmanBucyFilter.steady_moments`.
         """
-        steady = self.filter.steady_moments(self._used())
+        steady = self.filter.steady_moments(self._used)
         if self.lead:
             ahead = self._ahead(steady.error_cov[0], 0.0)[1]
             there = steady.cov[0].diagonal() != 0.0  # the others have no steady law
@@ -271,36 +283,3 @@ class TwoStepEstimator:
         mean = as_real("mean", mean)
         as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
         return gaussian_arguments(mean, cov)
-
-    def _used(self) -> np.ndarray:
-        """Which components of the state f contains, (n,) bool; all for a Python function."""
-        n, symbols = self.system.state_size, self._symbols()
-        if symbols is None:
-            return np.ones(n, bool)
-        from seedslib.gaussian.means.parse import components_of
-
-        free = set().union(*(e.free_symbols for e in components_of(self.f)[0]))
-        return np.array([s in free for s in symbols]).reshape(-1, n).any(axis=0)
-
-    def _symbols(self) -> tuple | None:
-        """Symbols of the state, and of its estimate where f depends on it."""
-        if callable(self.f) and not hasattr(self.f, "free_symbols"):
-            if self.quadrature is None:
-                raise TypeError(
-                    "f: a Python function has no closed form; give a SymPy expression, or name a "
-                    "quadrature rule, for instance quadrature=gauss_hermite(n, 20)"
-                )
-            return None
-        from seedslib.base.symbols import as_symbols
-
-        groups = [("variables", self.variables)]
-        if self.estimate_variables is not None:
-            groups.append(("estimate_variables", self.estimate_variables))
-        every: list = []
-        for name, symbols in groups:
-            known = () if symbols is None else as_symbols(name, symbols)
-            if len(known) != self.system.state_size:
-                got = len(known) or "none"
-                raise ValueError(f"{name}: wanted {self.system.state_size} symbols, got {got}")
-            every += known
-        return tuple(every)

@@ -8,17 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 
 from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import as_system
-from seedslib.models.propagation import balanced, bounded, distinct_steps, solve, van_loan
+from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, van_loan
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, make_design
-from seedslib.two_step.linear import LinearDiffusion, Matrices, needed
+from seedslib.two_step.linear import LinearDiffusion, Matrices
 from seedslib.two_step.riccati import information_rate, riccati_step
-
-UNDAMPED = 1e-10
+from seedslib.two_step.steady import steady_errors, steady_law
 
 
 class LinearMoments(NamedTuple):
@@ -91,7 +89,7 @@ class KalmanBucyFilter:
         ahead = (move @ c @ move.mT + noise for c in (known.cov, known.error_cov))
         return LinearMoments(np.einsum("kij,kj->ki", move, known.mean), *ahead)
 
-    def predict(self, mean: ArrayLike, cov: ArrayLike, start: float, stop: float) -> tuple:
+    def predict(self, mean: ArrayLike, cov: ArrayLike, start: float, stop: float) -> Pair:
         """Law of the state at `stop` from its law at `start`, without measurements between.
 
         Parameters
@@ -131,32 +129,7 @@ class KalmanBucyFilter:
             noise reaches, whose error dies out too slowly for a stabilising solution; or an
             equation too ill-conditioned to be solved.
         """
-        known = self._steady_matrices("steady_error_cov")
-        information = information_rate(known, np.ones(self.system.measurement_size, bool))
-        unit, drift, _, diffusion = balanced(known.drift, information, known.diffusion)
-        # white measurements: unit intensity
-        sensor = np.linalg.solve(np.linalg.cholesky(known.sensor_intensity), known.sensor) * unit
-        margin = UNDAMPED * np.abs(drift).max()
-        for value in np.linalg.eigvals(drift):
-            shifted = value * np.eye(self.system.state_size) - drift
-            if value.real >= -margin and _deficient(np.vstack([shifted, sensor])):
-                raise ValueError(
-                    "system: wanted a detectable pair (drift, sensor) for a steady error "
-                    f"covariance, but the sensor does not see the mode of eigenvalue {value:.4g}"
-                )
-            if abs(value.real) <= margin and _deficient(np.hstack([shifted, diffusion])):
-                raise ValueError(
-                    "system: wanted every undamped mode reached by noise for a steady error "
-                    f"covariance, but the mode of eigenvalue {value:.4g} is not"
-                )
-        try:
-            eye = np.eye(self.system.measurement_size)
-            cov = solve_continuous_are(drift.T, sensor.T, diffusion, eye, balanced=False)
-        except (LinAlgError, ValueError) as error:
-            raise ValueError(
-                f"system: the equation of the steady error covariance cannot be solved: {error}"
-            ) from error
-        return 0.5 * (cov + cov.T) * unit[:, None] * unit
+        return steady_errors(self._steady_matrices("steady_error_cov"))
 
     def steady_moments(self, components: ArrayLike | None = None) -> LinearMoments:
         """Steady mean (zero), prior covariance and error covariance, arrays (1, ...).
@@ -173,38 +146,7 @@ class KalmanBucyFilter:
             As `steady_error_cov`; also when the drift of the wanted components is not Hurwitz, so
             that their covariance has no limit.
         """
-        known, n = self._steady_matrices("steady_moments"), self.system.state_size
-        here = np.ones(n, bool)
-        if components is not None and np.linalg.eigvals(known.drift).real.max() >= 0:
-            here = needed(known.drift, np.asarray(components, bool))
-        block = np.ix_(here, here)
-        drift, diffusion = known.drift[block], known.diffusion[block]
-        values = np.linalg.eigvals(drift)
-        if values.real.max() >= 0:
-            raise ValueError(
-                "drift: wanted eigenvalues with negative real parts (Hurwitz) for a steady "
-                f"covariance of the state, got {values[values.real.argmax()]:.4g}"
-            )
-        cov = solve_continuous_lyapunov(drift, -diffusion)
-        moments = LinearMoments(*np.zeros((1, 1, n)), *np.zeros((2, 1, n, n)))
-        moments.cov[0][block] = 0.5 * (cov + cov.T)
-        moments.error_cov[0][block] = self._steady_errors_of(here)[block]
-        return moments
-
-    def _steady_errors_of(self, here: np.ndarray) -> np.ndarray:
-        """Steady error covariance without the components that neither these nor the sensor see."""
-        if here.all():
-            return self.steady_error_cov()
-        known = self.system.matrices(0.0)
-        kept = needed(known.drift, here | (known.sensor != 0.0).any(axis=0))
-        block = np.ix_(kept, kept)
-        part = LinearDiffusion(
-            known.drift[block], known.diffusion[block], known.sensor[:, kept],
-            known.sensor_intensity, self.system.mean0[kept], self.system.cov0[block],
-        )  # fmt: skip
-        cov = np.zeros_like(known.drift)
-        cov[block] = KalmanBucyFilter(part).steady_error_cov()
-        return cov
+        return LinearMoments(*steady_law(self._steady_matrices("steady_moments"), components))
 
     def run(self, times: ArrayLike, increments: ArrayLike) -> Estimates:
         """Estimates along measured paths.
@@ -321,9 +263,3 @@ class KalmanBucyFilter:
         covs = values[n:].T.reshape(-1, 2, n, n)
         covs = 0.5 * (covs + covs.mT)
         return LinearMoments(values[:n].T.copy(), covs[:, 0], covs[:, 1])
-
-
-def _deficient(pencil: np.ndarray) -> bool:
-    """Whether the rank is below the smaller side, as far as rounding lets one tell."""
-    values = np.linalg.svd(pencil, compute_uv=False)
-    return bool(values[-1] <= UNDAMPED * values[0])

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,11 +39,49 @@ class FunctionLaw(NamedTuple):
 
     kind: str
     scalar: bool
-    plugin: Callable
-    mean: Callable
-    variance: Callable
-    errors: Callable
-    polynomial: dict | None = None
+    plugin: Callable[..., Any]
+    mean: Callable[..., Any]
+    variance: Callable[..., Any]
+    errors: Callable[..., Any]
+    polynomial: dict[Any, Any] | None = None
+
+
+def checked_symbols(
+    f: object, groups: Mapping[str, Sequence | None], size: int, quadrature: Rule | None
+) -> tuple | None:
+    """Symbols of a function, `size` in each group; None for a Python function.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A Python function without a quadrature rule; no symbols, or another number of them.
+    """
+    if callable(f) and not hasattr(f, "free_symbols"):
+        if quadrature is None:
+            raise TypeError(
+                "f: a Python function has no closed form; give a SymPy expression, or name a "
+                "quadrature rule, for instance quadrature=gauss_hermite(n, 20)"
+            )
+        return None
+    from seedslib.base.symbols import as_symbols
+
+    every: list = []
+    for name, symbols in groups.items():
+        known = () if symbols is None else as_symbols(name, symbols)
+        if len(known) != size:
+            raise ValueError(f"{name}: wanted {size} symbols, got {len(known) or 'none'}")
+        every += known
+    return tuple(every)
+
+
+def used_symbols(f: object, symbols: tuple | None, size: int) -> np.ndarray:
+    """Which components of the state a function contains, (size,) bool; all where it is Python's."""
+    if symbols is None:
+        return np.ones(size, bool)
+    from seedslib.gaussian.means.parse import components_of
+
+    free = set().union(*(e.free_symbols for e in components_of(f)[0]))
+    return np.array([s in free for s in symbols]).reshape(-1, size).any(axis=0)
 
 
 def closed_law(f: object, variables: Sequence) -> FunctionLaw:
@@ -80,7 +118,7 @@ def closed_law(f: object, variables: Sequence) -> FunctionLaw:
     return FunctionLaw(str(mean.kind), mean.scalar, plugin, mean, variance, errors, polynomial)
 
 
-def quadrature_law(f: object, variables: Sequence | None, rule: Rule) -> FunctionLaw:
+def quadrature_law(f: object, variables: Sequence[Any] | None, rule: Rule) -> FunctionLaw:
     """Law of any function by a quadrature rule; approximate, and named so.
 
     Parameters

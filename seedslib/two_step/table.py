@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import factorial, prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count, as_real, as_shape
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import in_range
@@ -40,9 +42,9 @@ class TwoStepTable:
     design: KalmanBucyDesign
     move: np.ndarray
     cov: np.ndarray
-    exponents: np.ndarray | None
-    mean_coefficients: np.ndarray | None
-    variance_coefficients: np.ndarray | None
+    exponents: MaybeArray
+    mean_coefficients: MaybeArray
+    variance_coefficients: MaybeArray
     _law: FunctionLaw
 
     @property
@@ -145,7 +147,7 @@ def make_table(
     return TwoStepTable(design, move, cov, np.array(known), first, second, law)
 
 
-def variance_polynomial(mean: Coefficients, cov: np.ndarray) -> dict:
+def variance_polynomial(mean: Coefficients, cov: np.ndarray) -> dict[Any, Any]:
     """Conditional variance of a polynomial as a polynomial of the estimate.
 
     With L Lᵀ = P and the derivatives D along the columns of L of the conditional mean g, it is

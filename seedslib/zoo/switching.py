@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import sympy
 
 from seedslib.models.noise import Noise
@@ -134,7 +136,7 @@ def steady_target(
     )
 
 
-def dependent_switching(offset: float = 0.0) -> SwitchingSystem:
+def dependent_switching(offset: Any = 0.0) -> SwitchingSystem:
     """Scalar system with a state-dependent indicator and dependent noises in both equations.
 
     The next mode is 1 where V' > alpha_i + beta_i x, the indicator where W' > tau_i + delta_i x;

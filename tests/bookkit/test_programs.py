@@ -3,6 +3,7 @@
 import shutil
 from pathlib import Path
 
+import jupytext
 import numpy as np
 import pytest
 
@@ -33,6 +34,29 @@ def test_faults_are_named_by_page_and_line(tmp_path):
         (tmp_path / name).symlink_to(ROOT / name)
     found = programs.faults(tmp_path, [page, Path(readme)])
     assert [fault.split(" ")[0] for fault in found] == ["page.md:4:", "page.md:10:"]
+
+
+def test_cells_of_a_notebook_are_a_program_without_their_options():
+    text = "\n".join(
+        (
+            *("---", "jupytext: 1", "---", "", "```{code-cell} ipython3", ":tags: [parameters]"),
+            *("", "seed = 1", "```", "", "```{code-cell} ipython3", "---", "mystnb:"),
+            *("  figure:", "    name: fig-a", "---", "x = {", "  1: 2", "}", "```", ""),
+            *("```{math}", ":label: a", "x", "```", "", "```{code-cell} ipython3"),
+            *(":tags: [a]", ":other: b", "y = x[:1]", "```"),
+        )
+    )
+    lines = {k: line for k, line in enumerate(programs.program(text).splitlines(), 1) if line}
+    assert lines == {8: "seed = 1", 17: "x = {", 18: "  1: 2", 19: "}", 30: "y = x[:1]"}
+
+
+def test_every_line_of_a_notebook_that_is_code_is_looked_at():
+    for page in sorted((ROOT / "notebooks").glob("*.md")):
+        text = page.read_text()
+        found = programs.program(text).splitlines()
+        cells = jupytext.reads(text, fmt="md:myst").cells
+        code = [line for c in cells if c.cell_type == "code" for line in c.source.splitlines()]
+        assert [line for line in found if line] == [line for line in code if line], page.name
 
 
 def test_a_page_without_a_program_is_refused(tmp_path):

@@ -422,3 +422,18 @@ def test_threads_do_not_matter(oscillator):
     data = oscillator.simulate(TACTS, 17_000, 3, step=0.02)
     one, two = (made.run(TACTS, data.measurements, workers=w) for w in (1, 2))
     np.testing.assert_array_equal(one.mean, two.mean)
+
+
+def test_a_measurement_is_remembered_as_it_was():
+    """The caller may read the next one into the same array."""
+    times, y = np.arange(4.0), np.array([[1.0], [-2.0], [0.5], [3.0]])
+    made = synthesize(
+        zoo.linear_gaussian(), finite_memory(2), Taylor(), times, exact_moments=True, nodes=0
+    )
+    state, buffer = made.initial(), np.empty(1)
+    for t, value in zip(times, y, strict=True):
+        buffer[:] = value
+        state = made.step(state, t, buffer)
+    np.testing.assert_array_equal(state.mean, made.run(times, y).mean[-1])
+    with pytest.raises(ValueError, match="indicators: wanted none"):
+        made.run(times, y, indicators=np.zeros(4, dtype=int))

@@ -3,19 +3,24 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.correction import correct
+from seedslib.base.tables import AxesLike, AxisLike
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
+from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine
 from seedslib.linearization.moments import Linearization, Moments
+from seedslib.models.kinds import AnySystem
 
 
 def affine_synthesis(
-    system, memory, linearization, times, *, x, z=None, y=None
-) -> tuple[FiniteOrderFilter, GridRisk]:
+    system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
+    x: AxisLike, z: AxesLike | None = None, y: AxesLike | None = None,
+) -> tuple[FiniteOrderFilter, GridRisk]:  # fmt: skip
     """Filter of theorem 2 with moments from the grid instead of simulated ones.
 
     Parameters
@@ -40,8 +45,7 @@ def affine_synthesis(
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     law = JointLaw(system, memory, times, x, z, y)
     sensor, start, fits = linearization.moments(system.sensor), None, []
-    for k, t in enumerate(law.times):
-        sight = law.look(t)
+    for k, t, sight, _ in law.steps():
         if k == 0:
             start = _sensed(law, t)
             mean, cov, moments = start
@@ -52,9 +56,6 @@ def affine_synthesis(
             mean, cov = fits[-1].forecast(law.memory_points)
             moments = sensor(float(t), mean, cov)
         law.take(k, corrected(law, mean, cov, moments), sight)
-        if k + 1 < len(law.times):
-            law.move(t, law.times[k + 1])
-    law.look_at_memory()
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
         system=system, memory=memory, predictor=Affine(), linearization=linearization,
@@ -91,7 +92,7 @@ def _sensed(law: JointLaw, t: float) -> Start:
     return Start(mean, (around * state) @ around.T, Moments(expected, cross, spread))
 
 
-def corrected(law: JointLaw, mean, cov, moments: Moments) -> np.ndarray:
+def corrected(law: JointLaw, mean: np.ndarray, cov: np.ndarray, moments: Moments) -> np.ndarray:
     """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
     moments = Moments(moments.mean[:, None], _apart(moments.cross), _apart(moments.cov))
     return correct(mean[:, None], None, law.shown[:, :, None], moments)[0]

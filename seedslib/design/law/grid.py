@@ -7,20 +7,25 @@ from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.tables import Labels
+from seedslib.base.tables import AxesLike, AxisLike, Labels
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.law.recursion import conditional, seen
+from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Step, Table, prior
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.models.kinds import AnySystem
 
 METHOD = "density recursion"
 
 
 def grid_synthesis(
-    system, memory, times, *, x, z=None, y=None, nodes=4, probabilities=False
-) -> TableFilter:
+    system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
+    y: AxesLike | None = None, nodes: Count = 4, probabilities: bool = False,
+) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by the density recursion of theorem 1.
 
     (4.4)-(4.10) of the jump-diffusion paper: the joint law of the state and the memory moves by
@@ -112,8 +117,8 @@ class Optimal(NamedTuple):
     held: int
     law: np.ndarray
     means: np.ndarray
-    modes: np.ndarray | None
-    prob: np.ndarray | None
+    modes: MaybeArray
+    prob: MaybeArray
     mass: np.ndarray
     between: tuple[Table, ...]
 
@@ -132,20 +137,11 @@ def optimal_steps(law: JointLaw, nodes: int = 0) -> Iterator[Optimal]:
     ------
     Optimal
     """
-    between = []
-    for k, t in enumerate(law.times):
-        sight = law.look(t)
+    for k, _, sight, between in law.steps(nodes):
         held, given = law.held, conditional(law.joint)
         found = law.posterior(sight.relative, given)
         mass = law.take(k, found.mean, sight, found.mode)
-        yield Optimal(held, given, *found, mass, tuple(between))
-        if k + 1 < len(law.times):
-            stops, between = np.linspace(t, law.times[k + 1], nodes + 2), []
-            for a, b in pairwise(stops):
-                law.move(a, b)
-                if b != stops[-1]:
-                    between.append(law.forecast(b))
-    law.look_at_memory()
+        yield Optimal(held, given, *found, mass, between)
 
 
 def _change(before, now):
@@ -185,7 +181,10 @@ def _tables(law, k, optimal, probabilities) -> Step:
     return Step(shown, blind if k else prior(law.system, 1))
 
 
-def optimal_risk(system, memory, times, *, x, z=None, y=None) -> GridRisk:
+def optimal_risk(
+    system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
+    y: AxesLike | None = None,
+) -> GridRisk:  # fmt: skip
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.
 
     Parameters

@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from typing import NamedTuple
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.base.tables import Axis, Labels, as_axes, mesh
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import outside
+from seedslib.base.tables import AxesLike, Axis, AxisLike, Labels, as_axes, mesh
 from seedslib.design.law.recursion import (
     Seen,
     conditional,
@@ -22,8 +27,9 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
-from seedslib.models.chain_switching import chain_of
-from seedslib.models.kinds import as_grid, as_system, switches
+from seedslib.models.chain_feller import FellerChain
+from seedslib.models.chain_switching import SwitchingChain, chain_of
+from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 SPREADS = 6.5
 """Default axes of measurements reach this many deviations of the sensor beyond its means."""
@@ -66,7 +72,7 @@ class GridRisk(NamedTuple):
     mse: np.ndarray
     bias: np.ndarray
     clamped: np.ndarray
-    mode_error: np.ndarray | None = None
+    mode_error: MaybeArray = None
 
 
 class JointLaw:
@@ -91,30 +97,37 @@ class JointLaw:
         Of a measurement, and of one block of the memory.
     """
 
-    def __init__(self, system, memory, times, x, z, y):
+    def __init__(
+        self, system: AnySystem, memory: Memory, times: ArrayLike, x: AxisLike, z: AxesLike | None,
+        y: AxesLike | None,
+    ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         as_system("system", system, "JumpDiffusion", "SwitchingSystem")
         x = Axis.of("x", x)
-        self.chain = chain_of(system, x)
+        self.chain: FellerChain | SwitchingChain = chain_of(system, x)
         require_letters(memory, self.chain.indicators, " for a grid")
-        self.system, self.memory = system, memory
-        self.times = as_grid("times", times, system)
-        self.values, self.modes = self.chain.values, self.chain.modes
-        self.switching = switches(system)
+        self.system: AnySystem = system
+        self.memory: Memory = memory
+        self.times: np.ndarray = as_grid("times", times, system)
+        self.values: np.ndarray = self.chain.values
+        self.modes: int = self.chain.modes
+        self.switching: bool = switches(system)
         axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
-        self.measurement_axes = labels + axes
-        self.shown, self.weights = mesh(self.measurement_axes), np.ones(1)
+        self.measurement_axes: tuple[Any, ...] = labels + axes
+        self.shown: np.ndarray = mesh(self.measurement_axes)
+        self.weights: np.ndarray = np.ones(1)
         for axis in self.measurement_axes:
             self.weights = np.outer(self.weights, axis.weights).ravel()
         if memory.estimates:
             axes = Axis(x.low, x.high, 2 * x.count - 1) if z is None else Axis.of("z", z)
             axes = (axes,)
         decided, kept = letter_labels(system, memory)
-        self.letter_axes = decided + kept + axes
-        self.letters = int(np.prod([axis.count for axis in self.letter_axes]))
-        self.depth, self.held = memory.depth, 0
+        self.letter_axes: tuple[Any, ...] = decided + kept + axes
+        self.letters: int = int(np.prod([axis.count for axis in self.letter_axes]))
+        self.depth: int = memory.depth
+        self.held: int = 0
         size = max(self.values.shape[1], self.shown.shape[1])
         entries = float(self.letters) ** self.depth * size
         if entries > LARGEST:
@@ -122,13 +135,9 @@ class JointLaw:
                 f"memory: wanted at most {LARGEST} numbers on the grid, got {entries:.3g}: fewer "
                 "nodes or a shorter memory"
             )
-        self.joint = self.chain.start()[None]
-        self.found, self.scores = [], []
-
-    @property
-    def clamped(self) -> float:
-        """Largest probability, so far, of an estimate outside of its axis."""
-        return max(row[2] for row in self.found)
+        self.joint: np.ndarray = self.chain.start()[None]
+        self.found: list[Any] = []
+        self.scores: list[Any] = []
 
     @property
     def memory_axes(self) -> tuple[Axis, ...]:
@@ -136,14 +145,25 @@ class JointLaw:
         return self.letter_axes * self.held
 
     @property
-    def shape(self) -> tuple[int, ...]:
-        """Nodes along each axis of the memory."""
-        return tuple(axis.count for axis in self.memory_axes)
-
-    @property
     def memory_points(self) -> np.ndarray:
         """The memory at each cell, (d, cells)."""
         return mesh(self.memory_axes)
+
+    def steps(self, nodes: int = 0) -> Iterator[tuple[int, float, Seen, tuple[Table, ...]]]:
+        """Number, time and likelihoods of each measurement, and the forecasts at nodes before it.
+
+        Between measurements the state moves; `take` is the caller's.
+        """
+        between: list[Table] = []
+        for k, t in enumerate(self.times):
+            yield k, t, self.look(t), tuple(between)
+            if k + 1 < len(self.times):
+                stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
+                for a, b in pairwise(stops):
+                    self.move(a, b)
+                    if b != stops[-1]:
+                        between.append(self.forecast(b))
+        self.look_at_memory()
 
     def look(self, t) -> Seen:
         """Likelihood of the measurements on the grid."""
@@ -155,7 +175,7 @@ class JointLaw:
             warnings.warn(
                 f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
                 f"{t:g}; they are too short or too coarse",
-                stacklevel=3,
+                stacklevel=outside(),
             )
         return sight
 
@@ -176,7 +196,7 @@ class JointLaw:
         prob = posterior_modes(given, masses)
         return Output(means, most_probable(prob).astype(np.int8), prob)
 
-    def take(self, k, means, sight, modes=None):
+    def take(self, k: int, means: Any, sight: Any, modes: Any = None) -> Any:
         """Score estimates (1, Y, cells) and put them, or the measurements, in the memory.
 
         Parameters
@@ -226,7 +246,7 @@ class JointLaw:
         self.held = min(self.held + 1, self.depth)
         return mass
 
-    def move(self, start, stop):
+    def move(self, start: float, stop: float) -> Any:
         """Let the state move while the memory stays: (4.8)."""
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
@@ -236,7 +256,8 @@ class JointLaw:
         mass = self.joint.sum(axis=1)
         square = self.joint.sum(axis=0) @ self.values[0] ** 2
         self.scores.append((t, square - mass @ means**2))
-        return Table(self.memory_axes, means.reshape(1, *self.shape))
+        axes = self.memory_axes
+        return Table(axes, means.reshape(1, *(axis.count for axis in axes)))
 
     def prediction(self) -> Prediction:
         """Root-mean-square errors at measurements and nodes, without sampling error."""
@@ -260,11 +281,11 @@ class JointLaw:
 
     def look_at_memory(self) -> None:
         """Warn where the axis of the estimates is too short to remember them."""
-        if self.clamped > CLAMPED:
+        if (clamped := max(row[2] for row in self.found)) > CLAMPED:
             warnings.warn(
-                f"z: probability {self.clamped:.2g} of an estimate outside of the axis, where it "
+                f"z: probability {clamped:.2g} of an estimate outside of the axis, where it "
                 "is remembered as the end",
-                stacklevel=3,
+                stacklevel=outside(),
             )
 
     def _reach(self):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from seedslib.base.tables import AxesLike, AxisLike
 from seedslib.design.law.affine import corrected
 from seedslib.design.law.joint import GridRisk, JointLaw
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -13,8 +14,9 @@ from seedslib.designed.switching import SwitchingFilter
 
 
 def grid_risk(
-    filter: FiniteOrderFilter | SwitchingFilter | OutputFilter, *, x, z=None, y=None
-) -> GridRisk:
+    filter: FiniteOrderFilter | SwitchingFilter | OutputFilter, *, x: AxisLike,
+    z: AxesLike | None = None, y: AxesLike | None = None,
+) -> GridRisk:  # fmt: skip
     """Mean-square errors of any designed filter of finite order, without random numbers.
 
     Parameters
@@ -42,13 +44,9 @@ def grid_risk(
     if filter.memory is None:
         raise ValueError("filter: wanted one with a memory, got one that carries whole laws")
     law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
-    for k, t in enumerate(law.times):
-        sight = law.look(t)
+    for k, _, sight, _ in law.steps():
         found = _decided(filter, law, k)
         law.take(k, found.mean, sight, found.mode)
-        if k + 1 < len(law.times):
-            law.move(t, law.times[k + 1])
-    law.look_at_memory()
     return law.risk()
 
 

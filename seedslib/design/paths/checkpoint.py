@@ -11,8 +11,9 @@ import dataclasses
 import hashlib
 import json
 import warnings
+from os import PathLike
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -49,9 +50,9 @@ class Progress(NamedTuple):
 
     stop: int
     found: Found
-    alive: tuple
-    states: tuple
-    filters: tuple
+    alive: tuple[Any, ...]
+    states: tuple[Any, ...]
+    filters: tuple[Any, ...]
 
 
 _KNOWN = KNOWN | {kind.__name__: kind for kind in (Progress, Found, FiniteOrderState, Past)}
@@ -73,14 +74,14 @@ class Checkpoint:
         A folder that does not exist.
     """
 
-    def __init__(self, path, identity):
-        self.path = Path(path)
+    def __init__(self, path: str | PathLike[str], identity: Any) -> None:
+        self.path: Path = Path(path)
         # as they come back from a file: lists for tuples
-        self.identity = json.loads(json.dumps(identity))
+        self.identity: Any = json.loads(json.dumps(identity))
         if self.path.is_dir() or not self.path.parent.is_dir():
             raise ValueError(f"checkpoint: wanted a file in a folder that exists, got {path}")
 
-    def write(self, forward, last):
+    def write(self, forward: Any, last: Any) -> Any:
         """Replace the file by what a forward pass has now; after the last step without states."""
         walk, states, filters = forward.walk, (), ()
         if not last:
@@ -93,7 +94,7 @@ class Checkpoint:
         header = {"format": FORMAT, "identity": self.identity, "progress": tree}
         write(self.path, header, arrays)
 
-    def restore(self, forward):
+    def restore(self, forward: Any) -> Any:
         """Put a forward pass where the file is; nothing happens where there is no file.
 
         Raises
@@ -126,7 +127,10 @@ class Checkpoint:
         forward.resume(now.found, list(now.filters))
 
 
-def identity(system, rules, linearization, predictor, times, grid, paths, root, options, bound):
+def identity(
+    system: Any, rules: Any, linearization: Any, predictor: Any, times: Any, grid: Any, paths: Any,
+    root: Any, options: Any, bound: Any,
+) -> Any:  # fmt: skip
     """What a design depends on, by name and in a form that JSON takes.
 
     The system is recognised by its formulas and by a small run, bit by bit, and so are the

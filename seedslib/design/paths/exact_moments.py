@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.correction import correct
 from seedslib.design.regression import regress
@@ -10,10 +13,11 @@ from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Past
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.linearization.moments import Moments
+from seedslib.models.kinds import AnySystem
 from seedslib.models.propagation import integrated, van_loan
 
 
-def linear_design(system, rules, times, grid):
+def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance

@@ -6,9 +6,10 @@ from __future__ import annotations
 
 import warnings
 from operator import attrgetter
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.design.fitting import fit_forecast
 from seedslib.design.regression import ABSOLUTE, root_mean_squares
@@ -39,9 +40,9 @@ class Found(NamedTuple):
     """
 
     start: Start
-    fits: tuple
-    node_fits: tuple
-    scores: tuple
+    fits: tuple[Any, ...]
+    node_fits: tuple[Any, ...]
+    scores: tuple[Any, ...]
     size: np.ndarray
 
 
@@ -55,17 +56,17 @@ class ForwardPass:
     predictor : Affine, Polynomial or Continuous
     """
 
-    def __init__(self, walk, rules, predictor):
+    def __init__(self, walk: Any, rules: Any, predictor: Any) -> None:
         self.walk, self.predictor = walk, predictor
         self.memory, self.components = rules.memory, rules.components
-        self.continuous = rules.velocity is not None
-        self.extra = rules.measured_nodes and not rules.memory.measurements
-        self.rules = walk.each.share(rules)
-        self.states = []
+        self.continuous: bool = rules.velocity is not None
+        self.extra: bool = rules.measured_nodes and not rules.memory.measurements
+        self.rules: Any = walk.each.share(rules)
+        self.states: list[Any] = []
         self.start, self.fits, self.node_fits = None, [], []
         self.scores, self.size = [], np.zeros(self.components)
 
-    def design(self, times, grid, keep=None):
+    def design(self, times: ArrayLike, grid: Any, keep: Any = None) -> Any:
         """Start, fits for the measurements, fits for the nodes, and the predicted errors.
 
         Parameters
@@ -100,7 +101,7 @@ class ForwardPass:
             self.start, tuple(self.fits), tuple(self.node_fits), tuple(self.scores), self.size
         )
 
-    def resume(self, found, states):
+    def resume(self, found: Any, states: Any) -> Any:
         """Go on from what was found, with the filter's state on the paths."""
         self.start, self.size = found.start, found.size
         self.fits, self.node_fits = list(found.fits), list(found.node_fits)

@@ -48,7 +48,8 @@ TINY = np.finfo(float).tiny
 
 def examined(
     filter: Any, root: np.random.SeedSequence, paths: int, each: Crew, stops: np.ndarray, *,
-    options: Mapping | None = None, bound: float = np.inf, forecasts: np.ndarray | None = None,
+    options: Mapping[Any, Any] | None = None, bound: float = np.inf,
+    forecasts: np.ndarray | None = None,
 ) -> Any:  # fmt: skip
     """The filter with its errors on held-out paths, by its own `run`.
 

@@ -7,10 +7,13 @@ online; before each step the forecast it needs is fitted to the paths. Paths are
 from __future__ import annotations
 
 import warnings
+from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import step_count
@@ -24,7 +27,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
+from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps, switches
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -68,11 +71,14 @@ def synthesize(
 
 
 def synthesize(
-    system, memory, linearization, times, *, predictor=_AFFINE, nodes=4, components=None,
-    paths=None, seed=None, workers=1, horizon=None, measured_nodes=False, exact_moments=False,
-    step=None, scheme="euler", bound=np.inf, checkpoint=None, normalisation="consistent",
-    split=True,
-):  # fmt: skip
+    system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
+    predictor: Any = _AFFINE, nodes: Any = 4, components: int | None = None,
+    paths: Count | None = None, seed: Seed | None = None, workers: Any = 1,
+    horizon: float | None = None, measured_nodes: bool = False, exact_moments: bool = False,
+    step: float | None = None, scheme: str = "euler", bound: float = np.inf,
+    checkpoint: str | PathLike[str] | None = None, normalisation: str = "consistent",
+    split: bool = True,
+) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
     Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
@@ -172,9 +178,7 @@ def synthesize(
     times = as_grid("times", times, system)
     n = system.state_size
     _check_kinds(memory, predictor, measured_nodes, exact_moments)
-    components = n if components is None else as_count("components", components)
-    if components > n:
-        raise ValueError(f"components: wanted 1 to {n}, got {components}")
+    components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
     if in_steps(system):
         if horizon is not None or exact_moments or isinstance(predictor, Continuous):

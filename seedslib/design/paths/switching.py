@@ -17,6 +17,7 @@ from seedslib.design.cells import fit_cells
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
 from seedslib.design.regression import combine, root_mean_squares, scatter
+from seedslib.designed.guards import warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.switching import SwitchingFilter
@@ -91,11 +92,7 @@ def synthesize_switching(
                 f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
                 stacklevel=outside(),
             )
-        if raised:
-            warnings.warn(
-                f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
-                stacklevel=outside(),
-            )
+        warn_of_mended(raised)
         rms, error, rate, doubt = (np.array(part) for part in zip(*scores, strict=True))
         designed = SwitchingFilter(
             system, linearization, memory, times, tuple(fits), normalisation, split,

@@ -14,12 +14,15 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from functools import partial
 from itertools import repeat
+from typing import Any
 
 import numpy as np
 
+from seedslib.base.blocks import child
 from seedslib.base.bundles import Bundle, bundles
 from seedslib.base.checks import as_count, is_whole, outside
 from seedslib.design.regression import Scatter, combine, scatter
+from seedslib.models.kinds import AnySystem
 
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
@@ -34,18 +37,18 @@ class Crew:
         As the built-in one.
     """
 
-    def __init__(self, map=map):
+    def __init__(self, map: Any = map) -> None:
         self._map = map
 
-    def __call__(self, work, *lists) -> list:
+    def __call__(self, work: Callable[..., Any], *lists: Any) -> list[Any]:
         """List of ``work(*entries)`` over the entries of the lists."""
         return list(self._map(work, *lists))
 
-    def share(self, thing: object) -> repeat:
+    def share(self, thing: object) -> repeat[Any]:
         """Stand-in for a list that has the same thing for every bundle."""
         return repeat(thing)
 
-    def unzip(self, pairs) -> list:
+    def unzip(self, pairs: Any) -> list[Any]:
         """Lists of the first and of the second parts of the entries of a list."""
         return [list(part) for part in zip(*pairs, strict=True)]
 
@@ -119,10 +122,13 @@ class Walk:
         Number of the last time stopped at.
     """
 
-    def __init__(self, system, paths, root, stops, each, options, bound):
+    def __init__(
+        self, system: AnySystem, paths: int, root: Any, stops: Any, each: Any, options: Any,
+        bound: float,
+    ) -> None:  # fmt: skip
         self.system, self.each, self.options = system, each, options
         self.bound, self.n = min(bound, LARGEST), system.state_size
-        self.counts = bundles(paths)
+        self.counts: list[Any] = bundles(paths)
         self.stops, self.stop = stops, -1
         self.states, self.alive = [], []
         self._roots = [root.spawn(len(counts)) for counts in self.counts]
@@ -149,7 +155,7 @@ class Walk:
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def resume(self, stop, states, alive):
+    def resume(self, stop: float, states: Any, alive: Any) -> Any:
         """Go on from the states at a stop, by its number."""
         self.stop = stop
         self.states, self.alive = (self.each(_itself, part) for part in (states, alive))
@@ -159,7 +165,7 @@ class Walk:
         options = self.options
         self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
 
-    def measure(self, t: float) -> list:
+    def measure(self, t: float) -> list[Any]:
         """What the sensor shows, (m, paths) for each bundle; once at a stop."""
 
         def shown(system, streams, counts, x):
@@ -167,7 +173,7 @@ class Walk:
 
         return self.kept(shown, self._shared, self._streams(1), self.counts, self.states)
 
-    def kept(self, work, *lists, array=None) -> list:
+    def kept(self, work: Callable[..., Any], *lists: Any, array: Any = None) -> list[Any]:
         """Map over bundles; paths whose column of the result is not finite are left out.
 
         Parameters
@@ -179,7 +185,7 @@ class Walk:
         """
         return self._guarded(lambda x: np.isfinite(x).all(axis=0), 0.0, array, work, *lists)
 
-    def gather(self, rows: Callable[..., np.ndarray], *lists) -> Scatter:
+    def gather(self, rows: Callable[..., np.ndarray], *lists: Any) -> Scatter:
         """Moments of ``rows(x, *others)``, (p, paths), over the paths that are left."""
 
         def reduce(x, alive, *others):
@@ -193,12 +199,7 @@ class Walk:
 
     def _streams(self, purpose):
         """Streams of the blocks of each bundle at this stop, to move (0) or to measure (1)."""
-
-        def at_stop(root):
-            key = (*root.spawn_key, self.stop, purpose)
-            return np.random.SeedSequence(root.entropy, spawn_key=key, pool_size=root.pool_size)
-
-        return [list(map(at_stop, roots)) for roots in self._roots]
+        return [[child(root, self.stop, purpose) for root in roots] for roots in self._roots]
 
     def _go(self, work, *lists):
         """States at the next stop, without the paths that have just left the range of numbers."""

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import warnings
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.design.paths.held_out import examined
@@ -15,7 +17,7 @@ from seedslib.design.paths.walk import crew
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.outputs.lookup import Output, Table, arguments, require_letters
 from seedslib.designed.prediction import Design, Prediction
-from seedslib.models.kinds import as_grid, in_steps, switches
+from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
 
 LARGEST = 1e50
 """A state beyond this has no fourth power worth averaging."""
@@ -36,10 +38,10 @@ class Lesson(NamedTuple):
     """
 
     states: np.ndarray
-    measurements: np.ndarray | None
+    measurements: MaybeArray
     past: Past
-    modes: np.ndarray | None = None
-    indicators: np.ndarray | None = None
+    modes: MaybeArray = None
+    indicators: MaybeArray = None
 
     @property
     def memory(self) -> np.ndarray:
@@ -49,7 +51,7 @@ class Lesson(NamedTuple):
             return past.vector
         return np.empty((0, self.states.shape[1]))
 
-    def points(self, system, blind: bool = False) -> list:
+    def points(self, system: AnySystem, blind: bool = False) -> list[Any]:
         """Arguments of an output function, see `seedslib.designed.outputs.lookup.arguments`."""
         y = () if blind or self.measurements is None else self.measurements
         return arguments(system, y, self.indicators, self.past)
@@ -58,10 +60,10 @@ class Lesson(NamedTuple):
 class _Paths(NamedTuple):
     """One set of paths: states by time, measurements (K+1, m, N), modes, indicators (K+1, N)."""
 
-    states: dict
+    states: dict[Any, Any]
     measurements: np.ndarray
-    modes: np.ndarray | None = None
-    indicators: np.ndarray | None = None
+    modes: MaybeArray = None
+    indicators: MaybeArray = None
 
 
 class Carriers:
@@ -103,7 +105,10 @@ class Carriers:
         An argument that does not fit; no path that stays finite.
     """
 
-    def __init__(self, system, memory, times, components, paths, sets, nodes, seed, workers):
+    def __init__(
+        self, system: AnySystem, memory: Memory, times: ArrayLike, components: int | None,
+        paths: Count, sets: int, nodes: Any, seed: Seed, workers: int,
+    ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         if switches(system):
@@ -111,22 +116,19 @@ class Carriers:
         elif memory.indicators or memory.log_odds:
             raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
         n = system.state_size
-        components = n if components is None else as_count("components", components)
-        if components > n:
-            raise ValueError(f"components: wanted 1 to {n}, got {components}")
-        if as_count("sets", sets) < 2:
-            raise ValueError(f"sets: wanted at least 2, got {sets}")
+        components = n if components is None else as_count("components", components, 1, n)
+        as_count("sets", sets, 2)
         self.system, self.memory = system, memory
         self.components, self.workers = components, workers
         self.times, self.root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.lost = as_count("paths", paths), 0
         # a system in discrete time has no states between
         parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes) + 1
-        self.stops = tuple(
+        self.stops: tuple[np.ndarray, ...] = tuple(
             np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
         )
-        self.streams = self.root.spawn(sets + 1)
-        self.sets = [self._simulated(s) for s in self.streams[:sets]]
+        self.streams: list[Any] = self.root.spawn(sets + 1)
+        self.sets: list[Any] = [self._simulated(s) for s in self.streams[:sets]]
         if self.lost:
             warnings.warn(
                 f"paths: {self.lost} of {paths * sets} design paths diverged and were left out",
@@ -172,7 +174,7 @@ class Carriers:
         states = chosen.states[float(self.times[k])]
         return Lesson(states, chosen.measurements[k], past, *labels)
 
-    def take(self, function) -> None:
+    def take(self, function: Any) -> None:
         """Apply the function of the next measurement on all paths, and note its errors."""
         k = self.reached + 1
         examiner = (k + 1) % len(self.sets)
@@ -202,7 +204,7 @@ class Carriers:
         apart = np.sqrt(((now.mean - before.mean) ** 2).sum(axis=0).mean())
         return apart, 0.0 if now.mode is None else (now.mode != before.mode).mean()
 
-    def score(self, t: float, forecast) -> None:
+    def score(self, t: float, forecast: Any) -> None:
         """Note the errors of a forecast, a function of the memory, at a node."""
         lesson = self._lesson(self.reached + 2, t)
         error = lesson.states[: self.components] - forecast(lesson.points(self.system)).mean
@@ -229,7 +231,7 @@ class Carriers:
         doubt = np.sqrt(wrong * (1.0 - wrong) / count)
         return Prediction(times, rms, error, mode_rate=wrong, mode_error=doubt)
 
-    def examined(self, filter):
+    def examined(self, filter: Any) -> Any:
         """The finished filter with its errors on other paths than those of all sets."""
         stops = np.concatenate([self.times[:1], *self.stops])
         with crew(self.workers) as each:

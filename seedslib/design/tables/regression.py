@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from itertools import product
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,10 @@ CHUNK = 2048
 NOTHING = 1e-290
 
 
-def likelihood_table(log_density, targets, points, measured, axes, kernel) -> np.ndarray:
+def likelihood_table(
+    log_density: Callable[..., Any] | None, targets: Any, points: Any, measured: Any, axes: Any,
+    kernel: float,
+) -> np.ndarray:  # fmt: skip
     """M[X | y, u] with the known likelihood of y: the Rao-Blackwellised estimate of section 5.
 
     f(y, u) = sum_j w_j(u) X_j beta(y | X_j) / sum_j w_j(u) beta(y | X_j), with a kernel w in the
@@ -58,7 +63,9 @@ def likelihood_table(log_density, targets, points, measured, axes, kernel) -> np
     return smoothed_ratio(sums.reshape(-1, *shape), counts, wide, len(measured))
 
 
-def histogram_table(targets, points, axes, kernel, pooled: bool = False) -> np.ndarray:
+def histogram_table(
+    targets: Any, points: Any, axes: Any, kernel: float, pooled: bool = False
+) -> np.ndarray:
     """M[X | arguments] from simulated arguments: the smoothed histogram of section 5.
 
     Parameters
@@ -83,7 +90,9 @@ def histogram_table(targets, points, axes, kernel, pooled: bool = False) -> np.n
     return smoothed_ratio(sums, sums[0], widths(points, axes, kernel), 0)
 
 
-def likelihood_sums(log_density, size, rows, u, axes_u) -> np.ndarray:
+def likelihood_sums(
+    log_density: Callable[..., Any] | None, size: int, rows: Any, u: Any, axes_u: Any
+) -> np.ndarray:
     """Sums over paths of each row times the likelihood, (rows, points, cells), paths split.
 
     Parameters
@@ -118,7 +127,7 @@ def likelihood_sums(log_density, size, rows, u, axes_u) -> np.ndarray:
     return np.moveaxis(sums, 1, 2)
 
 
-def path_sums(targets, points, axes):
+def path_sums(targets: Any, points: Any, axes: Any) -> Any:
     """Sums (1 + p, nodes...) of one and of the targets, each path split between its nodes."""
     shape = tuple(axis.count for axis in axes)
     rows = np.concatenate([np.ones((1, points.shape[1])), targets])
@@ -129,7 +138,7 @@ def path_sums(targets, points, axes):
     return sums.reshape(len(rows), *shape)
 
 
-def widths(points, axes, kernel):
+def widths(points: Any, axes: Any, kernel: float) -> Any:
     """Widths of the kernel, in nodes of each axis: the normal reference rule; labels have none."""
     labels = [isinstance(axis, Labels) for axis in axes]
     size, count = len(axes) - sum(labels), points.shape[1]
@@ -155,7 +164,7 @@ def _corners(points, axes):
         yield number, weight
 
 
-def smoothed_ratio(sums, counts, widths, lead):
+def smoothed_ratio(sums: Any, counts: Any, widths: Any, lead: Any) -> Any:
     """Smoothed sums over smoothed weights, with a wider kernel where few paths are.
 
     Parameters

@@ -2,15 +2,20 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import Any
 
-from seedslib.base.tables import Axis, as_axes, mesh
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.arrays import Count, Seed
+from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.tables.carriers import Carriers
 from seedslib.design.tables.regression import METHODS, histogram_table, likelihood_table
+from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Step, Table, prior, step_axes
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.filters.weights import most_probable
-from seedslib.models.kinds import KINDS, as_system, switches
+from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
@@ -20,8 +25,10 @@ PILOT = 2000
 
 
 def simulated_synthesis(
-    system, memory, times, *, paths, seed, z=None, y=None, method="likelihood", components=None,
-    sets=2, kernel=0.5, nodes=4, workers=1, probabilities=False,
+    system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
+    z: AxesLike | None = None, y: AxesLike | None = None, method: str = "likelihood",
+    components: int | None = None, sets: int = 2, kernel: float = 0.5, nodes: Count = 4,
+    workers: int = 1, probabilities: bool = False,
 ) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
@@ -189,7 +196,7 @@ def _table(carriers, axes, found) -> Table:
     return Table(axes, means, most_probable(prob).astype(np.int8), prob)
 
 
-def refuse_large(system, memory, axes_y, axes_z) -> None:
+def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
     """Refuse tables that would not fit.
 
     Raises

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import partial
+from typing import Any
 
 import numpy as np
 
-from seedslib.base.tables import as_axes, mesh
+from seedslib.base.tables import AxesLike, as_axes, mesh
 from seedslib.design.tables.simulated import refuse_large
 from seedslib.designed.between import nodes_after
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -20,7 +21,7 @@ BLOCK = 1 << 16
 """Points at which a function is read off together."""
 
 
-def output(filter, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
+def output(filter: Any, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Estimate f_k(y, u) of a designed filter from measurement k and the memory before it.
 
     Parameters
@@ -55,7 +56,7 @@ def output(filter, k: int, y: np.ndarray, u: np.ndarray) -> np.ndarray:
     return filter.correct(filter.predict(state, filter.times[k]), y).mean
 
 
-def tabulated(filter, *, y, z=None) -> TableFilter:
+def tabulated(filter: Any, *, y: Any, z: AxesLike | None = None) -> TableFilter:
     """The same filter with its functions read off at the nodes of axes.
 
     The table runs without the model, so it may be handed on as a file alone.

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock
-from seedslib.designed.between import at, known_kind
-from seedslib.designed.gaps import dropouts, unclaimed
+from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.guards import freeze, positions, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.lookup import Output, Step, summary
-from seedslib.designed.outputs.steps import OutputState, arrived, corrected, found, interval
+from seedslib.designed.outputs.lookup import Output, Step, arguments, summary
+from seedslib.designed.outputs.steps import OutputState, after, arrived, found
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.shapes import check_shapes
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
-from seedslib.filters.verbs import Filter
+from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import switches
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class OutputFilter(Filter):
+class OutputFilter(BetweenFilter):
     """Filter whose estimate is any function of measurement and memory.
 
     Z_k = f_k(Y_k, U_{k-1}) and Z_k^i = g_k^i(U_k), theorem 1 of the jump-diffusion paper; with
@@ -66,8 +64,6 @@ class OutputFilter(Filter):
         Errors on paths that the design has not seen; none where it took no paths.
     """
 
-    takes = ("indicators", "covariances")
-
     system: object
     memory: Memory
     times: np.ndarray
@@ -77,13 +73,13 @@ class OutputFilter(Filter):
     covariances: np.ndarray
     design: Design
     node_times: tuple[np.ndarray, ...] = ()
-    node_fits: tuple = ()
-    changes: np.ndarray | None = None
+    node_fits: tuple[Any, ...] = ()
+    changes: MaybeArray = None
     between: str = "interpolated"
     lasting: bool = False
     held_out: HeldOut | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         check_shapes(self)
         known_kind("between", self.between)
         object.__setattr__(self, "clock", Clock(self.times))
@@ -114,10 +110,6 @@ class OutputFilter(Filter):
         """How the functions were made."""
         return str(self.method)
 
-    def forecasting(self, kind: str) -> OutputFilter:
-        """The same filter with another kind of forecast between measurements."""
-        return replace(self, between=kind)
-
     def output(self, k: int, y: ArrayLike, u: ArrayLike) -> Output:
         """What is found at measurement k, from arguments whose batch axes broadcast.
 
@@ -131,7 +123,7 @@ class OutputFilter(Filter):
 
     # Step by step
 
-    def initial(self, batch=(), seed=None) -> OutputState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> OutputState:
         """State before any measurement; the filter draws nothing from `seed`."""
         return OutputState(-1, None, np.full((self.components, *batch), np.nan))
 
@@ -151,7 +143,9 @@ class OutputFilter(Filter):
         mean, mode, prob = found(self, given, None, None)
         return given._replace(mean=mean, cov=None, mode=mode, mode_prob=prob)
 
-    def correct(self, state: OutputState, y: ArrayLike, indicator=None) -> OutputState:
+    def correct(
+        self, state: OutputState, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> OutputState:
         """Correct the forecast by a measurement and the indicator.
 
         Parameters
@@ -169,89 +163,37 @@ class OutputFilter(Filter):
             of range; a missing measurement or indicator that is to be remembered.
         """
         want_forecast(state)
-        y, batch = as_real("y", y, nan=True), state.mean.shape[1:]
-        wanted = (self.system.measurement_size, *batch)
-        if y.shape != wanted:
-            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
-        if indicator is not None:
-            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
-        indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
-        return corrected(self, state, y, None if indicator is None else indicator[0])
+        y, indicator, _ = self.measured(y, indicator, state.mean.shape[1:])
+        return after(self, state, y, indicator)
+
+    def nodes(self, state: OutputState, end: bool = True) -> tuple[list, list, tuple | None]:
+        """Times and estimates to the last node after a correction, and the next measurement's."""
+        times, values, last = [state.time], [state.mean], len(self.node_times) - 1
+        k = min(state.index, last) if self.lasting else state.index
+        if 0 <= k <= last:
+            points = arguments(self.system, (), None, state.past)
+            # beyond the design the nodes lie as in its last interval
+            times += (self.node_times[k] + (state.time - self.times[k])).tolist()
+            values += [fit(points).mean for fit in self.node_fits[k]]
+        if not end or not (self.lasting or state.index + 1 < len(self.times)):
+            return times, values, None
+        ahead = arrived(self, state)
+        return times, values, (ahead.time, found(self, ahead, None, None).mean)
 
     def forecast(self, state: OutputState, t: float, kind: str | None = None) -> Estimates:
         """Estimate at a time up to the next measurement; with modes, at the next one.
 
-        Parameters
-        ----------
-        state : OutputState
-            After a correction.
-        t : float
-            From the time of the state to the next measurement time (before that measurement).
-        kind : str, optional
-            One of `FORECAST_KINDS`; the filter's own `between` by default.
-
-        Raises
-        ------
-        ValueError
-            A time outside the interval, an unknown kind, a state that was not corrected.
+        Parameters and errors as those of `BetweenFilter.forecast`.
         """
         if switches(self.system):
             ahead = self.predict(state, t)
             return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
-        want_corrected(state)
-        known, room = interval(self, state), self.clock.tolerance
-        start, end = known.times[0], known.times[-1]
-        if not start - room <= t <= end + room:
-            raise ValueError(f"t: wanted a time from {start:g} to {end:g}, got {t:g}")
-        return Estimates(at(known, t, self.between if kind is None else kind))
+        return super().forecast(state, t, kind)
 
     # Whole records
 
-    def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators=None, covariances=False,
-        workers=1,
-    ) -> Estimates:  # fmt: skip
-        """Filter a record, or many at once.
-
-        Parameters
-        ----------
-        times : array_like, shape (J+1,)
-            The measurement times of the design up to some of them, evenly on beyond them where
-            the last functions are lasting; without modes also any times between.
-        measurements : array_like, shape (J+1, m, *batch)
-            NaN marks a missing measurement, as a whole; between measurement times all must be NaN.
-        indicators : array_like of int, shape (J+1, *batch), optional
-            -1 marks a missing one; wanted where the system has an indicator.
-        covariances : bool
-            Whether `cov` is wanted, the unconditional one that the design found: (J+1, n', n'),
-            or, with missing measurements or indicators, (J+1, n', n', *batch), NaN from the first
-            missing one to the end of its record; NaN also between measurement times.
-        workers : int
-            Threads over blocks of paths.
-
-        Returns
-        -------
-        Estimates
-            ``mean`` (J+1, n', *batch), at measurement times after the correction and between
-            them the forecasts; ``diverged`` (*batch), estimates that are not finite; with modes
-            ``modes``, and ``mode_prob`` where the tables have them; without likelihoods.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Times that do not increase or leave out a measurement time of the design; a
-            measurement where the design has none; a measurement of which some components are
-            NaN; a missing one that the memory wants; infinite measurements; wrong shapes.
-
-        Warns
-        -----
-        UserWarning
-            Records with missing measurements where `covariances` are wanted.
-        """
-        times, size = as_times("times", times), self.system.measurement_size
-        y = as_record(measurements, len(times), size)
-        batch = y.shape[2:]
-        told = as_indicators(indicators, self.system, (len(times), *batch))
+    def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Number of the measurement at each time; lasting functions go on and on."""
         clock = self.clock.prolonged(times[-1]) if self.lasting else self.clock
         index = positions(times, y, clock, self.horizon)
         if switches(self.system) and (index < 0).any():
@@ -259,40 +201,39 @@ class OutputFilter(Filter):
                 "times: wanted those of measurements alone, for the system has modes, got "
                 f"{times[index < 0][0]:g}"
             )
-        lost = dropouts(y, index >= 0, told)
-        flat = y.reshape(len(times), size, -1)
-        told = None if told is None else told.reshape(len(times), -1)
-        like, paths = found(self, arrived(self, self.initial()), None, None), flat.shape[2]
-        mean, modes, prob = (
-            None if part is None else np.empty((len(times), *part.shape, paths), kind)
-            for part, kind in zip(like, (float, int, float), strict=True)
-        )
+        return index
 
-        def work(a, b, _):
-            state, known = self.initial((b - a,)), None
-            for j, k in enumerate(index):
-                if k < 0:
-                    known = interval(self, state) if known is None else known
-                    mean[j, :, a:b] = at(known, times[j], self.between)
-                    continue
-                shown = None if told is None else told[j, a:b]
-                state, known = corrected(self, arrived(self, state), flat[j, :, a:b], shown), None
-                mean[j, :, a:b] = state.mean
-                if modes is not None:
-                    modes[j, a:b] = state.mode
-                if prob is not None:
-                    prob[j, :, a:b] = state.mode_prob
+    def sizes(self, covariances: bool) -> Estimates:
+        """Shapes of what is found at each time."""
+        like = found(self, arrived(self, self.initial()), None, None)
+        mean, modes, prob = (None if part is None else np.shape(part) for part in like)
+        return Estimates(mean, mode_prob=prob, modes=modes)
 
-        in_blocks(work, paths, 0, workers=workers)
+    def fill(
+        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
+        indicators: np.ndarray | None,
+    ) -> int:  # fmt: skip
+        """Run over a block of records."""
+        state, known = self.initial(y.shape[2:]), None
+        for j, k in enumerate(index):
+            if k < 0:
+                known = self.interval(state) if known is None else known
+                rows.mean[j] = at(known, times[j], self.between)
+                continue
+            shown = None if indicators is None else indicators[j]
+            state, known = after(self, arrived(self, state), y[j], shown), None
+            rows.mean[j] = state.mean
+            if rows.modes is not None:
+                rows.modes[j] = state.mode
+            if rows.mode_prob is not None:
+                rows.mode_prob[j] = state.mode_prob
+        return 0
+
+    def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
+        """With the covariances that the design found."""
         cov = self.covariances[np.minimum(index, len(self.covariances) - 1)]
         cov[index < 0] = np.nan
-        mean, modes, prob = (
-            None if part is None else part.reshape(*part.shape[:-1], *batch)
-            for part in (mean, modes, prob)
-        )
-        diverged = ~np.isfinite(mean).all(axis=(0, 1))
-        cov = cov if covariances else None
-        return unclaimed(Estimates(mean, cov, prob, None, diverged, modes), lost, times)
+        return found._replace(cov=cov, diverged=lost)
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of order {self.order}: {self.memory}; {self.made}>"

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import accuracy
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import AnySystem, switches
 
 if TYPE_CHECKING:
     from seedslib.designed.outputs.filter import OutputFilter
@@ -29,8 +31,8 @@ class Output(NamedTuple):
     """
 
     mean: np.ndarray
-    mode: np.ndarray | None = None
-    prob: np.ndarray | None = None
+    mode: MaybeArray = None
+    prob: MaybeArray = None
 
     def filling(self, batch: tuple[int, ...]) -> Output:
         """The same on all paths, of a function that looked at nothing that has their axes."""
@@ -62,8 +64,8 @@ class Table(NamedTuple):
 
     axes: tuple[Axis | Labels, ...]
     estimate: np.ndarray
-    mode: np.ndarray | None = None
-    prob: np.ndarray | None = None
+    mode: MaybeArray = None
+    prob: MaybeArray = None
 
     def __call__(self, points: Sequence[np.ndarray]) -> Output:
         """Values at points, one for each axis, of shapes that broadcast to (*batch)."""
@@ -84,16 +86,18 @@ class Step(NamedTuple):
         Of the memory alone, where the measurement is missing: the forecast.
     """
 
-    shown: Callable[[Sequence[np.ndarray]], Output]
-    blind: Callable[[Sequence[np.ndarray]], Output]
+    shown: Table | Any
+    blind: Table | Any
 
 
-def prior(system, components: int) -> Table:
+def prior(system: AnySystem, components: int) -> Table:
     """The forecast for the first measurement of a system without modes: its initial mean."""
     return Table((), np.array(system.mean0[:components]))
 
 
-def step_axes(system, memory: Memory, measured, estimated, k: int) -> tuple[tuple, tuple]:
+def step_axes(
+    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int
+) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Axes of the tables of measurement k.
 
     The first axis of both is the indicator, where there is one; its last label is a missing one.
@@ -119,7 +123,7 @@ def step_axes(system, memory: Memory, measured, estimated, k: int) -> tuple[tupl
     return told + measured + held, told + held
 
 
-def letter_labels(system, memory: Memory) -> tuple[tuple, tuple]:
+def letter_labels(system: AnySystem, memory: Memory) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Labels before the numbers of a remembered estimate: its decided mode, and its indicator."""
     decided = (Labels(system.modes),) if switches(system) and memory.estimates else ()
     return decided, ((Labels(system.indicators),) if memory.indicators else ())
@@ -151,7 +155,7 @@ def require_letters(memory: Memory, indicators: int, place: str = "") -> None:
         raise ValueError(f"memory: wanted estimates or measurements alone{place}, got {memory}")
 
 
-def recalled(system, memory: Memory, components: int, k: int, points) -> Past:
+def recalled(system: AnySystem, memory: Memory, components: int, k: int, points: Any) -> Past:
     """The memory after measurement k from what `arguments` lists of it, (d, *batch)."""
     decided, kept = letter_labels(system, memory)
     past: dict[str, list] = {name: [] for name in Past._fields}
@@ -166,7 +170,7 @@ def recalled(system, memory: Memory, components: int, k: int, points) -> Past:
     return Past(**{name: tuple(blocks) for name, blocks in past.items()})
 
 
-def arguments(system, y, indicator, past: Past) -> list:
+def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past) -> list[Any]:
     """Arguments of an output function, in the order of the axes of its table.
 
     Parameters

@@ -5,11 +5,12 @@ Functions of a filter, which holds what does not change, and of its state, which
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from seedslib.designed.between import Interval
+from seedslib.base.arrays import MaybeArray
 from seedslib.designed.memory import Past
 from seedslib.designed.outputs.lookup import Output, arguments
 
@@ -41,23 +42,23 @@ class OutputState(NamedTuple):
     index: int
     time: float | None
     mean: np.ndarray
-    cov: np.ndarray | None = None
-    mode: np.ndarray | None = None
-    mode_prob: np.ndarray | None = None
+    cov: MaybeArray = None
+    mode: MaybeArray = None
+    mode_prob: MaybeArray = None
     past: Past = Past()
     before: OutputState | None = None
     gap: np.ndarray | bool = False
     corrected: bool = False
 
 
-def arrived(filter, state: OutputState) -> OutputState:
+def arrived(filter: Any, state: OutputState) -> OutputState:
     """The state at the next measurement time, with the estimate that it had."""
     before = state._replace(before=None) if state.corrected else None
     k, time = state.index + 1, next_time(filter, state)
     return OutputState(k, time, state.mean, past=state.past, before=before, gap=state.gap)
 
 
-def next_time(filter, state: OutputState) -> float:
+def next_time(filter: Any, state: OutputState) -> float:
     """The measurement time after that of a state.
 
     Raises
@@ -73,7 +74,7 @@ def next_time(filter, state: OutputState) -> float:
     return state.time + (times[-1] - times[-2])
 
 
-def found(filter, state: OutputState, y, indicator) -> Output:
+def found(filter: Any, state: OutputState, y: Any, indicator: ArrayLike | None) -> Output:
     """What the functions of a measurement find; y is None where it is missing."""
     step = filter.steps[min(state.index, len(filter.steps) - 1)]
     points = arguments(filter.system, () if y is None else y, indicator, state.past)
@@ -81,7 +82,7 @@ def found(filter, state: OutputState, y, indicator) -> Output:
     return output.filling(state.mean.shape[1:])
 
 
-def corrected(filter, state: OutputState, y: np.ndarray, indicator) -> OutputState:
+def after(filter, state: OutputState, y: np.ndarray, indicator) -> OutputState:
     """The state after a measurement, (m, *batch), and an indicator, (*batch) or None.
 
     Raises
@@ -122,29 +123,3 @@ def _without(filter, state, y, indicator, lost) -> Output:
     return Output(
         *(None if a is None else np.where(missing, b, a) for a, b in zip(seen, unseen, strict=True))
     )
-
-
-def interval(filter, state: OutputState) -> Interval:
-    """All that is known from the last measurement to the next: Z_k, nodes, end."""
-    times, values = _nodes(filter, state)
-    nodes, last, last_node = len(times) - 1, None, None
-    if state.before is not None:
-        before = list(zip(*_nodes(filter, state.before), strict=True))
-        last, last_node = before[0], before[-1]
-    if filter.lasting or state.index + 1 < len(filter.times):
-        ahead = arrived(filter, state)
-        times.append(ahead.time)
-        values.append(found(filter, ahead, None, None).mean)
-    return Interval(np.array(times), values, nodes, last, last_node)
-
-
-def _nodes(filter, state):
-    """Times and estimates from the last measurement to the last node after it."""
-    times, values, last = [state.time], [state.mean], len(filter.node_times) - 1
-    k = min(state.index, last) if filter.lasting else state.index
-    if 0 <= k <= last:
-        points = arguments(filter.system, (), None, state.past)
-        # beyond the design the nodes lie as in its last interval
-        times += (filter.node_times[k] + (state.time - filter.times[k])).tolist()
-        values += [fit(points).mean for fit in filter.node_fits[k]]
-    return times, values

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from seedslib.extra.c.source import constants, function
@@ -88,7 +90,7 @@ static inline int @name_step(@name_state *s, double t, const double *y)
 """
 
 
-def covariance_source(filter: CovarianceFilter) -> tuple[dict, str]:
+def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     """Macros and C of a `CovarianceFilter`.
 
     Raises

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -112,7 +114,7 @@ for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_
         """
 
 
-def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict, str]:
+def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
     """Macros and C of a `FiniteOrderFilter`.
 
     Raises

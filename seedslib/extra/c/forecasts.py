@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -170,7 +171,7 @@ def _lower(cov: np.ndarray) -> np.ndarray:
     return cov[np.tril_indices(len(cov))]
 
 
-def ahead(filter: FiniteOrderFilter) -> tuple[str, dict]:
+def ahead(filter: FiniteOrderFilter) -> tuple[str, dict[Any, Any]]:
     """C of the forecast for the next measurement, and macros that it wants."""
     if isinstance(filter.fits[0], PolynomialFit):
         return _polynomial(filter)

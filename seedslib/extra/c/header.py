@@ -53,7 +53,7 @@ measurement is missing."""
 
 def to_c(
     filter: FiniteOrderFilter | TableFilter | CovarianceFilter,
-    path: str | os.PathLike | None = None,
+    path: str | os.PathLike[str] | None = None,
     name: str = "filter",
 ) -> str:
     """Write a designed filter as a C99 header that needs <math.h> and <string.h> only.

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from seedslib.base.clock import ROUNDING, SAME
@@ -63,7 +65,7 @@ _SHARES = {
 }
 
 
-def frame(filter: FiniteOrderFilter) -> tuple[dict, str]:
+def frame(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
     """Macros with the dimensions, and C of the times of measurements and nodes."""
     times = filter.times
     counts = [len(nodes) for nodes in filter.node_times]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 from seedslib.base.tables import Axis
 from seedslib.designed.outputs.lookup import Table
@@ -131,7 +132,7 @@ static inline void @name_end_(const @name_state *s, double *out)
 """
 
 
-def table_source(filter: TableFilter) -> tuple[dict, str]:
+def table_source(filter: TableFilter) -> tuple[dict[Any, Any], str]:
     """Macros and C of a `TableFilter`.
 
     Raises

@@ -10,7 +10,7 @@ import math
 import operator
 from collections.abc import Callable
 from numbers import Real
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -161,8 +161,9 @@ class Scalar:
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
 
     def __array_function__(
-        self, function: Callable, types: object, arguments: tuple, options: dict
-    ) -> Number:
+        self, function: Callable[..., Any], types: object, arguments: tuple[Any, ...],
+        options: dict[Any, Any],
+    ) -> Number:  # fmt: skip
         if function is not np.select:
             raise ValueError(f"formulas: wanted functions that C99 has, got {function.__name__}")
         conditions, choices, *rest = arguments
@@ -194,7 +195,7 @@ class Tape:
     def __init__(self) -> None:
         self._lines: dict[str, tuple[str, str, tuple]] = {}
 
-    def node(self, template: str, *operands, kind: str = "double") -> Scalar:
+    def node(self, template: str, *operands: Any, kind: str = "double") -> Scalar:
         """The number that a C expression gives; ``{0}`` stands for the first operand."""
         text = template.format(*map(_text, operands))
         if text not in self._lines:
@@ -224,7 +225,7 @@ class Tape:
             return first
         return self.node("{0} ? {1} : {2}", condition, first, second)
 
-    def body(self, outputs: dict) -> list[str]:
+    def body(self, outputs: dict[Any, Any]) -> list[str]:
         """Lines that compute the wanted numbers and store them, in C; others are left out."""
         wanted = {value.name for value in outputs.values() if isinstance(value, Scalar)}
         kept = []

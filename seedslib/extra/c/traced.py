@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add
+from typing import Any
 
 import numpy as np
 
@@ -37,7 +38,7 @@ def _symbols(n: int) -> tuple:
 
 def map_moments(
     linearization: Linearization, map: StochasticMap, spread: bool = True
-) -> Callable[..., tuple]:
+) -> Callable[..., tuple[Any, ...]]:
     """Moments of a map as ``f(t, mean, lower) -> (E y, cov(x, y), cov y)``, arrays of objects.
 
     `mean` and `lower` are components and entries of the covariance on and below the diagonal;
@@ -59,7 +60,7 @@ def map_moments(
     return moments
 
 
-def mean_rates(linearization: Linearization, system: object) -> Callable[..., list]:
+def mean_rates(linearization: Linearization, system: object) -> Callable[..., list[Any]]:
     """Rates of mean and covariance as ``f(t, components) -> list``, for the integrators."""
     from seedslib.models.codegen import compile_components
 
@@ -71,8 +72,9 @@ def mean_rates(linearization: Linearization, system: object) -> Callable[..., li
 
 
 def record_correction(
-    tape: Tape, mean: Sequence, lower: Sequence, y: Sequence[Scalar], moments: tuple, rows: int
-) -> tuple:
+    tape: Tape, mean: Sequence[Any], lower: Sequence[Any], y: Sequence[Scalar],
+    moments: tuple[Any, ...], rows: int,
+) -> tuple[Any, ...]:  # fmt: skip
     """Record the correction of the leading rows by a measurement of which parts may be missing.
 
     A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
@@ -147,7 +149,7 @@ def _both(tape: Tape, first: Scalar, second: Scalar) -> Scalar:
     return tape.node("{0} && {1}", first, second, kind="int")
 
 
-def corrected_outputs(found: tuple, place: str = "s->") -> dict:
+def corrected_outputs(found: tuple[Any, ...], place: str = "s->") -> dict[Any, Any]:
     """Where a recorded correction is stored: mean, both halves of the covariance, likelihood."""
     mean, cov, loglik, _ = found
     outputs = {f"{place}mean[{k}]": part for k, part in enumerate(mean)}

@@ -12,7 +12,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from itertools import product
 from math import comb, prod
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -76,11 +76,11 @@ class CentredMoments:
 
     def __init__(self, function: Switched, dimension: int) -> None:
         self.function = function
-        self.zero = (0,) * dimension
-        self.base = _taylor(function.base)
-        self.jump = _taylor(function.jump)
-        self.indices = tuple(sorted({*self.base, *self.jump, self.zero}))
-        self.pairs = tuple(
+        self.zero: tuple[int, ...] = (0,) * dimension
+        self.base: Any = _taylor(function.base)
+        self.jump: Any = _taylor(function.jump)
+        self.indices: tuple[Any, ...] = tuple(sorted({*self.base, *self.jump, self.zero}))
+        self.pairs: tuple[Any, ...] = tuple(
             sorted({_sum(a, b) for a in self.indices for b in self.indices} | set(self.indices))
         )
 

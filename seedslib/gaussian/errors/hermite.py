@@ -17,6 +17,7 @@ from math import factorial, sqrt
 import numpy as np
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import unmasked
 from seedslib.gaussian.errors.joint import joint_factor, symmetric_part
 from seedslib.gaussian.errors.tensors import contracted, factorial_of, mean_derivatives
@@ -58,7 +59,7 @@ class HermiteExpansion:
     coefficients: np.ndarray
     remainder: np.ndarray
     coordinates: tuple[int, ...] | None = None
-    rule_error: np.ndarray | None = None
+    rule_error: MaybeArray = None
 
     @property
     def degrees(self) -> np.ndarray:

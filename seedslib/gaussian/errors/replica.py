@@ -11,6 +11,7 @@ the same class of functions in 2n variables.
 from __future__ import annotations
 
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -177,8 +178,8 @@ class ReplicaErrors:
 
     def __init__(self, function: Compiled) -> None:
         self.function = function
-        self.square = product(function, function, joint=False)
-        self.pair = product(function, function, joint=True)
+        self.square: Any = product(function, function, joint=False)
+        self.pair: Any = product(function, function, joint=True)
 
     @cached_property
     def slopes(self) -> Compiled:

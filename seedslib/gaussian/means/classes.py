@@ -10,7 +10,7 @@ products of terms are terms again (at most one half-space to a term).
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import sympy as sp
 
@@ -35,7 +35,7 @@ class Plane(NamedTuple):
     blurred: bool = False
 
     @property
-    def place(self) -> tuple:
+    def place(self) -> tuple[Any, ...]:
         """The half-space without its boundary."""
         return self.normal, self.offset, self.blurred
 
@@ -51,7 +51,9 @@ class Key(NamedTuple):
     plane: Plane | None = None
     norm: sp.Poly | None = None
 
-    def put(self, quadratic: object, linear: object, number: Callable = lambda c: c) -> None:
+    def put(
+        self, quadratic: object, linear: object, number: Callable[..., Any] = lambda c: c
+    ) -> None:
         """Add M (n, n) and a (n,) of the exponent ``-x'Mx/2 + a'x``, evaluated by `number`."""
         for monomial, coefficient in self.exponent:
             axes = [i for i, k in enumerate(monomial) for _ in range(k)]

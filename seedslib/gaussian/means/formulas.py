@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -16,13 +17,9 @@ from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessor
 
 
 def expectation(
-    f: object,
-    variables: Sequence[sp.Symbol],
-    mean: Sequence,
-    cov: sp.MatrixBase,
-    *,
-    parameters: Sequence[sp.Symbol] = (),
-) -> sp.Expr | sp.Matrix:
+    f: object, variables: Sequence[sp.Symbol], mean: Sequence[Any],
+    cov: sp.MatrixBase | Sequence[Any], *, parameters: Sequence[sp.Symbol] = (),
+) -> Any:  # fmt: skip
     """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
 
     Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
@@ -67,13 +64,9 @@ def expectation(
 
 
 def mean_expression(
-    f: object,
-    variables: Sequence[sp.Symbol],
-    mean: Sequence,
-    cov: sp.MatrixBase,
-    *,
-    parameters: Sequence[sp.Symbol] = (),
-) -> sp.Expr | sp.Matrix:
+    f: object, variables: Sequence[sp.Symbol], mean: Sequence[Any],
+    cov: sp.MatrixBase | Sequence[Any], *, parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr | sp.Matrix:  # fmt: skip
     """As `expectation`, with probabilities of half-spaces as `NormalCDF`.
 
     Code made of it keeps the relative accuracy of small probabilities.
@@ -133,7 +126,7 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
 
 
 def mean_formula(
-    terms: Terms, symbols: Sequence[sp.Symbol], mean: Sequence, cov: Sequence
+    terms: Terms, symbols: Sequence[sp.Symbol], mean: Sequence[Any], cov: Sequence[Any]
 ) -> sp.Expr:
     """Mean of a sum of terms under N(mean, cov), in the components of both."""
     return sum((_term(*term, symbols, mean, cov) for term in terms.items()), sp.S.Zero)

@@ -5,11 +5,12 @@ Means are arrays (n, *batch), covariances (n, n) or (n, n, *batch). No SymPy her
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtr
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.gaussian.arguments import align
 from seedslib.gaussian.means.polynomial import (
     Coefficients,
@@ -41,8 +42,8 @@ class Group(NamedTuple):
     """
 
     polynomial: Coefficients
-    quadratic: np.ndarray | None = None
-    linear: np.ndarray | None = None
+    quadratic: MaybeArray = None
+    linear: MaybeArray = None
     plane: HalfSpace | None = None
 
 
@@ -159,8 +160,8 @@ def _log_det(kernel: np.ndarray, inner: np.ndarray) -> np.ndarray:
 
 
 def half_space_means(
-    indices: tuple, plane: HalfSpace, mean: np.ndarray, cov: np.ndarray
-) -> tuple[dict, np.ndarray]:
+    indices: tuple[Any, ...], plane: HalfSpace, mean: np.ndarray, cov: np.ndarray
+) -> tuple[dict[Any, Any], np.ndarray]:
     """``E x^alpha 1{u > 0}``, u = normal . x + offset, for the wanted and visited indices.
 
     The Stein recursion gains a boundary term ``cov(x_i, u) E x^beta delta(u)``, a polynomial

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import sympy as sp
+
+from seedslib.base.tables import AxesLike
 
 
 class NormalCDF(sp.Function):
@@ -16,11 +20,11 @@ class NormalCDF(sp.Function):
     is_real = True
 
     @classmethod
-    def eval(cls, z):
+    def eval(cls, z: AxesLike | None) -> Any:
         """Value at zero; nothing else is evaluated by itself."""
         return sp.S.Half if z.is_zero else None
 
-    def fdiff(self, argindex=1):
+    def fdiff(self, argindex: int = 1) -> Any:
         """Derivative: the normal density."""
         return sp.exp(-(self.args[0] ** 2) / 2) / sp.sqrt(2 * sp.pi)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import sympy as sp
 
@@ -35,7 +35,7 @@ def components_of(f: object) -> tuple[tuple[sp.Expr, ...], bool]:
     return (as_expression("f", f),), True
 
 
-def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence = ()) -> Parsed:
+def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence[Any] = ()) -> Parsed:
     """Read a scalar or vector function of `variables`; cached by (expressions, symbols).
 
     Raises
@@ -53,8 +53,9 @@ def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence = ()) 
 
 
 def check_symbols(
-    expressions: Sequence[sp.Expr], variables: tuple[sp.Symbol, ...], parameters: tuple = ()
-) -> None:
+    expressions: Sequence[sp.Expr], variables: tuple[sp.Symbol, ...],
+    parameters: tuple[Any, ...] = (),
+) -> None:  # fmt: skip
     """Refuse repeated or missing variables, unknown symbols and values that are not real."""
     known = (*variables, *parameters)
     if not variables or len(set(known)) < len(known):

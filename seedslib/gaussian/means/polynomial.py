@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -53,14 +53,10 @@ def _plan(indices: tuple[Index, ...]) -> tuple[_Step, ...]:
 
 
 def monomial_means(
-    indices: Iterable[Index],
-    mean: Sequence,
-    cov: Sequence,
-    *,
-    zeroth: object = 1.0,
-    boundary: tuple[Sequence, Mapping[Index, object]] | None = None,
-    tidy: Callable = lambda value: value,
-) -> dict[Index, object]:
+    indices: Iterable[Index], mean: Sequence[Any], cov: Sequence[Any], *, zeroth: object = 1.0,
+    boundary: tuple[Sequence[Any], Mapping[Index, object]] | None = None,
+    tidy: Callable[..., Any] = lambda value: value,
+) -> dict[Index, object]:  # fmt: skip
     """E x^alpha for the wanted multi-indices by the Stein-Isserlis recursion.
 
     ``M_{beta + e_i} = m_i M_beta + sum_j P_ij beta_j M_{beta - e_j}``, ``M_0 = 1``.
@@ -140,7 +136,7 @@ def _laplacian(polynomial: Mapping[Index, object], cov: Sequence) -> dict[Index,
 
 
 def heat(
-    polynomial: Mapping[Index, object], cov: Sequence, *, first: int = 0
+    polynomial: Mapping[Index, object], cov: Sequence[Any], *, first: int = 0
 ) -> dict[Index, object]:
     """Heat operator ``exp(P : grad grad / 2)`` on the coefficients of a polynomial.
 

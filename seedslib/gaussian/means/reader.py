@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from functools import reduce
+from typing import Any
 
 import sympy as sp
 
@@ -22,7 +23,7 @@ from seedslib.gaussian.means.classes import (
 from seedslib.gaussian.means.normal_cdf import NormalCDF
 from seedslib.gaussian.means.quadratics import is_semidefinite, quadratic_gram
 
-EXPONENTIALS: dict[type, Callable] = {
+EXPONENTIALS: dict[type, Callable[..., Any]] = {
     sp.exp: lambda e: [(1, e)],
     sp.sin: lambda e: [(-sp.I / 2, sp.I * e), (sp.I / 2, -sp.I * e)],
     sp.cos: lambda e: [(sp.S.Half, sp.I * e), (sp.S.Half, -sp.I * e)],
@@ -38,9 +39,9 @@ class Reader:
     """
 
     def __init__(self, symbols: Sequence[sp.Symbol], names: Mapping[sp.Symbol, sp.Symbol]) -> None:
-        self.symbols = tuple(symbols)
+        self.symbols: tuple[Any, ...] = tuple(symbols)
         self.names = names
-        self.one = self.constant(sp.S.One)
+        self.one: Any = self.constant(sp.S.One)
 
     def refuse(self, node: sp.Expr, why: str) -> NoClosedForm:
         """Exception that names the term."""

@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.gaussian.arguments import blockwise
 from seedslib.gaussian.regions.twofold import Twofold, binary_scale, cross, dot, together
 
@@ -34,7 +35,7 @@ class Outline:
 
     x: np.ndarray
     y: np.ndarray
-    rays: np.ndarray | None
+    rays: MaybeArray
     convex: np.ndarray
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_real
 from seedslib.gaussian.regions.twofold import binary_scale, determinant
 
@@ -26,7 +27,7 @@ class Cases(NamedTuple):
     cov: np.ndarray
     x: np.ndarray
     y: np.ndarray
-    rays: np.ndarray | None
+    rays: MaybeArray
     convex: np.ndarray
 
     def take(self, index: slice | np.ndarray) -> Cases:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -113,7 +114,7 @@ def where(condition: np.ndarray, a: Twofold, b: Twofold) -> Twofold:
     return Twofold(np.where(condition, a.hi, b.hi), np.where(condition, a.lo, b.lo))
 
 
-def together(put: Callable, parts: Sequence[Twofold]) -> Twofold:
+def together(put: Callable[..., Any], parts: Sequence[Twofold]) -> Twofold:
     """`numpy.stack` or `numpy.concatenate` of both parts."""
     return Twofold(put([part.hi for part in parts]), put([part.lo for part in parts]))
 

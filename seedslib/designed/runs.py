@@ -1,0 +1,190 @@
+"""What all filters do that a design has made: their measurements are checked, their records run."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.designed.gaps import dropouts, unclaimed
+from seedslib.designed.guards import positions, warn_of_mended
+from seedslib.designed.memory import Memory
+from seedslib.filters.estimates import Estimates, as_indicators, as_record
+from seedslib.filters.verbs import Filter
+
+DTYPES = tuple(int if name == "modes" else float for name in Estimates._fields)
+"""Numbers that the parts of estimates are of."""
+
+
+class DesignedFilter(Filter):
+    """A filter whose memory, and what it says, come from a design.
+
+    Beside the verbs of every filter it writes `sizes` and `fill`, a loop of its own over the times
+    of a record, and `finish` where something is formed for all times at once.
+
+    Attributes
+    ----------
+    memory : Memory, or None
+        None where nothing was designed, and whole laws are carried.
+    """
+
+    takes = ("indicators", "covariances")
+    memory: Memory | None
+
+    def sizes(self, covariances: bool) -> Estimates:
+        """Shapes of what `fill` writes at each time, without batch axes; None for no such thing."""
+        raise NotImplementedError
+
+    def fill(
+        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
+        indicators: np.ndarray | None,
+    ) -> int:  # fmt: skip
+        """Run over a block of records, and write what is found.
+
+        Parameters
+        ----------
+        rows : Estimates
+            Arrays (J+1, *shape, *batch) to write to; None for what is not wanted.
+        times : ndarray, shape (J+1,)
+        index : ndarray of int, shape (J+1,)
+            See `placed`.
+        y : ndarray, shape (J+1, m, *batch)
+        indicators : ndarray of int, shape (J+1, *batch), or None
+
+        Returns
+        -------
+        int
+            Covariances whose eigenvalues had to be raised.
+        """
+        raise NotImplementedError
+
+    def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
+        """The estimates of a run, with what is formed for all times at once.
+
+        Parameters
+        ----------
+        found : Estimates
+        lost : ndarray of bool, shape (*batch)
+            Where an estimate is not finite.
+        index : ndarray of int, shape (J+1,)
+        """
+        return found._replace(diverged=lost)
+
+    def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Times (J+1,), any where there was a design, and measurements of a run, checked."""
+        if self.memory is None:
+            return super().record(times, measurements)
+        times = as_times("times", times)
+        return times, as_record(measurements, len(times), self.system.measurement_size)
+
+    def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
+        """Number of the measurement at each time, -1 where there is none, shape (J+1,)."""
+        return positions(times, y, self.clock, self.horizon)
+
+    def measured(
+        self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...]
+    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | bool]:
+        """Measurement (m, *batch), indicator (*batch), and where one of them has a gap, checked.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A wrong shape, an infinite measurement, an indicator out of range.
+        """
+        gap: np.ndarray | bool = False
+        if type(y) is np.ndarray and y.dtype == np.float64 and np.isfinite(y).all():
+            y = y.copy()  # it may be remembered
+        else:
+            y = as_real("y", y, nan=True)
+            gap = np.isnan(y).any(axis=0)
+        wanted = (self.system.measurement_size, *batch)
+        if y.shape != wanted:
+            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
+        if indicator is None and not self.system.indicators:
+            return y, None, gap
+        if indicator is not None:
+            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
+        indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
+        return y, indicator[0], gap | (indicator[0] < 0)
+
+    def run(
+        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
+        covariances: bool = False, workers: int = 1,
+    ) -> Estimates:  # fmt: skip
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (J+1,)
+            The measurement times of the design up to some of them, evenly on beyond them where
+            the filter is stationary; without modes also any times between.
+        measurements : array_like, shape (J+1, m, *batch)
+            NaN marks a missing component; between measurement times all must be NaN. Functions of
+            the measurement, and tables, take one as a whole or not at all.
+        indicators : array_like of int, shape (J+1, *batch), optional
+            -1 marks a missing one; wanted where the system has an indicator.
+        covariances : bool
+            Whether `cov` is wanted.
+        workers : int
+            Threads over blocks of records.
+
+        Returns
+        -------
+        Estimates
+            ``mean`` (J+1, n', *batch), at measurement times after the correction and between
+            them the forecasts; ``diverged`` (*batch), estimates that are not finite, or what no
+            mode can have shown; with modes ``modes`` (J+1, *batch) and, where they are known,
+            ``mode_prob`` (J+1, L, *batch). Filters of moments have ``loglik`` (J+1, *batch), zero
+            between measurements, and ``cov`` (J+1, n', n', *batch); filters of output functions
+            have no likelihoods, and the unconditional ``cov`` that the design found,
+            (J+1, n', n') where no record has a gap. NaN is what a design does not know:
+            ``cov`` between measurement times and from a gap to the end of its record, ``loglik``
+            after it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Times that do not increase or leave out a measurement time of the design; a
+            measurement where the design has none; a missing one that the memory wants; infinite
+            measurements; wrong shapes.
+
+        Warns
+        -----
+        UserWarning
+            Records with gaps, of a filter that was designed: how many, and from which time;
+            covariances that had to be mended.
+        """
+        times, y = self.record(times, measurements)
+        batch = y.shape[2:]
+        told = as_indicators(indicators, self.system, (len(times), *batch))
+        index = self.placed(times, y)
+        lost = None if self.memory is None else dropouts(y, index >= 0, told)
+        tail = (y[0, 0].size,) if batch or not self.alone else ()
+        y = y.reshape(*y.shape[:2], *tail)
+        told = None if told is None else told.reshape(len(times), *tail)
+        sizes = self.sizes(covariances)
+        whole = Estimates(*[
+            None if size is None else np.empty((len(times), *size, *tail), kind)
+            for size, kind in zip(sizes, DTYPES, strict=True)
+        ])  # fmt: skip
+
+        def work(a, b, _):
+            parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))
+            *rows, shown, seen = parts
+            return self.fill(Estimates(*rows), times, index, shown, seen)
+
+        if tail:
+            raised = sum(in_blocks(work, *tail, 0, workers=workers))
+        else:
+            raised = self.fill(whole, times, index, y, told)
+        found = whole
+        if tail != batch:
+            found = Estimates(
+                *(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in whole)
+            )
+        found = self.finish(found, ~np.isfinite(found.mean).all(axis=(0, 1)), index)
+        if not covariances and found.cov is not None:
+            found = found._replace(cov=None)
+        warn_of_mended(raised)
+        return unclaimed(found, lost, times)
