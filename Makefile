@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: book test portable lab sweep execute lint clean setup
 
 book: setup execute
-	@$(PY) -m bookkit claims --page book/claims.md
+	@$(PY) -m bookkit claims --pages
 	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
@@ -18,7 +18,7 @@ book: setup execute
 # PROCESSOR=farthest runs the notebooks again with the oldest kernels this machine can use.
 PROCESSOR ?= own
 test: setup lint
-	@$(PY) -m pytest -q -n 2 --dist=loadscope --processor=$(PROCESSOR)
+	@$(PY) -m pytest -q -n 3 --dist=loadscope --processor=$(PROCESSOR)
 
 # Everything that draws random numbers, as on other processors; about ten minutes a setting.
 portable: setup
@@ -40,7 +40,7 @@ lint: setup
 	@$(PY) -m bookkit typecheck README.md notebooks/*.md
 
 clean:
-	rm -rf $(VENV) _build runs book/claims.md .pytest_cache .ruff_cache
+	rm -rf $(VENV) _build runs book/claims.md book/where.md .pytest_cache .ruff_cache
 
 setup: $(VENV)/.installed
 

@@ -114,6 +114,9 @@ def test_gap_is_minus_one_and_plus_one_at_the_minimisers():
                 found.nadir - found.utopia
             )
             assert losses[0] - losses[1] == pytest.approx(wanted, abs=1e-14)
+    # the largest value of all in the place of M_1 would not do: "two squares" on its whole segment
+    first, _ = in_floats(SEGMENTS["two squares"][0])
+    assert (first(3) - first(0)) / (first(-5) - first(0)) < 0.5
 
 
 def test_random_monotone_criteria_have_a_root():
@@ -134,6 +137,111 @@ def test_random_monotone_criteria_have_a_root():
         trace = bisect(criteria, 0.0, 1.0)
         assert trace.converged
         assert abs(trace.x - found.x) <= 1e-10
+
+
+def loss_gap(criteria, low, high):
+    """Δ of two criteria with the minimisers `low` and `high`."""
+    f, g = criteria
+    return lambda x: (f(x) - f(low)) / (f(high) - f(low)) - (g(x) - g(high)) / (g(low) - g(high))
+
+
+def test_gap_vanishes_in_a_connected_set_of_the_plane():
+    """CB-T2: on a path in a ring, which the straight segment leaves; not in two pieces."""
+    rng = np.random.default_rng(9)
+    polar = np.stack(np.meshgrid(np.linspace(1, 2, 15), np.linspace(0, 1.5 * np.pi, 91)))
+    polar = polar.reshape(2, -1)
+    empty = 0
+
+    def at(p):
+        return p[0] * np.array([np.cos(p[1]), np.sin(p[1])])
+
+    for _ in range(10):
+        criteria = []
+        for angle in (0.6, 4.2):
+            centre, wave = at((1.5, angle)) + rng.uniform(-0.2, 0.2, 2), rng.normal(size=2)
+            criteria.append(
+                lambda p, c=centre, w=wave: ((at(p).T - c) ** 2).sum(-1) + 0.2 * np.sin(at(p).T @ w)
+            )
+        low, high = (polar[:, c(polar).argmin()] for c in criteria)
+        gap = loss_gap(criteria, low, high)
+        assert (gap(low), gap(high)) == pytest.approx((-1.0, 1.0))
+        path = bisect(criteria, low, high, tolerance=1e-11)
+        assert path.converged
+        assert abs(gap(path.x)) <= 1e-11
+        assert 1 <= path.x[0] <= 2
+        assert 0 <= path.x[1] <= 1.5 * np.pi
+        pieces = [gap(polar[:, part]) for part in (polar[1] < 1.6, polar[1] > np.pi)]
+        empty += all(piece.max() < 0 or piece.min() > 0 for piece in pieces)
+    assert empty > 5  # no zero in two pieces of the ring
+
+
+def halve(gap, low, high, steps, right_half=True):
+    """|Δ| at both ends of the nested segments."""
+    ends = [(gap(low), gap(high))]
+    for _ in range(steps):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if (gap(middle) < 0) == right_half else (low, middle)
+        ends.append((gap(low), gap(high)))
+    return np.abs(ends)
+
+
+@pytest.mark.parametrize("name", SEGMENTS)
+def test_both_ends_settle_and_the_bound_never_grows(name):
+    """CB-T3, CB-T4: the bound over the segment; its first value survives the first halving."""
+    criteria, _, (low, high), *_ = SEGMENTS[name]
+    gap = loss_gap(in_floats(criteria), low, high)
+    ends = halve(gap, low, high, 50)
+    bound = ends.max(axis=1)
+    assert bound[:2] == pytest.approx([1.0, 1.0])  # so it is not smaller on each next segment
+    assert (np.diff(bound) <= 1e-12).all()
+    for eps in (1e-3, 1e-6, 1e-9):
+        first = int(np.flatnonzero((ends > eps).any(axis=1)).max()) + 1
+        assert first < 45
+        assert (ends[first:] <= eps).all()
+    trace = bisect(in_floats(criteria), low, high, tolerance=1e-15, steps=20)
+    grid = np.linspace(0, 1, 33)
+    a, b = float(low), float(high)
+    for r, middle in enumerate(trace.points[:12]):
+        over = max(abs(gap(a + u * (b - a))) for u in grid)  # Δ is monotone: the ends bound it
+        assert over == pytest.approx(bound[r], abs=1e-12)
+        a, b = (middle, b) if trace.gaps[r] < 0 else (a, middle)
+    astray = halve(gap, low, high, 50, right_half=False)
+    assert astray[-1].max() > 0.1
+
+
+def solutions(values):
+    """Which rows solve (18), which (19), and which are efficient among them."""
+    below = values[None] <= values[:, None] + 1e-12  # [i, j]: j is no worse than i
+    first, second = (
+        np.array([
+            value[k] <= values[row[:, 1 - k], k].min() + 1e-12
+            for value, row in zip(values, below, strict=True)
+        ])
+        for k in (0, 1)
+    )  # fmt: skip
+    better = (values[None] < values[:, None] - 1e-9).any(axis=2)
+    return first, second, ~(below.all(axis=2) & better).any(axis=1)
+
+
+def test_or_and_and_in_the_plane_and_on_a_line():
+    """CB-T5: both problems together are efficiency; one is enough only where both are strict."""
+    axis = np.linspace(0, 1, 21)
+    plane = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    first, second, truth = solutions(plane)
+    at = int(np.flatnonzero((plane == [0, 0.5]).all(axis=1))[0])
+    assert (first[at], second[at], truth[at]) == (True, False, False)
+    np.testing.assert_array_equal(first & second, truth)
+    assert truth.sum() == 1
+    assert (first | second).sum() == 41
+    grid = np.linspace(0, 1, 201)
+    for criteria in ((grid**2, (1 - grid) ** 3), (grid, np.exp(grid)), (grid**3, -np.exp(grid))):
+        first, second, truth = solutions(np.stack(criteria, axis=1))
+        np.testing.assert_array_equal(first | second, truth)
+        np.testing.assert_array_equal(first & second, truth)
+    flat = np.stack([np.interp(grid, [0, 0.4, 0.6, 1], [0, 0.5, 0.5, 1]), 1 - grid], axis=1)
+    first, second, truth = solutions(flat)
+    np.testing.assert_array_equal(first & second, truth)
+    assert (first & ~truth).any()
 
 
 def test_convex_criteria_on_a_line():

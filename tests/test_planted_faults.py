@@ -23,6 +23,8 @@ def rerun(tmp_path):
     shutil.copytree(ROOT / "seedslib", tmp_path / "seedslib")
     shutil.copytree(ROOT / "book" / "bookkit", tmp_path / "bookkit")
     shutil.copy(ROOT / "conftest.py", tmp_path)
+    (tmp_path / "book").mkdir()
+    shutil.copy(ROOT / "book" / "claims.yml", tmp_path / "book")
     (tmp_path / "notebooks").mkdir()
     content = json.loads((ROOT / "notebooks" / "two_step_power.ipynb").read_text())
     (last,) = (k for k, c in enumerate(content["cells"]) if NUMBER in "".join(c["source"]))

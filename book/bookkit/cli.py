@@ -52,14 +52,15 @@ def _sweep(options: argparse.Namespace) -> int:
 
 
 def _claims(options: argparse.Namespace) -> int:
-    from bookkit import fingerprint, ledger
+    from bookkit import claims_page, fingerprint, ledger, places
     from bookkit.files import replace
 
     root = fingerprint.project_root(Path.cwd())
-    if options.page:
-        replace(Path(options.page), ledger.page(root))
+    if options.pages:
+        replace(root / "book" / "claims.md", claims_page.page(root))
+        replace(root / "book" / "where.md", places.page(root))
         return 0
-    found = ledger.faults(root)
+    found = ledger.faults(root) + places.faults(root)
     return _told(found, "faults in the ledger", "the ledger and the notebooks agree")
 
 
@@ -111,7 +112,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.set_defaults(run=_sweep)
 
     claims = commands.add_parser("claims", help="hold the ledger against notebooks and tests")
-    claims.add_argument("--page", metavar="FILE", help="write the claims page instead")
+    claims.add_argument("--pages", action="store_true", help="write the pages of both instead")
     claims.set_defaults(run=_claims)
 
     typecheck = commands.add_parser("typecheck", help="look over the types of pages' programs")

@@ -9,7 +9,7 @@ from bookkit.plots import axes, band, curve, finish
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Table, switches
-from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching.filter import SwitchingFilter
 
 MEMORIES = 5
 """Values of the memory for which the output function is drawn."""

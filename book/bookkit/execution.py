@@ -21,6 +21,7 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
 from bookkit import fingerprint
+from bookkit.claims import LEDGER, own_claims
 from bookkit.files import replace
 from bookkit.recording import read_records
 
@@ -151,7 +152,9 @@ def _execute_source(source: Path) -> str:
     except ValueError as error:
         return f"failed: {error}"
     _normalise(notebook)
-    notebook.metadata[STAMP] = {"inputs": inputs(library), "library": library}
+    claims = own_claims(_root(source) / LEDGER, f"notebooks/{source.name}")
+    told = [claim.model_dump(mode="json", exclude_none=True) for claim in claims]
+    notebook.metadata[STAMP] = {"inputs": inputs(library), "library": library, "claims": told}
     if not source.is_file():
         return "failed: its source was removed while it ran"
     replace(source.with_suffix(".ipynb"), nbformat.writes(notebook) + "\n")
@@ -163,10 +166,16 @@ def _inputs(source: Path) -> Callable[[Iterable[str]], str]:
     text = source.read_text()
     contents = fingerprint.library_contents()
     names = [fingerprint.LOCK, *_declared(_read(source))]
-    files = fingerprint.file_digest(_root(source), names)
+    root = _root(source)
+    files = fingerprint.file_digest(root, names)
+    claims = [
+        claim.model_dump_json(exclude={"tests", "verdict", "kind"})
+        for claim in own_claims(root / LEDGER, f"notebooks/{source.name}")
+    ]
 
     def hashed(library: Iterable[str]) -> str:
-        return fingerprint.digest(text, fingerprint.library_digest(library, contents), files)
+        used = fingerprint.library_digest(library, contents)
+        return fingerprint.digest(text, used, files, claims)
 
     return hashed
 

@@ -33,7 +33,7 @@ def read_yaml(path: Path, what: str) -> Any:
         raise ValueError(f"{path}: not YAML: {' '.join(str(error).split())}") from None
 
 
-class _UniqueKeys(yaml.SafeLoader):
+class _UniqueKeys(getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
     """A loader that refuses what YAML forbids and PyYAML lets pass: the last of two wins."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict:

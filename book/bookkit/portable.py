@@ -78,7 +78,7 @@ def try_all(root: Path, names: Sequence[str], tests: bool) -> tuple[list[list[st
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "deviations"
             done = subprocess.run(
-                [sys.executable, "-m", "pytest", "-q", "-n", "2", "--dist=loadscope",
+                [sys.executable, "-m", "pytest", "-q", "-n", "3", "--dist=loadscope",
                  "--deviations", log, *where],
                 cwd=root, env={**os.environ, **environment(name)},
             )  # fmt: skip

@@ -12,6 +12,8 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
+from bookkit.claims import Claim, look_up
+
 MIME = "application/vnd.seedslib.record+json"
 GLUE = "application/papermill.record/"
 RTOL = 1e-7
@@ -95,27 +97,33 @@ def claim(
     *,
     holds: bool | None = None,
     computed: object = None,
-    printed: object = None,
-    tolerance: float | Sequence[float] | None = None,
     corrected: bool | None = None,
+    wrong: Mapping[str, object] | None = None,
+    undecided: bool = False,
     note: str = "",
     rtol: float = RTOL,
     atol: float = ATOL,
 ) -> None:
-    """Record the verdict on one claim of a paper, computed from numbers.
+    """Record the verdict on one claim, computed from numbers.
+
+    What is claimed, the numbers it is held against and their tolerance are in the ledger,
+    ``book/claims.yml``.
 
     Parameters
     ----------
     name : str
-        The claim's id in ``book/claims.yml``.
+        The claim's id in the ledger.
     holds : bool, optional
-        Whether the statement is true as printed, where it is not a matter of numbers.
-    computed, printed : float or sequence of float, optional
-        Our numbers and the paper's; the claim holds when each pair agrees.
-    tolerance : float or sequence of float, optional
-        Largest absolute difference allowed between them.
+        Whether the statement is true as it stands; beside numbers, what must hold besides.
+    computed : float or sequence of float, optional
+        Our numbers; where the ledger has numbers the claim holds when each pair agrees.
     corrected : bool, optional
         For a claim that does not hold: whether our corrected statement was found true.
+    wrong : mapping of str to bool or numbers, optional
+        What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that
+        name the fault. A condition that is true then is no condition, and is refused.
+    undecided : bool
+        The numbers are shown, and the claim is open whether they agree or not.
     note : str
         One sentence for the page.
     rtol, atol : float
@@ -124,72 +132,121 @@ def claim(
     Raises
     ------
     ValueError
-        Both or neither of `printed` and `tolerance`, different lengths, or numbers together
-        with `holds`.
+        An id that is not in the ledger, numbers that fit in number neither the ledger's nor each
+        other, or a planted fault that passes.
     """
-    evidence: dict[str, object] = {}
-    if printed is not None:
-        if tolerance is None or computed is None or holds is not None:
-            raise ValueError(
-                f"claim {name}: printed numbers want computed numbers and a tolerance, "
-                "and no holds beside them"
-            )
-        ours, theirs, widths = (
-            value if isinstance(value, list) else [value]
-            for value in (
-                plain("computed", computed),
-                plain("printed", printed),
-                plain("tolerance", tolerance),
-            )
-        )
-        widths = widths * len(theirs) if len(widths) == 1 else widths
-        if not len(ours) == len(theirs) == len(widths):
-            raise ValueError(
-                f"claim {name}: wanted as many computed as printed numbers, "
-                f"got {len(ours)} and {len(theirs)} (tolerances: {len(widths)})"
-            )
-        holds = all(abs(a - b) <= w for a, b, w in zip(ours, theirs, widths, strict=True))
-        evidence = {"computed": ours, "printed": theirs, "tolerance": plain("tolerance", tolerance)}
-    elif tolerance is not None:
-        raise ValueError(f"claim {name}: a tolerance wants printed numbers beside it")
-    elif computed is not None:
+    entry = look_up(name)
+    evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _said(entry)}
+    holds, corrected = _boolean(name, "holds", holds), _boolean(name, "corrected", corrected)
+    if computed is not None:
         ours = plain("computed", computed)
-        evidence = {"computed": ours if isinstance(ours, list) else [ours]}
-    verdict = _verdict(name, holds, corrected)
-    entry = {"verdict": verdict, **evidence, "note": note}
+        evidence["computed"] = ours if isinstance(ours, list) else [ours]
+    if entry.expected is not None:
+        if computed is None:
+            raise ValueError(f"claim {name}: the ledger has numbers; wanted computed ones")
+        agrees = _agrees(entry, evidence["computed"])
+        holds = agrees if holds is None else agrees and holds
+        kind = "reference" if entry.printed is None else "printed"
+        evidence |= {kind: entry.expected, "tolerance": entry.widths}
+    if entry.source:
+        evidence["source"] = entry.source
+    for fault, value in (wrong or {}).items():
+        passes = _boolean(name, fault, value) if _is_truth(value) else _agrees(entry, value)
+        if passes:
+            raise ValueError(f"claim {name}: true as well with this fault: {fault}")
+    verdict = "open" if undecided else _verdict(holds, corrected, bool(evidence["paper"]))
+    found = {"verdict": verdict, **evidence, "wrong": list(wrong or ()), "note": note}
     _publish(
         {
-            MIME: {"claims": {name: entry}, "rtol": rtol, "atol": atol},
-            "text/html": claim_html(name, entry),
+            MIME: {"claims": {name: found}, "rtol": rtol, "atol": atol},
+            "text/html": claim_html(name, found),
             "text/plain": f"{name}: {verdict}",
         }
     )
 
 
-def _verdict(name: str, holds: object, corrected: object) -> str:
-    for label, value in (("holds", holds), ("corrected", corrected)):
-        if value is not None and not isinstance(value, bool) and not hasattr(value, "dtype"):
-            raise ValueError(f"claim {name}: {label}: wanted a boolean, got {value!r}")
+def _said(entry: Claim) -> str:
+    """What is claimed and where, as one paragraph of text."""
+    parts = [entry.statement.strip()]
+    if entry.reading:
+        parts.append(f"(Reading: {entry.reading.strip()})")
+    if entry.printed_formula and entry.corrected_formula:
+        parts += [f"Printed: {entry.printed_formula}.", f"Right: {entry.corrected_formula}."]
+    if entry.because:
+        parts.append(f"({entry.because.strip()})")
+    return f"{entry.place}: " + " ".join(" ".join(parts).split())
+
+
+def _is_truth(value: object) -> bool:
+    return isinstance(value, bool) or str(getattr(value, "dtype", "")) == "bool"
+
+
+def _boolean(name: str, label: str, value: object) -> bool | None:
+    if value is not None and not _is_truth(value):
+        raise ValueError(f"claim {name}: {label}: wanted a boolean, got {value!r}")
+    return None if value is None else bool(value)
+
+
+def _agrees(entry: Claim, computed: object) -> bool:
+    ours, theirs = plain(f"claim {entry.id}", computed), entry.expected
+    if theirs is None:
+        raise ValueError(f"claim {entry.id}: the ledger has no numbers to hold these against")
+    ours = ours if isinstance(ours, list) else [ours]
+    if len(ours) != len(theirs):
+        raise ValueError(
+            f"claim {entry.id}: wanted {len(theirs)} numbers as in the ledger, got {len(ours)}"
+        )
+    return all(abs(a - b) <= w for a, b, w in zip(ours, theirs, entry.widths, strict=True))
+
+
+def _verdict(holds: bool | None, corrected: bool | None, paper: bool) -> str:
     if holds is None:
         return "open"
     if holds:
-        return "reproduced"
+        return "reproduced" if paper else "checked"
     return "corrected" if corrected else "refuted"
 
 
-def claim_html(name: str, entry: Mapping) -> str:
-    parts = []
-    if "computed" in entry:
-        parts.append("computed " + shown(entry["computed"]))
-    if "printed" in entry:
-        parts.append("printed " + shown(entry["printed"]))
-        parts.append("tolerance " + shown(entry["tolerance"]))
+FEW = 6
+"""As many numbers are shown in a box; of more, only how well they agree."""
+
+
+def evidence(entry: Mapping) -> list[str]:
+    """What was found on a claim, from its record, as a few sentences."""
+    parts, ours = [], entry.get("computed", [])
+    if ours and len(ours) <= FEW:
+        parts.append("computed " + shown(ours))
+    for kind in ("printed", "reference"):
+        if kind in entry:
+            theirs, widths = entry[kind], entry["tolerance"]
+            if len(theirs) <= FEW:
+                same = widths[:1] if len(set(widths)) == 1 else widths
+                parts.append(f"{kind} {shown(theirs)} (± {shown(same)})")
+            else:
+                worst = max(
+                    abs(a - b) / w if w else float(a != b)
+                    for a, b, w in zip(ours, theirs, widths, strict=True)
+                )
+                parts.append(
+                    f"{len(theirs)} numbers held against {kind} ones; the farthest is "
+                    f"{worst:.2f} of its tolerance away"
+                )
+    if "source" in entry:
+        parts.append("from " + entry["source"])
     if entry["note"]:
         parts.append(entry["note"])
-    label, detail = html.escape(name), html.escape("; ".join(parts))
+    if entry["wrong"]:
+        parts.append("Would fail with: " + ", ".join(entry["wrong"]))
+    return parts
+
+
+def claim_html(name: str, entry: Mapping) -> str:
+    """The box of a claim on a page."""
+    label, says = html.escape(name), html.escape(entry["says"])
+    detail = html.escape("; ".join(evidence(entry)))
     return (
         f'<div class="claim {entry["verdict"]}" id="{label}"><b>{label}</b> '
-        f'<span class="verdict">{entry["verdict"]}</span> {detail}</div>'
+        f'<span class="verdict">{entry["verdict"]}</span> {says}<br>{detail}</div>'
     )
 
 

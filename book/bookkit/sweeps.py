@@ -11,7 +11,6 @@ import csv
 import io
 import json
 import os
-import tempfile
 from collections.abc import Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -22,6 +21,7 @@ import nbformat
 from bookkit import fingerprint
 from bookkit.files import replace
 from bookkit.grids import check_points, read_grid
+from bookkit.points import execute_point, library_of
 from bookkit.recording import plain, read_records
 
 TABLE = "results.csv"
@@ -35,40 +35,6 @@ class Report(NamedTuple):
     already: int
     failed: int
     table: Path
-
-
-def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
-    """Run one point where this is called: on a worker. Failures are returned, not raised.
-
-    Returns
-    -------
-    dict
-        ``notebook`` (text of the executed notebook), ``problem`` (empty when all went well) and
-        ``library`` (hash of the library files that the notebook uses, as they are here).
-    """
-    import papermill
-
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    problem = ""
-    with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder, "in.ipynb"), Path(folder, "out.ipynb")
-        source.write_text(text)
-        try:
-            papermill.execute_notebook(
-                str(source),
-                str(target),
-                parameters=dict(parameters),
-                kernel_name="python3",
-                progress_bar=False,
-                cwd=folder,
-                extra_arguments=["--log-level=CRITICAL"],
-            )
-        except papermill.PapermillExecutionError as error:
-            problem = f"{error.ename}: {error.evalue}"
-        except Exception as error:
-            problem = f"{type(error).__name__}: {error}"
-        done = target.read_text() if target.is_file() else ""
-    return {"notebook": done, "problem": problem, "library": _library(json.loads(text))}
 
 
 def run_sweep(
@@ -152,14 +118,7 @@ def run_sweep(
 def _key(path: Path, notebook: nbformat.NotebookNode, point: Mapping[str, Any]) -> str:
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
     lock = fingerprint.file_digest(fingerprint.project_root(path.parent), [fingerprint.LOCK])
-    return fingerprint.digest(code, _library(notebook), lock, sorted(point.items()))
-
-
-def _library(notebook: Mapping[str, Any]) -> str:
-    """Hash of the library files that the notebook imported when it was executed."""
-    return fingerprint.library_digest(
-        notebook.get("metadata", {}).get("seedslib", {}).get("library")
-    )
+    return fingerprint.digest(code, library_of(notebook), lock, sorted(point.items()))
 
 
 def _make_folder(out: Path) -> None:
@@ -203,7 +162,7 @@ def _run(client: Any, text: str, todo: Mapping[str, dict], out: Path, quiet: boo
     from dask.distributed import as_completed
     from tqdm import tqdm
 
-    ours = _library(json.loads(text))
+    ours = library_of(json.loads(text))
     running = {
         client.submit(execute_point, text, point, key=f"point-{key}", retries=2): key
         for key, point in todo.items()
@@ -249,11 +208,9 @@ def _client(scheduler: str | None, workers: int):
     from dask.distributed import Client, LocalCluster
 
     if scheduler is not None:
-        try:
-            client = Client(scheduler, timeout="10s")
-        except (OSError, TimeoutError, ValueError):
-            raise ValueError(f"{scheduler}: no scheduler answers at this address") from None
-        with client:
+        from seedslib.extra.dask_crew import connect
+
+        with connect(scheduler) as client:
             if not client.scheduler_info()["workers"]:
                 print(f"{scheduler}: no workers there yet, waiting for one", flush=True)
             yield client

@@ -1,8 +1,8 @@
 """The ground floor: what several rooms need and no subject owns.
 
 Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, how objects show themselves and travel, and the lazy names of
-these doors. No model, no filter.
+correction, tables and their look-up, parameters of models, how objects show themselves and
+travel, and the lazy names of these doors. No model, no filter.
 
 May import: none.
 """
@@ -12,6 +12,8 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
+    from seedslib.base.parameters import Parameter as Parameter
+    from seedslib.base.parameters import assigned as assigned
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import interpolate as interpolate
 else:

@@ -6,6 +6,8 @@ import sys
 
 import numpy as np
 
+from seedslib.base.clock import when
+
 ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
 
@@ -66,13 +68,7 @@ def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = Fa
     ValueError
         Wrong number of axes, or an entry that is not finite.
     """
-    try:
-        array = np.asarray(unmasked(name, value, missing=np.nan if nan else None))
-    except ValueError as error:
-        raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
-    array = array.astype(float)
+    array = _floats(name, value, np.nan if nan else None)
     if ndim is not None and array.ndim != ndim:
         raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
     bad = np.isinf(array) if nan else ~np.isfinite(array)
@@ -80,6 +76,30 @@ def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = Fa
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
     return array
+
+
+def as_bound(name: str, value: object) -> np.ndarray:
+    """Float64 array in which infinities, but not NaN, are legal.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real, or NaN.
+    """
+    array = _floats(name, value, None)
+    if np.isnan(array).any():
+        raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
+    return array
+
+
+def _floats(name, value, missing):
+    try:
+        array = np.asarray(unmasked(name, value, missing=missing))
+    except ValueError as error:
+        raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
+    if array.dtype.kind not in "fiub":
+        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
+    return array.astype(float)
 
 
 def as_shape(name: str, value: object, shape: tuple[int, ...], *, nan: bool = False) -> np.ndarray:
@@ -91,13 +111,36 @@ def as_shape(name: str, value: object, shape: tuple[int, ...], *, nan: bool = Fa
         As `as_real`; `ValueError` also for a wrong shape.
     """
     array = as_real(name, value, nan=nan)
-    fits = array.ndim == len(shape) and all(
-        want in (-1, got) for want, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted = "(" + ", ".join("any" if s == -1 else str(s) for s in shape) + ")"
-        raise ValueError(f"{name}: wanted shape {wanted}, got {array.shape}")
+    require_shape(name, array, shape)
     return array
+
+
+def require_shape(name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
+    """Refuse an array of another shape; -1 or None leaves an axis free.
+
+    Raises
+    ------
+    ValueError
+        Another number of axes, or another length of one.
+    """
+    free = (-1, None)
+    if array.ndim != len(shape) or any(
+        want not in (*free, got) for want, got in zip(shape, array.shape, strict=True)
+    ):
+        wanted = ", ".join("any" if size in free else str(size) for size in shape)
+        raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
+
+
+def as_vectors(name: str, value: object, size: int) -> np.ndarray:
+    """Real array (see `as_real`) of vectors of `size` components, (size, *batch).
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_shape`.
+    """
+    array = as_real(name, value)
+    return as_shape(name, array, (size, *array.shape[1:]))
 
 
 def as_covariance(
@@ -223,12 +266,12 @@ def as_times(name: str, value: object) -> np.ndarray:
     if times.size == 0:
         raise ValueError(f"{name}: wanted at least one time, got an empty grid")
     if times[0] < 0:
-        raise ValueError(f"{name}: wanted nonnegative times, got {times[0]:g}")
+        raise ValueError(f"{name}: wanted nonnegative times, got {when(times[0])}")
     if times.size > 1 and np.diff(times).min() <= 0:
         where = int(np.argmin(np.diff(times)))
         raise ValueError(
             f"{name}: wanted strictly increasing times, "
-            f"got {times[where]:g} then {times[where + 1]:g} at index {where}"
+            f"got {when(times[where])} then {when(times[where + 1])} at index {where}"
         )
     return times
 

@@ -18,6 +18,14 @@ ROUNDING = 2.0**-50
 """Part of a time within which times are one: two to four units in its last place on each side."""
 
 
+def when(t: float) -> str:
+    """A time in words: six digits, and three behind the point however many stand before it.
+
+    Times that count the seconds since some day are told apart by their last digits.
+    """
+    return f"{t:.{max(6, len(f'{abs(t):.0f}') + 3)}g}"
+
+
 def slack(interval: float, size: float) -> float:
     """How far two times of a given size may be apart and be the same, in a grid of intervals.
 

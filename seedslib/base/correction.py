@@ -105,7 +105,8 @@ def correct(
         if missing.any():
             cov_batch = joint_shape(cov_batch, y.shape[1:]) if cov is not None else ()
     new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing)
-    if noise is not None and len(error) and (suspect := narrowed(cov, new_cov)).any():
+    apart_known = noise is not None and cov is not None and len(error)
+    if apart_known and (suspect := narrowed(cov, new_cov)).any():
         apart = _align(np.asarray(noise(), dtype=float), 2, depth)
         if not present.all():
             apart = _without_missing(present, y, cross_before, apart)[2]

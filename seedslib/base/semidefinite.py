@@ -200,6 +200,8 @@ def mended(cov: np.ndarray, variances: np.ndarray | None = None) -> tuple[np.nda
     unit = np.where(unit > 0, unit, 1.0)
     unit = unit[:, :, None] * unit[:, None, :]
     items = np.moveaxis(cov[:, :, suspect], -1, 0) / unit
+    # a function of the matrix, V f(d) Vᵀ: where eigenvalues repeat, the basis V of their space is
+    # free, and every one gives the same covariance
     values, vectors = np.linalg.eigh(0.5 * (items + np.swapaxes(items, 1, 2)))
     negative = values < -NEGATIVE
     bent = (values < 0).any(axis=1)

@@ -12,6 +12,8 @@ from typing import Any
 import sympy
 from sympy.core.function import AppliedUndef
 
+from seedslib.base.parameters import Parameter
+
 # without `doit()` these are names of a value, which generated code cannot compute
 UNFINISHED = (
     sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative, sympy.Subs, sympy.Limit,
@@ -98,6 +100,7 @@ def require_known(
     """
     known = set(known)
     unknown = set().union(*(e.free_symbols for e in expressions)) - known
+    unknown = {s for s in unknown if not isinstance(s, Parameter)}
     if not unknown:
         return
     names = {str(s): s for s in known}

@@ -71,6 +71,7 @@ def run_design(options: argparse.Namespace) -> int:
     from seedslib.commands import words
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
+    from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
     rule = words.as_choice(
@@ -99,12 +100,7 @@ def run_design(options: argparse.Namespace) -> int:
         chosen.update(predictor=predictor, nodes=nodes, components=options.components)
     designed = making.synthesize(system, memory, rule, times, **chosen)
     if tables is not None:
-        from seedslib.design import tabulated
-
-        designed = tabulated(designed, **tables)
-
-    from seedslib.designed import save
-
+        designed = making.tabulated(designed, **tables)
     save(designed, out)
     print(designed)
     print(f"written to {out}")

@@ -150,7 +150,7 @@ def _check_times(path, numbers, times, measured, designed):
     for j, (number, t) in enumerate(zip(numbers, times, strict=True)):
         place = f"{path}, row {number}"
         if j and not t > times[j - 1]:
-            raise ValueError(f"{place}: wanted a time after {times[j - 1]:g}, got {t:.12g}")
+            raise ValueError(f"{place}: wanted a time after {times[j - 1]:.12g}, got {t:.12g}")
         if due < len(clock) and t > clock[due] + tolerance:
             raise ValueError(
                 f"{place}: t = {t:.12g} comes after the measurement time {clock[due]:.12g} of the "

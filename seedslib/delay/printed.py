@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count, as_shape
+from seedslib.base.clock import when
 from seedslib.delay.analysis import apply_gains
 from seedslib.delay.coefficients import as_instants, divided, require_finite
 from seedslib.delay.means import predicted_mean, start_mean
@@ -138,7 +139,7 @@ class PrintedDelayFilter(Filter):
         if t != state.time + 1 or not state.corrected:
             raise ValueError(
                 f"t: wanted the instant after a measured one, as the filter needs them all; got "
-                f"{t:g} after {state.time:g}"
+                f"{when(t)} after {when(state.time)}"
             )
         mean = predicted_mean(self.system, int(t), state.mean)
         cov = self._instants(int(t))[-1].predicted

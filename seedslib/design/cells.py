@@ -6,7 +6,7 @@ import numpy as np
 
 from seedslib.base.semidefinite import NEGATIVE
 from seedslib.design.regression import Scatter, combine, inverse_root
-from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.switching.fits import CellFit
 
 JITTER = 1e-8
 """Added to the covariance of the whitened memory before it is inverted."""

@@ -6,6 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from seedslib.base.diffuse import LOST
 from seedslib.design.regression import ABSOLUTE, Scatter, regress
 from seedslib.designed.predictors import (
     AffineFit,
@@ -16,6 +17,9 @@ from seedslib.designed.predictors import (
     monomials,
     standardised,
 )
+
+ROUNDING = 4e-15
+"""A deviation below this part of that of the state is rounding."""
 
 
 def fit_forecast(
@@ -46,7 +50,16 @@ def fit_forecast(
 def fit_affine(gather: Callable[..., Scatter], targets: int, size: np.ndarray) -> AffineFit:
     """Affine forecast of the state from the memory; arguments as `fit_forecast`."""
     found = gather(lambda x, u: np.concatenate([x, u]))
-    return regress(found.mean, found.cov, targets, size)
+    fit = regress(found.mean, found.cov, targets, size)
+    wide = np.diagonal(found.cov)[:targets]
+    if not (np.diagonal(fit.cov) < LOST * wide).any():
+        return fit
+    # beside so wide a prior the digits of what is not explained are lost: from itself it has them
+    rest = gather(lambda x, u: np.concatenate([x - fit.mean(u), u]))
+    more = regress(rest.mean, rest.cov, targets, size)
+    if not (np.diagonal(more.cov) > ROUNDING**2 * wide).all():
+        return fit  # known exactly
+    return AffineFit(fit.gain + more.gain, fit.offset + more.offset, more.cov)
 
 
 def coefficients_of(predictor: object, dimension: int) -> int:

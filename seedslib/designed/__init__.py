@@ -10,7 +10,6 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.designed import lemmas as lemmas
     from seedslib.designed.between import FORECAST_KINDS as FORECAST_KINDS
     from seedslib.designed.files import load as load
     from seedslib.designed.files import save as save
@@ -21,8 +20,9 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import large_order as large_order
     from seedslib.designed.memory import small_order as small_order
     from seedslib.designed.outputs.table import TableFilter as TableFilter
-    from seedslib.designed.switching import SwitchingFilter as SwitchingFilter
-    from seedslib.designed.switching_fits import CellFit as CellFit
-    from seedslib.designed.switching_rules import SwitchingRules as SwitchingRules
+    from seedslib.designed.switching import lemmas as lemmas
+    from seedslib.designed.switching.filter import SwitchingFilter as SwitchingFilter
+    from seedslib.designed.switching.fits import CellFit as CellFit
+    from seedslib.designed.switching.rules import SwitchingRules as SwitchingRules
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -7,16 +7,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.clock import Clock, slack
+from seedslib.base.clock import Clock, slack, when
 from seedslib.designed.guards import want_corrected
 from seedslib.designed.runs import DesignedFilter
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
     from typing import Self
-
-    from seedslib.designed.finite_order import FiniteOrderFilter
-    from seedslib.designed.finite_order_rules import FiniteOrderState
 
 FORECAST_KINDS = (
     "interpolated",
@@ -109,20 +106,8 @@ class BetweenFilter(DesignedFilter):
         known, room = self.interval(state), self.clock.tolerance
         start, end = known.times[0], known.times[-1]
         if not start - room <= t <= end + room:
-            raise ValueError(f"t: wanted a time from {start:g} to {end:g}, got {t:g}")
+            raise ValueError(f"t: wanted a time from {when(start)} to {when(end)}, got {when(t)}")
         return Estimates(at(known, t, self.between if kind is None else kind))
-
-
-def nodes_after(
-    filter: FiniteOrderFilter, k: int, state: FiniteOrderState
-) -> tuple[list[np.ndarray], np.ndarray | None]:
-    """Estimates of a filter at the nodes after measurement k, and at the next; see `Rules.nodes`.
-
-    The second is None where the nodes do not lead there.
-    """
-    nodes, times = filter.node_times[k], filter.clock.times
-    end = times[k + 1] if k < len(filter.fits) else nodes[-1]
-    return filter.rules.nodes(filter.node_fits[k], [times[k], *nodes, end], state)
 
 
 def known_kind(name: str, kind: str) -> str:

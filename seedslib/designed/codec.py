@@ -21,8 +21,8 @@ from seedslib.designed.outputs.lookup import Step, Table
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
-from seedslib.designed.switching import SwitchingFilter
-from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.switching.fits import CellFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import UnknownModel
 

@@ -14,13 +14,7 @@ import numpy as np
 
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import FILTERS, KNOWN, LINEARIZATIONS, known_class, packed, unpacked
-from seedslib.designed.identity import (
-    difference,
-    probe,
-    probe_arrays,
-    probe_points,
-    probe_values,
-)
+from seedslib.designed.identity import difference, probe, probe_arrays, probe_points, probe_values
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite

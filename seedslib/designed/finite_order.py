@@ -10,19 +10,14 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
-from seedslib.designed.between import BetweenFilter, at, known_kind, nodes_after
+from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start, initial_moments
 from seedslib.designed.gaps import step_unclaimed, unexpected
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import (
-    Design,
-    HeldOut,
-    Prediction,
-    finite_order_page,
-    headline,
-)
-from seedslib.designed.shapes import check_shapes
+from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
+from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
+from seedslib.designed.shapes import check_array, check_covariances, check_fields, check_nodes
 from seedslib.filters.estimates import Estimates
 from seedslib.linearization.moments import Linearization, Moments
 
@@ -85,7 +80,7 @@ class FiniteOrderFilter(BetweenFilter):
     rules: Rules | None = None
 
     def __post_init__(self) -> None:
-        check_shapes(self)
+        self.check_shapes()
         if self.rules is None:
             rules = Rules.of(
                 self.system, self.memory, self.predictor, self.linearization, self.components,
@@ -96,6 +91,39 @@ class FiniteOrderFilter(BetweenFilter):
         freeze((self.times, self.node_times, self.start, self.predicted, self.held_out))
         freeze((self.fits, self.node_fits))
         object.__setattr__(self, "clock", Clock(self.times, self.horizon))
+
+    def check_parts(self) -> None:
+        """First estimate, nodes and forecasts, held against memory and times."""
+        start, memory, components = self.start, self.memory, self.components
+        check_array("start.mean", start.mean, None)
+        n, intervals = len(start.mean), len(self.times) - 1
+        check_fields("start", start, cov=(n, n))
+        if not 1 <= components <= n:
+            raise ValueError(f"components: wanted 1 to {n}, got {components}")
+        check_array("start.moments.mean", start.moments.mean, None)
+        m = len(start.moments.mean)
+        check_fields("start.moments", start.moments, cross=(n, m), cov=(m, m))
+        check_covariances("start", (start.cov, start.moments.cov))
+        if len(self.fits) != intervals:
+            raise ValueError(f"fits: wanted {intervals}, got {len(self.fits)}")
+        check_nodes(self, intervals, intervals + 1)
+        sizes = [memory.dimension(k, components, m) for k in range(intervals + 1)]
+        extra = m if self.measured_nodes and not memory.measurements else 0
+        continuous = isinstance(self.predictor, Continuous)
+        targets = n if continuous else components
+        regressions = [(f"fits[{k}]", fit, n, sizes[k]) for k, fit in enumerate(self.fits)]
+        for k, (grid, fits) in enumerate(zip(self.node_times, self.node_fits, strict=True)):
+            count = len(grid) + (continuous and k < intervals)
+            if len(fits) != count:
+                raise ValueError(f"node_fits[{k}]: wanted {count}, got {len(fits)}")
+            size = sizes[k] + extra
+            regressions += [
+                (f"node_fits[{k}][{i}]", fit, targets, size) for i, fit in enumerate(fits)
+            ]
+        known = [row for row in regressions if isinstance(row[1], AffineFit | PolynomialFit)]
+        for name, fit, *wanted in known:
+            fit.check(name, *wanted)
+        check_covariances("fits", [fit.cov for _, fit, *_ in known])
 
     @property
     def order(self) -> int:
@@ -138,10 +166,10 @@ class FiniteOrderFilter(BetweenFilter):
         if self.rules.velocity is None:
             u = state.past.vector
         else:  # the estimate has moved on
-            u = interval.values[-1] if interval else nodes_after(self, k - 1, state)[1]
+            u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
         mean, cov = self.fits[k - 1].forecast(u)
-        before = FiniteOrderState(*state[:6], None, True)
-        return FiniteOrderState(k, mean, cov, state.past, state.measurement, 0.0, before, False)
+        before, seen = state._replace(before=None), state.measurement
+        return FiniteOrderState(k, mean, cov, state.past, seen, 0.0, before, False, state.gap)
 
     def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
         """Correct the forecast by y, (m, *batch); of NaN components see `run`.
@@ -156,9 +184,10 @@ class FiniteOrderFilter(BetweenFilter):
 
     def _correct(self, state, y, spread):
         want_forecast(state)
+        t = self.clock.times[state.index]
         if state.index == 0:
-            return self.rules.first(state, y, self.start.moments, spread)
-        return self.rules.correct(state, self.clock.times[state.index], y, spread)
+            return self.rules.first(state, t, y, self.start, spread)
+        return self.rules.correct(state, t, y, spread)
 
     def expect(self, state: FiniteOrderState) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
@@ -179,13 +208,24 @@ class FiniteOrderFilter(BetweenFilter):
         k, times = state.index, self.times
         grid, values, last = [times[k]], [state.mean], None
         if k < len(self.node_times) and (end or len(self.node_times[k])):
-            found, last = nodes_after(self, k, state)
+            found, last = self.nodes_after(k, state)
             grid, values = [*grid, *self.node_times[k]], values + found
         if not end or k >= len(self.fits):
             return grid, values, None
         if last is None:
             last = self.fits[k].mean(state.past.vector)[: self.components]
         return grid, values, (times[k + 1], last)
+
+    def nodes_after(
+        self, k: int, state: FiniteOrderState
+    ) -> tuple[list[np.ndarray], np.ndarray | None]:
+        """Estimates at the nodes after measurement k, and at the next one; see `Rules.nodes`.
+
+        The second is None where the nodes do not lead there.
+        """
+        nodes, times = self.node_times[k], self.clock.times
+        end = times[k + 1] if k < len(self.fits) else nodes[-1]
+        return self.rules.nodes(self.node_fits[k], [times[k], *nodes, end], state)
 
     # Whole records
 

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.circle import Periods, nearest
 from seedslib.base.correction import correct
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.predictors import AffineFit, Continuous
@@ -56,6 +57,8 @@ class FiniteOrderState(NamedTuple):
         The state after the measurement before the last, needed by linear forecasts.
     corrected : bool
         Whether the measurement at `index` was taken in.
+    gap : ndarray of bool, shape (*batch), or False
+        Whether something has been missing so far.
     """
 
     index: int
@@ -66,6 +69,7 @@ class FiniteOrderState(NamedTuple):
     loglik: np.ndarray | float
     before: object
     corrected: bool
+    gap: np.ndarray | bool = False
 
 
 def initial_moments(moments: Moments, depth: int) -> Moments:
@@ -83,6 +87,7 @@ class Rules:
     traced: TracedCorrection | None = None
     velocity: object = None
     measured_nodes: bool = False
+    periods: Periods = ()
 
     @classmethod
     def of(
@@ -94,14 +99,17 @@ class Rules:
         if isinstance(predictor, Continuous):
             velocity = mean_velocity(system, linearization)
         sensor = linearization.moments(system.sensor)
-        traced = traced_correction(system.sensor, linearization, components)
-        return cls(memory, components, sensor, traced, velocity, measured_nodes)
+        periods = system.sensor.period
+        traced = None if periods else traced_correction(system.sensor, linearization, components)
+        return cls(memory, components, sensor, traced, velocity, measured_nodes, periods)
 
     def first(
-        self, state: FiniteOrderState, y: np.ndarray, moments: Moments, spread: bool = True
-    ) -> FiniteOrderState:
+        self, state: FiniteOrderState, t: float, y: np.ndarray, start: Start,
+        spread: bool = True,
+    ) -> FiniteOrderState:  # fmt: skip
         """State after the first measurement, whose moments are fixed."""
-        return self._corrected(state, y, initial_moments(moments, state.mean.ndim - 1), spread)
+        moments = initial_moments(start.moments, state.mean.ndim - 1)
+        return self._corrected(state, t, y, moments, spread, start.mean)
 
     def correct(
         self, state: FiniteOrderState, t: float, y: np.ndarray, spread: bool = True
@@ -111,11 +119,15 @@ class Rules:
             found = self.traced(t, state.mean, state.cov, y, spread)
             if found is not None:
                 return self._remembered(state, y, *found)
-        return self._corrected(state, y, self.sensor(t, state.mean, state.cov), spread)
+        moments = self.sensor(t, state.mean, state.cov)
+        return self._corrected(state, t, y, moments, spread, state.mean)
 
-    def _corrected(self, state, y, moments, spread):
-        cov = state.cov if spread else None
-        found = correct(state.mean, cov, y, moments, rows=self.components)
+    def _corrected(self, state, t, y, moments, spread, place):
+        y = nearest(y, moments.mean, self.periods)
+        found = correct(
+            state.mean, state.cov if spread else None, y, moments, rows=self.components,
+            noise=lambda: self.sensor(t, place, np.zeros_like(state.cov)).cov,
+        )  # fmt: skip
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
         shown = np.where(missing, moments.mean, y) if missing.any() else y
@@ -124,7 +136,7 @@ class Rules:
     def _remembered(self, state, shown, mean, cov, loglik):
         past = self.memory.push(state.past, estimate=mean, measurement=shown)
         return FiniteOrderState(
-            state.index, mean, cov, past, shown, loglik, state.before, corrected=True
+            state.index, mean, cov, past, shown, loglik, state.before, True, state.gap
         )
 
     def node_memory(self, state: FiniteOrderState) -> np.ndarray:

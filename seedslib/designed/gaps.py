@@ -13,16 +13,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from seedslib.base.checks import outside
+from seedslib.base.clock import when
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
     from seedslib.designed.finite_order_rules import FiniteOrderState
-    from seedslib.designed.switching_rules import SwitchingState
+    from seedslib.designed.switching.rules import SwitchingState
     from seedslib.linearization.moments import Moments
 
 
 def dropouts(
-    y: np.ndarray, measured: np.ndarray | None = None, indicators: np.ndarray | None = None
+    y: np.ndarray, measured: np.ndarray, indicators: np.ndarray | None
 ) -> np.ndarray | None:
     """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
 
@@ -31,9 +32,9 @@ def dropouts(
     Parameters
     ----------
     y : ndarray, shape (J+1, m, *batch)
-    measured : ndarray of bool, shape (J+1,), optional
-        Times at which the design has a measurement, all by default.
-    indicators : ndarray of int, shape (J+1, *batch), optional
+    measured : ndarray of bool, shape (J+1,)
+        Times at which the design has a measurement.
+    indicators : ndarray of int, shape (J+1, *batch), or None
         -1 is a missing one.
     """
     if not np.isnan(y).any() and (indicators is None or not (indicators < 0).any()):
@@ -41,8 +42,7 @@ def dropouts(
     lost = np.isnan(y).any(axis=1)
     if indicators is not None:
         lost |= indicators < 0
-    if measured is not None:
-        lost[~measured] = False
+    lost[~measured] = False
     return np.logical_or.accumulate(lost)
 
 
@@ -58,11 +58,11 @@ def step_unclaimed(
     gap : ndarray of bool, shape (*batch), or False
         Whether some of the measurement was missing.
     """
-    old = _gap_before(state)
-    if gap is False and old is False:
+    gap = state.gap | gap
+    if gap is False or not gap.any():
         return found
-    cov = _where(old | gap, found.cov)
-    return found._replace(cov=cov, loglik=np.where(old, np.nan, found.loglik))
+    loglik = np.where(state.gap, np.nan, found.loglik)
+    return found._replace(cov=_where(gap, found.cov), loglik=loglik, gap=gap)
 
 
 def law_unclaimed(
@@ -78,23 +78,10 @@ def law_unclaimed(
 
 def unexpected(moments: Moments, state: FiniteOrderState) -> Moments:
     """Moments of a measurement, only their mean where one before it was missing."""
-    old = _gap_before(state)
-    if old is False:
+    gap = state.gap
+    if gap is False:
         return moments
-    return moments._replace(cross=_where(old, moments.cross), cov=_where(old, moments.cov))
-
-
-def _gap_before(state):
-    """Paths on which a measurement before that of a forecast was missing, or False.
-
-    The covariance of the last estimate is NaN there.
-    """
-    before = state.before
-    if before is None or before.cov is None:
-        return False
-    first = before.cov[0, 0]
-    gap = first != first  # a number that is none; of scalars the quickest way to ask
-    return gap if (gap.any() if gap.ndim else gap) else False
+    return moments._replace(cross=_where(gap, moments.cross), cov=_where(gap, moments.cov))
 
 
 def _where(gap, part):
@@ -131,7 +118,7 @@ def unclaimed(found: Estimates, lost: np.ndarray | None, times: np.ndarray) -> E
         records = lost[-1].size
         warnings.warn(
             f"measurements: {np.count_nonzero(lost[-1])} of {records} records have gaps, from "
-            f"{times[lost.reshape(len(lost), -1).any(axis=1).argmax()]:g} on, which the design "
+            f"{when(times[lost.reshape(len(lost), -1).any(axis=1).argmax()])} on, which the design "
             "does not know of: covariances are NaN from a gap on, likelihoods after it",
             stacklevel=outside(),
         )

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.checks import outside
-from seedslib.base.clock import Clock
+from seedslib.base.clock import Clock, when
 
 
 def want_forecast(state: Any) -> None:
@@ -47,9 +47,11 @@ def want_next(clock: Clock, k: int, t: float) -> None:
         Another time, or no such measurement.
     """
     if k >= len(clock.times):
-        raise ValueError(f"t: wanted at most the last measurement time {clock.times[-1]:g}")
+        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
     if abs(t - clock.times[k]) > clock.tolerance:
-        raise ValueError(f"t: wanted the next measurement time {clock.times[k]:g}, got {t:g}")
+        raise ValueError(
+            f"t: wanted the next measurement time {when(clock.times[k])}, got {when(t)}"
+        )
 
 
 def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) -> np.ndarray:
@@ -73,14 +75,14 @@ def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) ->
     wanted = np.array(clock.times)
     wanted = wanted[wanted <= times[-1] + clock.tolerance]
     if not clock.same(times[0], clock.times[0]):
-        raise ValueError(f"times: wanted to begin at {clock.times[0]:g}, got {times[0]:g}")
+        raise ValueError(f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}")
     if times[-1] > horizon + clock.tolerance:
-        raise ValueError(f"times: wanted at most {horizon:g}, got {times[-1]:g}")
+        raise ValueError(f"times: wanted at most {when(horizon)}, got {when(times[-1])}")
     place = clock.rows(times)[: len(wanted)]
     missed = place < 0
     if missed.any():
         raise ValueError(
-            f"times: wanted all measurement times of the design, {wanted[missed][0]:g} is not "
+            f"times: wanted all measurement times of the design, {when(wanted[missed][0])} is not "
             "among them"
         )
     index = np.full(len(times), -1)
@@ -88,8 +90,8 @@ def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) ->
     for j in np.flatnonzero(index < 0):
         if not np.isnan(y[j]).all():
             raise ValueError(
-                f"measurements: wanted NaN at {times[j]:g}, which is no measurement time of the "
-                "design"
+                f"measurements: wanted NaN at {when(times[j])}, which is no measurement time of "
+                "the design"
             )
     return index
 

@@ -9,7 +9,6 @@ import numpy as np
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
 from seedslib.models.kinds import AnySystem, in_steps, switches
-from seedslib.models.noise import hermite_nodes
 
 SAME = 1e-9
 """Largest difference between equal models, in units of each component of each quantity."""
@@ -122,8 +121,7 @@ def _branches(system, points):
         ("switching", system.branches, system.noise),
         ("readings", system.readings, system.sensor_noise),
     ):
-        nodes, weights = hermite_nodes(noise.size, NODES)
-        v = noise.mean[:, None] + noise.root @ nodes
+        v, weights = noise.rule(NODES)
         branches, count = [b for row in table for b in row], points.shape[1]
         size = next(b.map.size for b in branches if b is not None)
         shape = (count, len(branches))

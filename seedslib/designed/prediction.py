@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.clock import when
 
 if TYPE_CHECKING:
     from seedslib.designed.finite_order import FiniteOrderFilter
-    from seedslib.designed.switching import SwitchingFilter
+    from seedslib.designed.switching.filter import SwitchingFilter
 
 ROWS = 12
 """Times that a page shows at most."""
@@ -113,10 +114,11 @@ def finite_order_page(designed: FiniteOrderFilter) -> str:
     """Page of text: what the filter is, how it was designed, how accurate it says it is."""
     design, times = designed.design, designed.times
     nodes, doubts = sum(len(t) for t in designed.node_times), designed.predicted.in_sample
+    first, last = when(times[0]), when(times[-1])
     return "\n".join([
         f"Finite-order filter of {headline(designed)}",
         f"  estimates    {designed.components} of {len(designed.start.mean)} state components",
-        f"  measurements {len(times)}, from {times[0]:g} to {times[-1]:g}; {nodes} nodes between",
+        f"  measurements {len(times)}, from {first} to {last}; {nodes} nodes between",
         f"  forecasts    {designed.between}",
         f"  designed on  {design.source()}{design.left_out}",
         "  predicted root-mean-square errors"
@@ -165,7 +167,7 @@ def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
     at = designed.clock.rows(predicted.times)
     for k in shown_rows(len(at)):
         j = at[k]
-        row = f"    t = {predicted.times[j]:<8g} {_errors(predicted, j, doubts, modes)}"
+        row = f"    t = {when(predicted.times[j]):<8} {_errors(predicted, j, doubts, modes)}"
         if held is None:
             lines.append(row)
             continue

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
@@ -10,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.checks import as_count
+from seedslib.designed.shapes import check_fields
 from seedslib.linearization.moments import symmetric
 
 CLIP = 3.5
@@ -89,6 +91,12 @@ class AffineFit(NamedTuple):
         """Forecast (n, *batch) and its covariance (n, n)."""
         return affine(self.gain, self.offset, u), self.cov
 
+    def check(self, name: str, targets: int, dimension: int) -> None:
+        """Refuse arrays that do not forecast `targets` components from that many numbers."""
+        check_fields(
+            name, self, gain=(targets, dimension), offset=(targets,), cov=(targets, targets)
+        )
+
 
 def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Gain times u plus offset for u of shape (d, *batch)."""
@@ -125,6 +133,11 @@ class PolynomialFit(NamedTuple):
     mean_degree: int
     cov_degree: int
 
+    @property
+    def cov(self) -> np.ndarray:
+        """Mean of the conditional covariance, as that of an `AffineFit`."""
+        return self.residual
+
     def mean(self, u: np.ndarray) -> np.ndarray:
         """Forecast (n, *batch) from the memory (d, *batch)."""
         point = standardised(u.reshape(len(u), -1), self.centre, self.scale)
@@ -146,6 +159,22 @@ class PolynomialFit(NamedTuple):
         lower = affine(self.cov_gain, self.cov_offset, powers[: self.cov_gain.shape[1]])
         cov = bounded_below(symmetric(lower, len(self.residual)), self.residual)
         return mean, cov.reshape(*cov.shape[:2], *u.shape[1:])
+
+    def check(self, name: str, targets: int, dimension: int) -> None:
+        """As `AffineFit.check`."""
+        degrees = self.mean_degree, self.cov_degree
+        # counted, not listed, and only where the gain may have as many: they may be anything
+        if not all(
+            type(d) is int and 0 <= d <= self.gain.size + self.cov_gain.size for d in degrees
+        ):
+            raise ValueError(f"{name}: gains that are not those of the degrees {degrees}")
+        powers, others = (math.comb(dimension + degree, degree) - 1 for degree in degrees)
+        entries = targets * (targets + 1) // 2
+        check_fields(
+            name, self, centre=(dimension,), scale=(dimension,), gain=(targets, powers),
+            offset=(targets,), residual=(targets, targets), cov_gain=(entries, others),
+            cov_offset=(entries,),
+        )  # fmt: skip
 
 
 def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from seedslib.base.checks import as_real, as_times, unmasked
 from seedslib.designed.gaps import dropouts, unclaimed
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
+from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
 
@@ -31,6 +32,27 @@ class DesignedFilter(Filter):
 
     takes = ("indicators", "covariances")
     memory: Memory | None
+
+    def check_shapes(self) -> None:
+        """Refuse a filter whose parts do not fit together, when it is made or read.
+
+        Regressions and tables are held against the memory, the times and the model's sizes;
+        functions of one's own are taken as they are.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Arrays of another shape or kind, numbers that are not finite, covariances that are not
+            semidefinite, times out of order, axes other than those of the memory.
+        """
+        check_times(self.times)
+        self.check_parts()
+        components = getattr(self, "components", None)  # all of them with modes
+        check_errors(self.predicted, self.held_out, self.times, components)
+
+    def check_parts(self) -> None:
+        """What `check_shapes` asks of the parts that this kind of filter has by itself."""
+        raise NotImplementedError
 
     def sizes(self, covariances: bool) -> Estimates:
         """Shapes of what `fill` writes at each time, without batch axes; None for no such thing."""

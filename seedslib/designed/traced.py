@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.correction import correct
+from seedslib.base.diffuse import WIDE
 from seedslib.base.semidefinite import ABSOLUTE, RELATIVE
 from seedslib.linearization.moments import Linearization, symmetric
 from seedslib.models.kinds import AnySystem
@@ -42,17 +43,21 @@ def mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[.
     if not (system.symbolic and hasattr(linearization, "formulas")):
         moments = linearization.moments(system.drift_map, spread=False)
         return lambda t, mean, cov: list(moments(t, np.stack(mean), cov).mean)
-    import sympy
-
     from seedslib.models.codegen import compile_components
 
-    n = system.state_size
-    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
-    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
-    cov = sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
+    mean, lower, cov = law_symbols(system.state_size)
     velocity = linearization.formulas(system.drift_map, list(mean), cov, spread=False)[0]
     evaluate = compile_components((system.time, mean, lower), list(velocity))
     return lambda t, mean, cov: evaluate(t, mean, _lower(cov))
+
+
+def law_symbols(n: int) -> tuple[Any, ...]:
+    """Symbols of a mean, of a covariance on and below the diagonal, and that covariance (n, n)."""
+    import sympy
+
+    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
+    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
+    return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
 
 
 def _lower(cov):
@@ -91,15 +96,13 @@ class TracedCorrection:
 
         from seedslib.models.codegen import compile_components
 
-        n, m = self.map.state_size, self.map.size
-        mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
+        m, (mean, lower, cov) = self.map.size, law_symbols(self.map.state_size)
         y = sympy.symbols(f"y:{m}", cls=sympy.Dummy, real=True)
-        lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
-        cov = symmetric(np.array(lower, dtype=object), n)
-        parts = self.linearization.formulas(self.map, list(mean), sympy.Matrix(cov))
+        parts = self.linearization.formulas(self.map, list(mean), cov)
         h, cross, sensed = (np.array(part.tolist(), dtype=object) for part in parts)
         corrected = correct(
-            np.array(mean, dtype=object), cov if spread else None, np.array(y, dtype=object),
+            np.array(mean, dtype=object), np.array(cov) if spread else None,
+            np.array(y, dtype=object),
             (h[:, 0], cross, sensed), self.rows,
         )  # fmt: skip
         # how far each component of the measurement is from being a function of those before it
@@ -118,8 +121,8 @@ class TracedCorrection:
     ) -> Any:
         """Mean (rows,), covariance (rows, rows) or None, and log-likelihood.
 
-        None for a measurement with missing components, and where a component is redundant; the
-        general correction knows what to do then.
+        None for a measurement with missing components, where a component is redundant, and where
+        a variance falls too far; the general correction knows what to do then.
         """
         m, rows, shown = self.map.size, self.rows, y.tolist()
         if any(math.isnan(value) for value in shown):
@@ -127,9 +130,10 @@ class TracedCorrection:
         evaluate = self._mean_and_cov if spread else self._mean
         if evaluate is None:
             return None
+        lower = _lower(cov)
         try:
             with np.errstate(all="ignore"):  # a pivot that is no number is found below
-                found = evaluate(t, mean.tolist(), _lower(cov), shown)
+                found = evaluate(t, mean.tolist(), lower, shown)
         except ZeroDivisionError:
             return None
         for pivot, variance in zip(found[:m], found[m : 2 * m], strict=True):
@@ -138,8 +142,12 @@ class TracedCorrection:
         estimate, loglik = np.array(found[2 * m : 2 * m + rows]), found[2 * m + rows]
         if not spread:
             return estimate, None, loglik
-        rest, entries = np.empty((rows, rows)), iter(found[2 * m + rows + 1 :])
+        rest = np.empty((rows, rows))
+        entries = zip(found[2 * m + rows + 1 :], lower, strict=False)
         for i in range(rows):
             for j in range(i + 1):
-                rest[i, j] = rest[j, i] = next(entries)
+                now, before = next(entries)
+                rest[i, j] = rest[j, i] = now
+            if now < WIDE * before:
+                return None  # the noise has been rounded off
         return estimate, rest, loglik

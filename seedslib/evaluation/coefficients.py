@@ -12,8 +12,8 @@ from seedslib.base.tables import Labels, mesh
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Table
 from seedslib.designed.predictors import Continuous, PolynomialFit
-from seedslib.designed.switching import SwitchingFilter
-from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.switching.fits import CellFit
 
 NODES = "nodes: "
 

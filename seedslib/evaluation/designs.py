@@ -7,12 +7,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.clock import Clock
+from seedslib.base.clock import Clock, when
 from seedslib.base.objects import Shown
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.prediction import shown_rows
-from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.evaluation.choices import Change, choices, model_changes
 from seedslib.evaluation.coefficients import relative_differences
 from seedslib.models.kinds import switches
@@ -116,7 +116,7 @@ class DesignDifference(Shown):
         for j in shown_rows(len(self.times)):
             cells = (f"{part[j]:.3g}" if np.isfinite(part[j]) else "" for part in shown.values())
             row = "  ".join(f"{cell:>{width}}" for cell in cells)
-            lines.append(f"  {f't = {self.times[j]:g}':12}  {row}".rstrip())
+            lines.append(f"  {f't = {when(self.times[j])}':12}  {row}".rstrip())
         return lines
 
 
@@ -129,7 +129,7 @@ def _predicted_lines(name, p):
             f"{a:.4f} to {b:.4f} ({d:+.4f}{_in_errors(e, z)})"
             for a, b, d, e, z in zip(*(part[j] for part in p[1:]), strict=True)
         )
-        lines.append(f"  {f't = {p.times[j]:g}':12}  {row}")
+        lines.append(f"  {f't = {when(p.times[j])}':12}  {row}")
     return lines
 
 

@@ -34,8 +34,8 @@ from seedslib.design.paths.walk import Crew
 PATIENCE = 30
 """Seconds without any worker before a design gives up."""
 
-CONNECT = 10
-"""Seconds to wait for a scheduler to answer."""
+CONNECT = 30
+"""Seconds for a scheduler to answer: on a busy machine it takes its time."""
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3
 """Names of settings in the header malloc.h of glibc."""
@@ -69,12 +69,22 @@ def cluster(scheduler: str | distributed.Client) -> Iterator[Cluster]:
         return
     if not isinstance(scheduler, str):
         raise TypeError(f"scheduler: wanted an address or a distributed.Client, got {scheduler!r}")
+    with connect(scheduler, set_as_default=False) as client:
+        yield Cluster(client)
+
+
+def connect(scheduler: str, **options: Any) -> distributed.Client:
+    """A client of the scheduler at an address.
+
+    Raises
+    ------
+    ValueError
+        Nothing answers there.
+    """
     try:
-        client = distributed.Client(scheduler, timeout=CONNECT, set_as_default=False)
+        return distributed.Client(scheduler, timeout=CONNECT, **options)
     except (OSError, TimeoutError, ValueError):
         raise ValueError(f"scheduler: nothing answers at {scheduler}") from None
-    with client:
-        yield Cluster(client)
 
 
 class Cluster(Crew):

@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from functools import partial
-from typing import Any, NamedTuple
+from functools import cached_property, partial
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count
+from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
 from seedslib.filters.blind import warn_blind
-from seedslib.filters.estimates import Estimates, require_time, stays
+from seedslib.filters.estimates import Estimates, first_step, require_time, stays
 from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
+from seedslib.models.derived import doubled
 from seedslib.models.kinds import AnySystem, as_system, in_steps
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
@@ -28,13 +30,15 @@ class FilterState(NamedTuple):
     """What the filter remembers: time (None before the first), mean, covariance.
 
     ``mean`` has shape (n, *batch); ``cov`` has shape (n, n) while it is common to all paths,
-    (n, n, *batch) otherwise; ``loglik`` is that of the last correction.
+    (n, n, *batch) otherwise; ``loglik`` is that of the last correction, ``interval`` the length of
+    the first step.
     """
 
     time: float | None
     mean: np.ndarray
     cov: np.ndarray
     loglik: np.ndarray | float = 0.0
+    interval: float | None = None
 
 
 class CovarianceFilter(Filter, Remade):
@@ -77,6 +81,7 @@ class CovarianceFilter(Filter, Remade):
         A measurement that is uncorrelated with the state wherever that is: it moves no estimate.
     """
 
+    _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
     _shown = "linearization", "integrator", "integration_step", "bound"
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
@@ -90,7 +95,7 @@ class CovarianceFilter(Filter, Remade):
             raise ValueError(
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
             )
-        as_system("system", system, "JumpDiffusion", "DiscreteSystem")
+        as_system("system", system, *self._systems)
         self.system: Any = system
         self.linearization: Linearization = linearization
         self.integrator: str = integrator
@@ -128,20 +133,12 @@ class CovarianceFilter(Filter, Remade):
         mean = np.broadcast_to(mean.reshape(-1, *(1,) * len(batch)), (self.n, *batch)).copy()
         return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
 
-    def predict(self, state: FilterState, t: float) -> FilterState:
-        """Forecast to time t; a state without a time is only given one.
-
-        Raises
-        ------
-        ValueError
-            A time before that of the state.
-        """
-        if stays(state, t):
-            return state._replace(time=float(t))
+    def moved(self, state: FilterState, t: float) -> FilterState:
+        """Mean and covariance at time t, by the moment equations or the dynamics map."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
                 mean, cov = self._dynamics(state.time, state.mean, state.cov)
-                return state._replace(time=float(t), mean=mean, cov=cov)
+                return state._replace(mean=mean, cov=cov)
             rows, columns = np.tril_indices(self.n)
             lower = state.cov[rows, columns]
             if state.mean.ndim == 1:
@@ -156,7 +153,58 @@ class CovarianceFilter(Filter, Remade):
         change = np.empty((len(rows), *batch))
         for k, component in enumerate(moved[self.n :]):
             change[k] = component
-        return FilterState(float(t), mean, symmetric(change, self.n), state.loglik)
+        return state._replace(mean=mean, cov=symmetric(change, self.n))
+
+    def predict_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+        """Forecast to time t, and the covariance of the state now with the state then.
+
+        Returns
+        -------
+        state : FilterState
+        cross : ndarray, shape (n, n, *batch)
+
+        Raises
+        ------
+        ValueError
+            As `predict`.
+        """
+        if stays(state, t):
+            return state._replace(time=float(t)), state.cov
+        interval = first_step(state, t, self.system)
+        later, cross = self.moved_jointly(state, t)
+        return later._replace(time=float(t), interval=interval), cross
+
+    def apart(self) -> CovarianceFilter:
+        """The filter as `smooth` runs it."""
+        return self
+
+    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+        """What `moved` gives, and the covariance of the state now with the one at time t.
+
+        Between measurements that covariance C obeys dC/dt = cov(x, b), the mean velocity b being
+        linearized in the joint law of both states.
+        """
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if not self.continuous:
+                mean, cross, cov = self._jointly(state.time, state.mean, state.cov)
+                return state._replace(mean=mean, cov=cov), cross
+            n, size = self.n, len(np.tril_indices(self.n)[0])
+            lower = state.cov[np.tril_indices(n)]
+            parts = [*state.mean, *lower, *state.cov.reshape(n * n, *state.cov.shape[2:])]
+            rate = partial(_joint_rate, *self._jointly, state.cov)
+            moved = self._integrate(rate, parts, state.time, t, self.integration_step)
+        batch = np.broadcast_shapes(*(np.shape(c) for c in moved))
+        full = np.stack([np.broadcast_to(c, batch) for c in moved])
+        later = state._replace(mean=full[:n], cov=symmetric(full[n : n + size], n))
+        return later, full[n + size :].reshape(n, n, *batch)
+
+    @cached_property
+    def _jointly(self) -> Any:
+        """Moments of the dynamics with the state they start from, compiled when first wanted."""
+        if not self.continuous:
+            return self.linearization.moments(self.system.dynamics)
+        both, spread = doubled(self.system.drift_map), self.system.spread_map
+        return tuple(self.linearization.moments(map, spread=False) for map in (both, spread))
 
     def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
         """Correct by the measurement y, shape (m, *batch), at the time of the state.
@@ -169,13 +217,14 @@ class CovarianceFilter(Filter, Remade):
         require_time(state)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             moments = Moments(*self._sensor(state.time, state.mean, state.cov))
+            y = nearest(y, moments.mean, self.system.sensor.period)
             mean, cov, loglik = correct(
                 state.mean, state.cov, y, moments,
                 noise=lambda: self._sensor(state.time, state.mean, np.zeros_like(state.cov)).cov,
             )  # fmt: skip
             if self._by_points:
                 cov = settled(cov, state.cov)
-            return FilterState(state.time, mean, cov, loglik)
+            return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def expect(self, state: FilterState) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
@@ -194,6 +243,29 @@ class CovarianceFilter(Filter, Remade):
         if self.integrator == "adaptive":
             return BLOCK
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
+
+
+def _joint_rate(velocity, spread, before, t, components):
+    """Rates of mean, covariance and covariance with the state before, on a list of components."""
+    n = len(before)
+    rows, columns = np.tril_indices(n)
+    batch = np.broadcast_shapes(before.shape[2:], *(np.shape(c) for c in components))
+    full = np.stack([np.broadcast_to(c, batch) for c in components])
+    mean, cov = full[:n], symmetric(full[n : n + len(rows)], n)
+    cross = full[n + len(rows) :].reshape(n, n, *batch)
+    joint = np.empty((2 * n, 2 * n, *batch))
+    joint[:n, :n] = before.reshape(
+        *before.shape[:2], *(1,) * (len(batch) + 2 - before.ndim), *before.shape[2:]
+    )
+    joint[:n, n:], joint[n:, :n], joint[n:, n:] = cross, np.swapaxes(cross, 0, 1), cov
+    b, lean, _ = velocity(t, np.concatenate([mean, mean]), joint)
+    sigma = spread(t, mean, cov).mean
+    lean = np.broadcast_to(lean, (2 * n, n, *lean.shape[2:]))
+    change = [
+        lean[n + i, j] + lean[n + j, i] + sigma[k]
+        for k, (i, j) in enumerate(zip(rows, columns, strict=True))
+    ]
+    return [*b, *change, *lean[:n].reshape(n * n, *lean.shape[2:])]
 
 
 def extended_kalman(system: AnySystem, **options: Any) -> CovarianceFilter:

@@ -8,7 +8,8 @@ import numpy as np
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_real, as_whole, unmasked
-from seedslib.models.kinds import AnySystem, switches
+from seedslib.base.clock import when
+from seedslib.models.kinds import AnySystem, in_steps, require_even, switches
 
 
 class Estimates(NamedTuple):
@@ -37,6 +38,117 @@ class Estimates(NamedTuple):
     loglik: MaybeArray = None
     diverged: MaybeArray = None
     modes: MaybeArray = None
+
+    def interval(self, level: float = 0.95) -> np.ndarray:
+        """Intervals of this probability for each component, shape (2, K+1, n, *batch).
+
+        They are those of a Gaussian law with the mean and the variance that the filter claims.
+
+        Raises
+        ------
+        ValueError
+            A level that is not between 0 and 1, a filter that claims no covariance.
+        """
+        from scipy.special import ndtri
+
+        if not 0 < level < 1:
+            raise ValueError(f"level: wanted a number between 0 and 1, got {level}")
+        if self.cov is None:
+            raise ValueError("interval: wanted covariances, which this filter does not claim")
+        width = ndtri(0.5 + 0.5 * level) * np.sqrt(self._variances())
+        return np.stack([self.mean - width, self.mean + width])
+
+    def _variances(self) -> np.ndarray:
+        """Shape (K+1, n, *batch), or (K+1, n, 1, ...) where they are common to all records."""
+        variances = np.einsum("kii...->ki...", self.cov)
+        return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
+
+    def to_dataframe(self, times: Any, names: Any = None) -> Any:
+        """A pandas table, a row for each time and record; see `to_xarray`.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Indexed by time, and by record where there are many, with the mean and the deviation
+            of each component, the probability of each mode, the mode and the log-likelihood,
+            where the filter gives them.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        ValueError
+            Another number of times or names.
+        """
+        import pandas
+
+        times, names = self._labels(times, names)
+        shape = (len(times), *self.mean.shape[2:])
+
+        def rows(part: np.ndarray) -> np.ndarray:
+            return np.broadcast_to(part, shape).reshape(-1)
+
+        index = pandas.Index(times, name="t")
+        if len(shape) > 1:
+            records = range(int(np.prod(shape[1:])))
+            index = pandas.MultiIndex.from_product([times, records], names=["t", "record"])
+        columns = {name: rows(self.mean[:, k]) for k, name in enumerate(names)}
+        if self.cov is not None:
+            deviations = np.sqrt(self._variances())
+            columns |= {f"{name}_sd": rows(deviations[:, k]) for k, name in enumerate(names)}
+        if self.mode_prob is not None:
+            modes = range(self.mode_prob.shape[1])
+            columns |= {f"mode{i}": rows(self.mode_prob[:, i]) for i in modes}
+        for name, part in (("mode", self.modes), ("loglik", self.loglik)):
+            if part is not None:
+                columns[name] = rows(part)
+        return pandas.DataFrame(columns, index=index)
+
+    def to_xarray(self, times: Any, names: Any = None) -> Any:
+        """An xarray data set; xarray must be installed.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
+
+        Returns
+        -------
+        xarray.Dataset
+            What the filter gives, with the dimensions ``t``, ``component``, ``other`` (of
+            covariances), ``mode`` and ``batch0``, ``batch1``, ...
+
+        Raises
+        ------
+        ImportError
+            xarray is not installed.
+        ValueError
+            Another number of times or names.
+        """
+        import xarray
+
+        times, names = self._labels(times, names)
+        batch = tuple(f"batch{k}" for k in range(self.mean.ndim - 2))
+        axes = {
+            "mean": ("t", "component"), "cov": ("t", "component", "other"),
+            "mode_prob": ("t", "mode"), "loglik": ("t",), "diverged": (), "modes": ("t",),
+        }  # fmt: skip
+        parts = {
+            name: ((*axes[name], *batch)[: np.ndim(part)], part)
+            for name, part in self._asdict().items()
+            if part is not None
+        }
+        return xarray.Dataset(parts, {"t": times, "component": names, "other": names})
+
+    def _labels(self, times: Any, names: Any) -> tuple[np.ndarray, list]:
+        count, n = self.mean.shape[:2]
+        times = np.asarray(times)
+        names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
+        for label, value, wanted in (("times", times, count), ("names", names, n)):
+            if len(value) != wanted:
+                raise ValueError(f"{label}: wanted {wanted}, got {len(value)}")
+        return times, names
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
@@ -83,8 +195,32 @@ def stays(state: object, t: float) -> bool:
     if state.time is None or t == state.time:
         return True
     if not t > state.time:
-        raise ValueError(f"t: wanted a time from {state.time:g} on, got {t:g}")
+        raise ValueError(f"t: wanted a time from {when(state.time)} on, got {when(t)}")
     return False
+
+
+def first_step(state: object, t: float, system: object) -> float:
+    """Length of the first step of a record, of which the one to time t is a later one.
+
+    Parameters
+    ----------
+    state : NamedTuple
+        Of any filter, with fields `time` and `interval`.
+    t : float
+    system : System
+
+    Raises
+    ------
+    ValueError
+        A step of another length, of a system in discrete time; see `as_grid`.
+    """
+    step = t - state.time
+    if state.interval is None:
+        return step
+    if in_steps(system):
+        steps = np.array([state.interval, step])
+        require_even("t", steps, [state.time - state.interval, state.time, t])
+    return state.interval
 
 
 def require_time(state: object) -> None:

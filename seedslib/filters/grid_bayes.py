@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.tables import Axis, AxisLike
-from seedslib.filters.estimates import as_seen, stays
+from seedslib.filters.estimates import as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
-from seedslib.models.chain_switching import SwitchingChain
+from seedslib.models.chains.switching import SwitchingChain
 from seedslib.models.kinds import AnySystem, as_system
 
 FAINT = -460.0
@@ -24,7 +24,8 @@ class GridState(NamedTuple):
     ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none is
     lost however small it becomes; ``law`` (L, S, *batch) is the law of the state in each mode.
     ``mode_prob`` has shape (L, *batch), ``mean`` (1, *batch), ``cov`` (1, 1, *batch);
-    ``diverged`` marks the records with a measurement that no node explains.
+    ``diverged`` marks the records with a measurement that no node explains, ``interval`` is the
+    length of the first step.
     """
 
     time: float | None
@@ -35,6 +36,7 @@ class GridState(NamedTuple):
     cov: np.ndarray
     loglik: np.ndarray
     diverged: np.ndarray
+    interval: float | None = None
 
 
 class GridBayesFilter(Filter):
@@ -78,18 +80,9 @@ class GridBayesFilter(Filter):
             np.zeros(batch, dtype=bool),
         )  # fmt: skip
 
-    def predict(self, state: GridState, t: float) -> GridState:
-        """One step of the system, to time t; a state without a time is only given one.
-
-        Raises
-        ------
-        ValueError
-            A time before that of the state.
-        """
-        if stays(state, t):
-            return state._replace(time=float(t))
-        shape = state.law.shape
-        move = self._chain.transition(state.time, float(t))
+    def moved(self, state: GridState, t: float) -> GridState:
+        """The law one step of the system later."""
+        shape, move = state.law.shape, self._chain.transition(state.time, t)
         weight, highest, _ = relative(state.log_prob, 0)
         joint = weight[:, None] * state.law
         log_prob, law = _split((move @ joint.reshape(len(move), -1)).reshape(shape))
@@ -101,7 +94,7 @@ class GridBayesFilter(Filter):
                 move, l, state.log_prob[:, here], state.law[:, :, here]
             )
         prob, mean, cov = self._moments(log_prob, law)
-        return GridState(float(t), log_prob, law, prob, mean, cov, state.loglik, state.diverged)
+        return state._replace(log_prob=log_prob, law=law, mode_prob=prob, mean=mean, cov=cov)
 
     def _alone(self, move, l, log_prob, law):
         """Logarithm of the probability of the next mode l, and the law in it, formed by itself."""
@@ -148,7 +141,7 @@ class GridBayesFilter(Filter):
         law = np.where((evidence == -np.inf)[:, None] | lost, state.law, law)
         return GridState(
             state.time, log_prob, law, *self._moments(log_prob, law), loglik,
-            state.diverged | lost,
+            state.diverged | lost, state.interval,
         )  # fmt: skip
 
     def _moments(self, log_prob, law):

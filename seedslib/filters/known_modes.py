@@ -7,10 +7,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
-from seedslib.filters.estimates import Estimates, as_modes, as_seen, stays
+from seedslib.filters.estimates import Estimates, as_modes, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Gaussian, Linearization
 from seedslib.linearization.points import PointRule
@@ -18,13 +19,17 @@ from seedslib.models.kinds import AnySystem, as_system
 
 
 class KnownModeState(NamedTuple):
-    """Time, known mode (*batch), mean (n, *batch), covariance (n, n, *batch), log-likelihood."""
+    """Time, known mode (*batch), mean (n, *batch), covariance (n, n, *batch), log-likelihood.
+
+    ``interval`` is the length of the first step.
+    """
 
     time: float | None
     mode: np.ndarray
     mean: np.ndarray
     cov: np.ndarray
     loglik: np.ndarray
+    interval: float | None = None
 
 
 class KnownModeFilter(Filter, Remade):
@@ -97,21 +102,16 @@ class KnownModeFilter(Filter, Remade):
         cov = np.stack([part.cov for part in self.system.initial], axis=2)[:, :, mode]
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
-    def predict(
+    def moved(
         self, state: KnownModeState, t: float, mode: ArrayLike | None = None
     ) -> KnownModeState:
-        """One step of the system to time t, where the mode is `mode` (*batch).
-
-        A state without a time is only given one, and keeps its mode.
+        """The law one step of the system later, where the mode is `mode` (*batch).
 
         Raises
         ------
         ValueError
-            A time before that of the state, a step without its mode, a switch that never
-            happens.
+            A step without its mode, a switch that never happens.
         """
-        if stays(state, t):
-            return state._replace(time=float(t))
         if mode is None:
             raise ValueError("mode: wanted the mode at the later time, got None")
         mode = as_modes("mode", mode, state.mode.shape, self.system.modes)
@@ -124,7 +124,7 @@ class KnownModeFilter(Filter, Remade):
                 if move is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
                 _put(mean, cov, here, move(state.time, state.mean[:, here], state.cov[:, :, here]))
-        return state._replace(time=float(t), mode=mode, mean=mean, cov=cov)
+        return state._replace(mode=mode, mean=mean, cov=cov)
 
     def correct(
         self, state: KnownModeState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -152,8 +152,9 @@ class KnownModeFilter(Filter, Remade):
                 else:
                     _, prior, moments = reading(state.time, *prior)
                 plain, still = self._sensors[i], np.zeros_like(prior[1])
+                near = nearest(y[:, here], moments.mean, self.system.sensors[i].period)
                 *found, loglik[here] = correct(
-                    *prior, y[:, here], moments,
+                    *prior, near, moments,
                     noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
                 )  # fmt: skip
                 if isinstance(self.linearization, PointRule):

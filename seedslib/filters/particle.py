@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count
-from seedslib.filters.estimates import Estimates, as_seen, stays
+from seedslib.filters.estimates import Estimates, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
@@ -23,6 +23,7 @@ class ParticleState(NamedTuple):
     equally. ``mean``, ``cov``, ``loglik`` are those of the weighted particles before resampling;
     ``diverged`` marks the data sets that no particle explained. Particles of a switching system
     have the mode as last row, and ``mode_prob`` (L, *batch) is that of the weighted ones.
+    ``interval`` is the length of the first step.
     """
 
     time: float | None
@@ -34,6 +35,7 @@ class ParticleState(NamedTuple):
     loglik: np.ndarray
     diverged: np.ndarray
     mode_prob: MaybeArray = None
+    interval: float | None = None
 
 
 class ParticleFilter(Filter):
@@ -88,19 +90,11 @@ class ParticleFilter(Filter):
             None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
         )
 
-    def predict(self, state: ParticleState, t: float) -> ParticleState:
-        """Move the particles to time t; a state without a time is only given one.
-
-        Raises
-        ------
-        ValueError
-            A time before that of the state.
-        """
-        if stays(state, t):
-            return state._replace(time=float(t))
+    def moved(self, state: ParticleState, t: float) -> ParticleState:
+        """The particles at time t."""
         rng = stream(state.seed, state.draws)
         x = self._moving.advance(state.particles, state.time, t, rng, **self.options)
-        return state._replace(time=float(t), particles=x, draws=state.draws + 1)
+        return state._replace(particles=x, draws=state.draws + 1)
 
     def correct(
         self, state: ParticleState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -130,9 +124,9 @@ class ParticleFilter(Filter):
         rng = stream(state.seed, state.draws)
         if np.isfinite(y).any():
             x = _resample(x, weight, rng)
-        return ParticleState(
-            state.time, x, state.seed, state.draws + 1, mean, cov, loglik, state.diverged | lost,
-            prob,
+        return state._replace(
+            particles=x, draws=state.draws + 1, mean=mean, cov=cov, loglik=loglik,
+            diverged=state.diverged | lost, mode_prob=prob,
         )  # fmt: skip
 
     def forecast(self, state: ParticleState, t: float) -> Estimates:

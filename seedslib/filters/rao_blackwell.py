@@ -10,9 +10,10 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
+from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.filters.estimates import as_seen, stays
+from seedslib.filters.estimates import as_seen
 from seedslib.filters.mixture import mix
 from seedslib.filters.particle import resampled, stream
 from seedslib.filters.verbs import Filter
@@ -27,7 +28,7 @@ class RaoBlackwellState(NamedTuple):
     probabilities ``log_prob`` (L, P, *batch), ``law``
     = means (n, L, P, *batch) and covariances (n, n, L, P, *batch) the mode of the present is the
     first of the two axes. ``seed`` and ``draws`` fix the random numbers that come next.
-    ``mode_prob`` has shape (L, *batch).
+    ``mode_prob`` has shape (L, *batch); ``interval`` is the length of the first step.
     """
 
     time: float | None
@@ -40,6 +41,7 @@ class RaoBlackwellState(NamedTuple):
     mode_prob: np.ndarray
     loglik: np.ndarray
     diverged: np.ndarray
+    interval: float | None = None
 
 
 class RaoBlackwellFilter(Filter, Remade):
@@ -100,16 +102,8 @@ class RaoBlackwellFilter(Filter, Remade):
             diverged=np.zeros(batch, dtype=bool),
         )  # fmt: skip
 
-    def predict(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
-        """One step of the system, to time t; a state without a time is only given one.
-
-        Raises
-        ------
-        ValueError
-            A time before that of the state.
-        """
-        if stays(state, t):
-            return state._replace(time=float(t))
+    def moved(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+        """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
         prob = state.log_prob.reshape(-1, *batch)
         count = len(prob)
@@ -140,7 +134,7 @@ class RaoBlackwellFilter(Filter, Remade):
         )
         prob = prob + leave
         found = _estimate(prob, law)
-        return state._replace(time=float(t), log_prob=prob, law=law, draws=draws, **found)
+        return state._replace(log_prob=prob, law=law, draws=draws, **found)
 
     def correct(
         self, state: RaoBlackwellState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -166,8 +160,10 @@ class RaoBlackwellFilter(Filter, Remade):
         score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
             prior = state.law[0][:, i], state.law[1][:, :, i]
+            moments = sense(t, *prior)
+            near = nearest(y[:, None], moments.mean, self.system.sensors[i].period)
             mean[:, i], square, score[i] = correct(
-                *prior, y[:, None], sense(t, *prior),
+                *prior, near, moments,
                 noise=lambda f=sense, m=prior[0], d=prior[1]: f(t, m, np.zeros_like(d)).cov,
             )  # fmt: skip
             cov[:, :, i] = _wide(square, mean[:, i])

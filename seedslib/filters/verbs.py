@@ -2,25 +2,34 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.objects import Shown
-from seedslib.filters.estimates import Estimates, as_indicators, as_modes, as_record
+from seedslib.filters.estimates import (
+    Estimates,
+    as_indicators,
+    as_modes,
+    as_record,
+    first_step,
+    stays,
+)
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import as_grid
+
+State = TypeVar("State", bound=Any)
 
 
 class Filter(Shown):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``predict(state, t)`` and ``correct(state,
-    y)``, with an indicator as third argument where its system has modes, and `report` where its
-    states do not say by themselves what is estimated. States are frozen, so every verb gives a
-    new one. Whole records are run here, many at once.
+    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
+    ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
+    system has modes, and `report` where its states do not say by themselves what is estimated.
+    States are frozen, so every verb gives a new one. Whole records are run here, many at once.
 
     Attributes
     ----------
@@ -46,14 +55,30 @@ class Filter(Shown):
         """
         raise NotImplementedError
 
-    def predict(self, state: Any, t: float) -> Any:
+    def predict(self, state: State, t: float, *told: ArrayLike) -> State:
         """Forecast to time t; a state without a time is only given one.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            Left as it is.
+        t : float
+        *told : array_like of int, shape (*batch)
+            The mode at that time, of a filter that is told it.
 
         Raises
         ------
         ValueError
-            A time before that of the state.
+            A time before that of the state; of a system in discrete time, a step of another
+            length than the first.
         """
+        if stays(state, t):
+            return state._replace(time=float(t))
+        interval = first_step(state, t, self.system)
+        return self.moved(state, float(t), *told)._replace(time=float(t), interval=interval)
+
+    def moved(self, state: State, t: float) -> State:
+        """What `predict` makes of a state, but for its time."""
         raise NotImplementedError
 
     def correct(self, state: Any, y: ArrayLike) -> Any:

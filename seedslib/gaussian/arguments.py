@@ -13,7 +13,6 @@ from seedslib.base.checks import (
     as_real,
     require_one_size,
     require_semidefinite,
-    unmasked,
 )
 
 
@@ -69,23 +68,6 @@ def variance_argument(name: str, value: object) -> np.ndarray:
     array = as_real(name, value)
     if (array < 0).any():
         raise ValueError(f"{name}: wanted nonnegative variances, got {array.min():.6g}")
-    return array
-
-
-def as_bound(name: str, value: object) -> np.ndarray:
-    """Real array in which infinities, but not NaN, are legal.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not real, or NaN.
-    """
-    array = np.asarray(unmasked(name, value))
-    if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
-    array = array.astype(float)
-    if np.isnan(array).any():
-        raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
     return array
 
 

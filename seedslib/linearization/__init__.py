@@ -11,6 +11,7 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from seedslib.linearization.matrices import Matrices as Matrices
     from seedslib.linearization.moments import Gaussian as Gaussian
     from seedslib.linearization.moments import Linearization as Linearization
     from seedslib.linearization.moments import Moments as Moments

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.models.derived import products
 from seedslib.models.maps import StochasticMap
 
 TINY = np.finfo(float).tiny
@@ -178,11 +179,11 @@ class Linearization(ABC):
         linearizations of the library replace it by centred forms.
         """
         n, m = map.state_size, map.size
-        products = self.moments(map.products(), spread=False)
+        raw = self.moments(products(map), spread=False)
         cut = np.cumsum([1, n, m, n * (n + 1) // 2, n * m])
 
         def branch(t: float, mean: np.ndarray, cov: np.ndarray) -> Weighted:
-            mass, x, y, xx, xy, yy = np.split(products(t, mean, cov).mean, cut)
+            mass, x, y, xx, xy, yy = np.split(raw(t, mean, cov).mean, cut)
             mass = mass[0]
             with np.errstate(divide="ignore", invalid="ignore"):
                 x, y, xx, xy, yy = (part / mass for part in (x, y, xx, xy, yy))

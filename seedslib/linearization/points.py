@@ -10,8 +10,9 @@ from functools import lru_cache
 import numpy as np
 
 from seedslib.base.checks import as_count
+from seedslib.base.circle import nearest
 from seedslib.base.semidefinite import factor
-from seedslib.gaussian.quadrature import cubature
+from seedslib.gaussian.quadrature import cubature, rule_of_rank
 from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
@@ -21,7 +22,7 @@ from seedslib.linearization.moments import (
     symmetric,
 )
 from seedslib.models.maps import Conditional, StochasticMap
-from seedslib.models.noise import Noise, hermite_nodes
+from seedslib.models.noise import Noise
 
 SMALL = 1e-150
 """Points of a smaller weight count for nothing: its square is out of the range of numbers."""
@@ -72,6 +73,7 @@ class PointRule(Linearization):
             y = map.value(t, x, v) if given is None else given.mean(t, x)
             # about one of the values, so that equal ones are exactly their mean
             start = y[:, :1]
+            y = nearest(y, start, map.period)
             h = start[:, 0] + np.einsum("is...,s->i...", y - start, weights)
             apart = y - h[:, None]
             slope = np.einsum("js,is...,s->ji...", unit[:n], apart, centred)
@@ -246,5 +248,5 @@ class GaussHermite(PointRule):
 
     def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """See `PointRule.rule`."""
-        points, weights = hermite_nodes(size, self.order)
+        points, weights = rule_of_rank(size, self.order)
         return points, weights, weights

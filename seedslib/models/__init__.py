@@ -10,11 +10,14 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.models.chain_feller import FellerChain as FellerChain
-    from seedslib.models.chain_switching import SwitchingChain as SwitchingChain
+    from seedslib.models.chains.feller import FellerChain as FellerChain
+    from seedslib.models.chains.plane import PlaneChain as PlaneChain
+    from seedslib.models.chains.plane import PlaneModes as PlaneModes
+    from seedslib.models.chains.switching import SwitchingChain as SwitchingChain
     from seedslib.models.discrete import DiscreteSystem as DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion as JumpDiffusion
     from seedslib.models.kinds import System as System
+    from seedslib.models.linear import LinearSystem as LinearSystem
     from seedslib.models.maps import StochasticMap as StochasticMap
     from seedslib.models.noise import Noise as Noise
     from seedslib.models.propagation import van_loan as van_loan

@@ -9,7 +9,7 @@ processor.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
+from functools import lru_cache, partial
 from itertools import count
 from typing import Any
 
@@ -19,7 +19,9 @@ from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
+from seedslib.base.checks import require_shape
 from seedslib.base.correction import joint_shape
+from seedslib.base.parameters import current, parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 
 LARGEST_POWER = 40
@@ -136,10 +138,7 @@ def known_expressions(
         or no finite real number.
     """
     array = as_expressions(name, value)
-    pairs = zip(shape, array.shape, strict=False)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in pairs):
-        wanted = ", ".join("any" if s is None else str(s) for s in shape)
-        raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
+    require_shape(name, array, shape)
     require_distinct(model=allowed, parameters=values)
     array.ravel()[:] = [entry.subs(values) for entry in array.ravel()]
     require_known(name, array.ravel(), allowed, "; see parameters")
@@ -213,7 +212,8 @@ def compile_components(
     # lambdify would rename dummies, which makes powers of the products again
     taken = {str(s) for s in known if not isinstance(s, sympy.Dummy)}
     free = (name for k in count() if (name := f"u{k}_") not in taken)
-    dummies = [s for s in listed if isinstance(s, sympy.Dummy)]
+    parameters = parameters_of([*expressions, *(part for _, part in named)])
+    dummies = [s for s in listed if isinstance(s, sympy.Dummy)] + list(parameters)
     plain = {s: sympy.Symbol(next(free), **s.assumptions0) for s in dummies}
     arguments = [
         tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
@@ -221,10 +221,19 @@ def compile_components(
     ]
     expressions = [e.xreplace(plain) for e in expressions]
     named = [(name, part.xreplace(plain)) for name, part in named]
+    if parameters:
+        arguments.append(tuple(plain[p] for p in parameters))
+    function = _lambdified(tuple(arguments), tuple(expressions), tuple(named))
+    return function if not parameters else lambda *given: function(*given, current(parameters))
+
+
+@lru_cache(maxsize=512)
+def _lambdified(arguments: tuple, expressions: tuple, named: tuple) -> Callable[..., list[Any]]:
+    """The compiled function, once for equal expressions: a system is often made again."""
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     try:
         share = partial(_share, named=named)
-        return sympy.lambdify(arguments, expressions, MODULES, printer=printer, cse=share)
+        return sympy.lambdify(arguments, list(expressions), MODULES, printer=printer, cse=share)
     except (PrintMethodNotImplementedError, ValueError):
         _require_code(printer, [*expressions, *(part for _, part in named)])
         raise

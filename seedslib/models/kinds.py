@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 import numpy as np
 
 from seedslib.base.checks import as_count, as_times, is_whole
+from seedslib.base.clock import when
 
 
 @runtime_checkable
@@ -94,8 +95,15 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
     ------
     TypeError
         None of the wanted kinds.
+    ValueError
+        A linear system with diffuse components, for which the Kalman filter is made.
     """
     found = kind_of(value)
+    if getattr(value, "diffuse", ()) and "LinearSystem" not in wanted:
+        raise ValueError(
+            f"{name}: wanted a law of the first state, got one of which nothing is known in "
+            f"components {value.diffuse}; see KalmanFilter"
+        )
     if not {found, *(base.__name__ for base in type(value).__mro__)}.isdisjoint(wanted):
         return value
     if not wanted and isinstance(value, System) and hasattr(value.sensor, "sample"):
@@ -128,17 +136,32 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
     """
     times = as_times(name, value)
     if len(times) > 2 and in_steps(system):
-        steps = np.diff(times)
-        slack = UNEVEN * steps.min() + 4.0 * np.spacing(times[-1])
-        apart = np.abs(steps - steps[0]) > slack
-        if apart.any():
-            k = int(np.argmax(apart))
-            raise ValueError(
-                f"{name}: wanted equal steps, for a system in discrete time makes one step from "
-                f"each time to the next, got steps of {steps[0]:g} and, from {times[k]:g} on, "
-                f"{steps[k]:g}; write the missing times with measurements of NaN"
-            )
+        require_even(name, np.diff(times), times)
     return times
+
+
+def require_even(name: str, steps: np.ndarray, times: np.ndarray) -> None:
+    """Refuse a grid of a system in discrete time whose steps differ.
+
+    Parameters
+    ----------
+    name : str
+    steps : ndarray, shape (K,)
+    times : ndarray, shape (K+1,)
+
+    Raises
+    ------
+    ValueError
+        A step of another length than the first.
+    """
+    apart = np.abs(steps - steps[0]) > UNEVEN * steps.min() + 4.0 * np.spacing(times[-1])
+    if apart.any():
+        k = int(np.argmax(apart))
+        raise ValueError(
+            f"{name}: wanted equal steps, for a system in discrete time makes one step from "
+            f"each time to the next, got steps of {steps[0]:g} and, from {when(times[k])} on, "
+            f"{steps[k]:g}; write the missing times with measurements of NaN"
+        )
 
 
 def as_steps(times: object) -> np.ndarray:

@@ -7,13 +7,14 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.bundles import Source
+from seedslib.base.circle import Periods, as_periods, nearest, wrapped
 from seedslib.base.correction import correct
 from seedslib.base.objects import Shown, Travelling
 from seedslib.models.missing import told
@@ -42,6 +43,8 @@ class StochasticMap(Travelling, Shown):
         Probability of the branch given x and v (default 1: the map always applies).
     time : SymPy symbol, optional
         Name of the time, ``t`` by default.
+    period : mapping of int to float, optional
+        Components of y that lie on a circle, as the angles of a bearing, and their periods.
 
     Raises
     ------
@@ -59,8 +62,9 @@ class StochasticMap(Travelling, Shown):
     size: int
 
     def __init__(
-        self, state: Any, value: Any, noise: Any = None, weight: Any = 1, *, time: Any = None
-    ) -> None:
+        self, state: Any, value: Any, noise: Any = None, weight: Any = 1, *, time: Any = None,
+        period: Mapping[int, float] | None = None,
+    ) -> None:  # fmt: skip
         from seedslib.base.symbols import as_expression, named_model, require_number
         from seedslib.models.codegen import as_expressions
 
@@ -74,6 +78,7 @@ class StochasticMap(Travelling, Shown):
             for part in parts:
                 require_number(name, part)
         self.state_size, self.size = len(self.state), len(self.expressions)
+        self.period: Periods = as_periods("period", period, self.size)
         self._log_density = None
         self._compile()
 
@@ -82,6 +87,7 @@ class StochasticMap(Travelling, Shown):
         cls, state_size: int, size: int, value: Callable[..., Any], noise: Noise | None = None, *,
         weight: Callable[..., Any] | None = None, mean: Callable[..., Any] | None = None,
         cov: Callable[..., Any] | None = None, log_density: Callable[..., Any] | None = None,
+        period: Mapping[int, float] | None = None,
     ) -> StochasticMap:  # fmt: skip
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
 
@@ -108,6 +114,7 @@ class StochasticMap(Travelling, Shown):
         self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
         self.noise = Noise() if noise is None else noise
         self.state_size, self.size = int(state_size), int(size)
+        self.period = as_periods("period", period, self.size)
         self._value, self._weight, self._log_density = value, weight, log_density
         if (mean is None) != (cov is None):
             raise ValueError("mean, cov: wanted both or neither, got one")
@@ -142,37 +149,15 @@ class StochasticMap(Travelling, Shown):
         if not self.weighted:
             return self
         if self.symbolic:
-            return StochasticMap(self.state, self.expressions, self.noise, time=self.time)
+            return StochasticMap(
+                self.state, self.expressions, self.noise, time=self.time, period=dict(self.period)
+            )
         given = self.__dict__.get("conditional")
         return StochasticMap.from_functions(
             self.state_size, self.size, self._value, self.noise,
             mean=given and given.mean, cov=given and given.cov, log_density=self._log_density,
+            period=dict(self.period),
         )  # fmt: skip
-
-    def products(self) -> StochasticMap:
-        """Map of the products (w, w x, w y, w x xᵀ, w x yᵀ, w y yᵀ), symmetric ones lower.
-
-        Their plain means are the raw moments in the branch.
-        """
-        n, m = self.state_size, self.size
-
-        def terms(w, x, y):
-            pairs = [
-                *(x[i] * x[j] for i in range(n) for j in range(i + 1)),
-                *(x[i] * y[j] for i in range(n) for j in range(m)),
-                *(y[i] * y[j] for i in range(m) for j in range(i + 1)),
-            ]
-            return [w, *(w * part for part in (*x, *y, *pairs))]
-
-        if self.symbolic:
-            value = terms(self.weight_expression, self.state, self.expressions)
-            return StochasticMap(self.state, value, self.noise, time=self.time)
-
-        def value(t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-            return np.stack(terms(self.weight(t, x, v), x, self.value(t, x, v)))
-
-        size = (n + m + 1) * (n + m + 2) // 2  # pairs of (1, x, y)
-        return StochasticMap.from_functions(n, size, value, self.noise)
 
     def value(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Value y of shape (size, *batch) at states x and noises v (components first)."""
@@ -262,7 +247,7 @@ class StochasticMap(Travelling, Shown):
         """One draw of y, shape (size, *batch), for each state, (n, *batch)."""
         batch = np.shape(x)[1:]
         v = self.noise.draw(rng, int(np.prod(batch, dtype=int))).reshape(self.noise.size, *batch)
-        return self.value(t, x, v)
+        return wrapped(self.value(t, x, v), self.period)
 
     @cached_property
     def has_log_density(self) -> bool:
@@ -296,4 +281,5 @@ class StochasticMap(Travelling, Shown):
         predicted, spread = mean(t, x), cov(t, x)
         blind = np.zeros((1, self.size, *(1,) * (predicted.ndim - 1)))
         anchor = np.zeros((1, *(1,) * (predicted.ndim - 1)))
+        y = nearest(y, predicted, self.period)
         return correct(anchor, None, y, (predicted, blind, spread))[2]

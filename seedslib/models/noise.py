@@ -1,4 +1,4 @@
-"""Random vectors that enter a map, and the Gauss-Hermite rule of a normal vector."""
+"""Random vectors that enter a map."""
 
 from __future__ import annotations
 
@@ -12,17 +12,9 @@ from seedslib.base.arrays import Array
 from seedslib.base.bundles import drawn, normal
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.semidefinite import factor
-from seedslib.gaussian.quadrature import gauss_hermite
+from seedslib.gaussian.quadrature import rule_of_rank
 
 HERMITE_ORDER = 9
-
-
-def hermite_nodes(size: int, order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Hermite product rule of a standard normal vector: nodes (size, S), weights (S,)."""
-    if size == 0:
-        return np.empty((0, 1)), np.ones(1)
-    rule = gauss_hermite(size, order)
-    return rule.points, rule.weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,8 +67,12 @@ class Noise:
         """Whether names, moments and sampler are the same."""
         if not isinstance(other, Noise):
             return NotImplemented
+        return self.symbols == other.symbols and self.alike(other)
+
+    def alike(self, other: Noise) -> bool:
+        """Whether the law is the same, whatever the components are called."""
         return (
-            (self.symbols, self.size, self.sample) == (other.symbols, other.size, other.sample)
+            (self.size, self.sample) == (other.size, other.sample)
             and np.array_equal(self.mean, other.mean)
             and np.array_equal(self.cov, other.cov)
         )
@@ -98,6 +94,11 @@ class Noise:
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
         return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
 
+    def rule(self, order: int) -> tuple[np.ndarray, np.ndarray]:
+        """Gauss-Hermite product rule of the Gaussian law: points (size, S), weights (S,)."""
+        nodes, weights = rule_of_rank(self.size, order)
+        return self.mean[:, None] + self.root @ nodes, weights
+
     def nodes(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """States beside the nodes of Gaussian noise, nine Gauss-Hermite nodes per component.
 
@@ -109,9 +110,8 @@ class Noise:
         -------
         x, v, weights : ndarray, shapes (n, S, *batch), (size, S, *batch) and (S,)
         """
-        nodes, weights = hermite_nodes(self.size, HERMITE_ORDER)
+        v, weights = self.rule(HERMITE_ORDER)
         batch = (len(weights), *x.shape[1:])
-        v = self.mean[:, None] + self.root @ nodes
         v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (self.size, *batch))
         return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 

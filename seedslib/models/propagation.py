@@ -9,7 +9,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
-from seedslib.base.clock import lengths_alike
+from seedslib.base.clock import lengths_alike, when
 
 RTOL = 1e-11
 ATOL = 1e-14
@@ -170,8 +170,8 @@ def solve(
         result = solve_ivp(slope, (start, stop), y0, "DOP853", times, rtol=RTOL, atol=atol)
     if not result.success:
         raise ValueError(
-            f"times: the equations of the moments could not be integrated from {start:g} to "
-            f"{stop:g}: {result.message}"
+            f"times: the equations of the moments could not be integrated from {when(start)} to "
+            f"{when(stop)}: {result.message}"
         )
     return result.y
 

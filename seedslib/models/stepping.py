@@ -12,7 +12,7 @@ from numpy.random import Generator
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.bundles import Source, drawn, parts
-from seedslib.base.clock import step_count
+from seedslib.base.clock import step_count, when
 
 if TYPE_CHECKING:
     from seedslib.models.jump_diffusion import JumpDiffusion
@@ -59,7 +59,7 @@ def advance(
         An intensity that is negative or not a number, an unknown scheme, an empty interval.
     """
     if not stop > start:
-        raise ValueError(f"stop: wanted a time after {start:g}, got {stop:g}")
+        raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
     if not step > 0:
         raise ValueError(f"step: wanted a positive number, got {step:g}")
     increment = system.increment(scheme)
@@ -160,7 +160,9 @@ def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndar
 
 
 def _bad_intensity(value: float, t: float) -> ValueError:
-    return ValueError(f"intensity: wanted finite nonnegative numbers, got {value:g} at time {t:g}")
+    return ValueError(
+        f"intensity: wanted finite nonnegative numbers, got {value:g} at time {when(t)}"
+    )
 
 
 class _JumpClock:

@@ -212,7 +212,7 @@ class SwitchingSystem(ShownModel):
         found = []
         for i, row in enumerate(table):
             for other in row:
-                if not _same_law(other.noise, noise):
+                if not other.noise.alike(noise):
                     raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
                 if other.size != size:
                     raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
@@ -274,15 +274,6 @@ def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
     if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
         raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
     return rows
-
-
-def _same_law(one: Noise, other: Noise) -> bool:
-    """Whether two noises have the same mean and covariance."""
-    return one is other or (
-        one.size == other.size
-        and np.array_equal(one.mean, other.mean)
-        and np.array_equal(one.cov, other.cov)
-    )
 
 
 def _want_probabilities(name: str, weights: ArrayLike) -> None:

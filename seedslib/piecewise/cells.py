@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from seedslib.base.checks import as_real, as_shape, unmasked
+from seedslib.base.checks import as_bound, as_real, as_shape, unmasked
 from seedslib.piecewise.clipping import HalfPlanes, area, box, clip_all, half_planes
 
 _CONVEX = 1e-12  # relative depth of a dent that counts as rounding
@@ -34,14 +34,9 @@ class Intervals:
     size = 1  # number of restricted components
 
     def __post_init__(self) -> None:
-        edges = np.asarray(unmasked("regions", self.edges))
-        if edges.dtype.kind not in "fiu":
-            raise TypeError(f"regions: wanted real edges, got an array of dtype {edges.dtype}")
-        edges = edges.astype(float)
+        edges = as_bound("regions", self.edges)
         if edges.ndim != 1 or edges.size < 2:
             raise ValueError(f"regions: wanted at least two edges in a row, got {edges.shape}")
-        if np.isnan(edges).any():
-            raise ValueError("regions: wanted numbers, got NaN among the edges")
         wrong = np.flatnonzero(np.diff(edges) <= 0.0)
         if wrong.size:
             i = int(wrong[0])

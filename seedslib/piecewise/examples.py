@@ -12,7 +12,8 @@ from seedslib.piecewise.system import PiecewiseLinearSystem
 
 def falling_body(
     cells: int = 100, *, partition: str = "gradient", span: tuple[float, float] = (5.0, 50.0),
-    support: str | ArrayLike = "centroid", sensor_noise: float = 1e-3,
+    support: str | ArrayLike = "centroid", sensor_noise: float = 1e-3, deviation: float = 11.25,
+    speed: float = 0.0,
 ) -> PiecewiseLinearSystem:  # fmt: skip
     """Body in free fall from rest, of which only the elevation angle is measured.
 
@@ -33,11 +34,17 @@ def falling_body(
         As in `PiecewiseLinearSystem.from_functions`.
     sensor_noise : float
         H in radians.
+    deviation : float
+        Standard deviation of the range in the prior, in km; illegible in the paper.
+    speed : float
+        Speed downwards at t = 0, in units of g times one second: the angle falls by
+        g (t + 1/2 + speed) / X1 in the second after t. The paper's K_t = g (t - 1/2) is free fall
+        from rest (0) where t is the end of that second, and -1 where it is the beginning.
 
     Returns
     -------
     PiecewiseLinearSystem
-        Prior N((27.5, 0.1), diag(11.25², 1e-12)); its `functions.transition` and
+        Prior N((27.5, 0.1), diag(deviation², 1e-12)); its `functions.transition` and
         `functions.sensor_map` are the nonlinear maps.
 
     Raises
@@ -56,12 +63,12 @@ def falling_body(
     x1, x2, v, t, g = sympy.symbols("x1 x2 v t g")
     return PiecewiseLinearSystem.from_functions(
         state=(x1, x2),
-        dynamics=[x1, x2 - g * (t + sympy.Rational(1, 2)) / x1],
+        dynamics=[x1, x2 - g * (t + sympy.Rational(1, 2) + sympy.Rational(speed)) / x1],
         sensor=[x2 + sensor_noise * v],
         noise=v,
         breakpoints=edges,
         support=support,
         time=t,
-        initial=([27.5, 0.1], np.diag([11.25**2, 1e-12])),
+        initial=([27.5, 0.1], np.diag([deviation**2, 1e-12])),
         parameters={g: sympy.Rational(1, 100)},
     )

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.checks import as_count, as_real
+from seedslib.base.clock import when
 from seedslib.filters.estimates import Estimates, require_time, stays
 from seedslib.filters.verbs import Filter
 from seedslib.models.kinds import as_steps, as_system
@@ -185,7 +186,7 @@ class PiecewiseLinearFilter(Filter):
         c = system.dynamics_at(state.time, estimate)
         reason = obstacle(c, system.regions.size)
         if self.method == "exact" and reason:
-            raise ValueError(f'method: "exact" is impossible at t = {t:g}, {reason}')
+            raise ValueError(f'method: "exact" is impossible at t = {when(t)}, {reason}')
         if self.method == "matched" or reason:
             count = system.regions.count
             share, mean, cov = weights.by_cell(state.law, count)
@@ -195,7 +196,7 @@ class PiecewiseLinearFilter(Filter):
         branches = move(state.branches, system.regions, c)
         if len(branches.cell) > self.max_branches:
             raise ValueError(
-                f"max_branches: got {len(branches.cell)} branches at t = {t:g}, more than "
+                f"max_branches: got {len(branches.cell)} branches at t = {when(t)}, more than "
                 f"{self.max_branches}; prune, merge or match moments"
             )
         return branches, state.lost
@@ -238,7 +239,7 @@ class PiecewiseLinearFilter(Filter):
         total = weights.log_sum(weighed.log_joint)
         failed = ~(total > -np.inf)
         if failed.any() and not batch:
-            raise ValueError(f"y: measurement incompatible with every branch at t = {t:g}")
+            raise ValueError(f"y: measurement incompatible with every branch at t = {when(t)}")
         norm = np.where(failed, 0.0, total)
         log_unit, log_weight = branches.log_unit - norm, weighed.log_joint - norm
         loglik = np.where(diverged, np.nan, total.reshape(batch))

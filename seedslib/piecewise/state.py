@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.clock import when
 from seedslib.piecewise.branches import Branches
 from seedslib.piecewise.coefficients import Coefficients
 from seedslib.piecewise.weights import CellLaw
@@ -87,12 +88,13 @@ def check_noise(c: Coefficients, innovation: np.ndarray, t: float, bounded: bool
         return
     if bounded:
         raise ValueError(
-            f"prune: the bound needs sensor noise in every component, H H' is singular at t = {t:g}"
+            "prune: the bound needs sensor noise in every component, H H' is singular at t = "
+            f"{when(t)}"
         )
     if _singular(np.moveaxis(innovation, (0, 1), (-2, -1))):
         raise ValueError(
-            f"sensor_noise: a predicted measurement has no spread at t = {t:g}; wanted H H' such "
-            "that B V B' + H H' is positive definite on every branch"
+            f"sensor_noise: a predicted measurement has no spread at t = {when(t)}; wanted H H' "
+            "such that B V B' + H H' is positive definite on every branch"
         )
 
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_shape, as_times
+from seedslib.base.clock import when
 from seedslib.two_step.augmented import AugmentedDiffusion
 from seedslib.two_step.kalman_bucy import KalmanBucyFilter
 
@@ -50,7 +51,7 @@ def augmented_extended_kalman(
     """
     times = as_times("times", times)
     if times[0] != 0:
-        raise ValueError(f"times: wanted a grid from time 0, got {times[0]:g}")
+        raise ValueError(f"times: wanted a grid from time 0, got {when(times[0])}")
     system = augmented.system
     increments = as_shape("increments", increments, (times.size - 1, system.measurement_size, -1))
     state = KalmanBucyFilter(system).run(times, increments)

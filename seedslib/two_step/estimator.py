@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real, as_shape, as_times
+from seedslib.base.checks import as_real, as_times, as_vectors
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule
@@ -164,8 +164,7 @@ class TwoStepEstimator:
         TypeError, ValueError
             Wrong shape, or not finite.
         """
-        mean = as_real("mean", mean)
-        mean = as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
+        mean = as_vectors("mean", mean, self.system.state_size)
         return in_range("mean", lambda: self._law.plugin(mean))
 
     def errors(self, times: ArrayLike) -> MeanSquareErrors:
@@ -280,6 +279,4 @@ class TwoStepEstimator:
         return MeanSquareErrors(*(np.stack(values) for values in zip(*pairs, strict=True)))
 
     def _checked(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        mean = as_real("mean", mean)
-        as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
-        return gaussian_arguments(mean, cov)
+        return gaussian_arguments(as_vectors("mean", mean, self.system.state_size), cov)

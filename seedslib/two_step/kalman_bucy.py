@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance, as_real, as_shape, as_times
+from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, as_vectors
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import as_system
 from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, van_loan
@@ -110,8 +110,7 @@ class KalmanBucyFilter:
         TypeError, ValueError
             Wrong shapes, or not 0 <= start <= stop.
         """
-        mean = as_real("mean", mean)
-        as_shape("mean", mean, (self.system.state_size, *mean.shape[1:]))
+        mean = as_vectors("mean", mean, self.system.state_size)
         cov = as_covariance("cov", cov, self.system.state_size)
         move, noise = self.system.transition(start, stop)
         return np.tensordot(move, mean, 1), move @ cov @ move.T + noise

@@ -23,6 +23,7 @@ from seedslib.base.checks import (
     as_times,
     require_one_size,
 )
+from seedslib.base.clock import when
 from seedslib.base.semidefinite import square_root
 from seedslib.models.propagation import distinct_steps, integrated, van_loan
 
@@ -146,7 +147,9 @@ class LinearDiffusion:
             Not 0 <= start <= stop.
         """
         if not 0.0 <= start <= stop < np.inf:
-            raise ValueError(f"start, stop: wanted 0 <= start <= stop, got {start:g}, {stop:g}")
+            raise ValueError(
+                f"start, stop: wanted 0 <= start <= stop, got {when(start)}, {when(stop)}"
+            )
         if self.constant:
             return van_loan(*self.matrices(start)[:2], stop - start)
         return integrated(lambda t: self.matrices(t)[:2], start, stop)

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import as_count, as_real, as_shape
+from seedslib.base.checks import as_count, as_shape, as_vectors
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import in_range
 from seedslib.gaussian.means.polynomial import Coefficients, derivative, heat
@@ -76,8 +76,7 @@ class TwoStepTable:
         """
         k = as_count("k", k, 0, len(self.design.gain) - 1)
         gain = self.design.gain[k]
-        mean, increment = as_real("mean", mean), as_real("increment", increment)
-        mean = as_shape("mean", mean, (gain.shape[0], *mean.shape[1:]))
+        mean = as_vectors("mean", mean, gain.shape[0])
         increment = as_shape("increment", increment, (gain.shape[1], *mean.shape[1:]))
         return np.tensordot(self.design.transition[k], mean, 1) + np.tensordot(gain, increment, 1)
 
@@ -102,8 +101,7 @@ class TwoStepTable:
             No such time, wrong shape, or not finite.
         """
         k = as_count("k", k, 0, len(self.cov) - 1)
-        mean = as_real("mean", mean)
-        mean = as_shape("mean", mean, (self.cov.shape[1], *mean.shape[1:]))
+        mean = as_vectors("mean", mean, self.cov.shape[1])
         mean = np.tensordot(self.move[k], mean, 1)
         if self.exponents is None:
             return self._law.mean(mean, self.cov[k]), self._law.variance(mean, self.cov[k])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seedslib.base.clock import Clock, lengths_alike, slack
+from seedslib.base.clock import Clock, lengths_alike, slack, when
 
 GRIDS = [(0.0, 1.0), (1.7e9, 1.0), (1.7e9, 1e-3), (0.0, 1e-9), (0.0, 1e-300), (3e15, 64.0)]
 
@@ -63,3 +63,9 @@ def test_slack_is_never_more_than_a_quarter():
     assert slack(1.0, 0.0) == 1e-9
     assert slack(1e-7, 1.7e9) == 2.5e-8
     assert slack(1.0, 1.7e9) == 2.0**-50 * 1.7e9
+
+
+def test_neighbouring_times_are_told_apart_in_messages():
+    assert [when(t) for t in (0.0, 1 / 3, 12.5, 1.7e9, 1.7e9 + 0.25, np.inf, -2e5)] == [
+        "0", "0.333333", "12.5", "1700000000", "1700000000.25", "inf", "-200000",
+    ]  # fmt: skip

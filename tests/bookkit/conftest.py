@@ -42,20 +42,28 @@ if gain == 7.0:
     raise ArithmeticError("seven is out of reach")
 total = sum(gain**k for k in range(count))
 record(total=total, terms=[gain**k for k in range(count)])
-claim("TS-X1", computed=total, printed=7.0, tolerance=1e-9)
+claim("TS-X1", computed=total, wrong={"one term less": total - gain ** (count - 1)})
 ```
 """
 
 LEDGER = """- id: TS-X1
   paper: two-step
+  origin: stated
   place: example 0
   statement: The three terms of the sum make 7.
   kind: number
   notebook: notebooks/tiny.md
-  test: tests/test_tiny.py::test_sum
-  expected: 7.0
+  tests: [tests/test_tiny.py::test_sum]
+  printed: 7
   tolerance: 1.0e-9
   verdict: reproduced
+"""
+
+PLACES = """two-step:
+- item: "(1)"
+  says: a sum
+  at: ["notebooks/tiny.md#A small notebook"]
+  claims: [TS-X1]
 """
 
 
@@ -68,6 +76,7 @@ def executed_project(tmp_path_factory):
     (root / "requirements.lock").write_text("nothing==1.0\n")
     (root / "notebooks" / "tiny.md").write_text(TINY)
     (root / "book" / "claims.yml").write_text(LEDGER)
+    (root / "book" / "places.yml").write_text(PLACES)
     (root / "tests" / "test_tiny.py").write_text("def test_sum():\n    assert 1 + 2 + 4 == 7\n")
     shutil.copy(ROOT / "conftest.py", root)
     (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")

@@ -2,7 +2,8 @@ import json
 
 import pytest
 
-from bookkit import ledger
+from bookkit import claims, claims_page, ledger
+from bookkit.recording import MIME
 
 
 def spoil(path, old, new):
@@ -24,15 +25,32 @@ def test_a_sound_project_has_no_faults(project):
             "TS-X1: ledger says refuted, notebooks/tiny.md finds reproduced",
         ),
         (
-            "expected: 7.0",
-            "expected: 7.1",
-            "TS-X1: ledger's expected is 7.1, notebooks/tiny.md has [7.0]",
+            "verdict: reproduced",
+            "verdict: checked",
+            "TS-X1: a claim whose origin is stated cannot be checked",
         ),
         (
-            "tolerance: 1.0e-9",
-            "tolerance: 1.0e-2",
-            "TS-X1: ledger's tolerance is 0.01, notebooks/tiny.md has 1e-09",
+            "origin: stated",
+            "origin: ours",
+            "TS-X1: printed numbers are a paper's; ours are a reference",
         ),
+        ("printed: 7", "reference: 7", "TS-X1: a reference wants its source"),
+        (
+            "printed: 7",
+            "reference: 7\n  source: benchmarks/none.py",
+            "TS-X1: no source benchmarks/none.py",
+        ),
+        ("  printed: 7\n", "", "TS-X1: numbers and a tolerance want each other"),
+        ("1.0e-9", "[1, 2]", "TS-X1: as many tolerances as numbers, or one for all"),
+        ("1.0e-9", "7", "TS-X1: 7 ± 7: a tolerance as wide as the number"),
+        ("1.0e-9", "0.6", "TS-X1: 7 ± 0.6: more than the last digit wants a because"),
+        (
+            "verdict: reproduced",
+            "verdict: corrected",
+            "TS-X1: corrected wants what is printed and what is right",
+        ),
+        ("verdict: reproduced", "verdict: open", "TS-X1: open wants a because: what is missing"),
+        ("[tests/test_tiny.py::test_sum]", "[]", "TS-X1: wanted at least one test"),
         ("::test_sum", "::test_product", "TS-X1: no test tests/test_tiny.py::test_product"),
         ("test_tiny.py", "test_none.py", "TS-X1: no test tests/test_none.py::test_sum"),
         (
@@ -98,7 +116,7 @@ def test_a_record_without_a_claim_is_named(project):
         ("  kind: number\n", "", "TS-X1: kind is not set"),
         ("kind: number", "kind: number\n  colour: red", "TS-X1: colour"),
         ("id: TS-X1", "id: X1", "X1: id = 'X1'"),
-        ("expected: 7.0", "expected: seven", "TS-X1: expected"),
+        ("printed: 7", "printed: seven", "TS-X1: printed"),
         ("- id", "- [", "not YAML"),
         ("verdict: reproduced", "verdict: open\n  verdict: reproduced", "'verdict' stands twice"),
     ],
@@ -106,7 +124,7 @@ def test_a_record_without_a_claim_is_named(project):
 def test_an_entry_that_is_no_claim_is_named(project, old, new, message):
     spoil(project / "book" / "claims.yml", old, new)
     with pytest.raises(ValueError, match=r"claims\.yml") as caught:
-        ledger.read_ledger(project / "book" / "claims.yml")
+        claims.read_ledger(project / "book" / "claims.yml")
     assert message in str(caught.value)
 
 
@@ -114,26 +132,26 @@ def test_an_id_stands_once(project):
     path = project / "book" / "claims.yml"
     path.write_text(path.read_text() * 2)
     with pytest.raises(ValueError, match="TS-X1: stands 2 times"):
-        ledger.read_ledger(path)
+        claims.read_ledger(path)
 
 
 def test_a_missing_ledger_is_named(tmp_path):
     with pytest.raises(ValueError, match="no such ledger"):
-        ledger.read_ledger(tmp_path / "claims.yml")
+        claims.read_ledger(tmp_path / "claims.yml")
 
 
 def test_the_page_counts_links_and_escapes(project):
     spoil(project / "book" / "claims.yml", "terms of the sum", "terms < 5 of the sum")
-    page = ledger.page(project)
-    assert "1 claims: 1 reproduced, 0 corrected, 0 refuted, 0 open." in page
+    page = claims_page.page(project)
+    assert "The papers make 1 claims: 1 reproduced, 0 corrected, 0 refuted, 0 open." in page
     assert '<a href="../notebooks/tiny.html#TS-X1">TS-X1</a>' in page
     assert "terms &lt; 5" in page
-    assert "printed 7<br>computed 7" in page
+    assert "computed 7<br>printed 7 (± 1e-09)<br>Would fail with: one term less" in page
 
 
 def test_an_empty_line_in_a_statement_does_not_end_the_table(project):
     spoil(project / "book" / "claims.yml", "The three terms of the sum make 7.", '"a\\n\\nb"')
-    assert "<td>a b</td>" in ledger.page(project)
+    assert "<td>a b</td>" in claims_page.page(project)
 
 
 def test_a_corrected_claim_shows_both_formulas(project):
@@ -142,7 +160,7 @@ def test_a_corrected_claim_shows_both_formulas(project):
         "verdict:",
         "printed_formula: a + b\n  corrected_formula: a - b\n  verdict:",
     )
-    page = ledger.page(project)
+    page = claims_page.page(project)
     assert "printed: a + b<br>right: a - b" in page
 
 
@@ -155,3 +173,46 @@ def test_the_command_fails_with_the_place(project, command):
     done = command(project, "-m", "bookkit", "claims")
     assert done.returncode == 1
     assert "TS-X1: ledger says reproduced, notebooks/tiny.md finds open" in done.stdout
+
+
+def test_a_last_digit_gives_the_tolerance(project):
+    spoil(project / "book" / "claims.yml", "1.0e-9", "0.5")
+    assert ledger.faults(project) == []
+
+
+def test_a_wide_tolerance_may_give_its_reason(project):
+    spoil(project / "book" / "claims.yml", "1.0e-9", "0.6\n  because: read off a curve")
+    assert ledger.faults(project) == []
+
+
+def test_ours_stand_apart(project):
+    path = project / "book" / "claims.yml"
+    own = path.read_text().replace("TS-X1", "TS-X2").replace("stated", "ours")
+    own = own.replace("printed: 7", "reference: 7\n  source: tests/test_tiny.py")
+    path.write_text(path.read_text() + own.replace("reproduced", "checked"))
+    page = claims_page.page(project)
+    assert "1 findings\nof our own stand apart: 1 checked, 0 open." in page
+    assert page.index("What the papers claim") < page.index("TS-X1</a>") < page.index("TS-X2</a>")
+
+
+def record_of(project, **changes):
+    """Write another record of the one claim into the executed notebook."""
+    path = project / "notebooks" / "tiny.ipynb"
+    content = json.loads(path.read_text())
+    for cell in content["cells"]:
+        for output in cell.get("outputs", []):
+            for entry in output.get("data", {}).get(MIME, {}).get("claims", {}).values():
+                entry.update(changes)
+    path.write_text(json.dumps(content))
+
+
+def test_a_decided_claim_says_what_it_would_fail_with(project):
+    record_of(project, wrong=[])
+    fault = "TS-X1: no planted fault: notebooks/tiny.md does not say what it would fail with"
+    assert ledger.faults(project) == [fault]
+
+
+def test_a_refuted_claim_shows_its_numbers(project):
+    spoil(project / "book" / "claims.yml", "verdict: reproduced", "verdict: refuted")
+    record_of(project, verdict="refuted", computed=[], note="")
+    assert ledger.faults(project) == ["TS-X1: refuted wants our numbers, or what shows it"]

@@ -1,5 +1,6 @@
 """The filter as printed: kept literally, and shown for what it is."""
 
+import mpmath
 import numpy as np
 import pytest
 
@@ -34,14 +35,18 @@ def traces(cov):
     return np.trace(cov, axis1=1, axis2=2)
 
 
-def literal(system, steps):
-    """(9)-(29) written with one loop per index: K, L and the claimed matrix."""
+def literal(system, steps, unset=lambda n: np.zeros((n, n))):
+    """(9)-(29) written with one loop per index: K, L and the claimed matrix.
+
+    `unset` makes the lags that (23), (25), (28) do not give, those beyond N.
+    """
     reach, n, m = system.max_delay, system.state_size, system.measurement_size
     identity = np.eye(n)
-    known = {(j, i): np.zeros((n, n)) for j in range(2 * reach + 1) for i in range(2 * reach + 1)}
+    known = {(j, i): unset(n) for j in range(2 * reach + 1) for i in range(2 * reach + 1)}
     blocks = system.start_blocks()
     for j in range(reach + 1):
-        known[j, j] = blocks[j]
+        for i in range(reach + 1):
+            known[j, i] = blocks[j] if i == j else np.zeros((n, n))
 
     def near(k):
         return system.step(k + 1).dynamics.get(0, 0 * identity)
@@ -164,9 +169,53 @@ def test_claimed_matrix_is_not_the_covariance_by_monte_carlo():
     assert abs(square.mean() - traces(estimates.cov)[-1]) > 15.0 * error
 
 
+def test_expansion_of_the_error_gives_both_forms():
+    """DK-T1: (8) for matrices, noises and errors uncorrelated, is (12); with (20), (21) it is (22).
+
+    The expansion is one product over the stacked errors and noises, without any of the formulas.
+    """
+    rng = np.random.default_rng(3)
+    n, m, reach = 3, 2, 3
+    root = rng.standard_normal(((reach + 1) * n, (reach + 1) * n))
+    joint = (root @ root.T).reshape(reach + 1, n, reach + 1, n).swapaxes(1, 2)
+    sensor = rng.standard_normal((reach + 1, m, n))
+    noise = [a @ a.T + np.eye(m) for a in rng.standard_normal((reach + 1, m, m))]
+    inner = [s @ joint[j, j] @ s.T + r for j, (s, r) in enumerate(zip(sensor, noise, strict=True))]
+
+    def both(mixed, subtracted):
+        """The expansion, (12), (22): `mixed[j]` stands for P'_{k,j} in (12) and (22)."""
+        past = [joint[0, j] @ sensor[j].T @ np.linalg.inv(inner[j]) for j in range(1, reach + 1)]
+        left = joint[0, 0] - subtracted * sum(
+            past[j - 1] @ sensor[j] @ joint[0, j].T for j in range(1, reach + 1)
+        )
+        gain = left @ sensor[0].T @ np.linalg.inv(inner[0])
+        keep = np.eye(n) - gain @ sensor[0]
+        rows = [keep, *(-l @ s for l, s in zip(past, sensor[1:], strict=True))]
+        expanded = sum(rows[j] @ joint[j, i] @ rows[i].T for j in range(4) for i in range(4))
+        expanded = expanded + sum(g @ r @ g.T for g, r in zip([gain, *past], noise, strict=True))
+        told = sum(mixed[j] @ sensor[j].T @ past[j - 1].T for j in range(1, reach + 1))
+        apart = sum(
+            past[i - 1] @ sensor[i] @ joint[i, j] @ sensor[j].T @ past[j - 1].T
+            for i in range(1, reach + 1) for j in range(1, reach + 1) if i != j
+        )  # fmt: skip
+        long = keep @ joint[0, 0] @ keep.T + gain @ noise[0] @ gain.T - keep @ told
+        long = long - (keep @ told).T + apart
+        long = long + sum(past[j - 1] @ inner[j] @ past[j - 1].T for j in range(1, reach + 1))
+        return expanded, long, keep @ (joint[0, 0] - told) + apart
+
+    expanded, long, short = both(joint[0], True)
+    np.testing.assert_allclose(long, expanded, rtol=0, atol=1e-11)
+    np.testing.assert_allclose(short, expanded, rtol=0, atol=1e-11)
+    expanded, long, short = both(joint[:, 0], True)  # P'_{k,j} transposed
+    assert np.abs(long - expanded).max() > 0.1
+    expanded, long, short = both(joint[0], False)  # (20) without its sum
+    np.testing.assert_allclose(long, expanded, rtol=0, atol=1e-11)
+    assert np.abs(short - long).max() > 0.01
+
+
 @pytest.mark.parametrize("name", TABLE)
 def test_expanded_form_equals_the_claimed_one(name):
-    """DK-T1: (12) and (22) for the gains (20), (21)."""
+    """DK-T1: (12) and (22) of the filter itself, for the gains (20), (21)."""
     build, steps, *_ = TABLE[name]
     printed = PrintedDelayFilter(build()).gains(steps)
     assert np.abs(printed.expanded - printed.claimed).max() <= 1e-12
@@ -227,6 +276,88 @@ def test_limit_cycle():
     best = DelayKalmanFilter(system).gains(600).cov[:, 0, 0]
     assert best[-1] == pytest.approx(6.334987, abs=5.01e-7)
     assert best[-2] == pytest.approx(best[-1], rel=1e-12)
+
+
+def test_start_is_the_covariance():
+    """DK-S1: (23) with the covariance, (25) from j = 1; lags beyond N never enter."""
+    rng, mean = np.random.default_rng(6), 3.0
+    x0, older, w, v = rng.standard_normal((4, 200_000))
+    state = 0.6 * (x0 + mean) + 0.3 * older + w
+    both = np.cov(state, state + v)
+
+    def first_gain(start):
+        system = DelaySystem({0: 0.6, 1: 0.3}, 1.0, 1.0, 1.0, start, mean0=[mean, 0.0],
+                             history_cov=1.0)  # fmt: skip
+        return PrintedDelayFilter(system).gains(1).gains.gain[1, 0, 0]
+
+    assert first_gain(1.0) == pytest.approx(1.45 / 2.45, abs=1e-15)
+    assert first_gain(1.0) == pytest.approx(both[0, 1] / both[1, 1], abs=0.01)
+    assert abs(first_gain(1.0 + mean**2) - first_gain(1.0)) > 0.2
+    assert abs(first_gain(0.0) - first_gain(1.0)) > 0.05
+    plain, filled = (
+        literal(varying_plant(), 15, unset)
+        for unset in (lambda n: np.zeros((n, n)), lambda n: rng.standard_normal((n, n)))
+    )
+    for one, other in zip(plain, filled, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12)
+
+
+def scalar_claims(near, far, reach, steps):
+    """(9)-(29) for one component and unit variances, in the digits of mpmath's context."""
+    size = range(2 * reach + 1)
+    known = {(j, i): mpmath.mpf(i == j and i <= reach) for j in size for i in size}
+    claims = []
+    for k in range(1, steps + 1):
+        used = range(1, min(reach, k - 1) + 1)
+        half = {
+            (j, i): near * known[j, i] + far * known[reach + j, i] for j in (0, *used) for i in size
+        }
+        ahead = {
+            (j, i): near * half[j, i] + far * half[j, reach + i] + (i == j)
+            for j in (0, *used) for i in (0, *used)
+        }  # fmt: skip
+        past = {j: ahead[0, j] / (ahead[j, j] + 1) for j in used}
+        told = sum(past[j] * ahead[0, j] for j in used)
+        keep = 1 - (ahead[0, 0] - told) / (ahead[0, 0] + 1)
+        claims.append(
+            keep * (ahead[0, 0] - told)
+            + sum(past[i] * ahead[i, j] * past[j] for i in used for j in used if i != j)
+        )
+        moved = {(j, i): known[j - 1, i - 1] for j in size for i in size if i and j}
+        for j in size[1:]:
+            moved[0, j] = moved[j, 0] = keep * half[0, j - 1] - sum(
+                past[i] * half[i, j - 1] for i in used
+            )
+        moved[0, 0] = claims[-1]
+        known = moved
+    return claims
+
+
+def test_printed_recursion_can_grow_without_bound():
+    """DK-R8: claim and truth grow, in double precision and with forty digits; the optimum rests."""
+    system = examples.scalar(1.5, -1.5, 1.0, 3)
+    printed = PrintedDelayFilter(system).gains(100)
+    claimed = printed.claimed[:, 0, 0]
+    with mpmath.workdps(40):
+        exact = np.array(
+            [float(c) for c in scalar_claims(mpmath.mpf(1.5), mpmath.mpf(-1.5), 3, 100)]
+        )
+    np.testing.assert_allclose(claimed[1:], exact, rtol=1e-6)
+    true = error_covariance(system, printed.gains)[:, 0, 0]
+    for curve in (claimed, true):
+        assert (curve[-1] / curve[-51]) ** (1 / 50) == pytest.approx(1.618, abs=0.003)
+        assert curve[-1] > 1e12
+    best = DelayKalmanFilter(system).gains(100).cov[:, 0, 0]
+    np.testing.assert_allclose(best[-20:], 0.802191, rtol=0, atol=5.01e-7)
+    run = system.simulate(30, 4000, 5)
+    mean = PrintedDelayFilter(system).run(run.times, run.measurements).mean
+    square = ((run.states - mean)[30, 0]) ** 2
+    assert abs(square.mean() - true[30]) <= 4.0 * square.std() / np.sqrt(4000)
+    # the same recursion stays bounded on the plant of the limit cycle
+    assert (
+        traces(PrintedDelayFilter(examples.scalar(1.2, -1.2, 10.0, 3)).gains(100).claimed).max()
+        < 40
+    )
 
 
 def test_random_study():

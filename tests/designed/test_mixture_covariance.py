@@ -6,7 +6,7 @@ import sympy
 
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
-from seedslib.designed.lemmas import ModeLaw, total_covariance
+from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.evaluation import evaluate
 from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
 from seedslib.linearization import ExactGaussian

@@ -11,7 +11,7 @@ from seedslib.base import correct
 from seedslib.design import synthesize
 from seedslib.design.cells import cells_from_moments
 from seedslib.designed import Memory, SwitchingFilter, large_order
-from seedslib.designed.switching_fits import CellFit
+from seedslib.designed.switching.fits import CellFit
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
 from seedslib.models import Noise, SwitchingSystem
 

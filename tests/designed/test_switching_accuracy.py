@@ -33,21 +33,23 @@ def table():
     return compare(filters, system, TIMES, 4000, 32, window=(10, 30))
 
 
-# Share of wrong modes and RMS error, each with its standard error, from an independent program
-# on 4000 paths of its own.
-KNOWN = {
-    "AOF-G": (0.2988, 0.0020, 1.1753, 0.0053),
-    "FBP-G 1": (0.3035, 0.0020, 1.1799, 0.0051),
-    "FBP-G 2": (0.3028, 0.0020, 1.1774, 0.0052),
-    "AOF-L": (0.3110, 0.0020, 1.5608, 0.0176),
-    "FBP-L 1": (0.3108, 0.0020, 1.2450, 0.0057),
-    "FBP-L 2": (0.3079, 0.0020, 1.2416, 0.0060),
-}
+def reference(claim):
+    """Share of wrong modes and RMS error, each with its standard error, of each filter."""
+    found: dict[str, list[float]] = {}
+    with (BENCHMARKS / "switching_reference.csv").open(newline="") as file:
+        for row in csv.DictReader(file):
+            if row["claim"] == claim:
+                numbers = [float(row["value"]), float(row["error"])]
+                found.setdefault(row["filter"].replace("IMM-EKF", "AOF-L"), []).extend(numbers)
+    return found
+
+
+KNOWN = ("AOF-G", "FBP-G 1", "FBP-G 2", "AOF-L", "FBP-L 1", "FBP-L 2")
 
 
 @pytest.mark.parametrize("name", KNOWN)
 def test_filters_of_the_scalar_system_have_their_known_errors(table, name):
-    wrong, wrong_error, rms, rms_error = KNOWN[name]
+    wrong, wrong_error, rms, rms_error = reference("SW-X20")[name]
     found = table[name]
     assert abs(found.average_mode_error - wrong) < 4 * np.hypot(
         wrong_error, found.average_mode_error_error
@@ -112,11 +114,7 @@ def test_ambiguous_sensor_has_its_known_errors():
         "AOF-L": SwitchingFilter(system, Taylor()),
     }
     found = compare(filters, system, TIMES, 2000, 33, window=(10, 30))
-    known = {
-        "AOF-G": (0.4154, 0.0023, 1.7001, 0.0194),
-        "FBP-G 1": (0.3969, 0.0021, 1.7593, 0.0151),
-        "AOF-L": (0.4081, 0.0020, 3.1150, 0.0319),
-    }
+    known = {name: reference("SW-X22")[name] for name in filters}
     for name, (wrong, wrong_error, rms, rms_error) in known.items():
         one = found[name]
         assert abs(one.average_mode_error - wrong) < 4 * np.hypot(
@@ -193,11 +191,11 @@ def test_sweep_of_noise_and_rate_has_a_gap_for_every_filter():
             assert float(point[f"more_{name}"]) > -2 * float(point[f"more_error_{name}"])
 
 
-def test_cost_table_supports_the_claim_on_real_time():
-    """Times are of one machine: only factors of an order below those found are asked for."""
+def test_cost_table_tells_tables_from_particles():
+    """Times are of one machine: asked for are factors of about half of those that it found."""
     cost = {(r["sensor"], r["filter"]): float(r["microseconds"]) for r in rows("switching_cost")}
     for sensor in ("A1H", "A1L", "A2"):
         table = cost[sensor, "exact table, 61 nodes"]
-        assert cost[sensor, "IMM of extended Kalman filters"] > 3 * table
-        assert cost[sensor, "particles, 1000"] > 300 * table
-        assert cost[sensor, "particles, 1000"] > 20 * cost[sensor, "FBP-G 1"]
+        assert cost[sensor, "IMM of extended Kalman filters"] > 3.5 * table
+        assert cost[sensor, "particles, 1000"] > 3000 * table
+        assert cost[sensor, "particles, 1000"] > 230 * cost[sensor, "FBP-G 1"]

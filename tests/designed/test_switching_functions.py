@@ -122,3 +122,7 @@ def test_maps_of_a_row_have_one_value_and_one_noise():
         SwitchingSystem.from_maps(
             [good, [moves(X + V, Noise((V,), cov=[[4.0]]))] * 2], shown, initial
         )
+    # the same moments, drawn otherwise
+    coin = Noise((V,), sample=lambda rng, count: 2.0 * rng.integers(0, 2, (1, count)) - 1.0)
+    with pytest.raises(ValueError, match="switching: wanted maps with one noise"):
+        SwitchingSystem.from_maps([good, [moves(X + V, coin)] * 2], shown, initial)

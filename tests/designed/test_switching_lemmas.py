@@ -1,20 +1,21 @@
 """Lemmas 1 to 6 of the switching paper and their corollaries, by brute-force quadrature.
 
-The formulas under test are those of `seedslib.designed.lemmas`, `switching_fits` and the
+The formulas under test are those of `seedslib.designed.switching` (`lemmas`, `fits`) and the
 linearizations; the routes of this file know the models only through densities written out here.
 """
 
 import numpy as np
 import pytest
 import sympy
+from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from seedslib import zoo
 from seedslib.design.cells import cells_from_moments
 from seedslib.designed import Memory, Past, SwitchingFilter, large_order
-from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
-from seedslib.designed.switching_rules import SwitchingRules
+from seedslib.designed.switching.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
+from seedslib.designed.switching.rules import SwitchingRules
 from seedslib.linearization import ExactGaussian, GaussHermite, Moments, Taylor
 from seedslib.models import Noise, StochasticMap, SwitchingSystem
 
@@ -116,6 +117,43 @@ def test_lemma_1_with_a_singular_measurement():
 def test_lemma_2_takes_the_first_of_equal_modes():
     mode, _ = decide(ModeLaw.of(np.array([0.2, 0.4, 0.4]), np.zeros((1, 3)), np.ones((1, 1, 3))))
     assert mode == 1
+
+
+def test_decision_and_estimate_minimise_the_criterion():
+    """(3.1), (3.2): the criterion (1.7) itself, minimised without any formula, is least there."""
+    rng = np.random.default_rng(12)
+    chance, parts = np.array([0.45, 0.35, 0.2]), [joint_gaussian(rng, 1, 1) for _ in range(3)]
+    seen, axis = np.array([0.3]), np.linspace(-14, 14, 4001)
+    sensed = Sensed(
+        np.log(chance),
+        np.array([[mean[0] for mean, _ in parts]]),
+        np.array([[[cov[0, 0] for _, cov in parts]]]),
+        Moments(
+            np.array([[mean[1] for mean, _ in parts]]),
+            np.array([[[cov[0, 1] for _, cov in parts]]]),
+            np.array([[[cov[1, 1] for _, cov in parts]]]),
+        ),
+    )
+    mode, estimate = decide(weigh(sensed, seen)[0])
+    both = np.stack([axis, np.full_like(axis, seen[0])], axis=-1)
+    density = np.array(
+        [c * multivariate_normal(*part).pdf(both) for c, part in zip(chance, parts, strict=True)]
+    )
+    density /= density.sum()
+    for weight in (0.1, 1.0, 20.0):
+        found = {}
+        for i in range(3):
+
+            def loss(at, i=i, weight=weight):
+                return (density * weight * (axis - at) ** 2).sum() + 1 - density[i].sum()
+
+            best = minimize_scalar(loss, bracket=(-3, 3))
+            found[i] = best.fun
+            assert best.x == pytest.approx(estimate[0], abs=1e-5)
+            assert loss(estimate[0] + 0.1) == pytest.approx(
+                loss(estimate[0]) + 0.01 * weight, rel=1e-6
+            )
+        assert min(found, key=found.__getitem__) == mode
 
 
 # Lemma 3: the measurement, dependent noises (6.23) and corollary 1 (6.24)
@@ -400,6 +438,57 @@ def test_expansions_in_two_dimensions():
     for a, b in zip((got.mass, *got.state, *got.value), (want.mass, *want.state, *want.value),
                     strict=True):  # fmt: skip
         np.testing.assert_allclose(a, b, rtol=1e-12, atol=1e-13)
+
+
+def test_printed_means_of_the_expansions():
+    """(7.2), (7.3) as the paper prints them, two states, against the filter's own functions.
+
+    The route of the test above knows no formula; this one knows nothing else.
+    """
+    leave = 0.35 - 0.2 * sympy.exp(-(x**2) / 8 - (y - x / 3) ** 2 / 6)
+    values = [x + sympy.sin(y) + v / 2, x * y / 3 - y + (1 + x / 4) * w]
+    noise, blind = sympy.Matrix([[1, 0.3], [0.3, 0.5]]), 0.7
+    system = SwitchingSystem(
+        state=(x, y),
+        dynamics=[values, values],
+        noise=Noise((v, w), cov=np.array(noise, dtype=float)),
+        switching=[[1 - leave, leave], [0, 1]],
+        sensor=[[x**2 / 4 + y + u]] * 2,
+        sensor_noise=Noise((u,), cov=[[0.8]]),
+        initial=[(0.5, [0, 0], np.eye(2).tolist())] * 2,
+        indicator=[[blind, 1 - blind], [0.2, 0.8]],
+    )
+    m, d = np.array([0.7, -0.4]), np.array([[0.5, 0.2], [0.2, 0.3]])
+    here = {x: m[0], y: m[1], v: 0, w: 0, u: 0}
+
+    def number(expression, *names):
+        found = sympy.Matrix(expression)
+        return np.array((found.jacobian(names) if names else found).subs(here), dtype=float)
+
+    chance, lean = number([leave])[0, 0], number([leave], x, y)
+    a, a_x, a_v = number(values), number(values, x, y), number(values, v, w)
+    shown = [x**2 / 4 + y + u]
+    b, b_x, b_w = number(shown), number(shown, x, y), number(shown, u)
+    d_v = np.array(noise, dtype=float)
+    h = blind * b
+    f = blind * (b @ b.T + b_x @ d @ b_x.T + 0.8 * b_w @ b_w.T)
+    g = m[:, None] @ h.T + blind * d @ b_x.T  # follows from (6.22)
+    eta, pi = chance, chance * a + a_x @ d @ lean.T
+    chi = a @ lean @ d @ a_x.T + a_x @ d @ lean.T @ a.T
+    chi = chi + chance * (a @ a.T + a_x @ d @ a_x.T + a_v @ d_v @ a_v.T)
+    rules = SwitchingRules(system, Taylor())
+    gone, seen = rules.rows[0](0.0, m, d)[1][0], rules.readings[0][0](0.0, m, d)
+
+    def raw(found):
+        mean = found.value.mean[:, None]
+        return found.mass * mean, found.mass * (found.value.cov + mean @ mean.T)
+
+    tight = {"rtol": 1e-12, "atol": 1e-13}
+    np.testing.assert_allclose(gone.mass, eta, **tight)
+    for ours, printed in zip((*raw(gone), *raw(seen)), (pi, chi, h, f), strict=True):
+        np.testing.assert_allclose(ours, printed, **tight)
+    cross = seen.mass * (seen.value.cross + m[:, None] @ seen.value.mean[None])
+    np.testing.assert_allclose(cross, g, **tight)
 
 
 def test_guard_of_the_expanded_forecast():

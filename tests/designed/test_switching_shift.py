@@ -60,7 +60,7 @@ def test_designed_filter_does_not_see_the_zero(moving):
 
 
 def test_printed_filter_is_as_good_without_an_offset_and_loses_paths_with_one(moving):
-    """Section 9: .5836 against .5838 at c = 0; at c = 25 how bad depends on how it is mended."""
+    """The reference: .5836 against .5838 at c = 0; at c = 25 it depends on how it is mended."""
     (_, printed), (_, consistent) = (estimates(moving, 0, n) for n in ("printed", "consistent"))
     gap = (printed[5:] ** 2 - consistent[5:] ** 2).mean(axis=0)
     assert abs(gap.mean()) < 0.01 * (consistent[5:] ** 2).mean()
@@ -74,7 +74,7 @@ def test_printed_filter_is_as_good_without_an_offset_and_loses_paths_with_one(mo
 
 
 def test_optimal_errors(moving):
-    """Section 9, k >= 5: AOF .1632/.5801, AOF-G .1660/.5838, s.e. .0020/.0022 of 4000 paths."""
+    """The reference, k >= 5: AOF .1632/.5801, AOF-G .1660/.5838, s.e. .0020/.0022 of 4000 paths."""
     filters = {
         "optimal": GridBayesFilter(moving, (-9, 9, 121)),
         "Gaussian": SwitchingFilter(moving, RULE),

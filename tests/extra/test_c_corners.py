@@ -2,6 +2,7 @@
 
 import ctypes
 import math
+import warnings
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from seedslib.extra.c.source import constants
 from seedslib.extra.c.tape import Tape
 from seedslib.filters import extended_kalman
 from seedslib.linearization import Taylor
-from seedslib.models import JumpDiffusion, Noise
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
 TIMES = 0.5 * np.arange(5)
 
@@ -173,3 +174,46 @@ def test_recorder_refuses_what_c_has_not():
         bool(np.less(a, 1.0))
     with pytest.raises(ValueError, match="finite"):
         a * np.inf
+
+
+def test_the_first_covariance_beside_a_wide_prior(compiled):
+    noise = Noise((v,), cov=[[1e-8]])
+    system = JumpDiffusion((x,), [0], [[0]], [x + v], noise, [0.0], [[1e12]], step=0.5)
+    filter = synthesize(system, Memory(1), Taylor(), TIMES[:3], nodes=0, paths=2000, seed=1)
+    found = compiled(filter).run(TIMES[:3], np.full((3, 1, 1), 5.0))[1].ravel()
+    np.testing.assert_allclose(found, 1e-8 / np.arange(1.0, 4.0), rtol=0.1)
+
+
+def test_a_carried_covariance_beside_a_wide_prior_is_warned_of():
+    def kalman(prior):
+        noise = Noise((v,), cov=[[1e-8]])
+        return extended_kalman(
+            JumpDiffusion((x,), [0], [[0]], [x + v], noise, [0.0], [[prior]], step=0.5)
+        )
+
+    with pytest.warns(UserWarning, match="in C the variance of x1 loses its digits"):
+        to_c(kalman(1e12))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        to_c(kalman(1.0))
+
+
+def test_bearings_across_the_cut(compiled):
+    a, b, p, q, r = sympy.symbols("a b p q r", real=True)
+    move = StochasticMap([a, b], [a + 0.01 * p, b - 0.2 + 0.01 * q], Noise((p, q)))
+    see = StochasticMap(
+        [a, b], [sympy.atan2(b, a) + 0.02 * r], Noise((r,)), period={0: 2 * math.pi}
+    )
+    system = DiscreteSystem(move, see, [-10.0, 1.0], 0.1 * np.eye(2))
+    times = np.arange(12.0)
+    y = system.simulate(times, 20, 2).measurements
+    y[3, 0, :5] = np.nan
+    carried = extended_kalman(system)
+    for filter, record in (
+        (carried, y),
+        (synthesize(system, Memory(1), Taylor(), times, paths=1000, seed=1), y[..., 5:]),
+    ):
+        mean, _, loglik, _ = compiled(filter).run(times, record)
+        library = filter.run(times, record)
+        np.testing.assert_allclose(mean, library.mean, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(loglik, library.loglik, rtol=1e-8, atol=1e-8)

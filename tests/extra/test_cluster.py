@@ -241,12 +241,12 @@ def test_other_versions_on_a_worker_are_refused(oscillator, two, monkeypatch):
 
 
 def test_what_is_no_scheduler(oscillator, monkeypatch):
+    monkeypatch.setattr(dask_crew, "CONNECT", 0.5)
     with pytest.raises(TypeError, match=r"workers: wanted a whole number or a Crew, got 'tcp"):
         synthesize(oscillator, Memory(1), Taylor(), TACTS, workers="tcp://127.0.0.1:9", **BASE)
     wanted = r"scheduler: wanted an address or a distributed.Client"
     with pytest.raises(TypeError, match=wanted), cluster(8786):
         pass
-    monkeypatch.setattr(dask_crew, "CONNECT", 0.5)
     nothing = r"nothing answers at tcp://127.0.0.1:9"
     with pytest.raises(ValueError, match=nothing), cluster("tcp://127.0.0.1:9"):
         pass

@@ -81,7 +81,7 @@ def test_one_mode_is_the_kalman_filter():
 
 
 def test_bound_of_the_manoeuvring_target():
-    """Section 16.3: position .9518 ± .0022 on 40 000 paths; velocity .4010 on 2000."""
+    """The reference: position .9518 ± .0022 on 40 000 paths; velocity .4010 on 2000."""
     system = zoo.manoeuvring_target("none")
     found = evaluate(KnownModeFilter(system), system, np.arange(41.0), 8000, 5, window=(10, 40))
     assert abs(found.average[0] - 0.9518) < 4 * np.hypot(found.average_error[0], 0.0022)
@@ -183,7 +183,7 @@ def test_averages_are_the_shares_of_switches():
 
 
 def test_filters_for_averaged_switching_are_worse_but_not_bad():
-    """The grid filter that is told the wrong switching loses; section 9 has .02 for AOF-G."""
+    """The grid filter that is told the wrong switching loses; the reference has .02 for AOF-G."""
     system, times = zoo.scalar_switching(), np.arange(31.0)
     filters = {
         "right": GridBayesFilter(system, (-8, 8, 81)),
@@ -196,7 +196,7 @@ def test_filters_for_averaged_switching_are_worse_but_not_bad():
 
 
 def test_gaussian_filter_for_averaged_switching():
-    """Section 9: AOF-G of A1L .1295/.6606, with constant switching .1541/.7042."""
+    """The reference: AOF-G of A1L .1295/.6606, with constant switching .1541/.7042."""
     system, times = zoo.scalar_switching("A1L"), np.arange(31.0)
     filters = {
         "right": SwitchingFilter(system, ExactGaussian()),

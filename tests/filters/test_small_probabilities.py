@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from seedslib.designed import SwitchingFilter
-from seedslib.designed.lemmas import ModeLaw, decide, propagate
+from seedslib.designed.switching.lemmas import ModeLaw, decide, propagate
 from seedslib.filters import GridBayesFilter, ParticleFilter, RaoBlackwellFilter
 from seedslib.filters.weights import most_probable, normalised
 from seedslib.linearization import Cubature, ExactGaussian, Gaussian, Moments, Taylor, Weighted

@@ -100,7 +100,8 @@ def test_lemma_1(n):
     assert R.mean_of((x @ A @ x) * (x @ B @ x)) == quartic
 
 
-def test_lemma_1_needs_symmetric_matrices():
+def test_cubic_row_of_lemma_1_needs_a_symmetric_matrix():
+    """The lemma asks for symmetric matrices in the quartic row, rightly, and not in the cubic."""
     R = Ring(2, [f"a{i}" for i in range(4)] + [f"b{i}" for i in range(4)])
     x, m, S = np.array(R.x), np.array(R.m), R.S
     A, B = matrix(R.extra, 2, 2), matrix(R.extra[4:], 2, 2)
@@ -108,6 +109,7 @@ def test_lemma_1_needs_symmetric_matrices():
     level = m @ B @ m + trace(B @ S)
     assert cubic != 2 * (A @ S @ B @ m)[0] + (A @ m)[0] * level
     assert cubic == (A @ S @ (B + B.T) @ m)[0] + (A @ m)[0] * level
+    assert cubic != 2 * (A @ S @ B.T @ m)[0] + (A @ m)[0] * level
     quartic = R.mean_of((x @ A @ x) * (x @ B @ x))
     ends = (trace(A @ S) + m @ A @ m) * level
     assert quartic != 2 * trace(A @ S @ B @ S) + 4 * (m @ A @ S @ B @ m) + ends
@@ -226,7 +228,7 @@ def random_case(rng, n, share=1.0):
     return rng.normal(size=n), root @ root.T + P, P
 
 
-@pytest.mark.parametrize("seed", range(50))
+@pytest.mark.parametrize("seed", range(20))
 def test_means_of_forms_match_the_fifth_degree_rule(seed):
     rng = np.random.default_rng(seed)
     n = 5

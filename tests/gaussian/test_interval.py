@@ -108,6 +108,21 @@ def test_lemma_2_is_the_integral():
         assert sympy.simplify(sympy.diff(primitive, x) - integrand) == 0
 
 
+def test_lemma_2_about_a_reference_point():
+    """Q of (1) about Delta: lemma 2 alone is another number, with the moved terms it is the one."""
+    node, share = np.polynomial.legendre.leggauss(40)
+    mean, var, lower, upper, about = 0.3, 2.0, -1.0, 1.5, -0.7
+    x = lower + (upper - lower) * (node + 1) / 2
+    mass = (upper - lower) / 2 * share * np.exp(-((x - mean) ** 2) / (2 * var))
+    direct = ((x - about) ** 2 * mass).sum() / np.sqrt(2 * np.pi * var)
+    p, first, second = literal.lemma_2(mean, var, lower, upper)
+    moved = literal.about_a_point(p, first, second, mean, about)[0, 0]
+    np.testing.assert_allclose(moved, direct, rtol=1e-13)
+    np.testing.assert_allclose(interval(mean, var, lower, upper, about).second, direct, rtol=1e-13)
+    turned = literal.about_a_point(p, first, second, mean, 2 * mean - about)[0, 0]
+    assert min(abs(second - direct), abs(turned - direct)) > 0.05
+
+
 def test_partition_of_the_line_sums_to_the_law():
     rng = np.random.default_rng(1)
     edges = np.concatenate([[-INF], np.sort(rng.normal(size=30) * 3), [INF]])

@@ -209,6 +209,31 @@ def test_literal_lemma_3_with_special_edges():
     np.testing.assert_allclose(found.second, second, atol=1e-14)
 
 
+def test_lemma_3_about_a_reference_point():
+    """Q of (1) about Delta by quadrature: the sums alone are another matrix, moved they are it."""
+    mean, cov = np.array([0.2, -0.1]), np.array([[0.8, -0.3], [-0.3, 0.5]])
+    vertices, about = np.array([[0.0, 0.1], [1.3, -0.4], [1.0, 1.5]]), np.array([0.6, 0.9])
+    u, w = (part / 2 for part in np.polynomial.legendre.leggauss(30))
+    u = u + 0.5
+    a, b = vertices[1] - vertices[0], vertices[2] - vertices[0]
+    points = vertices[0] + u[:, None, None] * (a + u[:, None] * (b - a))
+    white = points.reshape(-1, 2) - mean
+    mass = ((u * w)[:, None] * w).ravel() * (a[0] * b[1] - a[1] * b[0])
+    mass = mass * np.exp(-0.5 * (white @ np.linalg.inv(cov) * white).sum(axis=1))
+    mass = mass / (2 * np.pi * np.sqrt(np.linalg.det(cov)))
+    away = points.reshape(-1, 2) - about
+    direct = (away * mass[:, None]).T @ away
+    p, first, second = literal.lemma_3(mean, cov, vertices)
+    moved = literal.about_a_point(p, first, second, mean, about)
+    np.testing.assert_allclose(moved, direct, atol=1e-12)
+    np.testing.assert_allclose(polygon(mean, cov, vertices, about).second, direct, atol=1e-12)
+    assert np.abs(second - direct).max() > 0.05
+    for faulty in np.diag([-2.0] * 5) + 1.0:  # the sign of each of the five sums
+        found = literal.lemma_3(mean, cov, vertices, signs=faulty)
+        moved = literal.about_a_point(*found, mean, about)
+        assert np.abs(moved - direct).max() > 1e-3
+
+
 def test_literal_lemma_3_fails_on_almost_special_edges():
     mean = np.array([0.03, 0.07])
     _, first, second = literal.lemma_3(mean, TILTED, SQUARE)

@@ -5,7 +5,7 @@ import sympy
 from seedslib import zoo
 from seedslib.base import Axis
 from seedslib.models import FellerChain, JumpDiffusion, Noise, StochasticMap
-from seedslib.models.chain_feller import generator
+from seedslib.models.chains.feller import generator
 
 X, V, Z, T = sympy.symbols("x v z t")
 

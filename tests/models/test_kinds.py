@@ -125,6 +125,28 @@ def test_uneven_steps_of_a_system_in_discrete_time_are_refused(call):
         call([0.0, 1.0, 2.0, 5.0])
 
 
+@pytest.mark.parametrize(
+    ("make", "told"),
+    [
+        (lambda: extended_kalman(walk()), {}),
+        (lambda: ParticleFilter(walk(), 10), {}),
+        (lambda: SwitchingFilter(zoo.scalar_switching(), Taylor()), {}),
+        (lambda: GridBayesFilter(zoo.scalar_switching()), {}),
+        (lambda: KnownModeFilter(zoo.scalar_switching()), {"mode": 0}),
+        (lambda: RaoBlackwellFilter(zoo.manoeuvring_target("noisy")), {}),
+    ],
+)
+def test_single_steps_refuse_the_gaps_that_a_run_refuses(make, told):
+    made = make()
+    y = np.zeros(made.system.measurement_size)
+    shown = (0,) if made.system.indicators else ()
+    state = made.initial()
+    for t in (1.6e9, 1.6e9 + 0.1, 1.6e9 + 0.2):
+        state = made.step(state, t, y, *shown, **told)
+    with pytest.raises(ValueError, match=r"t: wanted equal steps, .* from 1600000000.2 on, 0.3"):
+        made.predict(state, 1.6e9 + 0.5, *told.values())
+
+
 def test_equal_steps_of_any_length_and_from_anywhere():
     y = np.zeros((4, 1))
     for start, step in ((0, 1), (0, 0.1), (7.3, 1e-3), (1.6e9, 0.01), (0, 1e6)):

@@ -59,23 +59,36 @@ TAU50 = [4.18, 4.41, 4.28, 3.71, 2.99, 2.51, 2.17, 1.91, 1.67, 1.63]
 
 
 @pytest.mark.parametrize(("start", "r", "tau"), [(5.0, R5, TAU5), (50.0, R50, TAU50)])
-def test_falling_body_in_4000_runs(start, r, tau):
-    """Relative errors and consistency of the figure, seed 1."""
-    relative, ratio = figure(start, 1, 4000)
+def test_falling_body_against_another_program_s_4000_runs(start, r, tau):
+    """Relative errors and consistency of the figure, within the errors of 800 other runs."""
+    relative, ratio = figure(start, 2, 800)
     assert relative[0] == pytest.approx(22.5 / start)
     assert ratio[0] == pytest.approx(4.0)
-    digits = [0.005, 0.005, 0.0005] + [5e-5] * 7 if start == 5.0 else [5e-4] * 10
-    assert (np.abs(relative[1:] - r) <= np.array(digits) * 1.01).all()
-    assert ratio[1:].mean(axis=1) == pytest.approx(tau, abs=0.0051)
+    error = ratio[1:].std(axis=1) * np.sqrt(1 / 800 + 1 / 4000)
+    assert (np.abs(ratio[1:].mean(axis=1) - tau) < 4 * error + 0.005).all()
+    # a mean square scatters like the ratio, its root half as much
+    share = error / ratio[1:].mean(axis=1) / 2
+    assert (np.abs(relative[1:] / r - 1) < 4 * share + 0.01).all()
 
 
-def test_falling_body_in_the_paper_s_20_runs():
-    ratio = figure(50.0, 0, 20)[1].mean(axis=1)[1:]
-    expected = [4.20, 4.31, 3.89, 3.33, 2.57, 2.07, 2.12, 1.52, 2.10, 2.27]
-    assert ratio == pytest.approx(expected, abs=0.0051)
-    ratio = figure(5.0, 0, 20)[1].mean(axis=1)[1:]
-    expected = [3.41, 0.81, 0.74, 0.59, 0.84, 0.64, 0.96, 1.20, 1.34, 1.71]
-    assert ratio == pytest.approx(expected, abs=0.0051)
+def close(ratio):
+    """Within two standard deviations of an average over 20 records."""
+    return (np.abs(ratio[1:] - 1) < 2 * np.sqrt(2 / 20)).all()
+
+
+def test_ratio_at_50_units_is_not_close_to_one_and_the_condition_can_hold():
+    """Under the deviation 11.25; bodies inside the windows, and the deviation 22.5, fulfil it."""
+    near = figure(5.0, 2, 400)[1].mean(axis=1)
+    assert not close(near)
+    assert close(near[1:])
+    assert not close(figure(50.0, 2, 400)[1].mean(axis=1))
+    assert close(figure(50.0, 2, 400, deviation=22.5)[1].mean(axis=1))
+    rng = np.random.default_rng(5)
+    start = 27.5 + 11.25 * rng.standard_normal(500)
+    start = start[(start > 5.0) & (start < 50.0)]
+    y = routes.falling(start, rng.standard_normal((start.size, 10)))
+    found = PiecewiseLinearFilter(examples.falling_body()).run(10, y)
+    assert close(((found.mean[:, 0] - start) ** 2 / found.cov[:, 0, 0]).mean(axis=1))
 
 
 def extended_kalman(y):
@@ -109,16 +122,26 @@ def test_extended_kalman_filter_diverges_on_the_falling_body():
     assert 30.0 < relative[10] < 50.0
 
 
+def noticeable(states, threshold, relative):
+    return [state.noticeable(threshold, relative=relative).mean() for state in states]
+
+
 def test_number_of_noticeable_branches():
-    noise = np.random.default_rng(1).standard_normal((1000, 10))
+    """Far bodies never make the count rise; near ones do, from about 19 to about 52."""
+    noise = np.random.default_rng(1).standard_normal((600, 10))
     filter_ = PiecewiseLinearFilter(examples.falling_body())
     states = list(filter_.states(10, routes.falling(50.0, noise)))[1:]
-    relative = [state.noticeable(0.01).mean() for state in states]
     expected = [23.6, 18.5, 9.5, 5.1, 3.0, 2.1, 1.5, 1.1, 1.0, 1.0]
-    assert relative == pytest.approx(expected, abs=0.15)
-    absolute = [state.noticeable(0.005, relative=False).mean() for state in states]
+    assert noticeable(states, 0.01, True) == pytest.approx(expected, abs=0.3)
     expected = [16.7, 14.1, 8.7, 5.0, 3.1, 2.2, 1.6, 1.2, 1.0, 1.0]
-    assert absolute == pytest.approx(expected, abs=0.15)
+    assert noticeable(states, 0.005, False) == pytest.approx(expected, abs=0.3)
+    near = list(filter_.states(10, routes.falling(5.0, noise)))[1:]
+    counts = np.array([(s.weights >= 0.02 * s.weights.max(axis=0)).sum(axis=0) for s in near])
+    assert counts.mean(axis=1) == pytest.approx(noticeable(near, 0.02, True))
+    error = 5 * counts.std(axis=1) / np.sqrt(600)
+    expected = [19.2, 51.4, 29.9, 18.6, 12.6, 8.8, 6.7, 5.0, 4.0, 3.3]  # another 400 records
+    assert (np.abs(counts.mean(axis=1) - expected) < 1.6 * error + 0.05).all()
+    assert counts[1].mean() > 2 * counts[0].mean()
 
 
 def exact_body(y, points):
@@ -174,18 +197,25 @@ def test_bodies_drawn_from_the_prior_are_judged_consistently():
     assert (np.abs(square.mean(axis=1) - 1) < 4 * error).all()
 
 
-def test_cutting_branches_of_the_falling_body_does_no_harm():
-    y = routes.falling(50.0, np.random.default_rng(1).standard_normal((300, 10)))
+@pytest.mark.parametrize("start", [5.0, 50.0])
+def test_cutting_branches_of_the_falling_body_does_no_harm(start):
+    """At 1e-8 of the weight a step; 1e-4 is harmless for the far body only."""
+    y = routes.falling(start, np.random.default_rng(1).standard_normal((300, 10)))
     system = examples.falling_body(100)
     full = PiecewiseLinearFilter(system).run(10, y)
-    states = list(PiecewiseLinearFilter(system, prune=1e-4).states(10, y))
-    shift = np.stack([s.mean[0] for s in states]) - full.mean[:, 0]
-    assert np.abs(shift / np.sqrt(full.cov[:, 0, 0])).max() < 0.02
-    assert (states[-1].weights > 0).sum(axis=0).mean() < 4
-    assert 0.0 < np.median(states[-1].error_bound) < 0.2
+    for share in (1e-8, 1e-4):
+        states = list(PiecewiseLinearFilter(system, prune=share).states(10, y))
+        shift = np.stack([s.mean[0] for s in states]) - full.mean[:, 0]
+        worst = np.abs(shift / np.sqrt(full.cov[:, 0, 0])).max()
+        kept = [(s.branches.log_unit > -np.inf).sum(axis=0).mean() for s in states[1:]]
+        assert np.mean(kept) < 50
+        assert kept[-1] < 10
+        assert (worst < 0.02) == (share == 1e-8 or start == 50.0)
+        assert 0.0 < np.median(states[-1].error_bound) < 0.2
 
 
-def test_support_points_that_follow_the_estimate_are_slightly_worse():
-    still, follow = (figure(5.0, 0, 20, support=s)[1] for s in ("centroid", "estimate"))
+def test_support_points_that_follow_the_estimate_are_no_better():
+    still, follow = (figure(5.0, 0, 100, support=s)[1] for s in ("centroid", "estimate"))
+    gain = follow[10] - still[10]
     assert not np.array_equal(still, follow)
-    assert follow[10].mean() == pytest.approx(1.80, abs=0.01)  # against 1.71
+    assert gain.mean() > -2 * gain.std() / np.sqrt(gain.size)

@@ -29,7 +29,13 @@ def test_limit_cycle(reading, period, reach):
     np.testing.assert_allclose(np.abs(late).max(axis=1), reach, rtol=2e-3)
 
 
-def test_disturbed_motion_stays_about_the_cycle():
-    path = zoo.van_der_pol().simulate(np.linspace(0, 60, 601), 4, 5).states
-    assert 1.5 < np.abs(path[:, 0]).max() < 8
-    assert np.abs(path[:, 1]).max() < 12
+def test_disturbed_motion_turns_at_the_pace_of_the_cycle_and_outside_of_it():
+    clock = np.arange(0, 220, 0.25)
+    path = zoo.van_der_pol().simulate(clock, 96, 5).states[clock > 43]
+    angle = np.unwrap(np.arctan2(path[:, 1], path[:, 0]), axis=0)
+    turns = (angle[0] - angle[-1]) / (2 * np.pi) / (clock[-1] - 43) * 43.29
+    assert abs(turns.mean() - 0.95) < 4 * turns.std() / np.sqrt(96)
+    assert turns.std() / np.sqrt(96) < 0.1
+    # two clouds: mostly outside of the undisturbed cycle, rarely between its slow parts
+    assert 0.65 < (np.abs(path[:, 0]) > 2.019).mean() < 0.8
+    assert (np.abs(path[:, 0]) < 1).mean() < 0.08

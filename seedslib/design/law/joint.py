@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
+from seedslib.base.clock import when
 from seedslib.base.tables import AxesLike, Axis, AxisLike, Labels, as_axes, mesh
 from seedslib.design.law.recursion import (
     Seen,
@@ -27,8 +28,8 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
-from seedslib.models.chain_feller import FellerChain
-from seedslib.models.chain_switching import SwitchingChain, chain_of
+from seedslib.models.chains.feller import FellerChain
+from seedslib.models.chains.switching import SwitchingChain, chain_of
 from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 SPREADS = 6.5
@@ -174,7 +175,7 @@ class JointLaw:
         if missed > LOST:
             warnings.warn(
                 f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
-                f"{t:g}; they are too short or too coarse",
+                f"{when(t)}; they are too short or too coarse",
                 stacklevel=outside(),
             )
         return sight

@@ -10,7 +10,7 @@ from seedslib.design.law.joint import GridRisk, JointLaw
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Output, recalled
-from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.switching.filter import SwitchingFilter
 
 
 def grid_risk(

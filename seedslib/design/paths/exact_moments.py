@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.checks import outside
 from seedslib.base.correction import correct
+from seedslib.base.diffuse import LOST
+from seedslib.design.fitting import ROUNDING
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Past
@@ -149,6 +153,14 @@ class _Joint:
     def correct(self, matrix, offset, noise):
         """Fit the forecast, correct it, remember; returns the fit."""
         fit = self._regressed(self.n, self.dimension)
+        wide, left = (np.diagonal(cov)[: len(self.error)] for cov in (self.cov, fit.cov))
+        lost = (left < LOST * wide) & (self.error > ROUNDING**2 * wide)
+        if lost.any():
+            warnings.warn(
+                f"cov0: the variance of x{int(np.argmax(lost)) + 1} given the memory is below "
+                f"{LOST:g} of itself, and its digits are lost; wanted a narrower prior",
+                stacklevel=outside(),
+            )
         moments = _sensed(matrix, offset, noise, fit.mean(self.mean[self._memory]), fit.cov)
         gain = _gain(moments, self.rules.components)
         self._take(matrix, offset, noise, fit.gain, fit.offset, gain)

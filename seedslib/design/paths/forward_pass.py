@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.clock import when
 from seedslib.design.fitting import fit_forecast
 from seedslib.design.regression import ABSOLUTE, root_mean_squares
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start
@@ -122,7 +123,7 @@ class ForwardPass:
         def first(rules, y):
             here = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
             state = FiniteOrderState(0, here, start.cov, Past(), None, 0.0, None, False)
-            return rules.first(state, y, moments, spread=False)
+            return rules.first(state, t, y, start, spread=False)
 
         self.states = walk.kept(first, self.rules, y, array=_estimate)
         self._score(t, walk.each(_estimate, self.states), corrected=True)
@@ -196,7 +197,7 @@ class ForwardPass:
         )
         if np.any(error > DOMINATED * rms):
             warnings.warn(
-                f"bound: the errors at time {t:g} rest on very few paths ({rms.max():.3g} ± "
+                f"bound: the errors at time {when(t)} rest on very few paths ({rms.max():.3g} ± "
                 f"{error.max():.3g}); a bound would leave out paths that diverge",
                 stacklevel=2,
             )
@@ -204,7 +205,7 @@ class ForwardPass:
             moving = spread[2 * n : 3 * n] > ABSOLUTE * self.size
             for i in np.flatnonzero(moving & (spread[3 * n :] <= ABSOLUTE * self.size)):
                 warnings.warn(
-                    f"memory: the estimate of component {i} at time {t:g} is the same on all "
+                    f"memory: the estimate of component {i} at time {when(t)} is the same on all "
                     "paths; it carries no information",
                     stacklevel=2,
                 )

@@ -12,6 +12,7 @@ import numpy as np
 
 from seedslib.base.blocks import BLOCK, child
 from seedslib.base.checks import outside
+from seedslib.base.clock import when
 from seedslib.design.paths.walk import LARGEST, Crew, Walk
 from seedslib.design.regression import combine, root_mean_squares, scatter
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -229,9 +230,9 @@ def _findings(predicted, held, size, share, forecasts, astray):
         which_ones = np.flatnonzero(bad.any(axis=0))
         components = "s" * (len(which_ones) > 1) + " " + ", ".join(map(str, which_ones))
         return (
-            f"at {np.count_nonzero(which)} of {len(times)} times from {times[which][0]:g} to "
-            f"{times[which][-1]:g} (component{components}), most of component {i} at time "
-            f"{times[k]:g}: {a[k, i]:.4g} ± {a_error[k, i]:.2g} for {b[k, i]:.4g}"
+            f"at {np.count_nonzero(which)} of {len(times)} times from {when(times[which][0])} to "
+            f"{when(times[which][-1])} (component{components}), most of component {i} at time "
+            f"{when(times[k])}: {a[k, i]:.4g} ± {a_error[k, i]:.2g} for {b[k, i]:.4g}"
         )
 
     # few paths that miss the large errors believe themselves too much
@@ -278,7 +279,7 @@ def _mode_findings(predicted, held, doubt, share):
         yield (
             f"held out: the part of wrong modes on {held.paths} other paths is not the predicted "
             f"one at {np.count_nonzero(bad)} of {len(bad)} times, most at time "
-            f"{held.times[k]:g}: {held.mode_rate[k]:.4g} ± {held.mode_error[k]:.2g} for "
+            f"{when(held.times[k])}: {held.mode_rate[k]:.4g} ± {held.mode_error[k]:.2g} for "
             f"{predicted.mode_rate[k]:.4g}; take more design paths or a shorter memory"
         )
 
@@ -288,6 +289,5 @@ def forecast_errors(filter: FiniteOrderFilter) -> np.ndarray:
     n = filter.components
     found = np.full((len(filter.times), n), np.nan)
     for k, fit in enumerate(filter.fits, start=1):
-        cov = getattr(fit, "residual", None)
-        found[k] = np.sqrt(np.diagonal(fit.cov if cov is None else cov)[:n])
+        found[k] = np.sqrt(np.diagonal(fit.cov)[:n])
     return found

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_times, is_whole
-from seedslib.base.clock import step_count
+from seedslib.base.clock import step_count, when
 from seedslib.design.fitting import coefficients_of
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
@@ -32,7 +32,7 @@ from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
 
-    from seedslib.designed.switching import SwitchingFilter
+    from seedslib.designed.switching.filter import SwitchingFilter
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.switching import SwitchingSystem
@@ -267,7 +267,8 @@ def _nodes(times, nodes, horizon, step) -> tuple:
     if horizon is not None:
         if not times[-1] < horizon < np.inf:
             raise ValueError(
-                f"horizon: wanted a time after the last measurement at {times[-1]:g}, got {horizon}"
+                f"horizon: wanted a time after the last measurement at {when(times[-1])}, "
+                f"got {horizon}"
             )
         ends.append(float(horizon))
     whole = is_whole(nodes)
@@ -287,7 +288,7 @@ def _nodes(times, nodes, horizon, step) -> tuple:
             grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
             if len(grid) and not (start < grid[0] and grid[-1] < end):
                 raise ValueError(
-                    f"nodes: wanted times between {start:g} and {end:g}, "
+                    f"nodes: wanted times between {when(start)} and {when(end)}, "
                     f"got {grid[0]:g} to {grid[-1]:g}"
                 )
         found.append(grid if inside else np.append(grid, end))

@@ -20,9 +20,9 @@ from seedslib.design.regression import combine, root_mean_squares, scatter
 from seedslib.designed.guards import warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, Prediction
-from seedslib.designed.switching import SwitchingFilter
-from seedslib.designed.switching_fits import cell_count, cell_number, require_memory
-from seedslib.designed.switching_rules import compiled_rules
+from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.switching.fits import cell_count, cell_number, require_memory
+from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem

@@ -11,10 +11,7 @@ import numpy as np
 
 from seedslib.base.tables import Labels, locate
 
-METHODS = {
-    "likelihood": "likelihood-weighted regression",
-    "histogram": "smoothed histogram",
-}
+METHODS = {"likelihood": "likelihood-weighted regression", "histogram": "smoothed histogram"}
 
 ENOUGH = 8.0
 """Paths that a kernel must weigh together before its mean is believed."""

@@ -9,7 +9,6 @@ import numpy as np
 
 from seedslib.base.tables import AxesLike, as_axes, mesh
 from seedslib.design.tables.simulated import refuse_large
-from seedslib.designed.between import nodes_after
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import FiniteOrderState
 from seedslib.designed.outputs.filter import OutputFilter
@@ -128,7 +127,7 @@ def _functions(filter) -> tuple[list, list]:
         return Output(filter.predict(state, times[k]).mean[:n])
 
     def node(k, i, points):
-        return Output(nodes_after(filter, k, _after(filter, k, points))[0][i])
+        return Output(filter.nodes_after(k, _after(filter, k, points))[0][i])
 
     steps = [Step(partial(shown, k), partial(blind, k)) for k in range(len(times))]
     return steps, [

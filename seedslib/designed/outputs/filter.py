@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.clock import Clock
+from seedslib.base.clock import Clock, when
 from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.guards import freeze, positions, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.lookup import Output, Step, arguments, summary
+from seedslib.designed.outputs.lookup import Output, Step, Table, arguments, step_axes, summary
 from seedslib.designed.outputs.steps import OutputState, after, arrived, found
 from seedslib.designed.prediction import Design, HeldOut, Prediction
-from seedslib.designed.shapes import check_shapes
+from seedslib.designed.shapes import check_array, check_nodes
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import switches
 
@@ -80,13 +80,39 @@ class OutputFilter(BetweenFilter):
     held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
-        check_shapes(self)
+        self.check_shapes()
         known_kind("between", self.between)
         object.__setattr__(self, "clock", Clock(self.times))
         freeze((
             self.times, self.steps, self.node_times, self.node_fits, self.changes,
             self.covariances, self.predicted, self.held_out,
         ))  # fmt: skip
+
+    def check_parts(self) -> None:
+        """Tables; functions of one's own are taken as they are, and learned ones have no axes."""
+        steps, n, m = len(self.times), self.components, self.system.measurement_size
+        if len(self.steps) != steps:
+            raise ValueError(f"steps: wanted {steps}, got {len(self.steps)}")
+        check_array("covariances", self.covariances, steps, n, n)
+        if self.changes is not None:
+            check_array("changes", self.changes, 2, steps, finite=False)
+        check_nodes(self, steps - 1)
+        axes = [
+            step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
+            for k in range(steps + 1)
+        ]
+        tables = [
+            (f"steps[{k}].{place}", table, wanted)
+            for k, step in enumerate(self.steps)
+            for place, table, wanted in zip(Step._fields, step, axes[k], strict=True)
+        ] + [
+            (f"node_fits[{k}]", fit, axes[k + 1][1])
+            for k, fits in enumerate(self.node_fits)
+            for fit in fits
+        ]
+        for name, table, wanted in tables:
+            if isinstance(table, Table):
+                table.check(name, wanted, n, getattr(self.system, "modes", 0), self.memory)
 
     @property
     def components(self) -> int:
@@ -139,7 +165,9 @@ class OutputFilter(BetweenFilter):
             want_corrected(state)
         given, t = arrived(self, state), float(t)
         if not self.clock.same(t, given.time):
-            raise ValueError(f"t: wanted the next measurement time {given.time:g}, got {t:g}")
+            raise ValueError(
+                f"t: wanted the next measurement time {when(given.time)}, got {when(t)}"
+            )
         mean, mode, prob = found(self, given, None, None)
         return given._replace(mean=mean, cov=None, mode=mode, mode_prob=prob)
 
@@ -199,7 +227,7 @@ class OutputFilter(BetweenFilter):
         if switches(self.system) and (index < 0).any():
             raise ValueError(
                 "times: wanted those of measurements alone, for the system has modes, got "
-                f"{times[index < 0][0]:g}"
+                f"{when(times[index < 0][0])}"
             )
         return index
 

@@ -9,9 +9,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.clock import when
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import accuracy
+from seedslib.designed.shapes import check_array
 from seedslib.models.kinds import AnySystem, switches
 
 if TYPE_CHECKING:
@@ -73,6 +75,25 @@ class Table(NamedTuple):
         mode = None if self.mode is None else place.nearest(self.mode.reshape(-1))
         prob = None if self.prob is None else place.rows(self.prob)
         return Output(place.rows(self.estimate), mode, prob)
+
+    def check(self, name: str, axes: Any, components: int, modes: int, memory: Memory) -> None:
+        """Refuse other axes, numbers of labels or none, than those of the memory, or shapes."""
+        own, wanted = (
+            [axis.count if isinstance(axis, Labels) else None for axis in several]
+            for several in (self.axes, axes)
+        )
+        if own != wanted:
+            raise ValueError(f"{name} has other axes than the memory {memory}")
+        shape, mode = tuple(axis.count for axis in self.axes), self.mode
+        check_array(f"{name}.estimate", self.estimate, components, *shape)
+        if self.prob is not None:
+            check_array(f"{name}.prob", self.prob, modes, *shape)
+        if mode is None:
+            return
+        if mode.shape != shape or mode.dtype != np.int8:
+            raise ValueError(f"{name}.mode: wanted bytes of shape {shape}")
+        if mode.size and not 0 <= mode.min() <= mode.max() < modes:
+            raise ValueError(f"{name}.mode: a number that is no mode")
 
 
 class Step(NamedTuple):
@@ -215,7 +236,7 @@ def summary(filter: OutputFilter) -> str:
         f"Finite-order filter of {modes}order {filter.order}: {filter.memory}",
         f"  estimates    {filter.components} of {filter.system.state_size} state components",
         f"  by           {filter.made}",
-        f"  measurements {len(times)}, from {times[0]:g} to {times[-1]:g}",
+        f"  measurements {len(times)}, from {when(times[0])} to {when(times[-1])}",
         f"  later times  {later}",
         f"  designed on  {made}",
         "  predicted root-mean-square errors"

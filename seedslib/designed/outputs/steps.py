@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.clock import when
 from seedslib.designed.memory import Past
 from seedslib.designed.outputs.lookup import Output, arguments
 
@@ -70,7 +71,7 @@ def next_time(filter: Any, state: OutputState) -> float:
     if k < len(times):
         return times[k]
     if not filter.lasting:
-        raise ValueError(f"t: wanted at most the last measurement time {times[-1]:g}")
+        raise ValueError(f"t: wanted at most the last measurement time {when(times[-1])}")
     return state.time + (times[-1] - times[-2])
 
 

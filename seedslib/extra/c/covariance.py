@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 
+from seedslib.base.checks import outside
+from seedslib.base.correction import correct
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import (
@@ -19,6 +22,9 @@ from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
 
 _STEPS = {"rk4": rk4_step, "euler": euler_step}
+
+ROUGH = 1e-3
+"""Part of a variance that rounding must not take."""
 
 _STATE = """\
 typedef struct {
@@ -97,10 +103,16 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     ------
     TypeError, ValueError
         Moments without formulas, adaptive steps.
+
+    Warns
+    -----
+    UserWarning
+        A prior so wide that its variances lose their digits by the first measurement.
     """
     system = filter.system
     check_formulas(filter.linearization, system)
     n, m = filter.n, system.sensor.size
+    _look_at_prior(filter)
     macros = {"STATE": n, "MEASUREMENT": m, "MOMENTS": n * (n + 3) // 2}
     text = constants("@name_mean0", np.asarray(system.mean0, dtype=float))
     text += constants("@name_cov0", np.asarray(system.cov0, dtype=float))
@@ -112,6 +124,21 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
         _STEP,
     ]  # fmt: skip
     return macros, "\n".join(parts)
+
+
+def _look_at_prior(filter: CovarianceFilter) -> None:
+    """Warn of a prior so wide that C, which has no noise apart, loses what is left of it."""
+    state = filter.predict(filter.initial(), 0.0)
+    expected = filter.expect(state)
+    plain = correct(state.mean, state.cov, expected.mean, expected)[1]
+    right = np.diagonal(filter.correct(state, expected.mean).cov)
+    lost = np.abs(np.diagonal(plain) - right) > ROUGH * right
+    if lost.any():
+        warnings.warn(
+            f"cov0: in C the variance of x{int(np.argmax(lost)) + 1} loses its digits by the first "
+            "measurement; wanted a narrower prior",
+            stacklevel=outside(),
+        )
 
 
 def _motion(filter: CovarianceFilter) -> str:
@@ -146,6 +173,6 @@ def _correction(filter: CovarianceFilter) -> str:
     lower = cov[np.tril_indices(n)]
     moments = map_moments(filter.linearization, filter.system.sensor)
     moments = moments(tape.inputs("t")[()], mean, lower)
-    found = record_correction(tape, mean, lower, y, moments, n)
+    found = record_correction(tape, mean, lower, y, moments, n, filter.system.sensor.period)
     head = "void @name_correct_(double t, @name_state *s, const double *y)"
     return function(head, ["    (void)t;", *tape.body(corrected_outputs(found))])

@@ -154,16 +154,18 @@ def _first(filter: FiniteOrderFilter) -> str:
         tape.inputs("@name_first_cross[{}][{}]", n, m),
         tape.inputs("@name_first_spread[{}][{}]", m, m),
     )
-    lower = tape.inputs("@name_first_cov[{}]", n * (n + 1) // 2)
     mean = tape.inputs("@name_first_mean[{}]", n)
     text = constants("@name_first_mean", start.mean)
-    text += constants("@name_first_cov", start.cov[np.tril_indices(n)])
+    # it depends on no measurement; where one is missing the design does not know it
+    first = filter.predict(filter.initial(), filter.times[0])
+    text += constants("@name_first_cov", filter.correct(first, np.zeros(m)).cov)
     text += constants("@name_first_sensor", start.moments.mean)
     text += constants("@name_first_cross", start.moments.cross)
     text += constants("@name_first_spread", start.moments.cov)
-    found = record_correction(tape, mean, lower, y, moments, rows)
+    found = record_correction(tape, mean, None, y, moments, rows, filter.rules.periods)
     head = "void @name_first_(@name_state *s, const double *y)"
-    return text + function(head, tape.body(_stored(found)))
+    known = "    memcpy(s->cov, @name_first_cov, sizeof s->cov);"
+    return text + function(head, [known, *tape.body(_stored(found))])
 
 
 def _correction(filter: FiniteOrderFilter) -> str:
@@ -173,7 +175,8 @@ def _correction(filter: FiniteOrderFilter) -> str:
     mean, lower = tape.inputs("mean[{}]", n), tape.inputs("cov[{}]", n * (n + 1) // 2)
     moments = map_moments(filter.linearization, filter.system.sensor)
     moments = moments(tape.inputs("t")[()], mean, lower)
-    found = record_correction(tape, mean, lower, y, moments, filter.components)
+    kept, periods = filter.components, filter.rules.periods
+    found = record_correction(tape, mean, lower, y, moments, kept, periods)
     head = (
         "void @name_correct_(double t, const double *mean, const double *cov, @name_state *s,\n"
         "                                 const double *y)"

@@ -94,6 +94,11 @@ def to_c(
     NoClosedForm
         A mean of the model has no closed form.
 
+    Warns
+    -----
+    UserWarning
+        A prior so wide that a variance loses its digits in C, which knows no noise apart.
+
     Notes
     -----
     Without contraction of products and sums (-ffp-contract=off) C and Python run the same lines

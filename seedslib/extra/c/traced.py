@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.circle import Periods
 from seedslib.base.correction import eliminate
 from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
-from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.linearization.moments import Linearization
 from seedslib.models.maps import StochasticMap
 
 
@@ -27,15 +29,6 @@ def check_formulas(linearization: Linearization, system: object) -> None:
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
 
 
-def _symbols(n: int) -> tuple:
-    """Mean, entries of the covariance on and below the diagonal, the covariance."""
-    import sympy
-
-    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
-    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
-    return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
-
-
 def map_moments(
     linearization: Linearization, map: StochasticMap, spread: bool = True
 ) -> Callable[..., tuple[Any, ...]]:
@@ -47,7 +40,7 @@ def map_moments(
     from seedslib.models.codegen import compile_components
 
     n, m = map.state_size, map.size
-    mean, lower, cov = _symbols(n)
+    mean, lower, cov = law_symbols(n)
     parts = linearization.formulas(map, list(mean), cov, spread)
     flat = [entry for part in parts[: 2 + spread] for entry in part]
     evaluate = compile_components((map.time, mean, lower), flat)
@@ -65,15 +58,15 @@ def mean_rates(linearization: Linearization, system: object) -> Callable[..., li
     from seedslib.models.codegen import compile_components
 
     n = system.state_size
-    mean, lower, cov = _symbols(n)
+    mean, lower, cov = law_symbols(n)
     velocity, change = linearization.rate_formulas(system, list(mean), cov)
     entries = [change[i, j] for i in range(n) for j in range(i + 1)]
     return compile_components((system.drift_map.time, (*mean, *lower)), [*velocity, *entries])
 
 
 def record_correction(
-    tape: Tape, mean: Sequence[Any], lower: Sequence[Any], y: Sequence[Scalar],
-    moments: tuple[Any, ...], rows: int,
+    tape: Tape, mean: Sequence[Any], lower: Sequence[Any] | None, y: Sequence[Scalar],
+    moments: tuple[Any, ...], rows: int, periods: Periods = (),
 ) -> tuple[Any, ...]:  # fmt: skip
     """Record the correction of the leading rows by a measurement of which parts may be missing.
 
@@ -86,16 +79,19 @@ def record_correction(
     tape : Tape
     mean : sequence, length n
     lower : sequence
-        Entries of the covariance on and below the diagonal, row by row.
+        Entries of the covariance on and below the diagonal, row by row; None where the corrected
+        one is known.
     y : sequence of Scalar, length m
     moments : tuple
         E y (m,), cov(x, y) (n, m), cov y (m, m).
     rows : int
+    periods : tuple
+        Components of y on a circle, see `as_periods`.
 
     Returns
     -------
     mean : list, length `rows`
-    cov : list of lists
+    cov : list of lists, or None
         On and below the diagonal.
     loglik : Scalar
         Of the components that were seen and are not redundant.
@@ -103,7 +99,9 @@ def record_correction(
         The measurement, missing components filled with what was expected.
     """
     h, cross, spread = moments
-    m = len(y)
+    m, y = len(y), list(y)
+    for k, period in periods:
+        y[k] = y[k] - period * np.floor((y[k] - h[k]) / period + 0.5)
     seen = [tape.node("!isnan({0})", part, kind="int") for part in y]
     error = [tape.choose(seen[j], y[j] - h[j], 0.0) for j in range(m)]
     cross = [[tape.choose(seen[j], cross[k, j], 0.0) for j in range(m)] for k in range(rows)]
@@ -127,8 +125,10 @@ def record_correction(
         return inverse, tape.choose(regular[-1], pivot, 1.0)
 
     mean = list(mean[:rows])
-    entries = iter(lower)
-    cov = [[next(entries) for _ in range(k + 1)] for k in range(rows)]
+    cov = None
+    if lower is not None:
+        entries = iter(lower)
+        cov = [[next(entries) for _ in range(k + 1)] for k in range(rows)]
     terms, pivots = eliminate(mean, cov, error, cross, spread, reciprocal)
     pairs = [a * b for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
     terms += [np.log(p) for p in [*pairs, *pivots[len(pivots) & ~1 :]]]
@@ -153,7 +153,7 @@ def corrected_outputs(found: tuple[Any, ...], place: str = "s->") -> dict[Any, A
     """Where a recorded correction is stored: mean, both halves of the covariance, likelihood."""
     mean, cov, loglik, _ = found
     outputs = {f"{place}mean[{k}]": part for k, part in enumerate(mean)}
-    for k, row in enumerate(cov):
+    for k, row in enumerate(cov or ()):
         for q, part in enumerate(row):
             outputs[f"{place}cov[{k}][{q}]"] = part
             outputs[f"{place}cov[{q}][{k}]"] = part

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtr, owens_t
 
-from seedslib.base.checks import as_real
-from seedslib.gaussian.arguments import as_bound
+from seedslib.base.checks import as_bound, as_real
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
 FAR, TINY = 100.0, 1e-200

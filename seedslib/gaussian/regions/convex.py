@@ -8,6 +8,7 @@ import numpy as np
 
 from seedslib.gaussian.regions.nodes import reach_of
 from seedslib.gaussian.regions.panels import Gathered, Panels, integrate
+from seedslib.gaussian.regions.trapezoids import slabs
 from seedslib.gaussian.regions.twofold import Twofold, cross, dot, where
 
 # Points with |z|^2 > |p|^2 + 120 are left out. In a convex region with nearest point p they hold
@@ -158,13 +159,7 @@ class _Strips(NamedTuple):
 
 def _panels(x: Twofold, y: Twofold, px: np.ndarray, py: np.ndarray, square: np.ndarray) -> Panels:
     """Slabs between consecutive ordinates of vertices, cut further by `_cut`."""
-    order = np.lexsort((y.lo, y.hi), axis=0)
-    rank = np.empty_like(order)
-    np.put_along_axis(rank, order, np.arange(order.shape[0])[:, None], axis=0)
-    levels = y.along(order)
-    following = np.roll(rank, -1, axis=0)
-    slab = np.arange(order.shape[0] - 1)[:, None, None]
-    up, down = (rank <= slab) & (following > slab), (following <= slab) & (rank > slab)
+    levels, up, down = slabs(y)
     slope_x, slope_y = x.roll() - x, y.roll() - y
     slope = slope_x / where(slope_y.hi != 0.0, slope_y, Twofold.of(np.ones_like(slope_y.hi)))
     height = (levels[1:] - levels[:-1]).hi

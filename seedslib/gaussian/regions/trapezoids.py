@@ -29,11 +29,8 @@ def trapezoids(zx: Twofold, zy: Twofold) -> tuple[np.ndarray, Twofold, Twofold]:
     norm = length.along(longest)[0]
     tx, ty = ex.along(longest)[0] / norm, ey.along(longest)[0] / norm
     x, y = zx * ty - zy * tx, zx * tx + zy * ty
-    order = np.lexsort((y.lo, y.hi), axis=0)
-    rank = np.empty_like(order)
-    np.put_along_axis(rank, order, np.arange(order.shape[0])[:, None], axis=0)
-    levels = y.along(order)
-    partner = _partners(x, y, rank, levels)
+    levels, up, down = slabs(y)
+    partner = _partners(x, y, levels, up, down)
     # a pair of edges that bounds several slabs in succession makes one trapezoid
     same = np.zeros((partner.shape[0] + 1, *partner.shape[1:]), dtype=bool)
     same[1:-1] = partner[1:] == partner[:-1]
@@ -55,11 +52,24 @@ def trapezoids(zx: Twofold, zy: Twofold) -> tuple[np.ndarray, Twofold, Twofold]:
     return owner, cx * ty + cy * tx, cy * ty - cx * tx
 
 
-def _partners(x: Twofold, y: Twofold, rank: np.ndarray, levels: Twofold) -> np.ndarray:
-    """For each slab and each edge that goes down through it, the edge across; -1 elsewhere."""
+def slabs(y: Twofold) -> tuple[Twofold, np.ndarray, np.ndarray]:
+    """Sorted ordinates (V, N), and which edges go up and down through each slab between them.
+
+    The latter have shape (V - 1, V, N).
+    """
+    order = np.lexsort((y.lo, y.hi), axis=0)
+    rank = np.empty_like(order)
+    np.put_along_axis(rank, order, np.arange(order.shape[0])[:, None], axis=0)
     following = np.roll(rank, -1, axis=0)
-    slab = np.arange(rank.shape[0] - 1)[:, None, None]
+    slab = np.arange(order.shape[0] - 1)[:, None, None]
     up, down = (rank <= slab) & (following > slab), (following <= slab) & (rank > slab)
+    return y.along(order), up, down
+
+
+def _partners(
+    x: Twofold, y: Twofold, levels: Twofold, up: np.ndarray, down: np.ndarray
+) -> np.ndarray:
+    """For each slab and each edge that goes down through it, the edge across; -1 elsewhere."""
     dy = y.roll() - y
     slope = (x.roll() - x) / where(dy.hi != 0.0, dy, Twofold.of(np.ones_like(dy.hi)))
     middle = (levels[:-1] + levels[1:]).scaled(0.5)[:, None]

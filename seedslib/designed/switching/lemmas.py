@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.circle import Periods, nearest
 from seedslib.base.correction import correct
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
@@ -201,7 +202,9 @@ def _printed(logs, both, spread, part, column):
     return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
 
 
-def weigh(sensed: Sensed, y: np.ndarray, noise: Any = None) -> tuple[ModeLaw, np.ndarray]:
+def weigh(
+    sensed: Sensed, y: np.ndarray, noise: Any = None, periods: Periods = ()
+) -> tuple[ModeLaw, np.ndarray]:
     """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters
@@ -211,6 +214,8 @@ def weigh(sensed: Sensed, y: np.ndarray, noise: Any = None) -> tuple[ModeLaw, np
         NaN components are left out exactly.
     noise : callable, optional
         ``noise() -> (m, m, L, *batch)``, see `correct`.
+    periods : tuple
+        Components of y on a circle, see `as_periods`.
 
     Returns
     -------
@@ -219,7 +224,8 @@ def weigh(sensed: Sensed, y: np.ndarray, noise: Any = None) -> tuple[ModeLaw, np
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    mean, cov, each = correct(sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise)
+    y = nearest(y[:, None], sensed.moments.mean, periods)
+    mean, cov, each = correct(sensed.mean, sensed.cov, y, sensed.moments, noise=noise)
     score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + each, -np.inf)
     log_prob, loglik = normalised(score, 0)
     lost = ~np.isfinite(loglik)

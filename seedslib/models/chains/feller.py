@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from seedslib.base.clock import lengths_alike, step_count
+from seedslib.base.clock import lengths_alike, step_count, when
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
 from seedslib.models.jump_diffusion import JumpDiffusion
@@ -123,7 +123,7 @@ class FellerChain(Shown):
         not depend on time, and otherwise a product of those at the middle of integration steps.
         """
         if not stop > start:
-            raise ValueError(f"stop: wanted a time after {start:g}, got {stop:g}")
+            raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
         steady = self._steady(start, stop)
         key = float(lengths_alike(stop - start)) if steady else (start, stop)
         if key not in self._known:
@@ -255,8 +255,6 @@ def _split(axis: Axis, values: np.ndarray) -> np.ndarray:
 
 def _landing(jump: StochasticMap, axis: Axis, t: float) -> np.ndarray:
     """Probability of each cell (rows) after a jump from each node (columns)."""
-    from seedslib.models.noise import hermite_nodes
-
     x = axis.nodes[None]
     if not jump.noise.gaussian:
         raise ValueError("jump: wanted Gaussian marks for a grid, got others")
@@ -264,8 +262,7 @@ def _landing(jump: StochasticMap, axis: Axis, t: float) -> np.ndarray:
         mean, cov = jump.conditional_moments(t, x)
         deviation = np.sqrt(np.maximum(np.broadcast_to(cov[0, 0], x[0].shape), 0.0))
         return cell_masses(axis, x[0] + mean[0], deviation)
-    nodes, weights = hermite_nodes(jump.noise.size, MARK_NODES)
-    marks = jump.noise.mean[:, None] + jump.noise.root @ nodes
+    marks, weights = jump.noise.rule(MARK_NODES)
     landing = np.zeros((axis.count, axis.count))
     for mark, weight in zip(marks.T, weights, strict=True):
         kick = jump.value(t, x, np.broadcast_to(mark[:, None], (len(mark), axis.count)))

@@ -10,8 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.designed.lemmas import ModeLaw
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.shapes import check_array, check_covariances, check_fields
+from seedslib.designed.switching.lemmas import ModeLaw
 from seedslib.models.kinds import AnySystem
 
 
@@ -75,6 +76,19 @@ class CellFit(NamedTuple):
             for factor, part in zip(row, z, strict=True):
                 slot += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
+
+    def check(self, name: str, memory: Memory, system: AnySystem, k: int) -> None:
+        """Refuse arrays that are not those of the memory after measurement k."""
+        n, modes = system.state_size, system.modes
+        d = memory.dimension(k, n, system.measurement_size, modes)
+        tail = modes, cell_count(memory, system, k)
+        check_fields(
+            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail),
+            centre=(d, *tail), white=(d, d, *tail),
+        )  # fmt: skip
+        # a mode that is never met in a cell has the weight zero
+        check_array(f"{name}.log_weight", self.log_weight, *tail, finite=False)
+        check_covariances(name, [np.moveaxis(self.cov, (0, 1), (-2, -1))])
 
     def _take(self, part, cell, z):
         if part.shape[-1] == 1:

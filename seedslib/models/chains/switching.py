@@ -6,7 +6,7 @@ import numpy as np
 
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
-from seedslib.models.chain_feller import (
+from seedslib.models.chains.feller import (
     FellerChain,
     cell_masses,
     normal_masses,

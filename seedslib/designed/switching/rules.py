@@ -10,13 +10,9 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import mended
-from seedslib.designed.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.switching_branches import (
-    alone_moments,
-    forecast_row,
-    plain_moments,
-)
+from seedslib.designed.switching.branches import alone_moments, forecast_row, plain_moments
+from seedslib.designed.switching.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
 from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Moments
 from seedslib.linearization.points import PointRule
@@ -54,6 +50,8 @@ class SwitchingState(NamedTuple):
     gap : ndarray of bool or bool
         Whether something was missing so far, which the design of a filter with a memory does not
         know.
+    interval : float or None
+        Length of the first step.
     """
 
     index: int
@@ -66,6 +64,7 @@ class SwitchingState(NamedTuple):
     mended: int
     corrected: bool
     gap: np.ndarray | bool = False
+    interval: float | None = None
 
 
 class SwitchingRules:
@@ -96,6 +95,7 @@ class SwitchingRules:
             )
         self.system = system
         self._made_of = (system, linearization, normalisation, split)
+        self.periods: Any = system.sensors[0].period
         self.split: bool = split and not system.indicator_is_blind
         self.printed: bool = self.split and normalisation == "printed"
         # rules of points may have negative weights
@@ -213,7 +213,7 @@ class SwitchingRules:
         elif self.guarded:
             sensed, more = _semidefinite(sensed)
             raised += more
-        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed))
+        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
         cov, more = mended(law.cov, np.einsum("ii...->i...", sensed.cov))
@@ -234,9 +234,9 @@ class SwitchingRules:
                 past, estimate=mean, measurement=shown, mode=mode, indicator=indicator,
                 log_odds=log_odds(law.log_prob) if memory.log_odds else None,
             )  # fmt: skip
-        return SwitchingState(
-            state.index, state.time, law, mean, mode, past, loglik,
-            state.mended + raised + more, True,
+        return state._replace(
+            law=law, mean=mean, mode=mode, past=past, loglik=loglik,
+            mended=state.mended + raised + more, corrected=True,
         )  # fmt: skip
 
 

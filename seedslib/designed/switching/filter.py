@@ -11,17 +11,16 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
-from seedslib.base.clock import Clock
+from seedslib.base.clock import Clock, when
 from seedslib.designed.gaps import law_unclaimed
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
-from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
 from seedslib.designed.runs import DesignedFilter
-from seedslib.designed.shapes import check_shapes
-from seedslib.designed.switching_fits import cell_number, fits_apart, require_memory
-from seedslib.designed.switching_rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates
+from seedslib.designed.switching.fits import CellFit, cell_number, fits_apart, require_memory
+from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
+from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
+from seedslib.filters.estimates import Estimates, first_step
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
@@ -104,8 +103,14 @@ class SwitchingFilter(DesignedFilter):
         object.__setattr__(self, "clock", Clock(times))
         if len(self.fits) != len(times) - 1:
             raise ValueError(f"fits: wanted {len(times) - 1}, got {len(self.fits)}")
-        check_shapes(self)
+        self.check_shapes()
         freeze(times)
+
+    def check_parts(self) -> None:
+        """Laws of mode and state in the cells of the memory."""
+        for k, fit in enumerate(self.fits):
+            if isinstance(fit, CellFit):
+                fit.check(f"fits[{k}]", self.memory, self.system, k)
 
     @property
     def order(self) -> int:
@@ -138,10 +143,12 @@ class SwitchingFilter(DesignedFilter):
             return state._replace(index=0, time=t)
         want_corrected(state)
         if not t > state.time:
-            raise ValueError(f"t: wanted a time after {state.time:g}, got {t:g}")
-        law = self.rules.predict(state.time, self.known(state))
-        kept = state.past, 0.0, state.mended, False, state.gap
-        return SwitchingState(k, t, law, None, None, *kept)
+            raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
+        interval = first_step(state, t, self.system)
+        return state._replace(
+            index=k, time=t, law=self.rules.predict(state.time, self.known(state)), mean=None,
+            mode=None, loglik=0.0, corrected=False, interval=interval,
+        )  # fmt: skip
 
     def known(self, state: SwitchingState) -> ModeLaw:
         """Law after a correction that the forecast starts from: given the memory, if any."""

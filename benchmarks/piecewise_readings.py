@@ -1,0 +1,118 @@
+"""The falling body under every reading of its illegible entries.
+
+Run by hand, ``python benchmarks/piecewise_readings.py``; writes
+``benchmarks/piecewise_readings.csv`` beside itself. A reading is a sensor noise H, a deviation of
+the range in the prior and a speed at t = 0 (which stands for the time index of the coefficient
+K). For each of them, and for bodies at 5 km, at 50 km and drawn from the prior between the two,
+a line of the table is a quantity at t = 1 to 10:
+
+* ``r``, ``tau``, ``ekf_r``, ``ekf_tau``: relative error and mean squared error over claimed
+  variance of the piecewise-linear and of the extended Kalman filter; ``ekf_median`` the median
+  of what ``ekf_tau`` averages, ``ekf_axis`` the share of averages over 20 records between 10
+  and 25;
+* ``relative x``, ``absolute x``: how many weights reach x times the largest one, or x;
+* ``cumulative x``: how many of the largest weights together leave less than x.
+
+The notebook of the readings runs `study` on other records and compares.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import os
+from pathlib import Path
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import numpy as np
+
+from seedslib.filters import extended_kalman
+from seedslib.piecewise import PiecewiseLinearFilter, examples
+
+NOISES = (1e-3, 1e-4, 1e-5)
+DEVIATIONS = (8.6, 11.25, 13.0, 22.5)
+SPEEDS = (0.0, -1.0, 1.0)
+BODIES = ("5", "50", "drawn")
+LEVELS = (0.1, 0.05, 0.02, 0.01, 0.005, 0.001)
+RUNS, SEED = 2000, 20
+
+
+def starts(body: str, deviation: float, runs: int, rng: np.random.Generator) -> np.ndarray:
+    """Ranges of the bodies, (runs,)."""
+    if body != "drawn":
+        return np.full(runs, float(body))
+    found = np.zeros(0)
+    while found.size < runs:
+        more = 27.5 + deviation * rng.standard_normal(runs)
+        found = np.append(found, more[(more > 5.0) & (more < 50.0)])
+    return found[:runs]
+
+
+def counts(weights: np.ndarray) -> dict[str, np.ndarray]:
+    """Noticeable terms of weights (windows, runs) under every criterion, (runs,)."""
+    largest = -np.sort(-weights, axis=0)
+    left = 1.0 - np.cumsum(largest, axis=0)
+    found = {}
+    for level in LEVELS:
+        found[f"relative {level:g}"] = (largest >= level * largest[0]).sum(axis=0)
+        found[f"absolute {level:g}"] = (largest >= level).sum(axis=0)
+        found[f"cumulative {level:g}"] = 1 + (left >= level).sum(axis=0)
+    return found
+
+
+def study(
+    noise: float, deviation: float, speed: float, body: str, runs: int, seed: int
+) -> dict[str, np.ndarray]:
+    """Squared errors, their ratios to the claimed variance, and counts, each (10, runs)."""
+    rng, times = np.random.default_rng(seed), np.arange(11.0)
+    x = starts(body, deviation, runs, rng)
+    fallen = 0.005 * times[1:, None] ** 2 + 0.01 * speed * times[1:, None]
+    y = 0.1 - fallen / x + noise * rng.standard_normal((runs, 10)).T
+    y = np.concatenate([np.full((1, 1, runs), np.nan), y[:, None]])
+    system = examples.falling_body(sensor_noise=noise, deviation=deviation, speed=speed)
+    parts: dict[str, list[np.ndarray]] = {"square": [], "ratio": []}
+    for state in itertools.islice(PiecewiseLinearFilter(system).states(10, y), 1, None):
+        parts["square"].append((state.mean[0] / x - 1.0) ** 2)
+        parts["ratio"].append((state.mean[0] - x) ** 2 / state.cov[0, 0])
+        for name, count in counts(state.weights).items():
+            parts.setdefault(name, []).append(count)
+    ekf = extended_kalman(system.discrete()).run(times, y)
+    error = ekf.mean[1:, 0] - x
+    ekf_parts = {"ekf_square": (error / x) ** 2, "ekf_ratio": error**2 / ekf.cov[1:, 0, 0]}
+    return {name: np.array(part) for name, part in parts.items()} | ekf_parts
+
+
+def summary(found: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """The lines of the table, (10,) each."""
+    twenty = found["ekf_ratio"].reshape(10, -1, 20).mean(axis=2)
+    lines = {
+        "r": np.sqrt(found["square"].mean(axis=1)),
+        "tau": found["ratio"].mean(axis=1),
+        "ekf_r": np.sqrt(found["ekf_square"].mean(axis=1)),
+        "ekf_tau": found["ekf_ratio"].mean(axis=1),
+        "ekf_median": np.median(found["ekf_ratio"], axis=1),
+        "ekf_axis": ((twenty > 10.0) & (twenty < 25.0)).mean(axis=1),
+    }
+    criteria = [name for name in found if " " in name]
+    return lines | {name: found[name].mean(axis=1) for name in criteria}
+
+
+def main() -> None:
+    rows = []
+    for noise, deviation, speed in itertools.product(NOISES, DEVIATIONS, SPEEDS):
+        for body in BODIES:
+            found = summary(study(noise, deviation, speed, body, RUNS, SEED))
+            for quantity, values in found.items():
+                rows.append(
+                    [noise, deviation, speed, body, quantity, *map("{:.4g}".format, values)]
+                )
+        print(noise, deviation, speed, flush=True)
+    with Path(__file__).with_suffix(".csv").open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["noise", "deviation", "speed", "body", "quantity", *range(1, 11)])
+        writer.writerows(rows)
+
+
+if __name__ == "__main__":
+    main()

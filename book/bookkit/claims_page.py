@@ -1,0 +1,107 @@
+"""The claims page: the ledger for readers, the papers' claims first and ours apart."""
+
+from __future__ import annotations
+
+import html
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+
+from bookkit.claims import LEDGER, ORIGINS, PAPERS, Claim, read_ledger
+from bookkit.ledger import read_verdicts
+from bookkit.recording import evidence
+
+DECIDED = ("reproduced", "corrected", "refuted", "open")
+OURS = ("checked", "open")
+FIRST = ("refuted", "corrected", "open", "reproduced", "checked")
+"""The order of rows: what a reader of the papers wants to know comes first."""
+
+
+def page(root: Path) -> str:
+    """The claims page of the book, as MyST text."""
+    claims, recorded = read_ledger(root / LEDGER), read_verdicts(root)
+    theirs = [claim for claim in claims if claim.origin != "ours"]
+    ours = [claim for claim in claims if claim.origin == "ours"]
+    lines = [
+        "# Claims",
+        "",
+        f"The papers make {len(theirs)} claims: {_summary(theirs, DECIDED)}. {len(ours)} findings",
+        f"of our own stand apart: {_summary(ours, OURS)}. Each verdict is computed by the notebook",
+        "it links to, and a test fails when the notebook and the ledger differ. What the words",
+        "mean is said in [](reading.md).",
+        "",
+        _counts(theirs, DECIDED),
+        "",
+        "A claim that a paper makes is *stated*; *restored* where we had to supply signs that the",
+        "scan has lost, *implied* where it follows from the paper without standing in it:",
+        f"{_origins(theirs)}.",
+    ]
+    for title, chosen in (("What the papers claim", theirs), ("What we found ourselves", ours)):
+        lines += ["", f"## {title}"]
+        for key, name in PAPERS.items():
+            rows = sorted(
+                (claim for claim in chosen if claim.paper == key),
+                key=lambda claim: FIRST.index(claim.verdict),
+            )
+            if rows:
+                head = ["claim", "statement", "what was found", "verdict"]
+                table = _table(head, [_row(claim, recorded) for claim in rows])
+                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", table]
+    return "\n".join(lines) + "\n"
+
+
+def _summary(claims: Sequence[Claim], words: Sequence[str]) -> str:
+    counts = Counter(claim.verdict for claim in claims)
+    return ", ".join(f"{counts[word]} {word}" for word in words)
+
+
+def _origins(claims: Sequence[Claim]) -> str:
+    counts = Counter(claim.origin for claim in claims)
+    return ", ".join(f"{counts[word]} {word}" for word in ORIGINS if word != "ours")
+
+
+def _counts(claims: Sequence[Claim], words: Sequence[str]) -> str:
+    rows = []
+    for key, name in PAPERS.items():
+        own = Counter(claim.verdict for claim in claims if claim.paper == key)
+        if own:
+            rows.append([name, *(str(own[word]) for word in words)])
+    return _table(["paper", *words], rows)
+
+
+def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
+    entry = recorded.get(claim.id, {}).get(claim.notebook)
+    target = f"../{claim.notebook.removesuffix('.md')}.html#{claim.id}"
+    says = [claim.statement]
+    if claim.reading:
+        says.append(f"Reading: {claim.reading}")
+    if claim.printed_formula and claim.corrected_formula:
+        says += [f"printed: {claim.printed_formula}", f"right: {claim.corrected_formula}"]
+    found = evidence(entry) if entry else []
+    if claim.because:
+        found.append(claim.because)
+    tests = "<br>".join(
+        f"<code>{test.removeprefix('tests/').replace('::', ' ')}</code>" for test in claim.tests
+    )
+    many = f"{len(claim.tests)} test{'s' if len(claim.tests) > 1 else ''}"
+    folded = f"<details><summary>{many}</summary>{tests}</details>" if tests else ""
+    return [
+        f'<a href="{target}">{claim.id}</a><br>{html.escape(claim.place)}'
+        + (f"<br><i>{claim.origin}</i>" if claim.origin in ("restored", "implied") else ""),
+        _lines(says),
+        _lines(found) + folded,
+        f'<span class="claim {claim.verdict}"><span class="verdict">{claim.verdict}</span></span>',
+    ]
+
+
+def _lines(texts: Iterable[str]) -> str:
+    return "<br>".join(html.escape(" ".join(text.split())) for text in texts)
+
+
+def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
+    heads = "".join(f"<th>{c}</th>" for c in head)
+    return (
+        f'<table class="claims table">\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}</tbody>\n'
+        "</table>"
+    )

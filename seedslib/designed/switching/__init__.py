@@ -1,0 +1,1 @@
+"""Shelf: the filter of a switching system, what its memory says, its steps and their lemmas."""

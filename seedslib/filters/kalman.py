@@ -1,0 +1,203 @@
+"""The Kalman filter of linear systems, with components of which nothing is known at first."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.correction import correct
+from seedslib.base.semidefinite import factor
+from seedslib.filters.covariance import CovarianceFilter, FilterState
+from seedslib.filters.estimates import Estimates, require_time
+from seedslib.linearization.matrices import Matrices
+from seedslib.models.linear import LinearSystem
+
+UNKNOWN = 1e-9
+"""A state that leans more than this on what no measurement has told is not known."""
+
+
+class DiffuseState(NamedTuple):
+    """A state that depends on q unknown numbers d, N(mean + effect d, cov).
+
+    ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, *batch, q). Of d the measurements
+    say N(I⁻¹ s, I⁻¹), with the ``score`` s (q, *batch) and the ``information`` I (q, q, *batch).
+    ``total`` is the log-likelihood of the measurements at d = 0, ``loglik`` that of the last one.
+    """
+
+    time: float | None
+    mean: np.ndarray
+    cov: np.ndarray
+    loglik: np.ndarray | float
+    interval: float | None
+    effect: np.ndarray
+    score: np.ndarray
+    information: np.ndarray
+    total: np.ndarray | float
+
+
+class KalmanFilter(CovarianceFilter):
+    """Kalman filter of a `LinearSystem`; diffuse components are treated exactly.
+
+    With the diffuse components of the first state as unknown numbers, everything is Gaussian
+    given them, and what the measurements say of them is collected (de Jong 1991). Until they are
+    known the variances that depend on them are infinite. The log-likelihood is the diffuse one,
+    with a constant log 2 pi for every measured number.
+
+    Parameters
+    ----------
+    system : LinearSystem
+    bound : float, optional
+        As `CovarianceFilter`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Another system; a bound that is not positive.
+    """
+
+    _systems = ("LinearSystem",)
+
+    def __init__(self, system: LinearSystem, *, bound: float | None = None) -> None:
+        super().__init__(system, Matrices(), bound=bound)
+        self._diffuse = list(system.diffuse)
+        self._apart = False
+
+    def apart(self) -> KalmanFilter:
+        """The same filter, which keeps unknown numbers apart when they are known, for smoothing."""
+        other = KalmanFilter(self.system, bound=self.bound)
+        other._apart = True
+        return other
+
+    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
+        """State before any measurement; see `CovarianceFilter.initial`."""
+        state = super().initial(batch)
+        if not self._diffuse:
+            return state
+        q = len(self._diffuse)
+        effect = np.zeros((self.n, *batch, q))
+        effect[self._diffuse, ..., range(q)] = 1.0
+        nothing = np.zeros((q, *batch)), np.zeros((q, q, *batch)), np.zeros(batch)
+        return DiffuseState(*state, effect, *nothing)
+
+    def moved(self, state: Any, t: float) -> Any:
+        """See `CovarianceFilter.moved`; given what is unknown."""
+        if isinstance(state, DiffuseState):
+            return self.moved_jointly(state, t)[0]
+        return super().moved(state, t)
+
+    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+        """See `CovarianceFilter.moved_jointly`; both given what is unknown."""
+        later, cross = super().moved_jointly(state, t)
+        if isinstance(state, DiffuseState):
+            effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
+            later = later._replace(effect=effect)
+        return later, cross
+
+    def correct(self, state: Any, y: ArrayLike) -> Any:
+        """Correct by the measurement y, shape (m, *batch), at the time of the state."""
+        if not isinstance(state, DiffuseState):
+            return super().correct(state, y)
+        require_time(state)
+        known = super().correct(_given(state), y)
+        expected, cross, spread = (part[..., None] for part in self.expect(_given(state)))
+        y = np.asarray(y, dtype=float)[..., None]
+        slope = _times(self.system.sensor.slope_at(state.time), state.effect)
+        # columns of a measurement of zero, missing where the measurement is
+        zero = np.where(np.isfinite(y), 0.0, np.nan)
+        effect, _, _ = correct(state.effect, None, zero, (slope, cross, spread))
+        errors = np.concatenate([y - expected, np.where(np.isfinite(y), slope, np.nan)], axis=-1)
+        m = len(errors)
+        still, unit = np.zeros_like(errors), np.eye(m).reshape(m, m, *(1,) * (errors.ndim - 1))
+        weighed, _, _ = correct(still, None, errors, (still, unit, spread))  # S⁻¹ of each column
+        score = state.score + np.einsum("m...q,m...->q...", slope, weighed[..., 0])
+        added = np.einsum("m...p,m...q->pq...", slope, weighed[..., 1:])
+        now = state._replace(
+            **known._asdict(), effect=effect, score=score,
+            information=state.information + added, total=state.total + known.loglik,
+        )  # fmt: skip
+        now = now._replace(loglik=_diffuse_loglik(now) - _diffuse_loglik(state))
+        if self._apart or not _all_told(now.information):
+            return now
+        mean, cov = settle(now.mean, now.cov, now.effect, now)
+        return FilterState(now.time, mean, cov, now.loglik, now.interval)
+
+    def expect(self, state: Any) -> Any:
+        """Moments of the measurement that the filter expects, given what is unknown."""
+        return super().expect(_given(state))
+
+    def report(self, state: Any) -> Estimates:
+        """Mean and covariance; infinite variances of components that no measurement has told."""
+        if not isinstance(state, DiffuseState):
+            return super().report(state)
+        mean, cov = settle(state.mean, state.cov, state.effect, state)
+        return super().report(FilterState(state.time, mean, cov, state.loglik))
+
+
+def settle(
+    mean: np.ndarray, cov: np.ndarray, effect: np.ndarray, told: Any
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance with the unknown numbers at what the measurements say of them.
+
+    Parameters
+    ----------
+    mean, cov, effect : ndarray
+        As in `DiffuseState`, of one time.
+    told : DiffuseState
+        Its score and information.
+
+    Returns
+    -------
+    mean, cov : ndarray, shapes (n, *batch) and (n, n, *batch)
+        Of a component that leans on what nothing has told the variance is infinite and its
+        covariances are NaN.
+    """
+    q, n = len(told.score), len(mean)
+    unit = np.eye(q).reshape(q, *(1,) * (told.score.ndim - 1), q)
+    value = _solved(told, told.score[..., None])[..., 0]
+    inverse = _solved(told, np.broadcast_to(unit, (*told.score.shape, q)))
+    inverse = np.moveaxis(inverse, -1, 1)
+    mean = mean + np.einsum("n...q,q...->n...", effect, value)
+    spread = np.einsum("n...p,pq...,k...q->nk...", effect, inverse, effect)
+    told_of = np.einsum("pk...,kq...->pq...", inverse, told.information)
+    open_part = effect - np.einsum("n...p,pq...->n...q", effect, told_of)
+    size = np.abs(effect).max(axis=(0, -1), initial=0.0)
+    unknown = (np.abs(open_part) > UNKNOWN * size[..., None]).any(axis=-1)
+    cov = cov.reshape(n, n, *cov.shape[2:], *(1,) * (spread.ndim - cov.ndim)) + spread
+    bad = unknown[:, None] | unknown[None, :]
+    cov = np.where(bad, np.nan, cov)
+    for k in range(n):
+        cov[k, k] = np.where(unknown[k], np.inf, cov[k, k])
+    return mean, cov
+
+
+def _all_told(information: np.ndarray) -> bool:
+    """Whether the measurements say something of every unknown number, on all paths."""
+    root = np.einsum("ii...->i...", factor(information))
+    return bool((root > UNKNOWN * np.sqrt(np.einsum("ii...->i...", information))).all())
+
+
+def _given(state: Any) -> FilterState:
+    """The state given what is unknown."""
+    return FilterState(*state[:5])
+
+
+def _diffuse_loglik(state: DiffuseState) -> np.ndarray:
+    """Log-likelihood of all measurements so far, its unknown numbers integrated out."""
+    root = np.einsum("ii...->i...", factor(state.information))
+    logs = np.log(np.where(root > 0, root, 1.0)).sum(axis=0)
+    value = _solved(state, state.score[..., None])[..., 0]
+    return state.total + 0.5 * (state.score * value).sum(axis=0) - logs
+
+
+def _solved(told: DiffuseState, columns: np.ndarray) -> np.ndarray:
+    """Information pseudo-inverse times columns (q, *batch, columns)."""
+    still, whole = np.zeros_like(columns), np.eye(len(columns))
+    whole = whole.reshape(*whole.shape, *(1,) * (columns.ndim - 1))
+    return correct(still, None, columns, (still, whole, told.information[..., None]))[0]
+
+
+def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Matrix (m, n) or (m, n, *batch) times columns (n, *batch, q)."""
+    return np.einsum("ij...,j...->i...", matrix if matrix.ndim == 2 else matrix[..., None], columns)

@@ -1,0 +1,239 @@
+"""A linear system in discrete time, given by the matrices of the textbooks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
+from seedslib.base.semidefinite import factor
+from seedslib.models.discrete import DiscreteSystem
+from seedslib.models.maps import StochasticMap
+from seedslib.models.noise import Noise
+from seedslib.models.propagation import van_loan
+
+Matrix: TypeAlias = "ArrayLike | Callable[[float], ArrayLike]"
+"""An array, or a function of time that gives one."""
+
+
+class LinearMap(StochasticMap):
+    """y = A(t) x + v with v ~ N(0, S(t)).
+
+    Parameters
+    ----------
+    slope : array_like or callable, shape (m, n)
+        A, or a function of time that gives it.
+    cov : array_like or callable, shape (m, m)
+        S, likewise.
+    shape : (int, int)
+        m and n.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Other shapes, or a constant S that is not positive semidefinite.
+    """
+
+    def __init__(self, slope: Matrix, cov: Matrix, shape: tuple[int, int]) -> None:
+        m, n = shape
+        self._slope, self._cov = slope, cov
+        if callable(slope) or callable(cov):
+            made = StochasticMap.from_functions(
+                n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread,
+                log_density=None,
+            )  # fmt: skip
+            vars(self).update(vars(made))
+            return
+        import sympy
+
+        state = sympy.symbols(f"x1:{n + 1}", real=True)
+        noise = sympy.symbols(f"v1:{m + 1}", real=True)
+        value = [
+            sum((_tidy(a) * x for a, x in zip(row, state, strict=True) if a), v)
+            for row, v in zip(self._slope, noise, strict=True)
+        ]
+        super().__init__(state, value, Noise(noise, 0.0, self._cov))
+
+    def slope_at(self, t: float) -> np.ndarray:
+        """A at a time, shape (m, n); with axes of paths where parameters have them."""
+        if not callable(self._slope):
+            return self._slope
+        slope = as_real("slope", self._slope(t))
+        return as_shape("slope", slope, (self.size, self.state_size, *slope.shape[2:]))
+
+    def cov_at(self, t: float) -> np.ndarray:
+        """S at a time, shape (m, m); with axes of paths where parameters have them."""
+        if not callable(self._cov):
+            return self._cov
+        cov = as_real("cov", self._cov(t))
+        if cov.ndim > 2:
+            return as_shape("cov", cov, (self.size, self.size, *cov.shape[2:]))
+        return as_covariance("cov", cov, self.size)
+
+    def _mean(self, t: float, x: np.ndarray) -> np.ndarray:
+        return np.einsum("ij...,j...->i...", self.slope_at(t), x)
+
+    def _spread(self, t: float, x: np.ndarray) -> np.ndarray:
+        cov = self.cov_at(t)
+        if cov.ndim == 2:
+            cov = cov.reshape(*cov.shape, *(1,) * (np.ndim(x) - 1))
+        return np.broadcast_to(cov, (self.size, self.size, *np.shape(x)[1:]))
+
+    def _moved(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return self._mean(t, x) + np.einsum("ij...,j...->i...", factor(self.cov_at(t)), v)
+
+    @property
+    def has_log_density(self) -> bool:
+        """Always: the noise is Gaussian and is added."""
+        return True
+
+
+class LinearSystem(DiscreteSystem):
+    """X_{k+1} = F X_k + W_k, Y_k = H X_k + V_k with W ~ N(0, Q), V ~ N(0, R).
+
+    Every filter takes it; the one that is made for it is `seedslib.filters.KalmanFilter`.
+
+    Parameters
+    ----------
+    F, Q : array_like or callable, shape (n, n)
+        Matrices, or functions of the time that the step leaves. An entry may be a SymPy
+        expression in the time ``t`` and in parameters.
+    H, R : array_like or callable, shapes (m, n) and (m, m)
+        Likewise, at the time of the measurement.
+    mean0, cov0 : array_like, shapes (n,) and (n, n)
+        Law of the state at the first time.
+    diffuse : sequence of int
+        Components of the first state of which nothing is known: `KalmanFilter` gives them an
+        infinite variance, and other filters refuse the system. Their rows of `cov0` are zero.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Shapes that do not fit, covariances that are not positive semidefinite, components that
+        do not exist.
+    """
+
+    def __init__(
+        self, F: Matrix, Q: Matrix, H: Matrix, R: Matrix, mean0: ArrayLike, cov0: ArrayLike, *,
+        diffuse: tuple[int, ...] = (),
+    ) -> None:  # fmt: skip
+        mean0 = np.atleast_1d(as_real("mean0", mean0))
+        n = len(mean0)
+        F, Q, H, R = (_entries(name, M) for name, M in zip("FQHR", (F, Q, H, R), strict=True))
+        m = next((len(M) for M in (R, H) if hasattr(M, "__len__")), None)
+        m = len(np.atleast_2d(R(0.0))) if m is None else m
+        sizes = {"F": (n, n), "Q": (n, n), "H": (m, n), "R": (m, m)}
+        for name, M in zip("FQHR", (F, Q, H, R), strict=True):
+            if not callable(M):
+                as_shape(name, M, sizes[name])
+                if name in "QR":
+                    as_covariance(name, M, len(M))
+        diffuse = tuple(diffuse)
+        for k in diffuse:
+            if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
+                raise ValueError(
+                    f"diffuse: wanted distinct components from 0 to {n - 1}, got {diffuse}"
+                )
+        cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
+        if np.any(cov0[list(diffuse)] != 0.0):
+            raise ValueError("cov0: wanted zeros in the rows of diffuse components")
+        super().__init__(LinearMap(F, Q, (n, n)), LinearMap(H, R, (m, n)), mean0, cov0)
+        vars(self)["diffuse"] = diffuse
+
+    def initial_sample(self, rng: Any, count: int) -> np.ndarray:
+        """Draws of the first state, shape (n, count).
+
+        Raises
+        ------
+        ValueError
+            Diffuse components, which have no law.
+        """
+        if self.diffuse:
+            raise ValueError(f"diffuse: components {self.diffuse} have no law to draw from")
+        return super().initial_sample(rng, count)
+
+    @classmethod
+    def from_continuous(
+        cls, drift: ArrayLike, diffusion: ArrayLike, H: Matrix, R: Matrix, mean0: ArrayLike,
+        cov0: ArrayLike, *, step: float, diffuse: tuple[int, ...] = (),
+    ) -> LinearSystem:  # fmt: skip
+        """The system dX = drift X dt + dB seen at equal steps, by exact discretisation.
+
+        Parameters
+        ----------
+        drift : array_like, shape (n, n)
+        diffusion : array_like, shape (n, n)
+            Covariance of B per unit of time.
+        H, R, mean0, cov0, diffuse
+            As for the class.
+        step : float
+            Time from one measurement to the next.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As the class; a step that is not positive.
+        """
+        drift = np.atleast_2d(as_real("drift", drift))
+        spread = as_covariance(
+            "diffusion", np.atleast_2d(as_real("diffusion", diffusion)), len(drift)
+        )
+        if not step > 0:
+            raise ValueError(f"step: wanted a positive number, got {step}")
+        F, Q = van_loan(as_shape("drift", drift, spread.shape), spread, float(step))
+        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse)
+
+
+def _tidy(number: float) -> Any:
+    return int(number) if float(number).is_integer() else float(number)
+
+
+def _entries(name: str, matrix: Any) -> Any:
+    """A matrix of numbers, or a function of time where it is one or has expressions for entries."""
+    if callable(matrix):
+        return matrix
+    entries = np.array(matrix, dtype=object)
+    if not any(hasattr(entry, "free_symbols") for entry in entries.flat):
+        return np.atleast_2d(as_real(name, matrix))
+    return Entries(name, np.atleast_2d(entries))
+
+
+class Entries:
+    """A matrix of SymPy expressions in the time and in parameters, as a function of time.
+
+    Parameters
+    ----------
+    name : str
+        Of the matrix, for messages.
+    entries : ndarray of SymPy expressions, shape (m, n)
+
+    Raises
+    ------
+    TypeError, ValueError
+        No expressions, other symbols, or what is no number.
+    """
+
+    def __init__(self, name: str, entries: np.ndarray) -> None:
+        import sympy
+
+        from seedslib.models.codegen import compile_components, known_expressions
+
+        self._made_of, self.shape = (name, entries), entries.shape
+        time = sympy.Symbol("t")
+        known = known_expressions(name, entries, entries.shape, {}, {time})
+        self._function = compile_components([time], list(known.flat))
+
+    def __call__(self, t: float) -> np.ndarray:
+        """The matrix at a time."""
+        from seedslib.models.codegen import stack
+
+        return stack(self._function(t), self.shape)
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Entries, self._made_of
