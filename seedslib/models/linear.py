@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -15,8 +14,8 @@ from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.propagation import van_loan
 
-Matrix: TypeAlias = "ArrayLike | Callable[[float], ArrayLike]"
-"""An array, or a function of time that gives one."""
+Matrix: TypeAlias = Any
+"""An array of numbers or of SymPy expressions, or a function of time that gives one."""
 
 
 class LinearMap(StochasticMap):
