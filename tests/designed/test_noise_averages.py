@@ -1,6 +1,7 @@
 """Corollaries 1 and 2 of the switching paper: averages at a fixed state, (6.24) and (6.28)."""
 
 import numpy as np
+import pytest
 import sympy
 
 from seedslib.designed.switching.lemmas import ModeLaw
@@ -28,8 +29,12 @@ SYSTEM = SwitchingSystem(
     [[x + 2 * w], [x**2 - w]], Noise((w,), mean=SHIFT, cov=[[0.6]]),
     [(0.5, [0], [[1]])] * 2, indicator=[[1 - bump(x, *TOLD[i]), bump(x, *TOLD[i])] for i in (0, 1)],
 )  # fmt: skip
-RULES = SwitchingRules(SYSTEM, ExactGaussian())
 AT = np.array([-0.8, 0.3, 1.7])
+
+
+@pytest.fixture(scope="module")
+def rules():
+    return SwitchingRules(SYSTEM, ExactGaussian())
 
 
 def known(mode, states):
@@ -40,11 +45,11 @@ def known(mode, states):
     return ModeLaw(np.log(np.maximum(prob, 1e-300)), mean, np.full((1, 1, 2, len(states)), 1e-12))
 
 
-def test_forecast_from_a_known_state():
+def test_forecast_from_a_known_state(rules):
     """(6.28): A(x) E B(a), A(x) E[a B(a)], A(x) E[aa' B(a)], for every next mode and indicator."""
     noise = PUSH + np.sqrt(0.7) * NODES
     for i, move in enumerate((lambda s, n: 0.8 * s + 0.5 * n, lambda s, n: 0.3 * s + 1 - n)):
-        law = RULES.predict(0.0, known(i, AT))
+        law = rules.predict(0.0, known(i, AT))
         away = bump(AT, *LEAVE[i])
         there = move(AT, noise[:, None])
         for l in (0, 1):
@@ -60,14 +65,14 @@ def test_forecast_from_a_known_state():
                 np.testing.assert_allclose(prob * (cov + mean**2), two, rtol=1e-6)
 
 
-def test_measurement_of_a_known_state():
+def test_measurement_of_a_known_state(rules):
     """(6.24): nu = B(x) E b and H = B(x) E bb'."""
     noise = SHIFT + np.sqrt(0.6) * NODES
     for i, sensor in enumerate((lambda s, n: s + 2 * n, lambda s, n: s**2 - n)):
         start = known(i, AT)
         law = ModeLaw(start.log_prob[:, None], start.mean[:, :, None], start.cov[:, :, :, None])
         for j in (0, 1):
-            seen = RULES.sense(0.0, law, np.full(len(AT), j))
+            seen = rules.sense(0.0, law, np.full(len(AT), j))
             share = bump(AT, *TOLD[i])
             share = share if j else 1 - share
             prob, value = np.exp(seen.log_prob[i]), sensor(AT, noise[:, None])
