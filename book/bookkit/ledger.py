@@ -66,6 +66,8 @@ def _disagreements(claim: Claim, entry: dict) -> Iterable[str]:
         yield f"{claim.id}: ledger says {claim.verdict}, {claim.notebook} finds {entry['verdict']}"
     if claim.verdict != "open" and not entry.get("wrong"):
         yield f"{claim.id}: no planted fault: {claim.notebook} does not say what it would fail with"
+    for fault in entry.get("missed", []):
+        yield f"{claim.id}: true as well with this fault: {fault}"
     if claim.verdict == "refuted" and not (entry.get("computed") or entry["note"]):
         yield f"{claim.id}: refuted wants our numbers, or what shows it"
 

@@ -14,8 +14,18 @@ from bookkit.claims import LEDGER
 from bookkit.execution import STAMP
 
 
-def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
+def execute_point(
+    text: str, parameters: Mapping[str, Any], files: Mapping[str, str] | None = None
+) -> dict[str, Any]:
     """Run one point where this is called: on a worker. Failures are returned, not raised.
+
+    Parameters
+    ----------
+    text : str
+        The executed notebook.
+    parameters : mapping
+    files : mapping of str to str, optional
+        Text of the data files that the notebook reads, by their names in the project.
 
     Returns
     -------
@@ -28,9 +38,14 @@ def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     problem = ""
     with tempfile.TemporaryDirectory() as folder:
-        source, target = Path(folder, "in.ipynb"), Path(folder, "out.ipynb")
+        home = Path(folder, "notebooks")
+        home.mkdir()
+        source, target = home / "in.ipynb", home / "out.ipynb"
         source.write_text(text)
-        _write_ledger(Path(folder), text)
+        for name, content in {**(files or {}), LEDGER: _ledger(text)}.items():
+            path = Path(folder, name)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(content)
         try:
             papermill.execute_notebook(
                 str(source),
@@ -38,7 +53,7 @@ def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
                 parameters=dict(parameters),
                 kernel_name="python3",
                 progress_bar=False,
-                cwd=folder,
+                cwd=str(home),
                 extra_arguments=["--log-level=CRITICAL"],
             )
         except papermill.PapermillExecutionError as error:
@@ -49,11 +64,10 @@ def execute_point(text: str, parameters: Mapping[str, Any]) -> dict[str, Any]:
     return {"notebook": done, "problem": problem, "library": library_of(json.loads(text))}
 
 
-def _write_ledger(folder: Path, text: str) -> None:
-    """The claims that the notebook decides and has brought with it, where it looks for them."""
+def _ledger(text: str) -> str:
+    """The claims that the notebook decides and has brought with it."""
     stamp = json.loads(text).get("metadata", {}).get(STAMP, {})
-    (folder / LEDGER).parent.mkdir()
-    (folder / LEDGER).write_text(json.dumps(stamp.get("claims", [])))
+    return json.dumps(stamp.get("claims", []))
 
 
 def library_of(notebook: Mapping[str, Any]) -> str:

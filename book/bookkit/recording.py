@@ -121,7 +121,8 @@ def claim(
         For a claim that does not hold: whether our corrected statement was found true.
     wrong : mapping of str to bool or numbers, optional
         What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that
-        name the fault. A condition that is true then is no condition, and is refused.
+        name the fault. A condition that is true then is no condition: the box says so, and the
+        ledger does not take it. (With other parameters a difference may be too small to see.)
     undecided : bool
         The numbers are shown, and the claim is open whether they agree or not.
     note : str
@@ -132,8 +133,7 @@ def claim(
     Raises
     ------
     ValueError
-        An id that is not in the ledger, numbers that fit in number neither the ledger's nor each
-        other, or a planted fault that passes.
+        An id that is not in the ledger, or numbers that do not fit the ledger's in number.
     """
     entry = look_up(name)
     evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _said(entry)}
@@ -150,10 +150,13 @@ def claim(
         evidence |= {kind: entry.expected, "tolerance": entry.widths}
     if entry.source:
         evidence["source"] = entry.source
-    for fault, value in (wrong or {}).items():
-        passes = _boolean(name, fault, value) if _is_truth(value) else _agrees(entry, value)
-        if passes:
-            raise ValueError(f"claim {name}: true as well with this fault: {fault}")
+    missed = [
+        fault
+        for fault, value in (wrong or {}).items()
+        if (_boolean(name, fault, value) if _is_truth(value) else _agrees(entry, value))
+    ]
+    if missed:
+        evidence["missed"] = missed
     verdict = "open" if undecided else _verdict(holds, corrected, bool(evidence["paper"]))
     found = {"verdict": verdict, **evidence, "wrong": list(wrong or ()), "note": note}
     _publish(
@@ -235,8 +238,11 @@ def evidence(entry: Mapping) -> list[str]:
         parts.append("from " + entry["source"])
     if entry["note"]:
         parts.append(entry["note"])
-    if entry["wrong"]:
-        parts.append("Would fail with: " + ", ".join(entry["wrong"]))
+    missed = entry.get("missed", [])
+    if told := [fault for fault in entry["wrong"] if fault not in missed]:
+        parts.append("Would fail with: " + ", ".join(told))
+    if missed:
+        parts.append("Would not fail with: " + ", ".join(missed))
     return parts
 
 

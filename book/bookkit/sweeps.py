@@ -93,6 +93,7 @@ def run_sweep(
         raise ValueError(f"{grid}: is for {wanted.notebook}, not for {notebook}")
     points = wanted.points()
     check_points(content, points)
+    inputs = _inputs(notebook, content)
     _make_folder(out)
     files = {_key(notebook, content, point): point for point in points}
     finished = {key: _read(out, key, point) for key, point in files.items()}
@@ -107,7 +108,7 @@ def run_sweep(
     )
     if todo:
         with _client(scheduler, min(workers, len(todo))) as client:
-            _run(client, text, {key: files[key] for key in todo}, out, quiet)
+            _run(client, text, inputs, {key: files[key] for key in todo}, out, quiet)
     results = {key: _read(out, key, point) for key, point in files.items()}
     table = out / TABLE
     _write_table(table, files, results)
@@ -117,8 +118,27 @@ def run_sweep(
 
 def _key(path: Path, notebook: nbformat.NotebookNode, point: Mapping[str, Any]) -> str:
     code = [cell.source for cell in notebook.cells if cell.cell_type == "code"]
-    lock = fingerprint.file_digest(fingerprint.project_root(path.parent), [fingerprint.LOCK])
-    return fingerprint.digest(code, library_of(notebook), lock, sorted(point.items()))
+    names = [fingerprint.LOCK, *notebook.metadata.get("inputs", [])]
+    files = fingerprint.file_digest(fingerprint.project_root(path.parent), names)
+    return fingerprint.digest(code, library_of(notebook), files, sorted(point.items()))
+
+
+def _inputs(path: Path, notebook: nbformat.NotebookNode) -> dict[str, str]:
+    """Text of the data files that the notebook says it reads; they travel with it.
+
+    Raises
+    ------
+    ValueError
+        One of them is not there, or no text.
+    """
+    root = fingerprint.project_root(path.parent)
+    found = {}
+    for name in notebook.metadata.get("inputs", []):
+        try:
+            found[name] = (root / name).read_text()
+        except (OSError, UnicodeDecodeError):
+            raise ValueError(f"{path.name}: wanted its input {name}, a text file") from None
+    return found
 
 
 def _make_folder(out: Path) -> None:
@@ -158,13 +178,15 @@ def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | Non
     return entry
 
 
-def _run(client: Any, text: str, todo: Mapping[str, dict], out: Path, quiet: bool) -> None:
+def _run(
+    client: Any, text: str, inputs: dict[str, str], todo: Mapping[str, dict], out: Path, quiet: bool
+) -> None:
     from dask.distributed import as_completed
     from tqdm import tqdm
 
     ours = library_of(json.loads(text))
     running = {
-        client.submit(execute_point, text, point, key=f"point-{key}", retries=2): key
+        client.submit(execute_point, text, point, inputs, key=f"point-{key}", retries=2): key
         for key, point in todo.items()
     }
     for future in tqdm(as_completed(running), total=len(running), unit="point", disable=quiet):

@@ -216,3 +216,8 @@ def test_a_refuted_claim_shows_its_numbers(project):
     spoil(project / "book" / "claims.yml", "verdict: reproduced", "verdict: refuted")
     record_of(project, verdict="refuted", computed=[], note="")
     assert ledger.faults(project) == ["TS-X1: refuted wants our numbers, or what shows it"]
+
+
+def test_a_fault_that_passes_is_named(project):
+    record_of(project, missed=["one term less"])
+    assert ledger.faults(project) == ["TS-X1: true as well with this fault: one term less"]

@@ -122,9 +122,7 @@ def test_the_verdict_follows_from_the_numbers(known, shown, ledger, arguments, v
     [
         (ONE, {}, "wanted computed ones"),
         (ONE, {"computed": [1.0, 2.0]}, "wanted 1 numbers as in the ledger, got 2"),
-        (ONE, {"computed": 1.0, "wrong": {"no sign": 0.97}}, "this fault: no sign"),
         ({}, {"holds": "yes"}, "holds: wanted a boolean"),
-        ({}, {"holds": True, "wrong": {"no sign": np.True_}}, "this fault: no sign"),
         ({}, {"holds": True, "wrong": {"no sign": 1.0}}, "no numbers to hold these against"),
     ],
 )
@@ -145,6 +143,20 @@ def test_a_fault_that_turns_the_verdict_is_shown(known, shown):
     known(**ONE)
     claim("TS-X1", computed=1.0, wrong={"no sign": -1.0, "half": np.False_})
     assert "Would fail with: no sign, half" in shown[0][0]["text/html"]
+
+
+@pytest.mark.parametrize(
+    ("ledger", "arguments"),
+    [
+        (ONE, {"computed": 1.0, "wrong": {"no sign": 0.97, "half": 0.5}}),
+        ({}, {"holds": True, "wrong": {"no sign": np.True_, "half": False}}),
+    ],
+)
+def test_a_fault_that_passes_is_shown_as_missed(known, shown, ledger, arguments):
+    known(**ledger)
+    claim("TS-X1", **arguments)
+    assert recording.read_records(cells(shown)).claims["TS-X1"]["missed"] == ["no sign"]
+    assert "Would fail with: half; Would not fail with: no sign" in shown[0][0]["text/html"]
 
 
 def test_of_many_numbers_only_the_farthest_is_shown(known, shown):

@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import nbformat
 import pytest
 
-from bookkit import run_sweep, sweeps
+from bookkit import execution, run_sweep, sweeps
 from bookkit.cli import main
 from bookkit.points import execute_point
 
@@ -221,7 +221,7 @@ def test_points_that_a_lost_scheduler_cancelled_are_not_kept_as_failed(project, 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("dask.distributed.as_completed", lambda running: list(running))
         with pytest.raises(ValueError, match="the scheduler was lost"):
-            sweeps._run(client, text, {"key": {"gain": 1.0}}, tmp_path, True)
+            sweeps._run(client, text, {}, {"key": {"gain": 1.0}}, tmp_path, True)
     assert not list(tmp_path.glob("*.json"))
 
 
@@ -234,3 +234,25 @@ def test_another_sweep_on_this_machine_is_no_hindrance(project, grid, recwarn):
         report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
     assert report.failed == 0
     assert [str(w.message) for w in recwarn if "already in use" in str(w.message)] == []
+
+
+def test_data_files_travel_with_the_notebook(project, grid):
+    """Named in the front matter, they are where the notebook looks for them, on any worker."""
+    source = project / "notebooks" / "tiny.md"
+    (project / "data").mkdir()
+    (project / "data" / "terms.csv").write_text("2.5\n")
+    text = source.read_text().replace("kernelspec:", "inputs: [data/terms.csv]\nkernelspec:", 1)
+    code = 'from bookkit import record\n\nrecord(told=float(open("../data/terms.csv").read()))\n'
+    source.write_text(text + "\n```{code-cell} ipython3\n" + code + "```\n")
+    assert [o.problem for o in execution.execute(project)] == [""]
+    grid.write_text("grid: {gain: [1.0]}\n")
+    report = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    assert (report.total, report.failed) == (1, 0)
+    assert float(rows(report.table)[0]["told"]) == 2.5
+    (project / "data" / "terms.csv").write_text("3.5\n")
+    again = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    assert again.already == 0
+    assert float(rows(again.table)[0]["told"]) == 3.5
+    (project / "data" / "terms.csv").unlink()
+    with pytest.raises(ValueError, match=r"wanted its input data/terms\.csv"):
+        run_sweep(notebook(project), grid, project / "out", quiet=True)
