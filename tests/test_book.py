@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from bookkit import ledger
+from bookkit import ledger, places
 
 ROOT = Path(__file__).resolve().parents[1]
 ROOMS = (
@@ -35,6 +35,10 @@ ROOMS = (
 
 def test_the_ledger_agrees_with_notebooks_and_tests():
     assert ledger.faults(ROOT) == []
+
+
+def test_every_item_of_the_papers_has_its_place():
+    assert places.faults(ROOT) == []
 
 
 @pytest.mark.parametrize("room", ROOMS)

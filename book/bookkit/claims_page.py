@@ -10,6 +10,7 @@ from pathlib import Path
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, Claim, read_ledger
 from bookkit.ledger import read_verdicts
 from bookkit.recording import evidence
+from bookkit.tables import claim_link, table
 
 DECIDED = ("reproduced", "corrected", "refuted", "open")
 OURS = ("checked", "open")
@@ -32,9 +33,7 @@ def page(root: Path) -> str:
         "",
         _counts(theirs, DECIDED),
         "",
-        "A claim that a paper makes is *stated*; *restored* where we had to supply signs that the",
-        "scan has lost, *implied* where it follows from the paper without standing in it:",
-        f"{_origins(theirs)}.",
+        f"Of the papers' claims {_origins(theirs)}.",
     ]
     for title, chosen in (("What the papers claim", theirs), ("What we found ourselves", ours)):
         lines += ["", f"## {title}"]
@@ -45,8 +44,8 @@ def page(root: Path) -> str:
             )
             if rows:
                 head = ["claim", "statement", "what was found", "verdict"]
-                table = _table(head, [_row(claim, recorded) for claim in rows])
-                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", table]
+                body = table(head, [_row(claim, recorded) for claim in rows])
+                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", body]
     return "\n".join(lines) + "\n"
 
 
@@ -57,7 +56,8 @@ def _summary(claims: Sequence[Claim], words: Sequence[str]) -> str:
 
 def _origins(claims: Sequence[Claim]) -> str:
     counts = Counter(claim.origin for claim in claims)
-    return ", ".join(f"{counts[word]} {word}" for word in ORIGINS if word != "ours")
+    told = (f"{counts[w]} are *{w}* ({ORIGINS[w]})" for w in ORIGINS if w != "ours")
+    return "; ".join(told)
 
 
 def _counts(claims: Sequence[Claim], words: Sequence[str]) -> str:
@@ -66,12 +66,11 @@ def _counts(claims: Sequence[Claim], words: Sequence[str]) -> str:
         own = Counter(claim.verdict for claim in claims if claim.paper == key)
         if own:
             rows.append([name, *(str(own[word]) for word in words)])
-    return _table(["paper", *words], rows)
+    return table(["paper", *words], rows)
 
 
 def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
     entry = recorded.get(claim.id, {}).get(claim.notebook)
-    target = f"../{claim.notebook.removesuffix('.md')}.html#{claim.id}"
     says = [claim.statement]
     if claim.reading:
         says.append(f"Reading: {claim.reading}")
@@ -86,7 +85,7 @@ def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
     many = f"{len(claim.tests)} test{'s' if len(claim.tests) > 1 else ''}"
     folded = f"<details><summary>{many}</summary>{tests}</details>" if tests else ""
     return [
-        f'<a href="{target}">{claim.id}</a><br>{html.escape(claim.place)}'
+        f"{claim_link(claim)}<br>{html.escape(claim.place)}"
         + (f"<br><i>{claim.origin}</i>" if claim.origin in ("restored", "implied") else ""),
         _lines(says),
         _lines(found) + folded,
@@ -96,12 +95,3 @@ def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
 
 def _lines(texts: Iterable[str]) -> str:
     return "<br>".join(html.escape(" ".join(text.split())) for text in texts)
-
-
-def _table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
-    heads = "".join(f"<th>{c}</th>" for c in head)
-    return (
-        f'<table class="claims table">\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}</tbody>\n'
-        "</table>"
-    )

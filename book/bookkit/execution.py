@@ -21,7 +21,7 @@ from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
 from bookkit import fingerprint
-from bookkit.claims import LEDGER, own_claims
+from bookkit.claims import LEDGER, Claim, own_claims
 from bookkit.files import replace
 from bookkit.recording import read_records
 
@@ -115,7 +115,7 @@ def _execute_one(source: Path) -> str:
 
 def _execute_source(source: Path) -> str:
     # What it depends on is read before it runs: a change made meanwhile leaves it stale.
-    inputs = _inputs(source)
+    inputs, claims = _inputs(source), _claims(source)
     notebook = _read(source)
     missing = [n for n in _declared(notebook) if not (_root(source) / n).is_file()]
     if missing:
@@ -152,7 +152,6 @@ def _execute_source(source: Path) -> str:
     except ValueError as error:
         return f"failed: {error}"
     _normalise(notebook)
-    claims = own_claims(_root(source) / LEDGER, f"notebooks/{source.name}")
     told = [claim.model_dump(mode="json", exclude_none=True) for claim in claims]
     notebook.metadata[STAMP] = {"inputs": inputs(library), "library": library, "claims": told}
     if not source.is_file():
@@ -166,18 +165,19 @@ def _inputs(source: Path) -> Callable[[Iterable[str]], str]:
     text = source.read_text()
     contents = fingerprint.library_contents()
     names = [fingerprint.LOCK, *_declared(_read(source))]
-    root = _root(source)
-    files = fingerprint.file_digest(root, names)
-    claims = [
-        claim.model_dump_json(exclude={"tests", "verdict", "kind"})
-        for claim in own_claims(root / LEDGER, f"notebooks/{source.name}")
-    ]
+    files = fingerprint.file_digest(_root(source), names)
+    claims = [c.model_dump_json(exclude={"tests", "verdict", "kind"}) for c in _claims(source)]
 
     def hashed(library: Iterable[str]) -> str:
         used = fingerprint.library_digest(library, contents)
         return fingerprint.digest(text, used, files, claims)
 
     return hashed
+
+
+def _claims(source: Path) -> list[Claim]:
+    """What the ledger asks of the notebook."""
+    return own_claims(_root(source) / LEDGER, f"notebooks/{source.name}")
 
 
 def _root(source: Path) -> Path:

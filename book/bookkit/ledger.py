@@ -12,7 +12,7 @@ from collections.abc import Iterable
 from pathlib import Path
 
 from bookkit.claims import LEDGER, Claim, read_ledger
-from bookkit.recording import read_records
+from bookkit.recording import Records, read_records
 
 
 def faults(root: Path) -> list[str]:
@@ -48,16 +48,29 @@ def faults(root: Path) -> list[str]:
     return found
 
 
-def read_verdicts(root: Path) -> dict[str, dict[str, dict]]:
-    """What the executed notebooks recorded: by claim, by notebook."""
-    places: dict[str, dict[str, dict]] = {}
+def read_notebooks(root: Path) -> dict[str, Records]:
+    """What the executed notebooks recorded, by their names.
+
+    Raises
+    ------
+    ValueError
+        A file that is no executed notebook; it is named.
+    """
+    found = {}
     for path in sorted((root / "notebooks").glob("*.ipynb")):
         try:
-            claims = read_records(json.loads(path.read_text(encoding="utf-8"))).claims
+            found[path.stem] = read_records(json.loads(path.read_text(encoding="utf-8")))
         except (ValueError, KeyError, TypeError) as error:
             raise ValueError(f"{path.name}: not an executed notebook: {error}") from None
-        for name, entry in claims.items():
-            places.setdefault(name, {})[f"notebooks/{path.stem}.md"] = entry
+    return found
+
+
+def read_verdicts(root: Path) -> dict[str, dict[str, dict]]:
+    """The verdicts of the executed notebooks: by claim, by notebook."""
+    places: dict[str, dict[str, dict]] = {}
+    for stem, records in read_notebooks(root).items():
+        for name, entry in records.claims.items():
+            places.setdefault(name, {})[f"notebooks/{stem}.md"] = entry
     return places
 
 

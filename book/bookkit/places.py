@@ -5,15 +5,17 @@ from __future__ import annotations
 import html
 import json
 import re
+from functools import cache
 from pathlib import Path
 from typing import Annotated
 
 from docutils.nodes import make_id
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from bookkit.claims import LEDGER, PAPERS, Claim, read_ledger
+from bookkit.claims import LEDGER, PAPERS, read_ledger
 from bookkit.files import read_yaml
 from bookkit.parameters import explain
+from bookkit.tables import claim_link, table
 
 PLACES = "book/places.yml"
 
@@ -82,21 +84,14 @@ def page(root: Path) -> str:
         "with their numbers, and where this book has it.",
     ]
     for paper, items in read_places(root / PLACES).items():
-        lines += ["", f"## {PAPERS[paper]}: where", "", '<table class="claims table">']
-        lines.append("<thead><tr><th>in the paper</th><th>what</th><th>here</th></tr></thead>")
-        lines.append("<tbody>")
+        rows = []
         for place in items:
             here = [_link(root, at) for at in place.at]
-            here += [_claim_link(known[name]) for name in place.claims]
-            cells = (html.escape(place.item), html.escape(place.says), "<br>".join(here))
-            lines.append("<tr>" + "".join(f"<td>{cell}</td>" for cell in cells) + "</tr>")
-        lines += ["</tbody>", "</table>"]
+            here += [f"{claim_link(known[name])} {known[name].verdict}" for name in place.claims]
+            rows.append((html.escape(place.item), html.escape(place.says), "<br>".join(here)))
+        head = ("in the paper", "what", "here")
+        lines += ["", f"## {PAPERS[paper]}: where", "", table(head, rows)]
     return "\n".join(lines) + "\n"
-
-
-def _claim_link(claim: Claim) -> str:
-    target = f"../{claim.notebook.removesuffix('.md')}.html#{claim.id}"
-    return f'<a href="{target}">{claim.id}</a> {claim.verdict}'
 
 
 def _link(root: Path, at: str) -> str:
@@ -114,9 +109,14 @@ def _exists(root: Path, at: str) -> bool:
 def _headings(root: Path, file: str) -> list[str]:
     """Headings of a page, those of a notebook from its text cells only."""
     executed = (root / file).with_suffix(".ipynb")
-    if executed.is_file():
-        cells = json.loads(executed.read_text(encoding="utf-8"))["cells"]
-        texts = ["".join(c["source"]) for c in cells if c["cell_type"] == "markdown"]
-    else:
-        texts = [(root / file).read_text(encoding="utf-8")]
-    return re.findall(r"^#+ +(.+?) *$", "\n".join(texts), re.M)
+    page = executed if executed.is_file() else root / file
+    return _headings_of(page, page.stat().st_mtime_ns)
+
+
+@cache
+def _headings_of(page: Path, changed: int) -> list[str]:
+    text = page.read_text(encoding="utf-8")
+    if page.suffix == ".ipynb":
+        cells = json.loads(text)["cells"]
+        text = "\n".join("".join(c["source"]) for c in cells if c["cell_type"] == "markdown")
+    return re.findall(r"^#+ +(.+?) *$", text, re.M)

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.checks import unmasked
+from seedslib.base.circle import Periods, nearest
 from seedslib.base.diffuse import correct_diffuse, narrowed
 from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, pseudo_correct
 
@@ -22,7 +23,7 @@ __all__ = ["correct", "eliminate", "factor", "joint_shape"]
 
 def correct(
     mean: np.ndarray, cov: np.ndarray, y: np.ndarray, moments: Any, rows: Any = None,
-    noise: Any = None,
+    noise: Any = None, periods: Periods = (),
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Correct a predicted mean and covariance by one measurement.
 
@@ -47,6 +48,8 @@ def correct(
     noise : callable, optional
         ``noise() -> (m, m, *batch)``, the covariance of y at a known state. It is asked where a
         variance falls below 1e-8 of itself: there the noise has been rounded off in cov y.
+    periods : tuple
+        Components of y on a circle, from `as_periods`: the innovation is the shortest way round.
 
     Returns
     -------
@@ -94,6 +97,7 @@ def correct(
     cross, spread = _align(cross, 2, depth), _align(spread, 2, depth)
     cov = None if cov is None else _align(cov, 2, depth)
 
+    y = nearest(y, predicted, periods)
     error, missing = y - predicted, 0
     present = np.isfinite(y)
     if not present.all():

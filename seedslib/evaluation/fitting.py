@@ -11,7 +11,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
-from scipy.stats import norm
+from scipy.special import ndtri
 
 from seedslib.base.checks import as_count
 from seedslib.base.parameters import Parameter, assigned
@@ -70,7 +70,7 @@ class Fit:
 
     def interval(self, level: float = 0.95) -> np.ndarray:
         """Intervals of this coverage for large samples, shape (p, 2); from the curvature."""
-        width = norm.ppf(0.5 + 0.5 * level) * self.errors
+        width = ndtri(0.5 + 0.5 * level) * self.errors
         return np.stack([self.values - width, self.values + width], axis=-1)
 
     def assigned(self) -> AbstractContextManager[None]:
@@ -187,19 +187,22 @@ class _Problem:
 
     def _batch(self, values):
         count, series = values.shape[1], self.y.shape[2]
-        table = {p: np.repeat(v, series) for p, v in zip(self.parameters, values, strict=True)}
+        repeated = np.repeat(values, series, axis=1)
         seen = None if self.seen is None else np.tile(self.seen, (1, count))
-        with assigned(table):
-            y = np.tile(self.y, (1, 1, count))
-            found = self.filter.run(self.times, y, indicators=seen)
-        if found.loglik is None:
-            raise ValueError(f"filter: {self.filter!r} gives no likelihood")
-        return found.loglik.sum(axis=0).reshape(count, series).sum(axis=1)
+        found = self._run(self.filter, repeated, np.tile(self.y, (1, 1, count)), seen)
+        return found.reshape(count, series).sum(axis=1)
 
     def _one(self, values):
-        with assigned(dict(zip(self.parameters, values.tolist(), strict=True))):
-            found = self.filter().run(self.times, self.y, indicators=self.seen)
-        return found.loglik.sum()
+        return self._run(None, values, self.y, self.seen).sum()
+
+    def _run(self, filter, values, y, seen):
+        """Log-likelihood of each record, with a filter that is made where there is None."""
+        with assigned(dict(zip(self.parameters, values, strict=True))):
+            filter = self.filter() if filter is None else filter
+            found = filter.run(self.times, y, indicators=seen).loglik
+        if found is None:
+            raise ValueError(f"filter: {filter!r} gives no likelihood")
+        return found.sum(axis=0)
 
     def slopes(self, u: np.ndarray, along: Sequence[int]) -> tuple[float, np.ndarray]:
         """Log-likelihood and its derivatives along some axes, by differences of fourth order."""

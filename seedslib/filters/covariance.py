@@ -10,12 +10,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count
-from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
 from seedslib.filters.blind import warn_blind
-from seedslib.filters.estimates import Estimates, first_step, require_time, stays
+from seedslib.filters.estimates import Estimates, require_time
 from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
@@ -155,25 +154,6 @@ class CovarianceFilter(Filter, Remade):
             change[k] = component
         return state._replace(mean=mean, cov=symmetric(change, self.n))
 
-    def predict_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
-        """Forecast to time t, and the covariance of the state now with the state then.
-
-        Returns
-        -------
-        state : FilterState
-        cross : ndarray, shape (n, n, *batch)
-
-        Raises
-        ------
-        ValueError
-            As `predict`.
-        """
-        if stays(state, t):
-            return state._replace(time=float(t)), state.cov
-        interval = first_step(state, t, self.system)
-        later, cross = self.moved_jointly(state, t)
-        return later._replace(time=float(t), interval=interval), cross
-
     def apart(self) -> CovarianceFilter:
         """The filter as `smooth` runs it."""
         return self
@@ -217,10 +197,10 @@ class CovarianceFilter(Filter, Remade):
         require_time(state)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             moments = Moments(*self._sensor(state.time, state.mean, state.cov))
-            y = nearest(y, moments.mean, self.system.sensor.period)
             mean, cov, loglik = correct(
                 state.mean, state.cov, y, moments,
                 noise=lambda: self._sensor(state.time, state.mean, np.zeros_like(state.cov)).cov,
+                periods=self.system.sensor.period,
             )  # fmt: skip
             if self._by_points:
                 cov = settled(cov, state.cov)

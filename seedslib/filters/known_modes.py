@@ -7,7 +7,6 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
@@ -152,9 +151,8 @@ class KnownModeFilter(Filter, Remade):
                 else:
                     _, prior, moments = reading(state.time, *prior)
                 plain, still = self._sensors[i], np.zeros_like(prior[1])
-                near = nearest(y[:, here], moments.mean, self.system.sensors[i].period)
                 *found, loglik[here] = correct(
-                    *prior, near, moments,
+                    *prior, y[:, here], moments, periods=self.system.sensors[i].period,
                     noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
                 )  # fmt: skip
                 if isinstance(self.linearization, PointRule):

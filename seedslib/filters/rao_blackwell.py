@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
-from seedslib.base.circle import nearest
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.filters.estimates import as_seen
@@ -160,10 +159,8 @@ class RaoBlackwellFilter(Filter, Remade):
         score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
             prior = state.law[0][:, i], state.law[1][:, :, i]
-            moments = sense(t, *prior)
-            near = nearest(y[:, None], moments.mean, self.system.sensors[i].period)
             mean[:, i], square, score[i] = correct(
-                *prior, near, moments,
+                *prior, y[:, None], sense(t, *prior), periods=self.system.sensors[i].period,
                 noise=lambda f=sense, m=prior[0], d=prior[1]: f(t, m, np.zeros_like(d)).cov,
             )  # fmt: skip
             cov[:, :, i] = _wide(square, mean[:, i])

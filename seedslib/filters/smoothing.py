@@ -57,11 +57,14 @@ def smooth(
     state = filter.initial(batch)
     states, forecasts = [], []
     for t, row in zip(times, y, strict=True):
-        later, cross = filter.predict_jointly(state, t)
         if states:
+            later, cross = filter.moved_jointly(state, t)
             cov = _wide(later.cov, batch)
             forecasts.append((_columns(later), cov, _gain(_wide(cross, batch), cov)))
-        state = filter.correct(later, row)
+            state = later._replace(time=float(t))
+        else:
+            state = filter.predict(state, t)
+        state = filter.correct(state, row)
         states.append(state)
     found = _interval(states, forecasts, batch) if lag is None else (
         _lagged(states, forecasts, batch, lag)

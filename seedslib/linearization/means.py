@@ -12,6 +12,7 @@ from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.gaussian.means.formulas import mean_expression
 from seedslib.models.codegen import real_part
 from seedslib.models.maps import StochasticMap
+from seedslib.models.noise import tidy
 
 
 class Names:
@@ -63,17 +64,12 @@ def joined(map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> tuple[
         raise NoClosedForm(
             "ExactGaussian: wanted Gaussian noise where the weight depends on it; use GaussHermite"
         )
-    known = [_number(c) for c in noise.cov.ravel()]
+    known = [sympy.sympify(tidy(c)) for c in noise.cov.ravel()]
     named = [sympy.Dummy(f"noise{k}", real=True) for k in range(noise.size)]
     joint = sympy.diag(cov, sympy.Matrix(noise.size, noise.size, known))
-    still = {name: _number(c) for name, c in zip(named, noise.mean, strict=True)}
+    still = {name: sympy.sympify(tidy(c)) for name, c in zip(named, noise.mean, strict=True)}
     nothing = np.zeros((map.size, map.size), dtype=int)
     return (*map.state, *noise.symbols), map.expressions, nothing, [*mean, *named], joint, still
-
-
-def _number(value: float) -> sympy.Number:
-    """SymPy number; an integer where the float is one, which keeps formulas short."""
-    return sympy.Integer(int(value)) if float(value).is_integer() else sympy.Float(float(value))
 
 
 def affine_part(

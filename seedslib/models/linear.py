@@ -11,7 +11,7 @@ from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
 from seedslib.base.semidefinite import factor
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import Noise
+from seedslib.models.noise import Noise, tidy
 from seedslib.models.propagation import van_loan
 
 Matrix: TypeAlias = Any
@@ -41,8 +41,7 @@ class LinearMap(StochasticMap):
         self._slope, self._cov = slope, cov
         if callable(slope) or callable(cov):
             made = StochasticMap.from_functions(
-                n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread,
-                log_density=None,
+                n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread
             )  # fmt: skip
             vars(self).update(vars(made))
             return
@@ -51,7 +50,7 @@ class LinearMap(StochasticMap):
         state = sympy.symbols(f"x1:{n + 1}", real=True)
         noise = sympy.symbols(f"v1:{m + 1}", real=True)
         value = [
-            sum((_tidy(a) * x for a, x in zip(row, state, strict=True) if a), v)
+            sum((tidy(a) * x for a, x in zip(row, state, strict=True) if a), v)
             for row, v in zip(self._slope, noise, strict=True)
         ]
         super().__init__(state, value, Noise(noise, 0.0, self._cov))
@@ -184,10 +183,6 @@ class LinearSystem(DiscreteSystem):
             raise ValueError(f"step: wanted a positive number, got {step}")
         F, Q = van_loan(as_shape("drift", drift, spread.shape), spread, float(step))
         return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse)
-
-
-def _tidy(number: float) -> Any:
-    return int(number) if float(number).is_integer() else float(number)
 
 
 def _entries(name: str, matrix: Any) -> Any:

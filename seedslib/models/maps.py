@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.bundles import Source
-from seedslib.base.circle import Periods, as_periods, nearest, wrapped
+from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.correction import correct
 from seedslib.base.objects import Shown, Travelling
 from seedslib.models.missing import told
@@ -281,5 +281,4 @@ class StochasticMap(Travelling, Shown):
         predicted, spread = mean(t, x), cov(t, x)
         blind = np.zeros((1, self.size, *(1,) * (predicted.ndim - 1)))
         anchor = np.zeros((1, *(1,) * (predicted.ndim - 1)))
-        y = nearest(y, predicted, self.period)
-        return correct(anchor, None, y, (predicted, blind, spread))[2]
+        return correct(anchor, None, y, (predicted, blind, spread), periods=self.period)[2]

@@ -152,7 +152,7 @@ class Noise:
         total = 0
         for powers, coefficient in polynomial.terms():
             used = tuple(k for k, power in enumerate(powers) for _ in range(power))
-            total += coefficient * _tidy(moments[len(used)][used])
+            total += coefficient * tidy(moments[len(used)][used])
         return total
 
 
@@ -182,7 +182,7 @@ def _named(symbols: Sequence) -> tuple:
     return tuple(symbols)
 
 
-def _tidy(number: float) -> float:
+def tidy(number: float) -> float:
     """The exact integer where a float is one: keeps formulas such as 1*x free of 1.0*x."""
     return int(number) if float(number).is_integer() else float(number)
 

@@ -88,3 +88,15 @@ def executed_project(tmp_path_factory):
 def project(executed_project, tmp_path):
     """A copy of the small project that a test may spoil."""
     return shutil.copytree(executed_project, tmp_path / "project")
+
+
+@pytest.fixture
+def spoil():
+    """Put another text in the place of one that stands in a file."""
+
+    def put(path, old, new):
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new))
+
+    return put

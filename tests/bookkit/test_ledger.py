@@ -6,12 +6,6 @@ from bookkit import claims, claims_page, ledger
 from bookkit.recording import MIME
 
 
-def spoil(path, old, new):
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-
-
 def test_a_sound_project_has_no_faults(project):
     assert ledger.faults(project) == []
 
@@ -61,7 +55,7 @@ def test_a_sound_project_has_no_faults(project):
         ("id: TS-X1", "id: TS-X2", "TS-X2: no notebook records it (ledger says notebooks/tiny.md)"),
     ],
 )
-def test_every_planted_fault_is_named(project, old, new, fault):
+def test_every_planted_fault_is_named(project, old, new, fault, spoil):
     spoil(project / "book" / "claims.yml", old, new)
     assert fault in ledger.faults(project)
 
@@ -90,14 +84,14 @@ def test_what_pytest_does_not_collect_is_no_test(project, code):
 
 
 @pytest.mark.parametrize("name", ["oracle", "Helper::test_sum", "TestOther::test_sum"])
-def test_neither_is_a_helper(project, name):
+def test_neither_is_a_helper(project, name, spoil):
     code = "def oracle(): pass\nclass Helper:\n    def test_sum(self): pass\n"
     (project / "tests" / "test_tiny.py").write_text(code)
     spoil(project / "book" / "claims.yml", "::test_sum", f"::{name}")
     assert ledger.faults(project) == [f"TS-X1: no test tests/test_tiny.py::{name}"]
 
 
-def test_a_test_may_stand_in_a_class(project):
+def test_a_test_may_stand_in_a_class(project, spoil):
     code = "class TestSums:\n    def test_sum(self): pass\n"
     (project / "tests" / "test_tiny.py").write_text(code)
     spoil(project / "book" / "claims.yml", "::test_sum", "::TestSums::test_sum")
@@ -121,7 +115,7 @@ def test_a_record_without_a_claim_is_named(project):
         ("verdict: reproduced", "verdict: open\n  verdict: reproduced", "'verdict' stands twice"),
     ],
 )
-def test_an_entry_that_is_no_claim_is_named(project, old, new, message):
+def test_an_entry_that_is_no_claim_is_named(project, old, new, message, spoil):
     spoil(project / "book" / "claims.yml", old, new)
     with pytest.raises(ValueError, match=r"claims\.yml") as caught:
         claims.read_ledger(project / "book" / "claims.yml")
@@ -140,7 +134,7 @@ def test_a_missing_ledger_is_named(tmp_path):
         claims.read_ledger(tmp_path / "claims.yml")
 
 
-def test_the_page_counts_links_and_escapes(project):
+def test_the_page_counts_links_and_escapes(project, spoil):
     spoil(project / "book" / "claims.yml", "terms of the sum", "terms < 5 of the sum")
     page = claims_page.page(project)
     assert "The papers make 1 claims: 1 reproduced, 0 corrected, 0 refuted, 0 open." in page
@@ -149,12 +143,12 @@ def test_the_page_counts_links_and_escapes(project):
     assert "computed 7<br>printed 7 (± 1e-09)<br>Would fail with: one term less" in page
 
 
-def test_an_empty_line_in_a_statement_does_not_end_the_table(project):
+def test_an_empty_line_in_a_statement_does_not_end_the_table(project, spoil):
     spoil(project / "book" / "claims.yml", "The three terms of the sum make 7.", '"a\\n\\nb"')
     assert "<td>a b</td>" in claims_page.page(project)
 
 
-def test_a_corrected_claim_shows_both_formulas(project):
+def test_a_corrected_claim_shows_both_formulas(project, spoil):
     spoil(
         project / "book" / "claims.yml",
         "verdict:",
@@ -175,12 +169,12 @@ def test_the_command_fails_with_the_place(project, command):
     assert "TS-X1: ledger says reproduced, notebooks/tiny.md finds open" in done.stdout
 
 
-def test_a_last_digit_gives_the_tolerance(project):
+def test_a_last_digit_gives_the_tolerance(project, spoil):
     spoil(project / "book" / "claims.yml", "1.0e-9", "0.5")
     assert ledger.faults(project) == []
 
 
-def test_a_wide_tolerance_may_give_its_reason(project):
+def test_a_wide_tolerance_may_give_its_reason(project, spoil):
     spoil(project / "book" / "claims.yml", "1.0e-9", "0.6\n  because: read off a curve")
     assert ledger.faults(project) == []
 
@@ -212,7 +206,7 @@ def test_a_decided_claim_says_what_it_would_fail_with(project):
     assert ledger.faults(project) == [fault]
 
 
-def test_a_refuted_claim_shows_its_numbers(project):
+def test_a_refuted_claim_shows_its_numbers(project, spoil):
     spoil(project / "book" / "claims.yml", "verdict: reproduced", "verdict: refuted")
     record_of(project, verdict="refuted", computed=[], note="")
     assert ledger.faults(project) == ["TS-X1: refuted wants our numbers, or what shows it"]

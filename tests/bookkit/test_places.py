@@ -3,12 +3,6 @@ import pytest
 from bookkit import places
 
 
-def spoil(path, old, new):
-    text = path.read_text()
-    assert old in text
-    path.write_text(text.replace(old, new))
-
-
 def test_a_sound_list_has_no_faults(project):
     assert places.faults(project) == []
 
@@ -22,7 +16,7 @@ def test_a_sound_list_has_no_faults(project):
         ("[TS-X1]", "[]", "two-step: no item has the claim TS-X1"),
     ],
 )
-def test_every_planted_fault_is_named(project, old, new, fault):
+def test_every_planted_fault_is_named(project, old, new, fault, spoil):
     spoil(project / "book" / "places.yml", old, new)
     assert fault in " ".join(places.faults(project))
 

@@ -10,8 +10,8 @@ from scipy.stats import multivariate_normal
 
 from seedslib.base import Parameter, assigned
 from seedslib.evaluation import fit
-from seedslib.filters import KalmanFilter, extended_kalman
-from seedslib.models import JumpDiffusion, LinearSystem, Noise
+from seedslib.filters import GridBayesFilter, KalmanFilter, extended_kalman
+from seedslib.models import JumpDiffusion, LinearSystem, Noise, SwitchingSystem
 
 DATA = Path(__file__).resolve().parents[2] / "benchmarks" / "data"
 NILE = np.loadtxt(DATA / "nile.csv", delimiter=",", skiprows=1)[:, 1]
@@ -87,6 +87,30 @@ def test_three_parameters_of_a_jump_diffusion_are_found_again():
     assert again == pytest.approx(found.loglik, abs=1e-8)
 
 
+def test_a_filter_on_a_grid_is_made_for_every_value():
+    """Its chain takes in the values when it is made: a function that makes it is called."""
+    x, v, w = sp.symbols("x v w")
+    shift, deviation = Parameter("b", 0.5), Parameter("s", 1.0, positive=True)
+
+    def system(b, s):
+        return SwitchingSystem(
+            (x,), [[0.8 * x + 0.5 * v], [0.3 * x + b + 0.5 * v]], Noise((v,)),
+            [[0.9, 0.1], [0.2, 0.8]], [[x + s * w], [x + s * w]], Noise((w,)),
+            [(0.5, [0], [[1]])] * 2,
+        )  # fmt: skip
+
+    axis, times = (-5.0, 5.0, 81), np.arange(40.0)
+    y = np.asarray(system(1.5, 0.5).simulate(times, 1, 2).measurements)[..., 0]
+    named = system(shift, deviation)
+    found = fit(lambda: GridBayesFilter(named, axis), times, y, [deviation])
+    wanted = GridBayesFilter(system(0.5, found.values[0]), axis).run(times, y).loglik.sum()
+    assert found.converged
+    assert found.loglik == pytest.approx(wanted, abs=1e-9)
+    for factor in (0.9, 1.1):
+        other = GridBayesFilter(system(0.5, factor * found.values[0]), axis)
+        assert other.run(times, y).loglik.sum() < found.loglik
+
+
 def test_intervals_cover_the_truth():
     a, r = Parameter("a", 0.5), Parameter("r", 1.0, positive=True)
     system = LinearSystem(a, 1, 1, r, 0, 1)
@@ -129,3 +153,5 @@ def test_what_cannot_be_fitted_is_refused():
 
     with pytest.raises(ValueError, match="gives no likelihood"):
         fit(Silent(filter.system), YEARS, y, [Q])
+    with pytest.raises(ValueError, match="gives no likelihood"):
+        fit(lambda: Silent(filter.system), YEARS, y, [Q])

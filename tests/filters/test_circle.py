@@ -6,17 +6,20 @@ import sympy as sp
 
 from seedslib.base.circle import as_periods, nearest, wrapped
 from seedslib.design import synthesize
-from seedslib.designed import Memory
+from seedslib.designed import Memory, SwitchingFilter
 from seedslib.filters import (
     CovarianceFilter,
+    GridBayesFilter,
+    KnownModeFilter,
     ParticleFilter,
+    RaoBlackwellFilter,
     cubature_kalman,
     extended_kalman,
     smooth,
     unscented_kalman,
 )
 from seedslib.linearization import GaussHermite, Taylor
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
 
 TURN = 2 * np.pi
 TIMES = np.arange(21.0)
@@ -122,3 +125,38 @@ def test_nearest_and_wrapped():
 def test_what_is_no_circle_is_refused(period, message):
     with pytest.raises(ValueError, match=message):
         radar(-10.0, period=period)
+
+
+def test_a_mask_is_a_gap_on_a_circle_too(paths):
+    filter = extended_kalman(paths[0])
+    state = filter.predict(filter.initial(), 0.0)
+    masked = filter.correct(state, np.ma.masked_array([3.0, 10.0], [True, False]))
+    missing = filter.correct(state, [np.nan, 10.0])
+    assert np.array_equal(masked.mean, missing.mean)
+
+
+def test_filters_of_switching_systems_go_round():
+    """Angles near the cut, and the same world turned so that its cut is far away."""
+    a, b, c = sp.symbols("a b c", real=True)
+
+    def filters(turn, period):
+        see = [[StochasticMap([a], [a + turn + 0.1 * c], Noise((c,)), period=period)]] * 2
+        moves = [
+            [StochasticMap([a], [a + drift + 0.1 * b], Noise((b,)), odd) for odd in odds]
+            for drift, odds in ((0.05, (0.9, 0.1)), (-0.05, (0.1, 0.9)))
+        ]
+        system = SwitchingSystem.from_maps(moves, see, [(0.5, [3.1], [[0.1]])] * 2)
+        return (
+            KnownModeFilter(system, Taylor()), RaoBlackwellFilter(system, 30),
+            SwitchingFilter(system, Taylor()), GridBayesFilter(system, (1.0, 5.0, 81)),
+        )  # fmt: skip
+
+    shown = 3.1 + 0.2 * np.sin(np.arange(6.0))[:, None]
+    report = np.where(shown > np.pi, shown - TURN, shown)
+    assert (report < 0).any()
+    for near, away in zip(filters(0.0, {0: TURN}), filters(-3.0, None), strict=True):
+        options = {"modes": np.zeros(6, int)} if "modes" in near.takes else {}
+        one = near.run(np.arange(6.0), report, **options)
+        two = away.run(np.arange(6.0), shown - 3.0, **options)
+        assert np.allclose(one.mean, two.mean, atol=1e-9), near
+        assert np.allclose(one.loglik, two.loglik, atol=1e-9), near

@@ -113,3 +113,12 @@ def test_a_wide_law_comes_close_to_the_diffuse_one(trend):
     assert np.allclose(one.mean[-1], two.mean[-1], rtol=1e-4)
     # a wide law costs half the logarithm of its variance for each unknown number
     assert np.allclose(one.loglik.sum(0) - two.loglik.sum(0), np.log(1e9), atol=1e-3)
+
+
+def test_a_mask_is_a_gap_while_the_start_is_unknown(trend):
+    filter = trend[0]
+    state = filter.predict(filter.initial(), 0.0)
+    masked = filter.correct(state, np.ma.masked_array([1000.0], [True]))
+    missing = filter.correct(state, [np.nan])
+    for one, two in zip(masked, missing, strict=True):
+        assert np.array_equal(one, two)

@@ -9,7 +9,8 @@ import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.base.tables import Axis, AxisLike
-from seedslib.design.law.recursion import NEGLIGIBLE, mode_masses
+from seedslib.design.law.recursion import mode_masses, posterior_means
+from seedslib.filters.weights import most_probable
 
 FAINT = 1e-13
 """Probability of a cell of the memory below which it is left out."""
@@ -78,9 +79,8 @@ def dependent_steps(
     for kernel in kernels:
         seen = kernel.sum(axis=1)
         masses = mode_masses(law, seen, modes)
-        mass, mode = masses.sum(axis=0), masses.argmax(axis=0)
-        mean = np.zeros_like(mass)
-        np.divide(seen @ (law * values).T, mass, out=mean, where=mass > NEGLIGIBLE)
+        mass, mode = masses.sum(axis=0), most_probable(masses)
+        mean = posterior_means(values[None], law, seen, mass)[0]
         mse = law.sum(axis=0) @ values**2 - np.vdot(mean**2, mass)
         wrong = law.sum() - masses.max(axis=0).sum()
         yield DependentStep(mean, mode, mass, float(mse), float(wrong))

@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.tables import AxesLike, as_axes, locate, mesh
-from seedslib.design.law.recursion import NEGLIGIBLE, seen
+from seedslib.design.law.recursion import NEGLIGIBLE, posterior_means, seen
+from seedslib.filters.weights import most_probable
 
 FAINT = 1e-7
 """Share of the probability of a state, a measurement or a cell that is left out."""
@@ -96,8 +97,7 @@ def _optimal(chain, t, cells, law, likelihood) -> PlaneStep:
     used = law.sum(axis=1) > FAINT * law.sum()
     part, sight, x = law[used], likelihood[:, used], chain.values[:, used]
     mass = sight @ part
-    mean = np.stack([sight @ (part * row[:, None]) for row in x])
-    np.divide(mean, mass, out=mean, where=mass > NEGLIGIBLE)
+    mean = posterior_means(x, part.T, sight, mass)
     whole = part.sum(axis=1)
     mse = (x**2 @ whole - (mean**2 * mass).sum(axis=(1, 2))) / whole.sum()
     if chain.modes == 1:
@@ -105,7 +105,7 @@ def _optimal(chain, t, cells, law, likelihood) -> PlaneStep:
     label = np.repeat(np.arange(chain.modes), len(used) // chain.modes)[used]
     each = np.stack([sight[:, label == i] @ part[label == i] for i in range(chain.modes)])
     wrong = 1.0 - each.max(axis=0).sum() / whole.sum()
-    return PlaneStep(t, cells, law, likelihood, mean, each.argmax(axis=0), mass, mse, float(wrong))
+    return PlaneStep(t, cells, law, likelihood, mean, most_probable(each), mass, mse, float(wrong))
 
 
 def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:

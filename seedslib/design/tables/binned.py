@@ -11,10 +11,12 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.tables import Labels
+from seedslib.design.tables.carriers import scored
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Output, Step, arguments, step_axes
-from seedslib.designed.prediction import Design, Prediction
+from seedslib.designed.prediction import Design
+from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
 
 METHOD = "histogram of cells of equal probability"
@@ -120,7 +122,7 @@ def binned_synthesis(
     data = system.simulate(times, paths, root, workers=workers)
     modes = data.modes if switches(system) else [None] * len(times)
     told = data.indicators if system.indicators else [None] * len(times)
-    past, steps, scores = Past(), [], []
+    past, steps, scores, errors, wrong = Past(), [], [], [], []
     for k in range(len(times)):
         lesson = data.states[k], modes[k]
         n = len(lesson[0])
@@ -132,16 +134,20 @@ def binned_synthesis(
         )
         steps.append(Step(shown, blind))
         found = shown(arguments(system, data.measurements[k], told[k], past))
-        scores.append((found.mean - lesson[0], None if found.mode is None else found.mode))
+        error = found.mean - lesson[0]
+        scores.append((float(times[k]), error**2))
+        errors.append(error @ error.T / paths)
+        if found.mode is not None:
+            wrong.append(found.mode != lesson[1])
         past = memory.push(
             past, estimate=found.mean, measurement=data.measurements[k], mode=found.mode,
             indicator=told[k],
         )  # fmt: skip
     return OutputFilter(
         system=system, memory=memory, times=times, steps=tuple(steps), method=METHOD,
-        predicted=_prediction(times, scores, modes),
+        predicted=scored(scores, wrong, in_sample=True),
         design=Design(paths, BLOCK, *seed_record(root)),
-        covariances=np.array([error @ error.T / paths for error, _ in scores]),
+        covariances=np.array(errors),
     )  # fmt: skip
 
 
@@ -170,23 +176,10 @@ def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:
     values = sums[1:] / np.maximum(sums[0], 1.0)
     if modes is None:
         return BinnedOutput(labels, edges, values, None)
-    mode = values[len(states) :].argmax(axis=0)
+    mode = most_probable(values[len(states) :])
     return BinnedOutput(labels, edges, values[: len(states)], mode)
 
 
 def _levels(inside, everywhere, levels) -> np.ndarray:
     """Quantiles of the values in a group, of all values where it is empty."""
     return np.quantile(inside if inside.size else everywhere, levels)
-
-
-def _prediction(times, scores, modes) -> Prediction:
-    """Errors on the paths of the design."""
-    square = np.array([error**2 for error, _ in scores])
-    count = square.shape[2]
-    rms = np.sqrt(square.mean(axis=2))
-    error = square.std(axis=2) / np.sqrt(count) / 2.0 / np.maximum(rms, 1e-300)
-    if scores[0][1] is None:
-        return Prediction(times, rms, error, True)
-    wrong = np.array([(mode != true).mean() for (_, mode), true in zip(scores, modes, strict=True)])
-    doubt = np.sqrt(wrong * (1.0 - wrong) / count)
-    return Prediction(times, rms, error, True, wrong, doubt)

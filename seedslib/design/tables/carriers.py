@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -217,19 +218,7 @@ class Carriers:
 
     def prediction(self) -> Prediction:
         """Errors and their standard errors on paths that each function has not seen."""
-        times = np.array([t for t, _ in self.scores])
-        mse = np.array([square.mean(axis=1) for _, square in self.scores])
-        deviation = np.array(
-            [square.std(axis=1) / np.sqrt(square.shape[1]) for _, square in self.scores]
-        )
-        rms = np.sqrt(mse)
-        error = np.divide(deviation, 2.0 * rms, out=np.zeros_like(rms), where=rms > 0)
-        if not self.wrong:
-            return Prediction(times, rms, error)
-        wrong = np.array([part.mean() for part in self.wrong])
-        count = np.array([len(part) for part in self.wrong])
-        doubt = np.sqrt(wrong * (1.0 - wrong) / count)
-        return Prediction(times, rms, error, mode_rate=wrong, mode_error=doubt)
+        return scored(self.scores, self.wrong)
 
     def examined(self, filter: Any) -> Any:
         """The finished filter with its errors on other paths than those of all sets."""
@@ -241,3 +230,28 @@ class Carriers:
         """Record of how the paths were made."""
         count, root = self.paths * len(self.sets), self.root
         return Design(count, BLOCK, *seed_record(root), self.lost, False)
+
+
+def scored(
+    scores: Sequence[tuple[Any, ...]], wrong: Sequence[Any], *, in_sample: bool = False
+) -> Prediction:
+    """Errors and their standard errors from those of single paths.
+
+    Parameters
+    ----------
+    scores : sequence of (time, squares of shape (n', N))
+    wrong : sequence of ndarray of bool, shape (N,)
+        Where a decision was wrong; none for a system without modes.
+    in_sample : bool
+        Whether the functions were made of these paths.
+    """
+    times = np.array([t for t, _ in scores])
+    mse = np.array([square.mean(axis=1) for _, square in scores])
+    deviation = np.array([square.std(axis=1) / np.sqrt(square.shape[1]) for _, square in scores])
+    rms = np.sqrt(mse)
+    error = np.divide(deviation, 2.0 * rms, out=np.zeros_like(rms), where=rms > 0)
+    if not wrong:
+        return Prediction(times, rms, error, in_sample)
+    rate = np.array([part.mean() for part in wrong])
+    count = np.array([len(part) for part in wrong])
+    return Prediction(times, rms, error, in_sample, rate, np.sqrt(rate * (1.0 - rate) / count))

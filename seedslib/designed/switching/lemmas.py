@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.circle import Periods, nearest
+from seedslib.base.circle import Periods
 from seedslib.base.correction import correct
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
@@ -224,8 +224,9 @@ def weigh(
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    y = nearest(y[:, None], sensed.moments.mean, periods)
-    mean, cov, each = correct(sensed.mean, sensed.cov, y, sensed.moments, noise=noise)
+    mean, cov, each = correct(
+        sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise, periods=periods
+    )
     score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + each, -np.inf)
     log_prob, loglik = normalised(score, 0)
     lost = ~np.isfinite(loglik)

@@ -146,9 +146,7 @@ class FellerChain(Shown):
 
     def log_likelihood(self, t: float, y: np.ndarray) -> np.ndarray:
         """Logarithm of the density of measurements y, (m, Y), at each node: (Y, S)."""
-        y = y[:, :, None]
-        x = np.broadcast_to(self.values[:, None, :], (1, y.shape[1], self.axis.count))
-        return self.system.sensor.log_density(t, np.broadcast_to(y, (len(y), *x.shape[1:])), x)
+        return log_densities(self.system.sensor, t, y, self.values)
 
     def reach(self, t: float) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of the measurement at each node, both (m, S)."""
@@ -179,6 +177,13 @@ class FellerChain(Shown):
         from scipy.linalg import expm
 
         return expm(generator(self.system, self.axis, 0.5 * (start + stop)) * (stop - start))
+
+
+def log_densities(sensor: StochasticMap, t: float, y: np.ndarray, nodes: np.ndarray) -> np.ndarray:
+    """Logarithm of the density of measurements (m, Y) at each of some states (n, S): (Y, S)."""
+    shape = y.shape[1], nodes.shape[1]
+    x = np.broadcast_to(nodes[:, None], (len(nodes), *shape))
+    return sensor.log_density(t, np.broadcast_to(y[:, :, None], (len(y), *shape)), x)
 
 
 def sensor_reach(sensor: StochasticMap, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

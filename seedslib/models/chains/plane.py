@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.clock import lengths_alike, step_count
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike, as_axes, mesh
+from seedslib.models.chains.feller import log_densities
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.switching import SwitchingSystem
 
@@ -135,10 +136,7 @@ class PlaneChain(Shown):
 
     def log_likelihood(self, t: float, y: np.ndarray) -> np.ndarray:
         """Logarithm of the density of measurements (m, Y) at each node: (Y, S)."""
-        shape = y.shape[1], self.values.shape[1]
-        x = np.broadcast_to(self.values[:, None], (2, *shape))
-        y = np.broadcast_to(y[:, :, None], (len(y), *shape))
-        return self.system.sensor.log_density(t, y, x)
+        return log_densities(self.system.sensor, t, y, self.values)
 
 
 class PlaneModes(Shown):
@@ -202,10 +200,8 @@ class PlaneModes(Shown):
 
     def log_likelihood(self, t: float, y: np.ndarray) -> np.ndarray:
         """Logarithm of the density of measurements (m, Y) at each state: (Y, S)."""
-        shape = y.shape[1], self.nodes.shape[1]
-        x = np.broadcast_to(self.nodes[:, None], (2, *shape))
-        y = np.broadcast_to(y[:, :, None], (len(y), *shape))
-        return np.concatenate([one.log_density(t, y, x) for one in self.system.sensors], axis=1)
+        each = [log_densities(sensor, t, y, self.nodes) for sensor in self.system.sensors]
+        return np.concatenate(each, axis=1)
 
 
 def normal_nodes(values: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
