@@ -81,6 +81,21 @@ def test_numbers_of_another_program():
     assert many > few > float(rows["A1H", 20, 300_000]["rmse"])
 
 
+def test_too_many_cells_for_the_paths_are_noticed():
+    """The errors held out are those of a run on other paths, and above those predicted."""
+    system, times = zoo.scalar_switching(), np.arange(12.0)
+    with pytest.warns(UserWarning, match="not the predicted one") as said:
+        filter = binned_synthesis(system, large_order(1), times, paths=20_000, seed=2, bins=40)
+    assert len(said) == 2  # of the errors, of the modes
+    data = system.simulate(times, 20_000, 9)
+    found = filter.run(times, data.measurements)
+    rms = np.sqrt(((found.mean - data.states) ** 2).mean(axis=2))
+    held = filter.held_out
+    assert (np.abs(held.rms - rms) < 4.5 * np.hypot(held.error, rms / 200))[2:].all()
+    assert (filter.predicted.rms[4:] < 0.95 * held.rms[4:]).all()
+    assert (np.abs(held.mode_rate - (found.modes != data.modes).mean(axis=1)) < 0.07).all()
+
+
 def test_every_memory_and_missing_data():
     system, times = zoo.dependent_switching(), np.arange(3.0)
     data = system.simulate(times, 50, 1)

@@ -11,6 +11,8 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.tables import Labels
+from seedslib.design.paths.held_out import examined
+from seedslib.design.paths.walk import crew
 from seedslib.design.tables.carriers import scored
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.outputs.filter import OutputFilter
@@ -106,12 +108,18 @@ def binned_synthesis(
     Returns
     -------
     OutputFilter
-        Its predicted errors are those on its own paths, which flatter it.
+        Its predicted errors are those on its own paths, which flatter it; those in `held_out` do
+        not.
 
     Raises
     ------
     TypeError, ValueError
         An argument that does not fit.
+
+    Warns
+    -----
+    UserWarning
+        Errors on other paths that are not the predicted ones: too many cells for the paths.
     """
     as_system("system", system, *KINDS)
     if system.measurement_size != 1:
@@ -143,12 +151,14 @@ def binned_synthesis(
             past, estimate=found.mean, measurement=data.measurements[k], mode=found.mode,
             indicator=told[k],
         )  # fmt: skip
-    return OutputFilter(
+    filter = OutputFilter(
         system=system, memory=memory, times=times, steps=tuple(steps), method=METHOD,
         predicted=scored(scores, wrong, in_sample=True),
         design=Design(paths, BLOCK, *seed_record(root)),
         covariances=np.array(errors),
     )  # fmt: skip
+    with crew(workers) as each:
+        return examined(filter, root, paths, each, times)
 
 
 def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:
