@@ -63,12 +63,23 @@ class Clock:
         """Whether two times are one, also where they lie beyond the grid."""
         return abs(t - other) <= max(self.tolerance, slack(self._interval, abs(other)))
 
-    def prolonged(self, end: float) -> Clock:
-        """The same clock, which goes on to a later time in steps of its last interval."""
-        times = np.array(self.times)
-        step = times[-1] - times[-2]
-        later = np.arange(1, int((end - times[-1]) / step + 0.5) + 1)
-        return Clock(np.append(times, times[-1] + step * later)) if len(later) else self
+    def prolonged(self, end: float, cycle: int) -> Clock:
+        """The same clock, which goes on to a later time with its last `cycle` intervals in turn."""
+        count, last = len(self.times), self.times[-1]
+        span = last - self.times[-1 - cycle]
+        most = count + cycle * max(0, math.ceil((end - last) / span) + 1)
+        later = [self.moment(k, cycle) for k in range(count, most)]
+        later = [t for t in later if t <= end + slack(self._interval, abs(end))]
+        return Clock(np.array(self.times + later)) if later else self
+
+    def moment(self, k: int, cycle: int) -> float:
+        """Time number k; beyond the last one the last `cycle` intervals go on in turn."""
+        last = len(self.times) - 1
+        if k <= last:
+            return self.times[k]
+        laps, rest = divmod(k - last, cycle)
+        first = self.times[last - cycle]
+        return self.times[last - cycle + rest] + (laps + 1) * (self.times[last] - first)
 
     def rows(self, other: np.ndarray) -> np.ndarray:
         """Where the times of this clock lie in another grid, shape (K,).

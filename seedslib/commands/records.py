@@ -145,7 +145,7 @@ def _check_times(path, numbers, times, measured, designed):
     """Refuse a row at a time that the design does not know, and measurement times left out."""
     clock, tolerance = designed.times, designed.clock.tolerance
     horizon = getattr(designed, "horizon", clock[-1])
-    lasting = getattr(designed, "lasting", False)
+    lasting = designed.cycle > 0
     due = 0
     for j, (number, t) in enumerate(zip(numbers, times, strict=True)):
         place = f"{path}, row {number}"

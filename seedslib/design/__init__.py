@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from seedslib.design.law.plane import plane_steps as plane_steps
     from seedslib.design.law.risk import grid_risk as grid_risk
     from seedslib.design.paths.simulated import synthesize as synthesize
+    from seedslib.design.paths.stationary import stationary as stationary
     from seedslib.design.paths.walk import Crew as Crew
     from seedslib.design.tables.binned import binned_synthesis as binned_synthesis
     from seedslib.design.tables.simulated import simulated_synthesis as simulated_synthesis

@@ -54,9 +54,7 @@ def save(filter: Any, path: str | PathLike[str]) -> None:
     tree, arrays = packed(filter, leave)
     if own:
         tree["linearization"] = {"class": type(rule).__name__}
-    points = probe_points(
-        filter.system, float(filter.times[0]), float(getattr(filter, "horizon", filter.times[-1]))
-    )
+    points = probe_points(filter.system, *filter.reach)
     known = probe_arrays(points, probe(filter.system, points, rule))
     sizes, _ = packed(UnknownModel.of(filter.system))
     header = {"filter": tree, "model": model_text(filter.system), "sizes": sizes}

@@ -53,6 +53,8 @@ class FiniteOrderFilter(BetweenFilter):
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     held_out : HeldOut, optional
+    cycle : int
+        See `DesignedFilter`.
     rules : Rules
         The compiled steps; made from the other fields.
     clock : Clock
@@ -77,6 +79,7 @@ class FiniteOrderFilter(BetweenFilter):
     measured_nodes: bool = False
     between: str = "interpolated"
     held_out: HeldOut | None = None
+    cycle: int = 0
     rules: Rules | None = None
 
     def __post_init__(self) -> None:
@@ -90,7 +93,8 @@ class FiniteOrderFilter(BetweenFilter):
         known_kind("between", self.between)
         freeze((self.times, self.node_times, self.start, self.predicted, self.held_out))
         freeze((self.fits, self.node_fits))
-        object.__setattr__(self, "clock", Clock(self.times, self.horizon))
+        end = None if self.cycle else self.horizon
+        object.__setattr__(self, "clock", Clock(self.times, end))
 
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""
@@ -133,6 +137,8 @@ class FiniteOrderFilter(BetweenFilter):
     @property
     def horizon(self) -> float:
         """Last time the filter can forecast."""
+        if self.cycle:
+            return np.inf
         tail = self.node_times[len(self.fits) :]
         return float(tail[0][-1] if tail else self.times[-1])
 
@@ -159,7 +165,7 @@ class FiniteOrderFilter(BetweenFilter):
 
     def _predict(self, state, t, interval=None):
         k = state.index + 1
-        want_next(self.clock, k, t)
+        want_next(self.clock, k, t, self.cycle)
         if k == 0:
             return state._replace(index=0)
         want_corrected(state)
@@ -167,7 +173,7 @@ class FiniteOrderFilter(BetweenFilter):
             u = state.past.vector
         else:  # the estimate has moved on
             u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
-        mean, cov = self.fits[k - 1].forecast(u)
+        mean, cov = self.fits[self.served(k) - 1].forecast(u)
         before, seen = state._replace(before=None), state.measurement
         return FiniteOrderState(k, mean, cov, state.past, seen, 0.0, before, False, state.gap)
 
@@ -184,7 +190,7 @@ class FiniteOrderFilter(BetweenFilter):
 
     def _correct(self, state, y, spread):
         want_forecast(state)
-        t = self.clock.times[state.index]
+        t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
             return self.rules.first(state, t, y, self.start, spread)
         return self.rules.correct(state, t, y, spread)
@@ -200,21 +206,28 @@ class FiniteOrderFilter(BetweenFilter):
         want_forecast(state)
         if state.index == 0:
             return initial_moments(self.start.moments, state.mean.ndim - 1)
-        moments = self.rules.sensor(self.clock.times[state.index], state.mean, state.cov)
+        t = self.clock.moment(state.index, self.cycle)
+        moments = self.rules.sensor(t, state.mean, state.cov)
         return unexpected(moments, state)
 
     def nodes(self, state: FiniteOrderState, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
-        k, times = state.index, self.times
-        grid, values, last = [times[k]], [state.mean], None
-        if k < len(self.node_times) and (end or len(self.node_times[k])):
+        k, row = state.index, self._row(state.index)
+        start = self.clock.moment(k, self.cycle)
+        grid, values, last = [start], [state.mean], None
+        if row < len(self.node_times) and (end or len(self.node_times[row])):
             found, last = self.nodes_after(k, state)
-            grid, values = [*grid, *self.node_times[k]], values + found
-        if not end or k >= len(self.fits):
+            stops = self.node_times[row] + (start - self.times[row])
+            grid, values = [*grid, *stops], values + found
+        if not end or row >= len(self.fits):
             return grid, values, None
         if last is None:
-            last = self.fits[k].mean(state.past.vector)[: self.components]
-        return grid, values, (times[k + 1], last)
+            last = self.fits[row].mean(state.past.vector)[: self.components]
+        return grid, values, (self.clock.moment(k + 1, self.cycle), last)
+
+    def _row(self, k: int) -> int:
+        """Number of the interval of the design that serves the one after measurement k."""
+        return self.served(k + 1) - 1 if self.cycle else k
 
     def nodes_after(
         self, k: int, state: FiniteOrderState
@@ -223,9 +236,15 @@ class FiniteOrderFilter(BetweenFilter):
 
         The second is None where the nodes do not lead there.
         """
-        nodes, times = self.node_times[k], self.clock.times
-        end = times[k + 1] if k < len(self.fits) else nodes[-1]
-        return self.rules.nodes(self.node_fits[k], [times[k], *nodes, end], state)
+        row, clock = self._row(k), self.clock
+        start = clock.moment(k, self.cycle)
+        nodes = self.node_times[row] + (start - self.times[row])
+        end = clock.moment(k + 1, self.cycle) if row < len(self.fits) else nodes[-1]
+        return self.rules.nodes(self.node_fits[row], [start, *nodes, end], state)
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Forecasts of the chosen steps."""
+        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
 
     # Whole records
 

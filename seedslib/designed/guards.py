@@ -38,7 +38,20 @@ def want_corrected(state: Any) -> None:
         raise ValueError("state: wanted a state after a correction, got a forecast")
 
 
-def want_next(clock: Clock, k: int, t: float) -> None:
+def moment(clock: Clock, k: int, cycle: int) -> float:
+    """Time of measurement k.
+
+    Raises
+    ------
+    ValueError
+        There is no such measurement.
+    """
+    if k >= len(clock.times) and not cycle:
+        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
+    return clock.moment(k, cycle)
+
+
+def want_next(clock: Clock, k: int, t: float, cycle: int) -> None:
     """Refuse a time that is not the one of measurement k.
 
     Raises
@@ -46,12 +59,9 @@ def want_next(clock: Clock, k: int, t: float) -> None:
     ValueError
         Another time, or no such measurement.
     """
-    if k >= len(clock.times):
-        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
-    if abs(t - clock.times[k]) > clock.tolerance:
-        raise ValueError(
-            f"t: wanted the next measurement time {when(clock.times[k])}, got {when(t)}"
-        )
+    wanted = moment(clock, k, cycle)
+    if not clock.same(t, wanted):
+        raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
 
 
 def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) -> np.ndarray:

@@ -45,6 +45,12 @@ class Prediction(NamedTuple):
     mode_rate: MaybeArray = None
     mode_error: MaybeArray = None
 
+    def of(self, rows: np.ndarray, times: np.ndarray) -> Prediction:
+        """Some rows, at other times."""
+        parts = {name: getattr(self, name) for name in ("rms", "error", "mode_rate", "mode_error")}
+        kept = {name: part if part is None else part[rows] for name, part in parts.items()}
+        return self._replace(times=times, **kept)
+
 
 class Design(NamedTuple):
     """How a filter was designed: paths, paths per block, seed, and what had to be mended.
@@ -120,6 +126,7 @@ def finite_order_page(designed: FiniteOrderFilter) -> str:
         f"  estimates    {designed.components} of {len(designed.start.mean)} state components",
         f"  measurements {len(times)}, from {first} to {last}; {nodes} nodes between",
         f"  forecasts    {designed.between}",
+        *([later_times(designed)] if designed.cycle else []),
         f"  designed on  {design.source()}{design.left_out}",
         "  predicted root-mean-square errors"
         + (" (in-sample, with standard errors)" if doubts else ""),
@@ -140,8 +147,8 @@ def switching_page(filter: SwitchingFilter) -> str:
             f"  mended       {design.thin} of {design.pairs} thin pairs of cell and mode, "
             f"{design.mended} covariances{design.left_out}"
         )
-    if filter.lasting:
-        lines.append("  used past its last design time, where its fits have converged")
+    if filter.cycle:
+        lines.append(later_times(filter))
     if filter.predicted is not None:
         lines.append("  predicted errors of state and part of wrong modes (in-sample)")
         lines += accuracy(filter, modes="modes ")
@@ -175,6 +182,13 @@ def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
         beside = len(row) + len(other) + 3 <= WIDTH
         lines += [f"{row} | {other}"] if beside else [row, f"{'|':>17} {other}"]
     return lines
+
+
+def later_times(filter: Any) -> str:
+    """Line of a page: what comes after the last time of the design."""
+    in_turn = f"the last {filter.cycle} steps serve all in turn"
+    steps = {0: "none after the last time", 1: "the last step serves all"}
+    return "  later times  " + steps.get(filter.cycle, in_turn)
 
 
 def shown_rows(count: int) -> np.ndarray:

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, unmasked
+from seedslib.base.checks import as_real, as_times, is_whole, unmasked
+from seedslib.base.clock import Clock
 from seedslib.designed.gaps import dropouts, unclaimed
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
+
+if TYPE_CHECKING:
+    from typing import Self
 
 DTYPES = tuple(int if name == "modes" else float for name in Estimates._fields)
 """Numbers that the parts of estimates are of."""
@@ -28,10 +35,57 @@ class DesignedFilter(Filter):
     ----------
     memory : Memory, or None
         None where nothing was designed, and whole laws are carried.
+    cycle : int
+        So many of the last steps of the design serve all later ones in turn; 0 where the filter
+        ends with its design.
     """
 
     takes = ("indicators", "covariances")
     memory: Memory | None
+    cycle: int
+    times: Any
+    clock: Clock
+    predicted: Any
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        """First and last time that the design looked at."""
+        end = self.times[-1] if self.cycle else getattr(self, "horizon", self.times[-1])
+        return float(self.times[0]), float(end)
+
+    def served(self, k: int) -> int:
+        """Number of the step of the design that serves measurement k."""
+        last = len(self.times) - 1
+        return k if k <= last else last - self.cycle + 1 + (k - last - 1) % self.cycle
+
+    def taking(self, chosen: list[int]) -> Self:
+        """The filter of some steps of the design, by their numbers, which are then the only ones.
+
+        Each comes as long after the one before it as it did in the design. What was predicted of
+        the steps is kept, as if the steps between had been there; nothing was held out.
+        """
+        times, room = np.asarray(self.times), self.clock.tolerance
+        shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
+        kept: dict[str, Any] = {}
+        stamps = self.times if self.predicted is None else self.predicted.times
+        rows = [
+            np.flatnonzero((stamps <= times[k] + room) & (k == 0 or stamps > times[k - 1] + room))
+            for k in chosen
+        ]
+        moved = np.concatenate([stamps[row] + by for row, by in zip(rows, shift, strict=True)])
+        if self.predicted is not None:
+            kept["predicted"] = self.predicted.of(np.concatenate(rows), moved)
+        if len(getattr(self, "node_times", ())):
+            led = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
+            kept["node_times"] = tuple(self.node_times[row] + by for row, by in led)
+            kept["node_fits"] = tuple(self.node_fits[row] for row, _ in led)
+        return replace(
+            self, times=times[chosen] + shift, held_out=None, cycle=0, **kept, **self.parts(chosen)
+        )  # fmt: skip
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Fields of this kind of filter for `taking`."""
+        raise NotImplementedError
 
     def check_shapes(self) -> None:
         """Refuse a filter whose parts do not fit together, when it is made or read.
@@ -46,6 +100,10 @@ class DesignedFilter(Filter):
             semidefinite, times out of order, axes other than those of the memory.
         """
         check_times(self.times)
+        if not (is_whole(self.cycle) and 0 <= self.cycle < len(self.times)):
+            raise ValueError(
+                f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
+            )
         self.check_parts()
         components = getattr(self, "components", None)  # all of them with modes
         check_errors(self.predicted, self.held_out, self.times, components)
@@ -102,7 +160,8 @@ class DesignedFilter(Filter):
 
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Number of the measurement at each time, -1 where there is none, shape (J+1,)."""
-        return positions(times, y, self.clock, self.horizon)
+        clock = self.clock.prolonged(times[-1], self.cycle) if self.cycle else self.clock
+        return positions(times, y, clock, self.horizon)
 
     def measured(
         self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...]

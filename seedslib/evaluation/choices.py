@@ -24,7 +24,7 @@ class Change(NamedTuple):
 CHOICES = {
     "memory": "memory", "forecast": "predictor", "functions": "made",
     "linearization": "linearization", "components": "components",
-    "measured nodes": "measured_nodes", "between": "between", "later steps": "lasting",
+    "measured nodes": "measured_nodes", "between": "between", "later steps": "cycle",
     "normalisation": "normalisation",
 }  # fmt: skip
 """What is chosen for a design, and where the filter has it."""
@@ -86,8 +86,7 @@ def model_changes(first: Any, second: Any) -> list[Change]:
     if apart := UnknownModel.of(one).apart(UnknownModel.of(two)):
         word, a, b = apart
         return [Change(f"model ({word})", str(a), str(b))]
-    end = float(getattr(first, "horizon", first.times[-1]))
-    points = probe_points(one, float(first.times[0]), end)
+    points = probe_points(one, *first.reach)
     reason = difference(probe(one, points), probe(two, points), points)
     if not reason:  # the same model, however it is written
         return []

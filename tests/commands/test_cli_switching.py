@@ -6,7 +6,7 @@ import pytest
 from seedslib import zoo
 from seedslib.commands import words
 from seedslib.commands.cli import main
-from seedslib.design import grid_synthesis, synthesize
+from seedslib.design import grid_synthesis, stationary, synthesize
 from seedslib.designed import Memory, large_order, save
 from seedslib.linearization import Taylor
 
@@ -84,7 +84,7 @@ def test_tables_without_their_model_and_filters_that_last(folder, write, read):
     at = names.index("x1")
     assert [float(row[at]) for row in rows] == found.mean[:, 0].tolist()
     lasting = synthesize(system, large_order(1), Taylor(), np.arange(8.0), paths=8000, seed=1)
-    save(lasting.stationary(0.5), folder / "lasting.npz")
+    save(stationary(lasting, 0.5), folder / "lasting.npz")
     write("long.csv", "t,y1\n" + "".join(f"{t},{t % 3}\n" for t in range(12)))
     assert (
         main(["filter", "lasting.npz", "long.csv", "--model", "scalar.py", "--out", "y.csv"]) == 0

@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.design import grid_risk, grid_synthesis, synthesize
+from seedslib.design import grid_risk, grid_synthesis, stationary, synthesize
 from seedslib.designed import Memory, finite_memory, large_order, load, save
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import Noise, SwitchingSystem
@@ -165,9 +165,9 @@ def test_a_missing_indicator_is_the_mixture():
 
 def test_lasting_tables(filter, system):
     assert filter.change[0] < 0.01
-    lasting = filter.stationary()
-    assert "the last table serves all" in str(lasting)
-    assert "the last table serves all" not in str(filter)
+    lasting = stationary(filter)
+    assert "the last step serves all" in str(lasting)
+    assert "the last step serves all" not in str(filter)
     long = np.arange(60)
     data = system.simulate(long, 4000, 6)
     found = lasting.run(long, data.measurements)
@@ -184,14 +184,14 @@ def test_lasting_tables(filter, system):
 
 def test_tables_that_have_not_converged_are_refused(system):
     short = grid_synthesis(system, large_order(1), np.arange(5), **AXES)
-    with pytest.raises(ValueError, match=r"got 0\.\d+ of the error in the estimates and 0\.\d+"):
-        short.stationary()
-    assert short.stationary(0.5).lasting
+    with pytest.raises(ValueError, match=r"last 1 steps, got 0\.\d+ and 0\.\d+ in the probability"):
+        stationary(short)
+    assert stationary(short, 0.5).cycle == 1
     first = grid_synthesis(system, large_order(2), [0, 1], **{**AXES, "z": (-6, 6, 13)})
-    with pytest.raises(ValueError, match="got nan of the error"):
-        first.stationary()
+    with pytest.raises(ValueError, match="a design of 4 steps or more"):
+        stationary(first)
     with pytest.raises(ValueError, match="tolerance: wanted a positive"):
-        short.stationary(0.0)
+        stationary(short, 0.0)
 
 
 # Errors

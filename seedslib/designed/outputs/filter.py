@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
 from seedslib.designed.between import BetweenFilter, at, known_kind
-from seedslib.designed.guards import freeze, positions, want_corrected, want_forecast
+from seedslib.designed.guards import freeze, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Step, Table, arguments, step_axes, summary
 from seedslib.designed.outputs.steps import OutputState, after, arrived, found
@@ -58,8 +58,8 @@ class OutputFilter(BetweenFilter):
         estimates, probability of another mode; NaN where the memory was still filling.
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
-    lasting : bool
-        Whether the last functions serve all later steps.
+    cycle : int
+        See `DesignedFilter`.
     held_out : HeldOut, optional
         Errors on paths that the design has not seen; none where it took no paths.
     """
@@ -76,7 +76,7 @@ class OutputFilter(BetweenFilter):
     node_fits: tuple[Any, ...] = ()
     changes: MaybeArray = None
     between: str = "interpolated"
-    lasting: bool = False
+    cycle: int = 0
     held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
@@ -129,7 +129,7 @@ class OutputFilter(BetweenFilter):
     @property
     def horizon(self) -> float:
         """Last time the filter can forecast."""
-        return np.inf if self.lasting else float(self.times[-1])
+        return np.inf if self.cycle else float(self.times[-1])
 
     @property
     def made(self) -> str:
@@ -196,14 +196,14 @@ class OutputFilter(BetweenFilter):
 
     def nodes(self, state: OutputState, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
-        times, values, last = [state.time], [state.mean], len(self.node_times) - 1
-        k = min(state.index, last) if self.lasting else state.index
-        if 0 <= k <= last:
+        times, values = [state.time], [state.mean]
+        k = self.served(state.index + 1) - 1 if self.cycle else state.index
+        if 0 <= k < len(self.node_times):
             points = arguments(self.system, (), None, state.past)
             # beyond the design the nodes lie as in its last interval
             times += (self.node_times[k] + (state.time - self.times[k])).tolist()
             values += [fit(points).mean for fit in self.node_fits[k]]
-        if not end or not (self.lasting or state.index + 1 < len(self.times)):
+        if not end or not (self.cycle or state.index + 1 < len(self.times)):
             return times, values, None
         ahead = arrived(self, state)
         return times, values, (ahead.time, found(self, ahead, None, None).mean)
@@ -221,9 +221,8 @@ class OutputFilter(BetweenFilter):
     # Whole records
 
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Number of the measurement at each time; lasting functions go on and on."""
-        clock = self.clock.prolonged(times[-1]) if self.lasting else self.clock
-        index = positions(times, y, clock, self.horizon)
+        """Number of the measurement at each time; with modes, each time is that of one."""
+        index = super().placed(times, y)
         if switches(self.system) and (index < 0).any():
             raise ValueError(
                 "times: wanted those of measurements alone, for the system has modes, got "
@@ -259,9 +258,17 @@ class OutputFilter(BetweenFilter):
 
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
         """With the covariances that the design found."""
-        cov = self.covariances[np.minimum(index, len(self.covariances) - 1)]
+        cov = self.covariances[[self.served(k) for k in index]]
         cov[index < 0] = np.nan
         return found._replace(cov=cov, diverged=lost)
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Functions of the chosen steps."""
+        return {
+            "steps": tuple(self.steps[k] for k in chosen),
+            "covariances": self.covariances[chosen],
+            "changes": None if self.changes is None else self.changes[:, chosen],
+        }
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of order {self.order}: {self.memory}; {self.made}>"

@@ -12,7 +12,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import when
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import accuracy
+from seedslib.designed.prediction import accuracy, later_times
 from seedslib.designed.shapes import check_array
 from seedslib.models.kinds import AnySystem, switches
 
@@ -225,19 +225,12 @@ def summary(filter: OutputFilter) -> str:
     times, design = filter.times, filter.design
     modes = f"{filter.system.modes} modes, of " if switches(filter.system) else ""
     made = design.source("exact moments or densities on a grid, without random numbers")
-    later = "none after the last time"
-    if filter.lasting:
-        moved, decided = filter.change
-        later = (
-            "the last table serves all; over its last step it changed by "
-            f"{moved:.2g} of the error and {decided:.2g} in the mode"
-        )
     return "\n".join([
         f"Finite-order filter of {modes}order {filter.order}: {filter.memory}",
         f"  estimates    {filter.components} of {filter.system.state_size} state components",
         f"  by           {filter.made}",
         f"  measurements {len(times)}, from {when(times[0])} to {when(times[-1])}",
-        f"  later times  {later}",
+        later_times(filter),
         f"  designed on  {made}",
         "  predicted root-mean-square errors"
         + (" and probability of a wrong mode" if modes else "")

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.clock import when
+from seedslib.designed.guards import moment
 from seedslib.designed.memory import Past
 from seedslib.designed.outputs.lookup import Output, arguments
 
@@ -67,17 +67,12 @@ def next_time(filter: Any, state: OutputState) -> float:
     ValueError
         There is none.
     """
-    k, times = state.index + 1, filter.clock.times
-    if k < len(times):
-        return times[k]
-    if not filter.lasting:
-        raise ValueError(f"t: wanted at most the last measurement time {when(times[-1])}")
-    return state.time + (times[-1] - times[-2])
+    return moment(filter.clock, state.index + 1, filter.cycle)
 
 
 def found(filter: Any, state: OutputState, y: Any, indicator: ArrayLike | None) -> Output:
     """What the functions of a measurement find; y is None where it is missing."""
-    step = filter.steps[min(state.index, len(filter.steps) - 1)]
+    step = filter.steps[filter.served(state.index)]
     points = arguments(filter.system, () if y is None else y, indicator, state.past)
     output = (step.blind if y is None else step.shown)(points)
     return output.filling(state.mean.shape[1:])
@@ -102,7 +97,7 @@ def after(filter, state: OutputState, y: np.ndarray, indicator) -> OutputState:
         gap = gap | (indicator < 0)
     mean, mode, prob = output
     past = memory.push(state.past, estimate=mean, measurement=y, mode=mode, indicator=indicator)
-    cov = filter.covariances[min(state.index, len(filter.covariances) - 1)]
+    cov = filter.covariances[filter.served(state.index)]
     if gap is not False:  # the design knows the error without gaps only
         cov = np.where(gap, np.nan, cov[(..., *(None,) * np.ndim(gap))])
     return OutputState(

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from seedslib.designed.outputs.filter import OutputFilter
@@ -43,31 +41,6 @@ class TableFilter(OutputFilter):
             f"tables ({self.method}) over {'indicator and ' * told}measurements ({shown})"
             + (f" and memory ({memory})" if memory else "")
         )  # fmt: skip
-
-    def stationary(self, tolerance: float = 0.02) -> TableFilter:
-        """The same filter with its last table for all later steps, evenly on in time.
-
-        Parameters
-        ----------
-        tolerance : float
-            Largest change over the last step: of the estimates, in units of the root-mean-square
-            error, and of the decided modes, as a probability.
-
-        Raises
-        ------
-        ValueError
-            The tables have not converged; the message says how far they are apart.
-        """
-        if not tolerance > 0:
-            raise ValueError(f"tolerance: wanted a positive number, got {tolerance}")
-        moved, modes = self.change
-        if not max(moved, modes) <= tolerance:
-            raise ValueError(
-                f"tolerance: wanted tables that change by at most {tolerance:g} over the last "
-                f"step, got {moved:.3g} of the error in the estimates and {modes:.3g} in the "
-                "probability of another mode; design for more times"
-            )
-        return replace(self, lasting=True)
 
     @property
     def change(self) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from seedslib.designed.guards import freeze, want_corrected, want_forecast, want
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
 from seedslib.designed.runs import DesignedFilter
-from seedslib.designed.switching.fits import CellFit, cell_number, fits_apart, require_memory
+from seedslib.designed.switching.fits import CellFit, cell_number, require_memory
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.estimates import Estimates, first_step
@@ -57,8 +57,8 @@ class SwitchingFilter(DesignedFilter):
         Whether forecasts have one Gaussian part for each value of such an indicator.
     predicted : Prediction, optional
     design : Design, optional
-    lasting : bool
-        Whether the last fit serves all later steps.
+    cycle : int
+        See `DesignedFilter`.
     held_out : HeldOut, optional
 
     Raises
@@ -78,7 +78,7 @@ class SwitchingFilter(DesignedFilter):
     split: bool = True
     predicted: Prediction | None = None
     design: Design | None = None
-    lasting: bool = False
+    cycle: int = 0
     held_out: HeldOut | None = None
     rules: SwitchingRules | None = None
 
@@ -137,8 +137,8 @@ class SwitchingFilter(DesignedFilter):
             state that was not corrected.
         """
         t, k = float(t), state.index + 1
-        if self.memory is not None and not (self.lasting and k >= len(self.times)):
-            want_next(self.clock, k, t)
+        if self.memory is not None:
+            want_next(self.clock, k, t, self.cycle)
         if k == 0:
             return state._replace(index=0, time=t)
         want_corrected(state)
@@ -156,7 +156,8 @@ class SwitchingFilter(DesignedFilter):
             return state.law
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
-        return self.fits[min(state.index, len(self.fits) - 1)].forecast(cell, past.vector)
+        row = self.served(state.index + 1) - 1
+        return self.fits[row].forecast(cell, past.vector)
 
     def correct(
         self, state: SwitchingState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -201,6 +202,10 @@ class SwitchingFilter(DesignedFilter):
         n = self.system.state_size
         return Estimates((n,), (n, n) if covariances else None, (self.system.modes,), (), None, ())
 
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Fits of the chosen steps."""
+        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
+
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Number of the measurement at each time: there are none between."""
         return np.arange(len(times))
@@ -223,32 +228,6 @@ class SwitchingFilter(DesignedFilter):
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
         """What no mode can have shown is lost too."""
         return found._replace(diverged=lost | (found.loglik == -np.inf).any(axis=0))
-
-    def stationary(self, tolerance: float = 0.05) -> SwitchingFilter:
-        """The same filter with its last fit for all later steps.
-
-        Parameters
-        ----------
-        tolerance : float
-            Largest change of the gains and offsets over the last step, in units of the deviation
-            of the state in the design.
-
-        Raises
-        ------
-        ValueError
-            The fits have not converged within the design, or there are none to compare.
-        """
-        change = self.change()
-        if not change <= tolerance:
-            raise ValueError(
-                f"times: wanted a design that has converged to {tolerance:g}, got a change of "
-                f"{change:.3g} at its last step"
-            )
-        return replace(self, lasting=True)
-
-    def change(self) -> float:
-        """How far the forecasts of the last two fits are apart, see `fits_apart`."""
-        return fits_apart(self.fits, self.memory)
 
     def __repr__(self) -> str:
         held = "laws of all modes" if self.memory is None else str(self.memory)

@@ -6,7 +6,7 @@ and measurements). In each cell and mode the state and the vector are taken for 
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -127,28 +127,3 @@ def require_memory(memory: Memory, system: AnySystem) -> None:
         raise ValueError(f"memory: wanted no indicators, the system has none: {memory}")
     if memory.log_odds and system.modes == 1:
         raise ValueError("memory: wanted several modes for log-odds, got one")
-
-
-def fits_apart(fits: Any, memory: Memory) -> float:
-    """How far the last two forecasts are apart, in deviations of the state given the memory.
-
-    Root of the mean square over cells and modes, at the means of the memory, with the
-    probabilities of the last fit.
-
-    Raises
-    ------
-    ValueError
-        No two fits of a whole memory, or fits of another kind.
-    """
-    if memory is None or len(fits) < memory.depth + 2:
-        raise ValueError("times: wanted a design of more steps than the memory's depth")
-    before, last = fits[-2:]
-    if not (isinstance(before, CellFit) and isinstance(last, CellFit)):
-        raise ValueError("fits: wanted two CellFits to compare, got others")
-    weight = np.exp(last.log_weight - last.log_weight.max())
-    weight /= weight.sum()
-    size = np.sqrt(np.einsum("iilc,lc->i", last.cov, weight))
-    shift = before.offset + (before.gain * last.centre).sum(axis=1)
-    shift -= last.offset + (last.gain * last.centre).sum(axis=1)
-    scaled = np.sqrt((weight * shift**2).sum(axis=(1, 2))) / size
-    return float(np.sqrt((scaled**2).mean()))
