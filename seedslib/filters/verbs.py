@@ -93,7 +93,7 @@ class Filter(Shown):
 
     def report(self, state: Any) -> Estimates:
         """What the filter says in a state, without the axis of times."""
-        said = {name: getattr(state, name, None) for name in Estimates._fields[:-1]}
+        said = {name: getattr(state, name, None) for name in Estimates._fields if name != "modes"}
         modes = getattr(state, "mode", None)
         if modes is None and said["mode_prob"] is not None:
             modes = most_probable(said["mode_prob"])
