@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from seedslib.base.diffuse import LOST
+from seedslib.base.triangles import lower_triangle
 from seedslib.design.regression import ABSOLUTE, Scatter, regress
 from seedslib.designed.predictors import (
     AffineFit,
@@ -81,7 +82,7 @@ def _polynomial(predictor, gather, n, size):
 
     first = gather(lambda x, u: np.concatenate([x, lifted(u, predictor.mean_degree)]))
     mean = regress(first.mean, first.cov, n)
-    rows, columns = np.tril_indices(n)
+    rows, columns = lower_triangle(n)
 
     def products(x, u):
         error = x - mean.mean(lifted(u, predictor.mean_degree))

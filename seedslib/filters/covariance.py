@@ -13,6 +13,7 @@ from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
+from seedslib.base.triangles import lower_triangle
 from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.filters.integration import adaptive, euler, rk4
@@ -138,7 +139,7 @@ class CovarianceFilter(Filter, Remade):
             if not self.continuous:
                 mean, cov = self._dynamics(state.time, state.mean, state.cov)
                 return state._replace(mean=mean, cov=cov)
-            rows, columns = np.tril_indices(self.n)
+            rows, columns = lower_triangle(self.n)
             lower = state.cov[rows, columns]
             if state.mean.ndim == 1:
                 components = [*state.mean.tolist(), *lower.tolist()]
@@ -168,8 +169,8 @@ class CovarianceFilter(Filter, Remade):
             if not self.continuous:
                 mean, cross, cov = self._jointly(state.time, state.mean, state.cov)
                 return state._replace(mean=mean, cov=cov), cross
-            n, size = self.n, len(np.tril_indices(self.n)[0])
-            lower = state.cov[np.tril_indices(n)]
+            n, size = self.n, len(lower_triangle(self.n)[0])
+            lower = state.cov[lower_triangle(n)]
             parts = [*state.mean, *lower, *state.cov.reshape(n * n, *state.cov.shape[2:])]
             rate = partial(_joint_rate, *self._jointly, state.cov)
             moved = self._integrate(rate, parts, state.time, t, self.integration_step)
@@ -228,7 +229,7 @@ class CovarianceFilter(Filter, Remade):
 def _joint_rate(velocity, spread, before, t, components):
     """Rates of mean, covariance and covariance with the state before, on a list of components."""
     n = len(before)
-    rows, columns = np.tril_indices(n)
+    rows, columns = lower_triangle(n)
     batch = np.broadcast_shapes(before.shape[2:], *(np.shape(c) for c in components))
     full = np.stack([np.broadcast_to(c, batch) for c in components])
     mean, cov = full[:n], symmetric(full[n : n + len(rows)], n)

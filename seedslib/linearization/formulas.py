@@ -8,6 +8,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
+from seedslib.base.triangles import lower_triangle
 from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import (
@@ -52,7 +53,7 @@ class Formulas(Linearization):
         velocity, cross, _ = self.formulas(system.drift_map, mean, cov, spread=False)
         lower, _, _ = self.formulas(system.spread_map, mean, cov, spread=False)
         spread = sympy.zeros(len(mean))
-        for k, (i, j) in enumerate(zip(*np.tril_indices(len(mean)), strict=True)):
+        for k, (i, j) in enumerate(zip(*lower_triangle(len(mean)), strict=True)):
             spread[i, j] = spread[j, i] = lower[k]
         return velocity, cross + cross.T + spread
 
@@ -165,7 +166,7 @@ class Formulas(Linearization):
         """See `Linearization.rate`."""
         (time, mean, lower), vector, cov = _arguments(system.drift_map, type(self).__name__)
         velocity, change = self.rate_formulas(system, vector, cov)
-        rows, columns = np.tril_indices(len(mean))
+        rows, columns = lower_triangle(len(mean))
         rates = [*velocity, *(change[int(i), int(j)] for i, j in zip(rows, columns, strict=True))]
         return compile_components((time, (*mean, *lower)), rates)
 
@@ -181,7 +182,7 @@ def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol]
     mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
     cov = sympy.zeros(n)
     lower = []
-    for i, j in zip(*np.tril_indices(n), strict=True):
+    for i, j in zip(*lower_triangle(n), strict=True):
         entry = sympy.Dummy(f"P{i}{j}", real=True)
         lower.append(entry)
         cov[i, j] = cov[j, i] = entry

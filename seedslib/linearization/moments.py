@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.triangles import lower_triangle, mirrored
 from seedslib.models.derived import products
 from seedslib.models.maps import StochasticMap
 
@@ -148,7 +149,7 @@ class Linearization(ABC):
             mean, then of the covariance on and below the diagonal row by row.
         """
         flow, n = self.flow(system), system.state_size
-        rows, columns = np.tril_indices(n)
+        rows, columns = lower_triangle(n)
 
         def derivative(t: float, components: Sequence) -> list:
             batch = np.broadcast_shapes(*(np.shape(c) for c in components))
@@ -220,8 +221,4 @@ def refuse_weight(map: StochasticMap) -> None:
 
 def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
     """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
-    lower = np.asarray(lower)
-    rows, columns = np.tril_indices(size)
-    index = np.empty((size, size), dtype=int)
-    index[rows, columns] = index[columns, rows] = np.arange(len(rows))
-    return lower[index]
+    return np.asarray(lower)[mirrored(size)]
