@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.special import expit, logit
 
-STEP = 1e-3
-"""Step of the differences, in units of the transformed parameters."""
+from seedslib.evaluation.differences import STEP
 
 
 @dataclass(frozen=True)
