@@ -123,10 +123,14 @@ def _innovations(filter, data, rows):
     periods = getattr(getattr(getattr(filter, "system", None), "sensor", None), "period", ())
     squares = np.full((len(y), y.shape[2]), np.nan)
     state = filter.initial(y.shape[2:])
-    for j in np.flatnonzero(rows):
-        state = filter.predict(state, data.times[j])
-        expected = filter.expect(state)
-        error = nearest(y[j], expected.mean, periods) - expected.mean
-        squares[j] = innovation_squares(error, gaps[j], expected.cov)
+    designed = getattr(filter, "times", None) is not None  # it stands at its own times only
+    for j, t in enumerate(data.times):
+        if designed and not rows[j]:
+            continue
+        state = filter.predict(state, t)
+        if rows[j]:
+            expected = filter.expect(state)
+            error = nearest(y[j], expected.mean, periods) - expected.mean
+            squares[j] = innovation_squares(error, gaps[j], expected.cov)
         state = filter.correct(state, y[j])
     return squares, np.count_nonzero(~gaps, axis=1)
