@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.objects import Shown
+from seedslib.evaluation.report import data_frame, html, text
 
 
 class Evaluation(NamedTuple):
@@ -59,8 +59,8 @@ class Evaluation(NamedTuple):
         The same over paths and the times of the window.
     log_score, log_score_error : ndarray, shape (J,), or None
         Mean logarithm of the density that the filter predicted for what was measured, and its
-        standard error; larger is better. NaN at times without a measurement, or where the
-        density is zero on some path. None for a filter without a likelihood.
+        standard error; larger is better. NaN at times without a measurement, and where the
+        density is zero, or not known, on some path. None for a filter without a likelihood.
     average_log_score, average_log_score_error : float or None
         The same over paths and the measurement times of the window.
     """
@@ -152,15 +152,11 @@ class Difference(NamedTuple):
         return f"<Difference: average {_list(self, 'average')}>"
 
 
-class Comparison(Shown, Mapping[str, Evaluation]):
-    """Evaluations by name, and paired differences; read like a mapping."""
+class Comparison(Mapping[str, Evaluation]):
+    """Evaluations by name, and paired differences; read like a mapping, shown as a table.
 
-    _shown = ("names",)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the filters."""
-        return tuple(self._evaluations)
+    ``print`` leaves out what differs from run to run, the time of a step.
+    """
 
     def __init__(
         self, evaluations: Any, squares: Any, cov: np.ndarray, scored: Any, more: tuple[str, ...]
@@ -208,6 +204,37 @@ class Comparison(Shown, Mapping[str, Evaluation]):
             - 2 * slope[0] * slope[1] * cov[a, b]
         )
         return np.sqrt(np.maximum(variance, 0.0) / self._scored)
+
+    def to_dataframe(self, names: Sequence[str] | None = None) -> Any:
+        """A pandas table with a row for each filter.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Indexed by filter: the root-mean-square error over the window of each component
+            and, where there are such, ``nees_ratio``, ``average_log_score`` and
+            ``average_mode_error``, each with its ``..._error``; ``seconds_per_step`` and the
+            number of paths that ``diverged``.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        ValueError
+            Another number of names.
+        """
+        return data_frame(self, names)
+
+    def __repr__(self) -> str:
+        return text(self)
+
+    def _repr_html_(self) -> str:
+        return html(self)
 
     def __str__(self) -> str:
         width = max(map(len, self))
