@@ -81,7 +81,7 @@ class Schedule(NamedTuple):
     availability: MaybeArray = None
 
     @classmethod
-    def of(cls, measured: object, availability: object, count: int, size: int) -> Schedule:
+    def of(cls, measured: Any, availability: Any, count: int, size: int) -> Schedule:
         """The schedule of `count` times and `size` components; arguments as `simulate`.
 
         Raises

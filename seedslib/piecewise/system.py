@@ -173,7 +173,7 @@ class PiecewiseLinearSystem:
 
     def simulate(
         self, times: object, paths: int, seed: object, *, measured: object = None,
-        availability: object = None, start: object = None, linear: bool = False, workers: int = 1,
+        availability: Any = None, start: object = None, linear: bool = False, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate independent paths and their measurements.
 
