@@ -63,7 +63,7 @@ def compare(
     seed : int, SeedSequence or Generator
     measured : array_like, optional
         Mask (J,) or indices of the measurement times, or a mask (J, m) where sensors have
-        schedules of their own. By default the times of the designed filters among `filters`,
+        schedules of their own; an indicator is the last component. By default the times of the designed filters among `filters`,
         and all times where there are none.
     components : int, optional
         Score the first components only; by default those that all filters estimate.

@@ -6,6 +6,8 @@ import sympy
 from scipy.stats import chi2, norm
 
 from seedslib.base.blocks import as_seed_sequence
+from seedslib.delay import DelayKalmanFilter
+from seedslib.delay.examples import two_noises
 from seedslib.evaluation import compare, evaluate
 from seedslib.evaluation.consistency import bounds, ratio
 from seedslib.evaluation.tally import Known
@@ -282,3 +284,13 @@ def test_errors_on_the_circle_are_as_without_the_cut(turning):
     np.testing.assert_allclose(told.rms, runs[1].rms, rtol=1e-8)
     with pytest.raises(ValueError, match="period: wanted components from 0 to 1, got 2"):
         evaluate(extended_kalman(line), line, TIMES, 10, 1, period={2: 1.0})
+
+
+def test_a_system_that_shows_nothing_at_first_has_no_score_there():
+    plant = two_noises()
+    found = evaluate(DelayKalmanFilter(plant), plant, np.arange(9.0), 600, 3, consistency=True)
+    score = found.log_score
+    assert np.isnan(score[0])
+    assert np.isfinite(score[1:]).all()
+    assert found.average_log_score == pytest.approx(score[1:].mean())
+    assert abs(found.nees_ratio - 1) < 4 * found.nees_ratio_error
