@@ -63,8 +63,8 @@ def compare(
     seed : int, SeedSequence or Generator
     measured : array_like, optional
         Mask (J,) or indices of the measurement times, or a mask (J, m) where sensors have
-        schedules of their own; an indicator is the last component. By default the times of the designed filters among `filters`,
-        and all times where there are none.
+        schedules of their own; an indicator is the last component. By default the times of the
+        designed filters among `filters`, and all times where there are none.
     components : int, optional
         Score the first components only; by default those that all filters estimate.
     window : slice, mask of shape (J,), or (first, last), optional
