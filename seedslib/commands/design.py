@@ -54,6 +54,7 @@ def add_design(commands: Any) -> None:
         "--table", nargs="+", metavar="AXIS",
         help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
     )  # fmt: skip
+    add("--verbose", action="store_true", help="tell on stderr how far the design has come")
     add("--out", required=True, metavar="FILE.npz", help="file of the filter")
     parser.set_defaults(run=run_design)
 
@@ -68,6 +69,7 @@ def run_design(options: argparse.Namespace) -> int:
     """
     from seedslib import design as making
     from seedslib import linearization
+    from seedslib.base.progress import listening
     from seedslib.commands import words
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
@@ -98,7 +100,8 @@ def run_design(options: argparse.Namespace) -> int:
     else:
         nodes = 4 if options.nodes is None else options.nodes
         chosen.update(predictor=predictor, nodes=nodes, components=options.components)
-    designed = making.synthesize(system, memory, rule, times, **chosen)
+    with listening(options.verbose):
+        designed = making.synthesize(system, memory, rule, times, **chosen)
     if tables is not None:
         designed = making.tabulated(designed, **tables)
     save(designed, out)

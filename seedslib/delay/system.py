@@ -31,7 +31,7 @@ from seedslib.delay.coefficients import (
     require_finite,
     start_law,
 )
-from seedslib.models.simulation import Simulation, as_measured
+from seedslib.models.simulation import Schedule, Simulation
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,7 +182,8 @@ class DelaySystem:
 
     def simulate(
         self, times: ArrayLike, paths: int | None, seed: object, *,
-        measured: ArrayLike | None = None, workers: int = 1,
+        measured: ArrayLike | None = None, availability: ArrayLike | None = None,
+        workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Independent Gaussian paths.
 
@@ -195,7 +196,10 @@ class DelaySystem:
         seed : int, SeedSequence or Generator
             One child stream is spawned per block of 8192 paths.
         measured : array_like, optional
-            Mask or indices of the instants with a measurement (default all); NaN at the others.
+            Mask or indices of the instants with a measurement (default all), or mask (K+1, m);
+            NaN at the others.
+        availability : float or array_like, shape (m,), optional
+            Probability that a component arrives; see `seedslib.models.simulation.simulate`.
         workers : int
             Threads over blocks of paths.
 
@@ -212,7 +216,7 @@ class DelaySystem:
             seed is none, or a path of an unstable plant overflows.
         """
         times = as_instants(times)
-        measured = as_measured(measured, len(times))
+        schedule = Schedule.of(measured, availability, len(times), self.measurement_size)
         width = 1 if paths is None else as_count("paths", paths)
         reach, n, m = self.max_delay + 1, self.state_size, self.measurement_size
         chain = np.empty((reach + len(times) - 1, n, width))  # x_{-N}, ..., x_K
@@ -237,8 +241,8 @@ class DelaySystem:
                     seen = c.sensor @ state + error @ rng.standard_normal((m, size))
                 require_finite("paths", k, state, seen)
                 chain[now, :, block] = state
-                if measured[k]:
-                    shown[k, :, block] = seen
+                shown[k, :, block] = seen
+                schedule.leave_out(k, shown[k, :, block], stream)
 
         in_blocks(draw, width, seed, workers=workers)
         parts = (chain[reach - 1 :], shown, chain[: reach - 1][::-1])

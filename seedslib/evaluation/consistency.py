@@ -46,10 +46,48 @@ def mahalanobis(error: np.ndarray, cov: Any) -> tuple[np.ndarray, int] | None:
     return np.where(known, squares, np.nan), error.shape[1]
 
 
-def bounds(freedom: int, count: int) -> tuple[float, float]:
-    """Where the mean of `count` independent chi-square numbers lies with probability 0.95."""
+def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Normalised squares of what was measured, shape (N,); NaN where nothing was.
+
+    Parameters
+    ----------
+    error : ndarray, shape (m, N)
+        Measurement minus its expectation.
+    gap : ndarray of bool, shape (m, N)
+        Components that are missing: the square is that of the others.
+    cov : ndarray, shape (m, m) or (m, m, N)
+    """
+    if gap.any():  # uncorrelated with the others, a missing component adds nothing
+        error, cov = np.where(gap, 0.0, error), cov.reshape(*cov.shape[:2], -1)
+        cov = np.where(gap | gap[:, None], np.eye(len(error))[..., None], cov)
+    found = mahalanobis(error[None], cov[None])
+    return np.where(gap.all(axis=0), np.nan, found[0][0] if found else np.nan)
+
+
+def bounds(freedom: Any, count: Any) -> tuple[Any, Any]:
+    """Where the mean of `count` independent chi-square numbers lies with probability 0.95.
+
+    Numbers or arrays; NaN where there is none of them.
+    """
     from scipy.special import chdtri
 
-    tail = 0.5 * (1.0 - CONFIDENCE)
+    tail, count = 0.5 * (1.0 - CONFIDENCE), np.where(np.asarray(count) > 0, count, np.nan)
     total = freedom * count
-    return float(chdtri(total, 1.0 - tail) / count), float(chdtri(total, tail) / count)
+    return chdtri(total, 1.0 - tail) / count, chdtri(total, tail) / count
+
+
+def ratio(known: Any) -> tuple[Any, Any]:
+    """Sum over paths and the window by what is expected of it, and its standard error.
+
+    The errors of one path at different times depend on each other, those of different paths do
+    not: the standard error is that of a ratio of means over paths (to first order).
+
+    Parameters
+    ----------
+    known : Known
+    """
+    (found, expected), products = known.paths, known.products
+    expected = np.where(expected > 0, expected, np.nan)
+    share = found / expected
+    spread = products[0, 0] - 2 * share * products[0, 1] + share**2 * products[1, 1]
+    return share, np.sqrt(np.maximum(spread, 0.0)) / expected

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.objects import Shown
+from seedslib.evaluation.report import data_frame, html, text
 
 
 class Evaluation(NamedTuple):
@@ -34,8 +34,8 @@ class Evaluation(NamedTuple):
     nees, nis : ndarray, shape (J,), or None
         Mean normalised squares of the estimation error and of the innovation, NaN where the
         filter claims no covariance. For a consistent filter their means are the numbers of
-        components.
-    nees_bounds, nis_bounds : tuple of float, or None
+        components, of the innovation the mean number of those measured.
+    nees_bounds, nis_bounds : pair of ndarray, shape (J,), or None
         Where such means lie with probability 0.95 if errors are Gaussian and consistent.
     seconds_per_step : float
         Time of the filter for one measurement of one path, in the batch that was run.
@@ -48,6 +48,21 @@ class Evaluation(NamedTuple):
         standard error; None where no modes are decided.
     average_mode_error, average_mode_error_error : float or None
         The same over paths and the times of the window.
+    nees_ratio, nees_ratio_error, nis_ratio, nis_ratio_error : float or None
+        Sums of the normalised squares over paths and the times of the window, divided by the
+        numbers of components: 1 for a consistent filter. Errors at different times of a path
+        depend on each other, so no chi-square law holds; the standard errors come from paths.
+    coverage, coverage_error : ndarray, shape (J, c), or None
+        Share of paths on which the state lies in the filter's interval of probability 0.95, and
+        its standard error.
+    average_coverage, average_coverage_error : ndarray, shape (c,), or None
+        The same over paths and the times of the window.
+    log_score, log_score_error : ndarray, shape (J,), or None
+        Mean logarithm of the density that the filter predicted for what was measured, and its
+        standard error; larger is better. NaN at times without a measurement, and where the
+        density is zero, or not known, on some path. None for a filter without a likelihood.
+    average_log_score, average_log_score_error : float or None
+        The same over paths and the measurement times of the window.
     """
 
     times: np.ndarray
@@ -74,6 +89,23 @@ class Evaluation(NamedTuple):
     mode_error_error: MaybeArray = None
     average_mode_error: Any = None
     average_mode_error_error: Any = None
+    nees_ratio: Any = None
+    nees_ratio_error: Any = None
+    nis_ratio: Any = None
+    nis_ratio_error: Any = None
+    coverage: MaybeArray = None
+    coverage_error: MaybeArray = None
+    average_coverage: MaybeArray = None
+    average_coverage_error: MaybeArray = None
+    log_score: MaybeArray = None
+    log_score_error: MaybeArray = None
+    average_log_score: Any = None
+    average_log_score_error: Any = None
+
+    def __repr__(self) -> str:
+        return (
+            f"<Evaluation: {self.scored} of {self.paths} paths, average {_list(self, 'average')}>"
+        )
 
 
 class Difference(NamedTuple):
@@ -93,6 +125,10 @@ class Difference(NamedTuple):
         Difference of the shares of wrong modes; None unless both filters decide modes.
     average_mode, average_mode_error : float or None
         The same of the averages over the times of the window.
+    log_score, log_score_error : ndarray, shape (J,), or None
+        Difference of the log scores; None unless both filters have one.
+    average_log_score, average_log_score_error : float or None
+        The same of the averages over the measurement times of the window.
     """
 
     rms: np.ndarray
@@ -107,23 +143,28 @@ class Difference(NamedTuple):
     mode_error: MaybeArray = None
     average_mode: Any = None
     average_mode_error: Any = None
+    log_score: MaybeArray = None
+    log_score_error: MaybeArray = None
+    average_log_score: Any = None
+    average_log_score_error: Any = None
+
+    def __repr__(self) -> str:
+        return f"<Difference: average {_list(self, 'average')}>"
 
 
-class Comparison(Shown, Mapping[str, Evaluation]):
-    """Evaluations by name, and paired differences; read like a mapping."""
+class Comparison(Mapping[str, Evaluation]):
+    """Evaluations by name, and paired differences; read like a mapping, shown as a table.
 
-    _shown = ("names",)
+    ``print`` leaves out what differs from run to run, the time of a step.
+    """
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Of the filters."""
-        return tuple(self._evaluations)
-
-    def __init__(self, evaluations: Any, squares: Any, cov: np.ndarray, scored: Any) -> None:
-        """Squares (F, J+1, c+1 or c+2) and their covariances over paths (F, F, ...): those of
-        the components, their sum, and the shares of wrong modes where there are modes.
+    def __init__(
+        self, evaluations: Any, squares: Any, cov: np.ndarray, scored: Any, more: tuple[str, ...]
+    ) -> None:
+        """Squares (F, J+1, c + 1 + len(more)) and their covariances over paths (F, F, ...): those
+        of the components, their sum, and further numbers by name.
         """
-        self._evaluations = evaluations
+        self._evaluations, self._more = evaluations, more
         self._squares, self._cov, self._scored = squares, cov, scored
         self._components = next(iter(evaluations.values())).rms.shape[1]
 
@@ -145,14 +186,14 @@ class Comparison(Shown, Mapping[str, Evaluation]):
         error = self._error(a, b, np.ones_like(mean))
         rms, slope = roots(mean[..., :count])
         apart, apart_error = rms[0] - rms[1], self._error(a, b, slope)
-        found = [
-            part
-            for k in range(count, mean.shape[2])
-            for part in (raw[:-1, k], error[:-1, k], raw[-1, k], error[-1, k])
-        ]
-        if len(found) > 4 and np.isnan(found[4]).all():
-            found = found[:4]
-        return Difference(apart[:-1], apart_error[:-1], apart[-1], apart_error[-1], *found)
+        found = {
+            name: quadruple(raw[:, k], error[:, k]) for k, name in enumerate(self._more, count + 1)
+        }
+        return Difference(
+            apart[:-1], apart_error[:-1], apart[-1], apart_error[-1],
+            *quadruple(raw[:, count], error[:, count]),
+            *found.get("mode", NOTHING), *found.get("log_score", NOTHING),
+        )  # fmt: skip
 
     def _error(self, a, b, slope):
         """Standard error of slope[0] times a mean of `a` less slope[1] times one of `b`."""
@@ -163,6 +204,37 @@ class Comparison(Shown, Mapping[str, Evaluation]):
             - 2 * slope[0] * slope[1] * cov[a, b]
         )
         return np.sqrt(np.maximum(variance, 0.0) / self._scored)
+
+    def to_dataframe(self, names: Sequence[str] | None = None) -> Any:
+        """A pandas table with a row for each filter.
+
+        Parameters
+        ----------
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Indexed by filter: the root-mean-square error over the window of each component
+            and, where there are such, ``nees_ratio``, ``average_log_score`` and
+            ``average_mode_error``, each with its ``..._error``; ``seconds_per_step`` and the
+            number of paths that ``diverged``.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        ValueError
+            Another number of names.
+        """
+        return data_frame(self, names)
+
+    def __repr__(self) -> str:
+        return text(self)
+
+    def _repr_html_(self) -> str:
+        return html(self)
 
     def __str__(self) -> str:
         width = max(map(len, self))
@@ -180,6 +252,22 @@ class Comparison(Shown, Mapping[str, Evaluation]):
             lost = f"  {found.diverged} of {found.paths} paths diverged" if found.diverged else ""
             lines.append(f"{name:{width}}  {row}{lost}")
         return "\n".join(lines)
+
+
+NOTHING = (None, None, None, None)
+
+
+def quadruple(value: np.ndarray, error: np.ndarray) -> tuple[Any, ...]:
+    """Values (J,) and errors, average and its error, of (J+1,); nothing where none is known."""
+    if np.isnan(value).all():
+        return NOTHING
+    return value[:-1], error[:-1], float(value[-1]), float(error[-1])
+
+
+def _list(found, name):
+    """Numbers with their errors, in a line."""
+    pairs = zip(getattr(found, name), getattr(found, f"{name}_error"), strict=True)
+    return ", ".join(f"{value:.4g} ± {error:.2g}" for value, error in pairs)
 
 
 def roots(mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,6 @@ out of sample, those of `FiniteOrderFilter.predicted` are in-sample.
 
 from __future__ import annotations
 
-import time
 import warnings
 from collections.abc import Mapping
 from functools import reduce
@@ -18,17 +17,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.blocks import child, in_blocks
+from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
-from seedslib.evaluation.consistency import bounds, mahalanobis
-from seedslib.evaluation.results import Comparison, Evaluation, roots
-from seedslib.evaluation.tally import merged, tally
-from seedslib.models.kinds import KINDS, AnySystem, as_system
+from seedslib.evaluation.consistency import bounds, ratio
+from seedslib.evaluation.results import NOTHING, Comparison, Evaluation, quadruple, roots
+from seedslib.evaluation.scoring import circular, scored
+from seedslib.evaluation.tally import merged
+from seedslib.models.kinds import KINDS, AnySystem, as_system, kind_of
 from seedslib.models.simulation import as_measured
 
-FILTERS = 0x46494C54
-"""Key of the filters' own streams among the children of a block's: no block of paths has it."""
+LATER = "DelaySystem", "PiecewiseLinearSystem"
+"""Systems that measure nothing at the first time."""
 
 BLOCK = 2048
 """Paths in a block of an evaluation, where whole trajectories of all filters are held."""
@@ -44,7 +44,8 @@ def evaluate(
 def compare(
     filters: Mapping[str, Any], system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
     measured: ArrayLike | None = None, components: int | None = None, window: Any = None,
-    bound: Any = np.inf, consistency: bool = False, workers: int = 1, **options: Any,
+    bound: Any = np.inf, consistency: bool = False, period: Mapping[int, float] | None = None,
+    workers: int = 1, **options: Any,
 ) -> Comparison:  # fmt: skip
     """Accuracy of several filters on the same simulated paths.
 
@@ -54,14 +55,16 @@ def compare(
         Anything with ``run(times, measurements) -> Estimates``. What a run is given beside is in
         its `takes`: names of ``"indicators"``, ``"modes"``, ``"seed"`` and ``"covariances"``.
     system : object
-        With ``simulate``; the truth.
+        With ``simulate``; the truth. Each filter has a model of its own, which need not be this
+        one: a state of another size is compared on the components that both have.
     times : array_like, shape (J,)
         Times at which errors are scored; at a measurement time after the correction.
     paths : int
     seed : int, SeedSequence or Generator
     measured : array_like, optional
-        Mask or indices of the measurement times. By default those of the designed filters among
-        `filters`, and all times where there are none.
+        Mask (J,) or indices of the measurement times, or a mask (J, m) where sensors have
+        schedules of their own; an indicator is the last component. By default the times of the
+        designed filters among `filters`, and all times where there are none.
     components : int, optional
         Score the first components only; by default those that all filters estimate.
     window : slice, mask of shape (J,), or (first, last), optional
@@ -70,12 +73,16 @@ def compare(
     bound : float
         A path on which an estimate is beyond it in any component counts as diverged.
     consistency : bool
-        Whether `nees` and `nis` are wanted. At each time they are means over the paths on which
-        there is something to compare: not, for a designed filter, after a missing measurement.
+        Whether `nees`, `nis`, coverage and log scores are wanted. At each time they are means
+        over the paths on which there is something to compare: not, for a designed filter, after
+        a missing measurement.
+    period : mapping of int to float, optional
+        State components that lie on a circle, and their periods: their errors are differences
+        on the circle. Those of the dynamics of a `DiscreteSystem` are known.
     workers : int
         Threads over blocks of paths; errors do not depend on it, the time per step does.
     **options
-        For ``system.simulate``, such as `step` and `scheme`.
+        For ``system.simulate``, such as `step`, `scheme` and `availability`.
 
     Returns
     -------
@@ -108,14 +115,21 @@ def compare(
             )
     as_system("system", system, *KINDS, "DelaySystem", "PiecewiseLinearSystem")
     times, paths = as_times("times", times), as_count("paths", paths)
-    measured = as_measured(_measured(filters, times) if measured is None else measured, len(times))
+    measured = _measured(filters, times) if measured is None else measured
+    if np.ndim(measured) == 2:
+        measured = np.asarray(measured)
+    else:
+        measured = as_measured(measured, len(times))
+    periods, first = circular(period, system), int(kind_of(system) in LATER)
     if components is not None:
         components = as_count("components", components)
     window = _window(window, len(times))
 
     def work(start, stop, stream):
         data = system.simulate(times, stop - start, stream, measured=measured, **options)
-        return _block(filters, data, measured, components, window, bound, consistency, stream)
+        return scored(
+            filters, data, measured, components, window, bound, consistency, periods, first, stream
+        )
 
     return _summed(
         filters, times, paths, in_blocks(work, paths, seed, workers=workers, block=BLOCK)
@@ -147,73 +161,6 @@ def _window(given, count):
     return mask
 
 
-def _block(filters, data, measured, components, window, bound, consistency, stream):
-    errors, normalised, seconds, wrong = [], [], [], []
-    truth = np.isfinite(data.states).all(axis=(0, 1))
-    truth &= ~np.isinf(data.measurements).any(axis=(0, 1))
-    if not truth.all():  # what is shown on a path that left the range of numbers is not scored
-        data.measurements[np.ix_(measured, np.ones(data.measurements.shape[1], bool), ~truth)] = 0.0
-    astray = []
-    for number, each in enumerate(filters.values()):
-        wants = _wanted(each, data, child(stream, FILTERS, number), consistency)
-        begin = time.perf_counter()
-        found = each.run(data.times, data.measurements, **wants)
-        seconds.append(time.perf_counter() - begin)
-        n = found.mean.shape[1]
-        if data.modes is not None:
-            unknown = np.full(data.modes.shape, np.nan)
-            wrong.append(unknown if found.modes is None else found.modes != data.modes)
-        errors.append(found.mean - data.states[:, :n])
-        with np.errstate(invalid="ignore"):
-            lost = ~(np.abs(found.mean) <= min(bound, np.finfo(float).max)).all(axis=(0, 1))
-        if found.diverged is not None:
-            lost |= found.diverged
-        astray.append(lost)
-        normalised.append(None)
-        if consistency:
-            squares = mahalanobis(errors[-1], found.cov)
-            normalised[-1] = squares, _innovations(each, data, measured)
-    count = min(e.shape[1] for e in errors)
-    if components is not None:
-        if components > count:
-            raise ValueError(f"components: wanted at most {count}, got {components}")
-        count = components
-    error = np.stack([e[:, :count] for e in errors])
-    astray = np.array(astray)
-    good = truth & ~astray.any(axis=0)
-    steps = int(measured.sum()) * len(truth)
-    extra = np.array(wrong, dtype=float) if wrong else None
-    return tally(
-        error, good, truth, astray, normalised, np.array(seconds), steps, wrong=extra, window=window
-    )
-
-
-def _wanted(filter, data, stream, consistency):
-    """What the run of a filter takes beside times and measurements."""
-    shown = getattr(getattr(filter, "system", None), "indicators", True)
-    given = {
-        "indicators": data.indicators if shown else None, "modes": data.modes, "seed": stream,
-        "covariances": consistency or None,
-    }  # fmt: skip
-    takes = getattr(filter, "takes", ())
-    return {name: part for name, part in given.items() if part is not None and name in takes}
-
-
-def _innovations(filter, data, measured):
-    """Normalised squared innovations (J, N) of a filter that says what it expects to measure."""
-    if not hasattr(filter, "expect"):
-        return None
-    y = data.measurements
-    result = np.full((len(y), y.shape[2]), np.nan)
-    state = filter.initial(y.shape[2:])
-    for j in np.flatnonzero(measured):
-        state = filter.predict(state, data.times[j])
-        expected = filter.expect(state)
-        result[j] = mahalanobis((y[j] - expected.mean)[None], expected.cov[None])[0][0]
-        state = filter.correct(state, y[j])
-    return result, y.shape[1]
-
-
 def _summed(filters, times, paths, tallies) -> Comparison:
     total = reduce(merged, tallies)
     if total.count < 2:
@@ -228,37 +175,52 @@ def _summed(filters, times, paths, tallies) -> Comparison:
         error = slope * spread[:, : components + 1]
         bias = total.error[f] / count
         variance = total.mean[f, :-1, :components] - bias**2
-        decides = ()
-        if total.mean.shape[2] > components + 1 and np.isfinite(total.mean[f, -1, -1]):
-            share, width = total.mean[f, :, -1], spread[:, -1]
-            decides = share[:-1], width[:-1], float(share[-1]), float(width[-1])
-        nees, nees_bounds = _consistency(total.normalised[f], 0, name, "nees", count)
-        nis, nis_bounds = _consistency(total.normalised[f], 1, name, "nis", count)
+        found = {
+            name: quadruple(total.mean[f, :, k], spread[:, k])
+            for k, name in enumerate(total.more, components + 1)
+        }
+        nees, nis, covers = total.normalised[f] or (None, None, None)
+        nees = _consistency(nees, name, count)
+        nis = _consistency(nis)
         evaluations[name] = Evaluation(
             times, rms[:-1, :-1], error[:-1, :-1],
             np.sqrt(total.everything[f] / total.simulated),
             bias, np.sqrt(np.maximum(variance, 0.0) / count),
             rms[-1, :-1], error[-1, :-1],
             paths, count, int(total.diverged[f]),
-            nees, nis, nees_bounds, nis_bounds,
+            nees[0], nis[0], nees[1], nis[1],
             float(total.seconds[f] / total.steps) if total.steps else np.nan,
-            rms[:-1, -1], error[:-1, -1], float(rms[-1, -1]), float(error[-1, -1]), *decides,
+            rms[:-1, -1], error[:-1, -1], float(rms[-1, -1]), float(error[-1, -1]),
+            *found.get("mode", NOTHING), *nees[2:], *nis[2:], *_coverage(covers, components),
+            *found.get("log_score", NOTHING),
         )  # fmt: skip
-    return Comparison(evaluations, total.mean, cov, count)
+    return Comparison(evaluations, total.mean, cov, count, total.more)
 
 
-def _consistency(pair, which, name, what, paths):
-    """Means over the paths with a covariance, and bounds for the least number of them."""
-    if pair is None or pair[which] is None:
-        return None, None
-    sums, count, freedom = pair[which]
-    known = count > 0
-    least = int(count[known].min()) if known.any() else paths
+def _consistency(known, name="", paths=0):
+    """Means over the paths with a covariance, their bounds, and the ratio over the window.
+
+    Where paths are named, it is told that there are fewer.
+    """
+    if known is None:
+        return NOTHING
+    least = known.counts[known.counts > 0].min(initial=paths)
     if least < paths:
         warnings.warn(
-            f"consistency: {what} of {name!r} is known on {least} of {paths} paths only at some "
+            f"consistency: nees of {name!r} is known on {least} of {paths} paths only at some "
             "times, since measurements are missing; it is the mean over those",
             stacklevel=4,
         )
-    mean = np.divide(sums, count, out=np.full(len(sums), np.nan), where=known)
-    return mean, bounds(freedom, least)
+    count = np.where(known.counts > 0, known.counts, np.nan)
+    return (known.sums / count, bounds(known.expected / count, count), *map(float, ratio(known)))
+
+
+def _coverage(known, components):
+    """Shares of paths by time and over the window, with their errors."""
+    if known is None:
+        return NOTHING
+    count = np.where(known.counts > 0, known.counts, np.nan)
+    share = known.sums / count
+    error = np.sqrt(share * (1.0 - share) / count)
+    average = (part[:components] for part in ratio(known))
+    return share[:, :components], error[:, :components], *average

@@ -10,8 +10,8 @@ import numpy as np
 class Tally(NamedTuple):
     """Sums over paths of one block; F filters, J times and their average, c components.
 
-    After the squared errors of the components come their sum and, for a switching system,
-    whether the mode was wrong: C = c + 1 or c + 2 numbers.
+    After the squared errors of the components come their sum and further numbers of each path,
+    such as whether a mode was wrong: C = c + 1 + len(more).
     """
 
     simulated: int  # paths whose truth is finite
@@ -21,9 +21,20 @@ class Tally(NamedTuple):
     error: np.ndarray  # (F, J, c) sums of the errors
     everything: np.ndarray  # (F, J, c) sums of the squares of all paths
     diverged: np.ndarray  # (F,)
-    normalised: list[Any]  # for each filter sums and counts of NEES and NIS
+    normalised: list[Any]  # for each filter the `Known` of NEES, NIS and coverage
     seconds: np.ndarray  # (F,) per block
     steps: int  # measurements times paths
+    more: tuple[str, ...] = ()  # names of the further numbers
+
+
+class Known(NamedTuple):
+    """Sums over paths of values that may be unknown at times; `...` are none or components."""
+
+    sums: np.ndarray  # (J, ...)
+    counts: np.ndarray  # (J, ...) paths on which it is known
+    expected: np.ndarray  # (J, ...) what the sums are expected to be
+    paths: np.ndarray  # (2, ...) sums over the window too, of the values and of the expected
+    products: np.ndarray  # (2, 2, ...) sums over paths of the products of these two
 
 
 SUMS = "simulated", "count", "error", "everything", "diverged", "seconds", "steps"
@@ -32,7 +43,7 @@ SUMS = "simulated", "count", "error", "everything", "diverged", "seconds", "step
 
 def tally(
     error: Any, good: Any, truth: Any, astray: Any, normalised: Any, seconds: float, steps: int, *,
-    wrong: Any = None, window: Any = None,
+    more: Any = None, window: Any = None,
 ) -> Tally:  # fmt: skip
     """Sums of one block.
 
@@ -43,27 +54,30 @@ def tally(
         Paths without a divergence of any filter; paths whose truth is finite.
     astray : ndarray of bool, shape (F, N)
     normalised : list
-        For each filter None or its squares of errors and innovations, see `consistency`.
+        For each filter None or its squares of errors and of innovations, and what its intervals
+        cover, each with what is expected of it on the mean; NaN where it is not known.
     seconds : ndarray, shape (F,)
     steps : int
-    wrong : ndarray, shape (F, J, N), optional
-        One where the decided mode is wrong, NaN where none is decided.
+    more : mapping of str to (ndarray, ndarray), optional
+        Further numbers (F, J, N), NaN where there are none, and the times (J,) that are averaged.
     window : ndarray of bool, shape (J,), optional
         Times that are averaged, all by default.
     """
-    everything = None
+    everything, more = None, more or {}
+    window = np.ones(error.shape[1], bool) if window is None else window
     if not good.all():
         with np.errstate(over="ignore", invalid="ignore"):
             everything = np.where(np.isnan(error), np.inf, error)[..., truth] ** 2
             everything = everything.sum(axis=-1)
         error = error[..., good]
     count, size = error.shape[-1], error.shape[2]
-    squares = np.empty((len(error), error.shape[1] + 1, size + 1 + (wrong is not None), count))
+    squares = np.empty((len(error), error.shape[1] + 1, size + 1 + len(more), count))
     np.square(error, out=squares[:, :-1, :size])
     squares[:, :-1, size] = squares[:, :-1, :size].sum(axis=2)
-    if wrong is not None:
-        squares[:, :-1, -1] = wrong[..., good]
-    squares[:, -1] = squares[:, :-1][:, slice(None) if window is None else window].mean(axis=1)
+    squares[:, -1, : size + 1] = squares[:, :-1, : size + 1][:, window].mean(axis=1)
+    for k, (values, when) in enumerate(more.values(), size + 1):
+        squares[:, :-1, k] = values[..., good]
+        squares[:, -1, k] = squares[:, :-1, k][:, when].mean(axis=1) if when.any() else np.nan
     total = squares.sum(axis=-1)
     everything = total[:, :-1, :size] if everything is None else everything
     mean = total / max(count, 1)
@@ -72,21 +86,28 @@ def tally(
     products = np.empty((len(mean), *mean.shape))
     for a, b in zip(*np.tril_indices(len(mean)), strict=True):
         products[a, b] = products[b, a] = np.einsum("jcN,jcN->jc", centred[a], centred[b])
-    sums = [None if pair is None else [_sum(part, good) for part in pair] for pair in normalised]
+    sums = [
+        None if parts is None else [_sum(part, good, window) for part in parts]
+        for parts in normalised
+    ]
     return Tally(
         int(truth.sum()), count, mean, products, error.sum(axis=-1), everything,
-        (astray & truth).sum(axis=1), sums, seconds, steps,
+        (astray & truth).sum(axis=1), sums, seconds, steps, tuple(more),
     )  # fmt: skip
 
 
-def _sum(values, good):
-    """Sums over the good paths, the numbers of those that are known, degrees of freedom."""
-    if values is None:
+def _sum(part, good, window):
+    """Sums over the good paths of values (J, ..., N) and of what is expected of them."""
+    if part is None:
         return None
-    squares, freedom = values
-    squares = squares[:, good]
-    known = ~np.isnan(squares)
-    return np.where(known, squares, 0.0).sum(axis=1), np.count_nonzero(known, axis=1), freedom
+    values, expected = part[0][..., good], part[1]
+    expected = expected if np.isscalar(expected) else expected[..., good]
+    known = ~np.isnan(values)
+    values, expected = np.where(known, values, 0.0), np.where(known, expected, 0.0)
+    paths = np.stack([values[window].sum(axis=0), expected[window].sum(axis=0)])
+    products = np.einsum("a...N,b...N->ab...", paths, paths)
+    counts = np.count_nonzero(known, axis=-1)
+    return Known(values.sum(axis=-1), counts, expected.sum(axis=-1), paths.sum(axis=-1), products)
 
 
 def merged(a: Any, b: Any) -> Tally:
@@ -98,7 +119,7 @@ def merged(a: Any, b: Any) -> Tally:
         None
         if one is None
         else [
-            None if s is None else (s[0] + t[0], s[1] + t[1], s[2])
+            None if s is None else Known(*(u + v for u, v in zip(s, t, strict=True)))
             for s, t in zip(one, two, strict=True)
         ]
         for one, two in zip(a.normalised, b.normalised, strict=True)

@@ -1,9 +1,9 @@
-"""What wants another package or another language: C, learned outputs, a cluster.
+"""What wants another package or another language: C, learned outputs, a cluster, pictures.
 
-`to_c` writes a designed filter as a C header, `learn` wants scikit-learn, `cluster` wants Dask.
-Nothing uses this room.
+`to_c` writes a designed filter as a C header, `learn` wants scikit-learn, `cluster` wants Dask, and
+what plots wants matplotlib. Nothing uses this room.
 
-May import: base, models, linearization, filters, designed, design.
+May import: base, models, linearization, filters, designed, design, evaluation.
 """
 
 from seedslib.base.lazy import lazy_names
@@ -13,5 +13,8 @@ if TYPE_CHECKING:
     from seedslib.extra.c.header import to_c as to_c
     from seedslib.extra.dask_crew import cluster as cluster
     from seedslib.extra.learned import learn as learn
+    from seedslib.extra.plots import plot_comparison as plot_comparison
+    from seedslib.extra.plots import plot_estimates as plot_estimates
+    from seedslib.extra.plots import plot_profile as plot_profile
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
+from seedslib.base.progress import followed
 from seedslib.design.fitting import fit_forecast
 from seedslib.design.regression import ABSOLUTE, scatter
 from seedslib.design.tables.carriers import Carriers, Lesson
@@ -174,7 +175,7 @@ def learn(
     sensing = [np.random.default_rng(s) for s in sensing.spawn(len(carriers.times))]
     fitting = np.random.default_rng(fitting)
     steps, between, blind = [], [], prior(system, components)
-    for k, t in enumerate(carriers.times):
+    for k, t in enumerate(followed(carriers.times, "learning")):
         lesson = carriers.lesson()
         shown = _output(
             regressor, system.sensor, t, lesson, components, draws, joint, sensing[k], fitting

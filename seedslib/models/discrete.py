@@ -87,7 +87,9 @@ class DiscreteSystem(ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        workers: int = 1,
+        availability: ArrayLike | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""
-        return simulate(self, times, paths, seed, measured=measured, workers=workers)
+        return simulate(
+            self, times, paths, seed, measured=measured, availability=availability, workers=workers
+        )

@@ -134,10 +134,13 @@ class HybridSensor:
 
 def simulate_hybrid(
     system: Any, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-    workers: int = 1,
+    availability: ArrayLike | None = None, workers: int = 1,
 ) -> Simulation:  # fmt: skip
     """Simulate a switching system, its modes and indicators apart from the numbers."""
-    made = simulate(system.hybrid, times, paths, seed, measured=measured, workers=workers)
+    made = simulate(
+        system.hybrid, times, paths, seed, measured=measured, availability=availability,
+        workers=workers,
+    )  # fmt: skip
     m, shown = system.measurement_size, made.measurements
     indicators, modes = None, made.states[:, -1].astype(int)
     if system.indicators:

@@ -264,7 +264,8 @@ class JumpDiffusion(Travelling, ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, step: float | None = None,
-        scheme: str = "euler", measured: ArrayLike | None = None, workers: int = 1,
+        scheme: str = "euler", measured: ArrayLike | None = None,
+        availability: ArrayLike | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements.
 
@@ -277,8 +278,8 @@ class JumpDiffusion(Travelling, ShownModel):
         step : float, optional
             Largest integration step; the system's own by default.
         scheme : {"euler", "heun"}
-        measured : array_like, optional
-            Mask or indices of the times with a measurement (default all); NaN at the others.
+        measured, availability : array_like, optional
+            As those of `seedslib.models.simulation.simulate`.
         workers : int
             Threads; the numbers do not depend on it, nor on the number of paths.
 
@@ -289,8 +290,9 @@ class JumpDiffusion(Travelling, ShownModel):
             (K+1, m, paths).
         """
         return simulate(
-            self, times, paths, seed, measured=measured, workers=workers, step=step, scheme=scheme
-        )
+            self, times, paths, seed, measured=measured, availability=availability,
+            workers=workers, step=step, scheme=scheme,
+        )  # fmt: skip
 
 
 def _never(t: float, x: np.ndarray) -> np.ndarray:

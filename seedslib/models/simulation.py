@@ -13,9 +13,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
+from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_count, unmasked
+from seedslib.base.checks import as_count, as_real, unmasked
 from seedslib.models.kinds import AnySystem, as_grid
+
+ARRIVALS = 0x41525256
+"""Key of the stream that decides what arrives, among the children of a block's."""
 
 
 class Simulation(NamedTuple):
@@ -26,7 +30,7 @@ class Simulation(NamedTuple):
     times : ndarray, shape (K+1,)
     states : ndarray, shape (K+1, n, paths)
     measurements : ndarray, shape (K+1, m, paths)
-        NaN at the times that are not measured.
+        NaN for what is not measured.
     modes, indicators : ndarray of int, shape (K+1, paths), or None
         Of a switching system; -1 for an indicator that was not measured.
     history : ndarray, shape (N, n, paths), or None
@@ -63,9 +67,62 @@ def as_measured(measured: object, count: int, name: str = "measured") -> np.ndar
     return mask
 
 
+class Schedule(NamedTuple):
+    """When each component of a measurement is read.
+
+    Attributes
+    ----------
+    mask : ndarray of bool, shape (K+1, m)
+    availability : ndarray, shape (m,), or None
+        Probability that a component that is read arrives; None where all do.
+    """
+
+    mask: np.ndarray
+    availability: MaybeArray = None
+
+    @classmethod
+    def of(cls, measured: Any, availability: Any, count: int, size: int) -> Schedule:
+        """The schedule of `count` times and `size` components; arguments as `simulate`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A mask of another shape, an index out of range, no probabilities.
+        """
+        if np.ndim(measured) == 2:
+            mask = np.asarray(unmasked("measured", measured))
+            if mask.dtype != bool or mask.shape != (count, size):
+                raise ValueError(
+                    f"measured: wanted a mask of shape ({count},) or ({count}, {size}), got "
+                    f"{mask.dtype} of shape {mask.shape}"
+                )
+        else:
+            mask = np.repeat(as_measured(measured, count)[:, None], size, axis=1)
+        if availability is None:
+            return cls(mask)
+        there = as_real("availability", availability)
+        if there.shape not in ((), (size,)) or not ((there >= 0) & (there <= 1)).all():
+            raise ValueError(
+                f"availability: wanted a probability, or {size} of them, got {availability!r}"
+            )
+        return cls(mask, np.broadcast_to(there, (size,)))
+
+    def leave_out(self, k: int, y: np.ndarray, stream: np.random.SeedSequence) -> None:
+        """Put NaN for what is not read or does not arrive in measurements (m, paths) of time k.
+
+        What arrives is drawn from a descendant of the stream that nothing else uses.
+        """
+        y[~self.mask[k]] = np.nan
+        if self.availability is not None:
+            rng = np.random.default_rng(descendant(stream, ARRIVALS, k))
+            lost = self.availability[:, None] <= rng.random(y.shape[::-1]).T
+            y[lost] = np.nan
+
+
 def simulate(
     system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
-    measured: ArrayLike | None = None, workers: int = 1, **options: Any,
+    measured: ArrayLike | None = None, availability: ArrayLike | None = None, workers: int = 1,
+    **options: Any,
 ) -> Simulation:  # fmt: skip
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
@@ -79,7 +136,12 @@ def simulate(
     paths : int
     seed : int, SeedSequence or Generator
     measured : array_like, optional
-        Mask or indices of the times with a measurement (default all); NaN at the others.
+        Mask (K+1,) or indices of the times with a measurement (default all), or a mask (K+1, m)
+        of the components that are read at each time; NaN at the others. An indicator of a
+        switching system counts as a component of its own, the last one.
+    availability : float or array_like, shape (m,), optional
+        Probability that a component that is read arrives, independently at each time and on
+        each path; NaN where it does not. States and the numbers that arrive do not depend on it.
     workers : int
         Threads over blocks of paths.
 
@@ -87,11 +149,11 @@ def simulate(
     ------
     TypeError, ValueError
         Times that do not increase, unequal steps of a system in discrete time, a count below
-        one, a wrong mask or seed.
+        one, a wrong mask or seed, no probabilities.
     """
     times = as_grid("times", times, system)
     paths = as_count("paths", paths)
-    measured = as_measured(measured, len(times))
+    schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
@@ -106,8 +168,9 @@ def simulate(
                 else:
                     x = system.advance(x, times[k - 1], times[k], moving, **options)
                 states[k, :, start:stop] = x
-                if measured[k]:
+                if schedule.mask[k].any():
                     measurements[k, :, start:stop] = system.sensor.sample(times[k], x, sensing)
+                    schedule.leave_out(k, measurements[k, :, start:stop], stream)
 
     in_blocks(work, paths, seed, workers=workers)
     return Simulation(times, states, measurements)

@@ -255,14 +255,16 @@ class SwitchingSystem(ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        workers: int = 1,
+        availability: ArrayLike | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
         `indicators` (K+1, paths) are whole numbers from 0, -1 for an indicator not measured.
         """
-        return simulate_hybrid(self, times, paths, seed, measured=measured, workers=workers)
+        return simulate_hybrid(
+            self, times, paths, seed, measured=measured, availability=availability, workers=workers
+        )
 
 
 def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:

@@ -13,7 +13,7 @@ from seedslib.base.arrays import Array
 from seedslib.base.checks import as_covariance, as_real, as_shape, require_one_size
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.kinds import as_steps
-from seedslib.models.simulation import Simulation, as_measured
+from seedslib.models.simulation import Schedule, Simulation
 from seedslib.piecewise.cells import as_cells
 from seedslib.piecewise.coefficients import Coefficients, affine_map, as_coefficients
 from seedslib.piecewise.functions import Tangents, tangents
@@ -173,7 +173,7 @@ class PiecewiseLinearSystem:
 
     def simulate(
         self, times: object, paths: int, seed: object, *, measured: object = None,
-        start: object = None, linear: bool = False, workers: int = 1,
+        availability: Any = None, start: object = None, linear: bool = False, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate independent paths and their measurements.
 
@@ -185,8 +185,10 @@ class PiecewiseLinearSystem:
             Number of paths N.
         seed : int, SeedSequence or Generator
         measured : array_like, optional
-            Mask or indices of the times with a measurement: all but the first by default, and
-            at the first nothing is ever measured.
+            Mask or indices of the times with a measurement, or mask (K+1, m): all but the first
+            by default, and at the first nothing is ever measured.
+        availability : float or array_like, shape (m,), optional
+            Probability that a component arrives; see `seedslib.models.simulation.simulate`.
         start : array_like, shape (k,), optional
             Initial state of every path; drawn from the prior by default.
         linear : bool
@@ -212,8 +214,11 @@ class PiecewiseLinearSystem:
             start = as_shape("start", start, (self.state_size,))
             same = start[:, None]
             source = replace(source, initial=lambda rng, count: np.repeat(same, count, axis=1))
-        measured = as_measured(measured, times.size) & (np.arange(times.size) > 0)
-        return source.simulate(times, paths, seed, measured=measured, workers=workers)
+        mask = Schedule.of(measured, None, times.size, source.measurement_size).mask
+        mask = mask & (np.arange(times.size) > 0)[:, None]
+        return source.simulate(
+            times, paths, seed, measured=mask, availability=availability, workers=workers
+        )
 
     def discrete(
         self, *, linear: bool = False, times: Sequence[Any] = (0.0, 1.0)

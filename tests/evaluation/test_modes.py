@@ -6,7 +6,7 @@ import pytest
 from seedslib import zoo
 from seedslib.base.blocks import as_seed_sequence, child
 from seedslib.evaluation import compare, evaluate
-from seedslib.evaluation.scores import FILTERS
+from seedslib.evaluation.scoring import FILTERS
 from seedslib.filters import Estimates, KnownModeFilter, RaoBlackwellFilter
 
 TIMES = np.arange(6.0)

@@ -104,7 +104,7 @@ def test_delay_filters_are_compared():
     }
     for name, result in found.items():
         assert (np.abs(result.total - np.sqrt(exact[name])) < 4.5 * result.total_error).all()
-    low, high = found["kalman"].nees_bounds
+    low, high = (bound[0] for bound in found["kalman"].nees_bounds)
     assert low - 0.1 < found["kalman"].nees.mean() < high + 0.1
     few = compare(made | {"printed": made["kalman"]}, PLANT, np.arange(5.0), 50, 5, measured=[1])
     rows = np.isclose(few["kalman"].rms, few["printed"].rms)

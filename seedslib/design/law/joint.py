@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, AxisLike, Labels, as_axes, mesh
 from seedslib.design.law.recursion import (
     Seen,
@@ -156,7 +157,7 @@ class JointLaw:
         Between measurements the state moves; `take` is the caller's.
         """
         between: list[Table] = []
-        for k, t in enumerate(self.times):
+        for k, t in enumerate(followed(self.times, "design on a grid")):
             yield k, t, self.look(t), tuple(between)
             if k + 1 < len(self.times):
                 stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
@@ -220,9 +221,8 @@ class JointLaw:
         law = self.joint.sum(axis=0)
         mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
         bias = np.vdot(estimate, mass) - law @ x
-        wrong = None
-        if modes is not None:
-            wrong = 1.0 - sum(part[modes == i].sum() for i, part in enumerate(masses))
+        right = (part[modes == i].sum() for i, part in enumerate(masses))
+        wrong = None if modes is None else 1.0 - sum(right)
         outside = 0.0
         tail = self.letters if self.held == self.depth else 1
         if self.memory.estimates:

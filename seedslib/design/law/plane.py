@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
+from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, as_axes, locate, mesh
 from seedslib.design.law.recursion import NEGLIGIBLE, posterior_means, seen
 from seedslib.filters.weights import most_probable
@@ -82,7 +83,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
     for axis in y:
         weights = np.outer(weights, axis.weights).ravel()
     law, cells = chain.start()[:, None], np.zeros(1, dtype=np.intp)
-    for k, t in enumerate(times):
+    for k, t in enumerate(followed(times, "density recursion")):
         if k:
             law = chain.move(law, float(times[k - 1]), float(t))
             law /= law.sum()

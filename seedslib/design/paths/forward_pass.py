@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.clock import when
+from seedslib.base.progress import followed
 from seedslib.design.fitting import fit_forecast
 from seedslib.design.regression import ABSOLUTE, root_mean_squares
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start
@@ -80,7 +81,7 @@ class ForwardPass:
         """
         if self.start is None:
             self._start(times[0])
-        for k in range(len(self.node_fits), len(grid)):
+        for k in followed(range(len(self.node_fits), len(grid)), "design"):
             nodes, last = grid[k], k + 1 == len(times)
             if not self.continuous:
                 between, u = self._nodes(k, times[k], nodes)

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
+from seedslib.base.progress import followed
 from seedslib.design.cells import fit_cells
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
@@ -111,7 +112,7 @@ def _pass(walk, system, memory, rules, times):
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
     forecasts = [np.full(n, np.nan)]
-    for k, t in enumerate(times):
+    for k, t in enumerate(followed(times, "design")):
         if k == 0:
             walk.begin(t)
             states = walk.each(lambda x: rules.start(x.shape[1:]), walk.states)
@@ -136,7 +137,7 @@ def _pass(walk, system, memory, rules, times):
         states = walk.kept(correct, states, shown, array=lambda state: state.mean)
         scores.append(_score(walk, n, states))
         if k + 1 == len(times):
-            break
+            continue
         cells = cell_count(memory, system, k)
         groups = walk.each(
             lambda x, alive, state, cells=cells: _groups(system, x, alive, state, cells),

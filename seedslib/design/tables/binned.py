@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
+from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import crew
@@ -131,7 +132,7 @@ def binned_synthesis(
     modes = data.modes if switches(system) else [None] * len(times)
     told = data.indicators if system.indicators else [None] * len(times)
     past, steps, scores, errors, wrong = Past(), [], [], [], []
-    for k in range(len(times)):
+    for k in followed(range(len(times)), "design of tables"):
         lesson = data.states[k], modes[k]
         n = len(lesson[0])
         axes = step_axes(system, memory, (None,), (None,) * n, k)

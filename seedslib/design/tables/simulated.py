@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
+from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.tables.carriers import Carriers
 from seedslib.design.tables.regression import METHODS, histogram_table, likelihood_table
@@ -97,7 +98,7 @@ def simulated_synthesis(
     axes_y, axes_z = _axes(carriers, y, z)
     refuse_large(system, memory, axes_y, axes_z)
     steps, between = [], []
-    for k, t in enumerate(carriers.times):
+    for k, t in enumerate(followed(carriers.times, "design of tables")):
         shown, blind = step_axes(system, memory, axes_y, axes_z, k)
         lesson = carriers.lesson()
         if method == "likelihood":

@@ -1,0 +1,61 @@
+"""How far a long piece of work has come: lines of a log, at most about one a second.
+
+They go to the logger ``seedslib`` at level INFO. Nothing is shown, and nothing done, unless
+somebody listens, as ``logging.basicConfig(level=logging.INFO)`` does.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from typing import Any, TypeVar
+
+LOG = logging.getLogger("seedslib")
+LOG.addHandler(logging.NullHandler())
+
+EVERY = 1.0
+"""Seconds between two lines."""
+
+Step = TypeVar("Step")
+
+
+def followed(steps: Any, what: str) -> Any:
+    """The same steps, in a loop whose progress is told where somebody listens.
+
+    Parameters
+    ----------
+    steps : sized iterable
+    what : str
+        Of what they are steps.
+    """
+    return _followed(steps, what, len(steps)) if LOG.isEnabledFor(logging.INFO) else steps
+
+
+def _followed(steps: Iterable[Step], what: str, count: int) -> Iterator[Step]:
+    begin = told = time.monotonic()
+    for done, step in enumerate(steps, 1):
+        yield step
+        now = time.monotonic()
+        if done == count:
+            LOG.info("%s: all %d steps in %.1f s", what, count, now - begin)
+        elif now - told >= EVERY:
+            told, left = now, (now - begin) * (count - done) / done
+            LOG.info("%s: step %d of %d, about %.0f s left", what, done, count, left)
+
+
+@contextmanager
+def listening(wanted: bool = True) -> Iterator[None]:
+    """What is told goes to standard error inside, if that is wanted."""
+    if not wanted:
+        yield
+        return
+    handler, level = logging.StreamHandler(), LOG.level
+    LOG.addHandler(handler)
+    LOG.setLevel(logging.INFO)
+    try:
+        yield
+    finally:
+        LOG.removeHandler(handler)
+        LOG.setLevel(level)
