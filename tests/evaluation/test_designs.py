@@ -163,7 +163,9 @@ def test_choices_that_differ_are_named(plain):
     assert changed["forecast"][1] == "Polynomial(mean_degree=2, cov_degree=0)"
     assert changed["designed on"] == ("1500 paths of seed 1", "900 paths of seed 5")
     assert changed["measurement times"] == ("4 from 0 to 1.5 by 0.5", "3 from 0 to 1 by 0.5")
-    assert set(found.same) == {"kind", "components", "measured nodes", "between", "model"}
+    assert set(found.same) == {
+        "kind", "components", "measured nodes", "between", "later steps", "model",
+    }  # fmt: skip
     assert found.times.tolist() == TIMES[:3].tolist()
     text = str(found)
     assert all(name in text for name in changed)
