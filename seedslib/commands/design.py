@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
+from seedslib.commands.filtering import add_unit
 from seedslib.models.kinds import switches
 
 DESCRIPTION = """\
@@ -44,7 +48,12 @@ def add_design(commands: Any) -> None:
         "--predictor",
         help="affine (default) | polynomial[:mean degree,covariance degree] | continuous",
     )  # fmt: skip
-    add("--times", help="measurement times, start:stop:step or 0,0.5,2; else `times` of the model")
+    add(
+        "--times",
+        help="measurement times, start:stop:step or 0,0.5,2 or @FILE.csv:COLUMN; else `times` of "
+        "the model",
+    )  # fmt: skip
+    add_unit(parser)
     add("--nodes", type=int, help="forecasts inside each interval (default 4)")
     add("--paths", type=int, default=20_000, help="design paths (default 20000)")
     add("--seed", type=int, default=0, help="seed of the design paths (default 0)")
@@ -54,6 +63,7 @@ def add_design(commands: Any) -> None:
         "--table", nargs="+", metavar="AXIS",
         help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
     )  # fmt: skip
+    add("--verbose", action="store_true", help="say on stderr how far the design is")
     add("--out", required=True, metavar="FILE.npz", help="file of the filter")
     parser.set_defaults(run=run_design)
 
@@ -71,6 +81,7 @@ def run_design(options: argparse.Namespace) -> int:
     from seedslib.commands import words
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
+    from seedslib.commands.records import times_of_column
     from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
@@ -80,14 +91,21 @@ def run_design(options: argparse.Namespace) -> int:
     predictor = words.as_choice(
         "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
-    times = None if options.times is None else words.as_time_grid(options.times)
-    tables = None if options.table is None else words.as_tables(options.table)
-    out = as_output(options.out, model=options.model)
+    given = options.times or ""
+    if not given.startswith("@"):
+        if options.unit or options.epoch:
+            raise ValueError("unit, epoch: wanted --times @FILE.csv with dates beside them")
+        times = None if options.times is None else words.as_time_grid(given)
+    else:
+        times = times_of_column(given[1:], options.unit, options.epoch)
+    tables = None if options.table is None else words.as_axes("table", options.table, "y", "z")
+    out = as_output(options.out, model=options.model, times=given[1:].partition(":")[0] or None)
     if options.seed < 0:
         raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")
-    system, own = load_model(options.model)
-    if times is None:
-        times = own
+    model = load_model(options.model)
+    system, times = model.system, model.times if times is None else times
+    if system is None:
+        raise ValueError(f"{options.model}: wanted `system`, got only `filter`")
     if times is None:
         raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
     chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}
@@ -98,10 +116,26 @@ def run_design(options: argparse.Namespace) -> int:
     else:
         nodes = 4 if options.nodes is None else options.nodes
         chosen.update(predictor=predictor, nodes=nodes, components=options.components)
-    designed = making.synthesize(system, memory, rule, times, **chosen)
-    if tables is not None:
-        designed = making.tabulated(designed, **tables)
+    with _told(options.verbose):
+        designed = making.synthesize(system, memory, rule, times, **chosen)
+        if tables is not None:
+            designed = making.tabulated(designed, **tables)
     save(designed, out)
     print(designed)
     print(f"written to {out}")
     return 0
+
+
+@contextmanager
+def _told(verbose: bool) -> Iterator[None]:
+    """What the library logs goes to stderr."""
+    logger, handler = logging.getLogger("seedslib"), logging.StreamHandler()
+    before = logger.level
+    if verbose:
+        logger.setLevel(logging.INFO)
+        logger.addHandler(handler)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
+        logger.removeHandler(handler)
