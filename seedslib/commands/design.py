@@ -76,6 +76,11 @@ def run_design(options: argparse.Namespace) -> int:
     FileNotFoundError, ValueError
         No model, or an option that does not fit.
     """
+    with _told(options.verbose):
+        return _design(options)
+
+
+def _design(options):
     from seedslib import design as making
     from seedslib import linearization
     from seedslib.commands import words
@@ -116,10 +121,9 @@ def run_design(options: argparse.Namespace) -> int:
     else:
         nodes = 4 if options.nodes is None else options.nodes
         chosen.update(predictor=predictor, nodes=nodes, components=options.components)
-    with _told(options.verbose):
-        designed = making.synthesize(system, memory, rule, times, **chosen)
-        if tables is not None:
-            designed = making.tabulated(designed, **tables)
+    designed = making.synthesize(system, memory, rule, times, **chosen)
+    if tables is not None:
+        designed = making.tabulated(designed, **tables)
     save(designed, out)
     print(designed)
     print(f"written to {out}")

@@ -90,8 +90,9 @@ def expected_measurements(filter: Any, record: Record) -> Estimates | None:
         if place < 0:
             continue
         state = filter.predict(state, times[k])
-        # given what is unknown is not what is known
-        if np.array_equal(filter.report(state).mean, state.mean):
+        said = filter.report(state)
+        # where something is unknown, a state given it says nothing of measurements
+        if np.array_equal(said.mean, state.mean) and not np.isinf(said.cov).any():
             mean[k], _, cov[k] = filter.expect(state)
         state = filter.correct(state, y[k])
     return Estimates(mean, cov)

@@ -8,6 +8,12 @@ from typing import Any
 
 from seedslib.commands.kinds import add_kind, chosen_filter
 
+SMOOTHING = """\
+As `seedslib filter`, whose help says what FILTER and the table are, but each estimate is made from
+all measurements, or with --lag from those of a few later rows; measurements are not forecast. A
+filter that has no smoother is refused.
+  python -m seedslib smooth nile.py nile.csv --kind KalmanFilter --time year --out level.csv"""
+
 DESCRIPTION = """\
 Run a filter on a record of measurements. FILTER is a designed filter in a file, FILE.npz, or a
 model, MODEL.py, with --kind, or one that defines `filter`.
@@ -40,12 +46,12 @@ again, and another model is refused. With tables, --model only makes that compar
 
 def add_filter(commands: Any) -> None:
     """Add both commands to a parser."""
-    for name, words, run in (
-        ("filter", "run a filter on measurements in a CSV file", run_filter),
-        ("smooth", "the same, each estimate from all measurements", run_smooth),
+    for name, words, description, epilog, run in (
+        ("filter", "run a filter on measurements in a CSV file", DESCRIPTION, EPILOG, run_filter),
+        ("smooth", "the same, each estimate from all measurements", SMOOTHING, None, run_smooth),
     ):
         parser = commands.add_parser(
-            name, help=words, description=DESCRIPTION, epilog=EPILOG,
+            name, help=words, description=description, epilog=epilog,
             formatter_class=argparse.RawDescriptionHelpFormatter,
         )  # fmt: skip
         add = parser.add_argument

@@ -106,8 +106,8 @@ def _places(table: Table, wanted: list[str], time: str | None, chosen: str | Non
         names = header[:at] + header[at + 1 :]
         if len(names) != len(wanted):
             raise ValueError(
-                f"{path}: wanted {len(wanted)} columns beside {header[at]}, for "
-                f"{','.join(wanted)}, got {','.join(names)[:60]}; choose with --columns"
+                f"{path}: wanted a column for {', '.join(wanted)} beside {header[at]}, got "
+                f"{','.join(names)[:60]}; choose with --columns"
             )
     else:
         names = next(csv.reader([chosen]))
