@@ -1,4 +1,4 @@
-"""The command line: ``python -m seedslib design``, ``filter``, ``smooth`` and ``fit``.
+"""The command line: ``python -m seedslib design``, ``filter`` and ``fit``.
 
 Words and files in, words and files out; whatever is computed is computed by the rooms below.
 

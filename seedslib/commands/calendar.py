@@ -66,16 +66,10 @@ def as_calendar(unit: str | None, epoch: str | None) -> Calendar:
     ValueError
         Another unit, no date, an epoch where nothing is a date.
     """
-    if unit is not None and unit not in UNITS:
-        raise ValueError(f"unit: wanted one of {', '.join(UNITS)}; got {unit}")
-    if epoch is None:
-        return Calendar(unit)
-    if unit in (None, "rows"):
-        raise ValueError("epoch: wanted --unit days, hours or seconds with it, got none of them")
-    try:
-        return Calendar(unit, _date(epoch))
-    except ValueError as error:
-        raise ValueError(f"epoch: {error}") from None
+    known = (None, *UNITS) if epoch is None else UNITS[:3]
+    if unit not in known:
+        raise ValueError(f"unit: wanted one of {', '.join(filter(None, known))}; got {unit}")
+    return Calendar(unit, None if epoch is None else _date(epoch, "epoch: "))
 
 
 def read_times(
@@ -104,24 +98,15 @@ def read_times(
                 calendar = Calendar(calendar.unit, calendar.epoch or _date(cell), cell)
             times[k] = calendar.number(cell)
         except ValueError as error:
-            reason = str(error)
-            if calendar.unit is None and _is_date(cell):
-                reason = f"wanted --unit {' or '.join(UNITS)} for dates, got {cell!r}"
-            raise ValueError(f"{place(k)}: {reason}") from None
+            way = "" if calendar.unit else f"; dates want --unit {'|'.join(UNITS)}"
+            raise ValueError(f"{place(k)}: {error}{way}") from None
     return times, calendar
 
 
-def _date(text: str) -> datetime:
+def _date(text: str, name: str = "") -> datetime:
     try:
         return datetime.fromisoformat(text)
     except ValueError:
         raise ValueError(
-            f"wanted a date such as 2020-01-31 or 2020-01-31T12:00, got {text[:40]!r}"
+            f"{name}wanted a date such as 2020-01-31 or 2020-01-31T12:00, got {text[:40]!r}"
         ) from None
-
-
-def _is_date(text: str) -> bool:
-    try:
-        return bool(_date(text))
-    except ValueError:
-        return False

@@ -1,4 +1,4 @@
-"""The commands of the library, ``python -m seedslib design | filter | smooth | fit``."""
+"""The commands of the library, ``python -m seedslib design | filter | fit``."""
 
 from __future__ import annotations
 

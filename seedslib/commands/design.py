@@ -82,7 +82,6 @@ def run_design(options: argparse.Namespace) -> int:
 
 def _design(options):
     from seedslib import design as making
-    from seedslib import linearization
     from seedslib.commands import words
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
@@ -90,9 +89,7 @@ def _design(options):
     from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
-    rule = words.as_choice(
-        "linearization", options.linearization, words.LINEARIZATIONS, linearization
-    )
+    rule = words.as_linearization(options.linearization)
     predictor = words.as_choice(
         "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
@@ -108,9 +105,7 @@ def _design(options):
     if options.seed < 0:
         raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")
     model = load_model(options.model)
-    system, times = model.system, model.times if times is None else times
-    if system is None:
-        raise ValueError(f"{options.model}: wanted `system`, got only `filter`")
+    system, times = model.known, model.times if times is None else times
     if times is None:
         raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
     chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}

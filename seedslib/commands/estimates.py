@@ -36,12 +36,10 @@ def prolonged(record: Record, count: int | None, until: str | None, every: float
         Both a count and an end, an end before that of the record, a step that is not positive, no
         step where those of the record differ.
     """
-    if count is None and until is None:
-        if every is not None:
-            raise ValueError("every: wanted --forecast or --until with it, got neither")
+    if count is None and until is None and every is None:
         return record
-    if count is not None and (until is not None or count < 1):
-        raise ValueError("forecast: wanted a positive number of steps, or --until; not both")
+    if (count is None) == (until is None) or (count is not None and count < 1):
+        raise ValueError("forecast: wanted a positive number of steps, or --until, one of the two")
     last, steps = float(record.times[-1]), np.diff(record.times)
     if every is None:
         if not len(steps) or np.ptp(steps) > UNEVEN * steps.min():

@@ -1,4 +1,4 @@
-"""``python -m seedslib filter`` and ``smooth``: run a filter on measurements in a CSV file."""
+"""``python -m seedslib filter``: run a filter on measurements in a CSV file."""
 
 from __future__ import annotations
 
@@ -8,66 +8,49 @@ from typing import Any
 
 from seedslib.commands.kinds import add_kind, chosen_filter
 
-SMOOTHING = """\
-As `seedslib filter`, whose help says what FILTER and the table are, but each estimate is made from
-all measurements, or with --lag from those of a few later rows; measurements are not forecast. A
-filter that has no smoother is refused.
-  python -m seedslib smooth nile.py nile.csv --kind KalmanFilter --time year --out level.csv"""
-
 DESCRIPTION = """\
 Run a filter on a record of measurements. FILTER is a designed filter in a file, FILE.npz, or a
 model, MODEL.py, with --kind, or one that defines `filter`.
 
-The table has a first row t,y1,y2,... and a row a time; of a system with an indicator one more
-column, j, whole numbers from 0. An empty cell, NA or NaN is missing; a row without any measurement
-asks for a forecast. Columns of other names are chosen with --time and --columns, or all but the
-time are taken, in order. The separator is the first of tab, semicolon and comma in the first line.
-Dates want --unit, the unit of the model's time; --unit rows counts 0, 1, 2, ... whatever is
-written. A designed filter wants a row for each measurement time of the design, in order, and may
-end early; a system in discrete time wants equal steps.
+The table has a first row t,y1,y2,... (and j, of a system with an indicator: whole numbers from 0)
+and a row a time. An empty cell, NA or NaN is missing; a row without any measurement asks for a
+forecast. With --time alone all other columns are measurements, in order. The separator is the first
+of tab, semicolon and comma that the first line has. Dates want --unit, the model's unit of time;
+with --unit rows times are 0, 1, 2, ... whatever is written. A designed filter wants a row for each
+measurement time of the design, and may end early; a system in discrete time wants equal steps.
 
-The result has the column of times as it came in, x1,x2,... and sd1,sd2,..., the standard deviations
-that the filter claims (a designed one at measurements only). Of a switching system mode comes
-before x1, the decided mode from 0 on, and p1,p2,..., the probabilities of the modes 0,1,... With
---level, --forecast or --until intervals follow, x1_low,x1_high,... and, of filters that expect
-measurements, y1,y1_low,y1_high,...: each measurement as expected from those before it.
+The result has the times as they came in, x1,x2,... and sd1,sd2,..., the deviations that the filter
+claims, of a designed one at measurements only. Of a switching system mode, from 0 on, and
+p1,p2,..., the probabilities of the modes, come first. With --level, --forecast or --until also
+x1_low,x1_high,... and, of filters that expect measurements, y1,y1_low,y1_high,...: each measurement
+as expected from those before it. Where the filter diverges cells are empty and the exit code is 1.
 
-Where a filter diverges there are no numbers from some row on: its cells are empty, a line on stderr
-says from which time, and the exit code is 1."""
-
-EPILOG = """\
-A designed filter of tables runs from its file alone. Any other evaluates the sensor of the model
-that it was designed for; a file holds numbers and no code, so --model gives the model's Python file
-again, and another model is refused. With tables, --model only makes that comparison.
-  python -m seedslib filter flip.npz data.csv --out estimates.csv
-  python -m seedslib filter nile.py nile.csv --kind KalmanFilter --time year --forecast 10 \\
-      --out level.csv"""
+Files hold numbers and no code: a designed filter wants --model again, the model that it was
+designed for, unless it consists of tables.
+  python -m seedslib filter nile.py nile.csv --kind KalmanFilter --time year --forecast 9 --out x.csv
+"""
 
 
 def add_filter(commands: Any) -> None:
-    """Add both commands to a parser."""
-    for name, words, description, epilog, run in (
-        ("filter", "run a filter on measurements in a CSV file", DESCRIPTION, EPILOG, run_filter),
-        ("smooth", "the same, each estimate from all measurements", SMOOTHING, None, run_smooth),
-    ):
-        parser = commands.add_parser(
-            name, help=words, description=description, epilog=epilog,
-            formatter_class=argparse.RawDescriptionHelpFormatter,
-        )  # fmt: skip
-        add = parser.add_argument
-        add("filter", metavar="FILTER", help="a designed filter FILE.npz, or MODEL.py")
-        add_table(parser)
-        add("--model", metavar="MODEL.py", help="model of a designed filter")
-        add_kind(parser)
-        add("--seed", type=int, help="of a filter that draws (default 0)")
-        if name == "smooth":
-            add("--lag", type=int, metavar="N", help="use the measurements of N later rows only")
-        add("--forecast", type=int, metavar="N", help="N further steps")
-        add("--until", metavar="TIME", help="further steps up to a time, as the table writes it")
-        add("--every", type=float, metavar="DT", help="length of a further step (the record's)")
-        add("--level", type=float, metavar="P", help="intervals of this probability (.95)")
-        add("--out", required=True, metavar="FILE.csv", help="file of the estimates")
-        parser.set_defaults(run=run)
+    """Add the command to a parser."""
+    parser = commands.add_parser(
+        "filter", help="run a filter on measurements in a CSV file", description=DESCRIPTION,
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+    )  # fmt: skip
+    add = parser.add_argument
+    add("filter", metavar="FILTER", help="a designed filter FILE.npz, or MODEL.py")
+    add_table(parser)
+    add("--model", metavar="MODEL.py", help="model of a designed filter")
+    add_kind(parser)
+    add("--seed", type=int, help="of a filter that draws (default 0)")
+    add("--smooth", action="store_true", help="each estimate from later measurements too")
+    add("--lag", type=int, metavar="N", help="of smoothing: those of N later rows only (all)")
+    add("--forecast", type=int, metavar="N", help="N further steps")
+    add("--until", metavar="TIME", help="further steps up to a time, as the table writes it")
+    add("--every", type=float, metavar="DT", help="length of a further step (the record's)")
+    add("--level", type=float, metavar="P", help="intervals of this probability (.95)")
+    add("--out", required=True, metavar="FILE.csv", help="file of the estimates")
+    parser.set_defaults(run=run_filter)
 
 
 def add_table(parser: argparse.ArgumentParser) -> None:
@@ -86,42 +69,14 @@ def add_unit(parser: argparse.ArgumentParser) -> None:
 
 
 def run_filter(options: argparse.Namespace) -> int:
-    """Read filter and record, run, write; 1 where the filter diverged.
+    """Read filter and record, run or smooth, write; 1 where the filter diverged.
 
     Raises
     ------
     OSError, ValueError
-        A file that is missing or not what it should be; the message names it.
+        A file that is missing or not what it should be; the message names it. A filter that has no
+        smoother where one is wanted.
     """
-
-    def estimates(filter, record, told):
-        if "covariances" in getattr(filter, "takes", ()):
-            told["covariances"] = True
-        return filter.run(record.times, record.measurements, **told)
-
-    return _written(options, estimates, True)
-
-
-def run_smooth(options: argparse.Namespace) -> int:
-    """As `run_filter`, by `seedslib.filters.smooth`.
-
-    Raises
-    ------
-    OSError, ValueError
-        As there; a filter that has no smoother.
-    """
-    from seedslib.filters import smooth
-
-    def estimates(filter, record, told):
-        try:
-            return smooth(filter, record.times, record.measurements, lag=options.lag, **told)
-        except TypeError as error:
-            raise ValueError(f"smooth: {error}") from None
-
-    return _written(options, estimates, False)
-
-
-def _written(options, estimates, forward):
     import numpy as np
 
     from seedslib.commands.estimates import expected_measurements, prolonged, write_estimates
@@ -132,6 +87,8 @@ def _written(options, estimates, forward):
         options.out, filter=options.filter, measurements=options.data, model=options.model,
         values=options.set,
     )  # fmt: skip
+    if options.lag is not None and not options.smooth:
+        raise ValueError(f"lag: wanted --smooth with it, got {options.lag} alone")
     further = options.forecast is not None or options.until is not None
     expected = None
     with chosen_filter(options) as filter:
@@ -143,8 +100,8 @@ def _written(options, estimates, forward):
         try:
             # what a filter that diverges computes is said in one line below, not by NumPy in many
             with np.errstate(all="ignore"):
-                found = estimates(filter, record, told)
-                if forward and (further or options.level is not None):
+                found = _found(filter, record, told, options)
+                if not options.smooth and (further or options.level is not None):
                     expected = expected_measurements(filter, record)
         except ValueError as error:
             raise ValueError(f"{options.data}: {error}") from None
@@ -161,6 +118,19 @@ def _written(options, estimates, forward):
         since += f", the first at {record.name} = {record.cells[int(lost.argmax())]}"
     print(f"seedslib: {options.data}: the filter diverged: {since}", file=sys.stderr)
     return 1
+
+
+def _found(filter, record, told, options):
+    from seedslib.filters import smooth
+
+    times, y = record.times, record.measurements
+    if not options.smooth:
+        claims = "covariances" in getattr(filter, "takes", ())
+        return filter.run(times, y, **told, **({"covariances": True} if claims else {}))
+    try:
+        return smooth(filter, times, y, lag=options.lag, **told)
+    except TypeError as error:
+        raise ValueError(f"smooth: {error}") from None
 
 
 def _told(filter, options):

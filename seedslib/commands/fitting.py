@@ -12,12 +12,9 @@ from seedslib.commands.kinds import ALWAYS_MADE_ANEW, add_kind, maker, named, se
 DESCRIPTION = """\
 Find the parameters of a model that make the measurements most likely, by the likelihood that a
 filter gives. MODEL.py names each as a `Parameter` of seedslib.base and uses it in the formulas of
-`system`. The table is read as by `seedslib filter`. The estimates with their standard errors are
-printed; --out writes them to a file that --set of the other commands takes. Where the search did
-not converge the exit code is 1.
-  python -m seedslib fit nile.py nile.csv --kind KalmanFilter --time year --out nile.json
-  python -m seedslib filter nile.py nile.csv --kind KalmanFilter --time year --set nile.json \\
-      --out level.csv"""
+`system`; the table is read as by `filter`. What is written to --out the option --set of `filter`
+takes. Where the search did not converge the exit code is 1.
+  python -m seedslib fit nile.py nile.csv --kind KalmanFilter --time year --out nile.json"""
 
 
 def add_fit(commands: Any) -> None:

@@ -10,8 +10,8 @@ from typing import Any
 KINDS = {
     "KalmanFilter": None, "extended_kalman": None, "unscented_kalman": None,
     "cubature_kalman": None, "assumed_density": None, "CovarianceFilter": "linearization",
-    "SwitchingFilter": "linearization", "RaoBlackwellFilter": "particles",
-    "ParticleFilter": "particles", "GridBayesFilter": "grid",
+    "SwitchingFilter": "linearization", "ParticleFilter": "particles",
+    "RaoBlackwellFilter": "particles", "GridBayesFilter": "grid",
 }  # fmt: skip
 """Filters by their names in Python, and the option that they take beside the model."""
 
@@ -53,17 +53,16 @@ def maker(options: argparse.Namespace) -> tuple[Callable[[], Any], dict[str, Any
         return _designed(options), {}
     if getattr(options, "model", None) is not None:
         raise ValueError(f"model: wanted none beside {path}, got {options.model}")
+    wanted = f"kind: wanted one of {', '.join(KINDS)}"
     if word is not None and word not in KINDS:
-        raise ValueError(f"kind: wanted one of {', '.join(KINDS)}; got {word}")
+        raise ValueError(f"{wanted}; got {word}")
     model = load_model(path)
     if word is None:
         if model.filter is None:
-            raise ValueError(f"kind: wanted one of {', '.join(KINDS)}, or `filter` in {path}")
+            raise ValueError(f"{wanted}, or `filter` in {path}")
         return lambda: of_the_file(path, model.filter), model.parameters
-    if model.system is None:
-        raise ValueError(f"{path}: wanted `system` beside `filter` for --kind {word}, got none")
     given = [] if takes is None else _given(takes, getattr(options, takes))
-    return lambda: _made(path, word, model.system, given), model.parameters
+    return lambda: _made(path, word, model.known, given), model.parameters
 
 
 @contextmanager
@@ -118,28 +117,20 @@ def _designed(options):
         raise ValueError(
             f"kind, set: wanted with MODEL.py only, got the designed filter {options.filter}"
         )
-    system = None
-    if options.model is not None:
-        system = load_model(options.model).system
-        if system is None:
-            raise ValueError(f"{options.model}: wanted `system`, got only `filter`")
+    system = None if options.model is None else load_model(options.model).known
     return lambda: load(options.filter, system)
 
 
 def _given(option, text):
     """The argument that a kind takes after the model; none for the library's default."""
-    from seedslib import linearization
     from seedslib.commands import words
 
     if option == "linearization":
-        name = text or "gaussian"
-        return [words.as_choice(option, name, words.LINEARIZATIONS, linearization)]
-    if text is None:
-        return []
-    if option == "grid":
+        return [words.as_linearization(text or "gaussian")]
+    if option == "grid" and text is not None:
         axes = words.as_axes(option, [text], "x")["x"]
         return [axes if len(axes) > 1 else axes[0]]
-    return [text]
+    return [] if text is None else [text]
 
 
 def _made(path, word, system, given):

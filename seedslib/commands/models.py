@@ -33,6 +33,20 @@ class Model(NamedTuple):
     times: np.ndarray | None = None
     filter: Any = None
     parameters: Mapping[str, Parameter] = {}
+    path: Path = Path()
+
+    @property
+    def known(self) -> System:
+        """The model.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        if self.system is None:
+            raise ValueError(f"{self.path}: wanted `system`, got only `filter`")
+        return self.system
 
 
 def load_model(path: str | PathLike[str]) -> Model:
@@ -83,7 +97,7 @@ def load_model(path: str | PathLike[str]) -> Model:
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
     found = [value for value in vars(module).values() if isinstance(value, Parameter)]
-    return Model(system, times, filter, {str(p): p for p in sorted(found, key=str)})
+    return Model(system, times, filter, {str(p): p for p in sorted(found, key=str)}, path)
 
 
 def of_the_file(path: str, filter: Any) -> Any:

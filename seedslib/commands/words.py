@@ -7,6 +7,7 @@ import math
 import re
 from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -100,6 +101,13 @@ def as_time_grid(text: str) -> np.ndarray:
             reason or f"times: wanted start:stop:step or a list such as 0,0.5,2; got {text!r}"
         ) from None
     return as_times("times", times)
+
+
+def as_linearization(text: str) -> Any:
+    """A linearization of the library; see `as_choice`."""
+    from seedslib import linearization
+
+    return as_choice("linearization", text, LINEARIZATIONS, linearization)
 
 
 def in_steps_of(start: float, stop: float, step: float) -> np.ndarray:

@@ -281,10 +281,8 @@ def test_words():
     assert words.as_memory("large_order:3") == large_order(3)
     assert words.as_memory("small_order") == Memory(1)
     from seedslib import design as making
-    from seedslib import linearization
 
-    def rule(text):
-        return words.as_choice("linearization", text, words.LINEARIZATIONS, linearization)
+    rule = words.as_linearization
 
     def predictor(text):
         return words.as_choice("predictor", text, words.PREDICTORS, making)

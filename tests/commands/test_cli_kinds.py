@@ -1,4 +1,4 @@
-"""``seedslib filter``, ``smooth`` and ``fit`` with the filters of a model."""
+"""``seedslib filter`` and ``fit`` with the filters of a model."""
 
 import json
 from pathlib import Path
@@ -150,6 +150,7 @@ filter = synthesize(system, Memory(1), Taylor(), [0, .5], paths=500, seed=1)
         ("level", ["--kind", "KalmanFilter", "--set", "s=1"],
          "set: wanted a `Parameter` of the model (q, r), got s"),
         ("level", ["--kind", "KalmanFilter", "--set", "q"], "set: wanted such as q=1.3,r=2"),
+        ("level", ["--kind", "KalmanFilter", "--lag", "1"], "lag: wanted --smooth with it, got 1"),
         ("level", ["--kind", "KalmanFilter", "--model", "level.py"], "model: wanted none beside"),
         ("wander", ["--kind", "extended_kalman", "--set", "q=1"], "the model's file names none"),
     ],
@@ -175,7 +176,7 @@ def test_bad_filters_of_a_file(capsys, refused, write, text, message):
     told = refused(
         capsys, main, "filter", "own.py", "even.csv", "--kind", "KalmanFilter", "--out", "x.csv"
     )
-    assert "own.py: wanted `system` beside `filter` for --kind KalmanFilter, got none" in told
+    assert "own.py: wanted `system`, got only `filter`" in told
 
 
 def test_discrete_systems_want_equal_steps(capsys, refused):
@@ -191,8 +192,8 @@ def test_discrete_systems_want_equal_steps(capsys, refused):
 
 @pytest.mark.parametrize("options", [[], ["--lag", "1"]])
 def test_smoothing_is_the_smoother_of_the_library(read, options):
-    arguments = ["smooth", "level.py", "even.csv", "--kind", "KalmanFilter", "--set", "q=1.5"]
-    assert main([*arguments, *options, "--forecast", "2", "--out", "s.csv"]) == 0
+    arguments = ["filter", "level.py", "even.csv", "--kind", "KalmanFilter", "--set", "q=1.5"]
+    assert main([*arguments, "--smooth", *options, "--forecast", "2", "--out", "s.csv"]) == 0
     # the law of all levels and measurements, by one matrix
     levels = 3 + 1.5 * np.minimum.outer(np.arange(7), np.arange(7))
     mean, sd = np.empty(7), np.empty(7)
@@ -209,8 +210,8 @@ def test_a_filter_without_a_smoother_is_refused(capsys, refused, write):
     write("own.py", LEVEL + "from seedslib.filters import Filter, KalmanFilter\n"
           "class Mine(Filter):\n    def __init__(self):\n        self.system = system\n"
           "filter = Mine()\n")  # fmt: skip
-    told = refused(capsys, main, "smooth", "own.py", "even.csv", "--out", "s.csv")
-    assert "smooth: filter: wanted" in told
+    told = refused(capsys, main, "filter", "own.py", "even.csv", "--smooth", "--out", "s.csv")
+    assert "even.csv: smooth: filter: wanted" in told
     assert "got Mine" in told
 
 
