@@ -27,7 +27,7 @@ as expected from those before it. Where the filter diverges cells are empty and 
 
 Files hold numbers and no code: a designed filter wants --model again, the model that it was
 designed for, unless it consists of tables.
-  python -m seedslib filter nile.py nile.csv --kind KalmanFilter --time year --forecast 9 --out x.csv
+  python -m seedslib filter nile.py nile.csv --kind KalmanFilter --time year --out x.csv
 """
 
 

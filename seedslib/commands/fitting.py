@@ -42,7 +42,7 @@ def run_fit(options: argparse.Namespace) -> int:
     OSError, ValueError
         A file that is missing or not what it should be; the message names it. No parameters.
     """
-    from seedslib.base.parameters import assigned
+    from seedslib.base import assigned
     from seedslib.commands.outputs import as_output
     from seedslib.commands.records import read_record
     from seedslib.evaluation import fit

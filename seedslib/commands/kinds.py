@@ -74,7 +74,7 @@ def chosen_filter(options: argparse.Namespace) -> Iterator[Any]:
     OSError, ValueError
         As `maker`; a filter that does not fit the model; parameters that the model has not.
     """
-    from seedslib.base.parameters import assigned
+    from seedslib.base import assigned
 
     make, parameters = maker(options)
     with assigned(set_values(options, parameters)):

@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base import Parameter
 from seedslib.base.checks import as_times
-from seedslib.base.parameters import Parameter
 from seedslib.models import JumpDiffusion, SwitchingSystem
 from seedslib.models.discrete import DiscreteSystem
 
@@ -96,7 +96,7 @@ def load_model(path: str | PathLike[str]) -> Model:
             times = as_times("times", times)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
-    found = [value for value in vars(module).values() if isinstance(value, Parameter)]
+    found = [value for value in vars(module).values() if type(value) is Parameter]
     return Model(system, times, filter, {str(p): p for p in sorted(found, key=str)}, path)
 
 
