@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -34,7 +34,7 @@ def add_kind(parser: argparse.ArgumentParser) -> None:
     add("--set", metavar="q=1.3,r=2", help="values of parameters, or FILE.json of `fit`")
 
 
-def maker(options: argparse.Namespace) -> tuple[Callable[[], Any], dict[str, Any]]:
+def maker(options: argparse.Namespace) -> tuple[Callable[[], Any], Mapping[str, Any]]:
     """Function that makes the filter that is asked for, and the parameters of its model by name.
 
     Raises
@@ -81,7 +81,7 @@ def chosen_filter(options: argparse.Namespace) -> Iterator[Any]:
         yield make()
 
 
-def set_values(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[Any, float]:
+def set_values(options: argparse.Namespace, parameters: Mapping[str, Any]) -> dict[Any, float]:
     """Values of `--set` by the parameters that they are for.
 
     Raises
@@ -95,7 +95,7 @@ def set_values(options: argparse.Namespace, parameters: dict[str, Any]) -> dict[
     return {named("set", name, parameters): value for name, value in values.items()}
 
 
-def named(option: str, name: str, parameters: dict[str, Any]) -> Any:
+def named(option: str, name: str, parameters: Mapping[str, Any]) -> Any:
     """The parameter of a name.
 
     Raises

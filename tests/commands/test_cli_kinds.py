@@ -218,7 +218,7 @@ def test_a_filter_without_a_smoother_is_refused(capsys, refused, write):
 # Fitting
 
 
-def test_a_fit_and_what_is_filtered_with_it(capsys, write, read):
+def test_a_fit_and_what_is_filtered_with_it(capsys, write, read, refused):
     rng = np.random.default_rng(4)
     y = np.cumsum(rng.normal(size=60)) + rng.normal(size=60)
     write("walk.csv", "\n".join(["t,y1", *(f"{k},{float(v)!r}" for k, v in enumerate(y))]))
@@ -234,6 +234,8 @@ def test_a_fit_and_what_is_filtered_with_it(capsys, write, read):
     assert told["errors"] == dict(zip("qr", found.errors.tolist(), strict=True))
     assert (told["loglik"], told["converged"]) == (found.loglik, True)
     assert main(["filter", *arguments, "--set", "fit.json", "--out", "x.csv"]) == 0
+    told = refused(capsys, main, "filter", *arguments, "--set", "fit.json", "--out", "fit.json")
+    assert "out: wanted another file than the values fit.json" in told
     with found.assigned():
         wanted = filter.run(np.arange(60.0), y[:, None]).mean[:, 0]
     np.testing.assert_allclose(numbers(read, "x.csv", "x1")[0], wanted, rtol=1e-14)
