@@ -10,19 +10,19 @@ from seedslib.commands.models import load_model
 from seedslib.commands.words import as_memory
 from seedslib.designed import Memory, load
 
-MODEL = """
+LINEAR = "from seedslib.models import LinearSystem\nsystem = LinearSystem"
+LEVEL = LINEAR + "(1, .5, 1, 2, 1, 3)\n"
+TWO = LINEAR + "([[1, 1], [0, 1]], [[.5, 0], [0, .1]], [[1, 0], [0, 1]], [[2, 0], [0, 1]]," \
+    "[0, 0], [[1, 0], [0, 1]])\n"  # fmt: skip
+SLOW = """
 import logging
-from seedslib.models import JumpDiffusion, LinearSystem, Noise
 import sympy as sp
+from seedslib.models import JumpDiffusion, Noise
 
 x, v = sp.symbols("x v")
-slow = JumpDiffusion((x,), [-x / 9], [[1]], [x + v], Noise((v,)), [1], [[3]], step=.5)
-level = LinearSystem(1, .5, 1, 2, 1, 3)
+system = JumpDiffusion((x,), [-x / 9], [[1]], [x + v], Noise((v,)), [1], [[3]], step=.5)
 logging.getLogger("seedslib.here").info("so far")
 """
-LEVEL, SLOW = MODEL + "system = level\n", MODEL + "system = slow\n"
-TWO = MODEL + "system = LinearSystem([[1, 1], [0, 1]], [[.5, 0], [0, .1]], [[1, 0], [0, 1]]," \
-    "[[2, 0], [0, 1]], [0, 0], [[1, 0], [0, 1]])\n"  # fmt: skip
 KALMAN = ["--kind", "KalmanFilter"]
 QUANTILE = 1.959963984540054
 
@@ -108,7 +108,6 @@ def test_dates_are_numbers_in_a_unit_and_written_back(read, write, cells, unit):
 
 
 def test_irregular_dates_of_a_continuous_model(read, write):
-    """In hours and in seconds, from an epoch, and by hand: the sensor sees a slow decay."""
     wanted = plain(read, write, "slow", "t,y1\n2,1.5\n2.5,\n26,-0.25\n")
     text = "t,y1\n1999-12-31T02:00,1.5\n1999-12-31 02:30,NA\n2000-01-01T02:00:00,-.25\n"
     write("d.csv", text)
@@ -198,9 +197,8 @@ def test_forecasts_of_state_and_measurement_with_their_intervals(read, write, le
 
 def test_intervals_without_forecasts(read, write):
     write("d.csv", PLAIN)
-    assert filtered(read, "level", "--level", ".95") == filtered(
-        read, "level", "--forecast", "1"
-    )[:-1]  # fmt: skip
+    longer = filtered(read, "level", "--forecast", "1")
+    assert filtered(read, "level", "--level", ".95") == longer[:-1]
     assert filtered(read, "level")[0] == NAMES[:3]
 
 
@@ -249,7 +247,7 @@ def test_forecasts_that_are_refused(capsys, write, refused, options, message):
 
 
 def test_what_nothing_has_told_is_not_forecast(read, write):
-    write("level.py", MODEL + "system = LinearSystem(1, .5, 1, 2, 0, 0, diffuse=(0,))\n")
+    write("level.py", LINEAR + "(1, .5, 1, 2, 0, 0, diffuse=(0,))\n")
     write("d.csv", "t,y1\n0,\n1,4\n2,5\n")
     rows = filtered(read, "level", "--level", ".95")
     assert [row[NAMES.index("y1")] for row in rows[1:]] == ["", "", "4.0"]
