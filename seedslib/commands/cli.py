@@ -1,4 +1,4 @@
-"""The commands of the library, ``python -m seedslib design | filter``."""
+"""The commands of the library, ``python -m seedslib design | filter | fit``."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 
-from seedslib.commands import design, filtering
+from seedslib.commands import design, filtering, fitting
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -14,6 +14,7 @@ def _parser() -> argparse.ArgumentParser:
     commands = parser.add_subparsers(required=True, metavar="command")
     design.add_design(commands)
     filtering.add_filter(commands)
+    fitting.add_fit(commands)
     return parser
 
 

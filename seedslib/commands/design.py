@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
+from seedslib.commands.filtering import add_unit
 from seedslib.models.kinds import switches
 
 DESCRIPTION = """\
@@ -44,7 +45,12 @@ def add_design(commands: Any) -> None:
         "--predictor",
         help="affine (default) | polynomial[:mean degree,covariance degree] | continuous",
     )  # fmt: skip
-    add("--times", help="measurement times, start:stop:step or 0,0.5,2; else `times` of the model")
+    add(
+        "--times",
+        help="measurement times, start:stop:step or 0,0.5,2 or @FILE.csv:COLUMN; else `times` of "
+        "the model",
+    )  # fmt: skip
+    add_unit(parser)
     add("--nodes", type=int, help="forecasts inside each interval (default 4)")
     add("--paths", type=int, default=20_000, help="design paths (default 20000)")
     add("--seed", type=int, default=0, help="seed of the design paths (default 0)")
@@ -68,28 +74,31 @@ def run_design(options: argparse.Namespace) -> int:
         No model, or an option that does not fit.
     """
     from seedslib import design as making
-    from seedslib import linearization
     from seedslib.base.progress import listening
     from seedslib.commands import words
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
+    from seedslib.commands.records import times_of_column
     from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
-    rule = words.as_choice(
-        "linearization", options.linearization, words.LINEARIZATIONS, linearization
-    )
+    rule = words.as_linearization(options.linearization)
     predictor = words.as_choice(
         "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
-    times = None if options.times is None else words.as_time_grid(options.times)
-    tables = None if options.table is None else words.as_tables(options.table)
-    out = as_output(options.out, model=options.model)
+    given = options.times or ""
+    if not given.startswith("@"):
+        if options.unit or options.epoch:
+            raise ValueError("unit, epoch: wanted --times @FILE.csv with dates beside them")
+        times = None if options.times is None else words.as_time_grid(given)
+    else:
+        times = times_of_column(given[1:], options.unit, options.epoch)
+    tables = None if options.table is None else words.as_axes("table", options.table, "y", "z")
+    out = as_output(options.out, model=options.model, times=given[1:].partition(":")[0] or None)
     if options.seed < 0:
         raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")
-    system, own = load_model(options.model)
-    if times is None:
-        times = own
+    model = load_model(options.model)
+    system, times = model.known, model.times if times is None else times
     if times is None:
         raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
     chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}

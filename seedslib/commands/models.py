@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import sys
 import traceback
+from collections.abc import Mapping
 from os import PathLike
 from pathlib import Path
 from types import ModuleType
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base import Parameter
 from seedslib.base.checks import as_times
 from seedslib.models import JumpDiffusion, SwitchingSystem
 from seedslib.models.discrete import DiscreteSystem
@@ -20,14 +23,40 @@ NAME = "seedslib_model"
 """Under this name the file's module is known while it runs."""
 
 
-def load_model(path: str | PathLike[str]) -> tuple[System, np.ndarray | None]:
-    """Model of a file that defines `system`, and its measurement times if it defines `times`.
+class Model(NamedTuple):
+    """What a file defines: its model, measurement times, filter and parameters by name, if any.
+
+    A filter may also be a function without arguments that makes one.
+    """
+
+    system: System | None
+    times: np.ndarray | None = None
+    filter: Any = None
+    parameters: Mapping[str, Parameter] = {}
+    path: Path = Path()
+
+    @property
+    def known(self) -> System:
+        """The model.
+
+        Raises
+        ------
+        ValueError
+            There is none.
+        """
+        if self.system is None:
+            raise ValueError(f"{self.path}: wanted `system`, got only `filter`")
+        return self.system
+
+
+def load_model(path: str | PathLike[str]) -> Model:
+    """What a file defines.
 
     Parameters
     ----------
     path : path-like
-        A Python file. `system` is the model or a function without arguments that returns it.
-        The file may import its neighbours.
+        A Python file. `system` is the model or a function without arguments that returns it; it
+        may be left out where there is a `filter`. The file may import its neighbours.
 
     Raises
     ------
@@ -52,19 +81,43 @@ def load_model(path: str | PathLike[str]) -> tuple[System, np.ndarray | None]:
         raise ValueError(f"{path}: {_told(error, str(path))}") from None
     finally:
         sys.path.remove(str(path.resolve().parent))
+    filter = getattr(module, "filter", None)
     if not isinstance(system, System):
-        got = "none" if system is None else type(system).__name__
-        raise ValueError(
-            f"{path}: wanted a JumpDiffusion, DiscreteSystem or SwitchingSystem called `system`, "
-            f"or a function system() that returns one; got {got}"
-        )
+        if filter is None:
+            got = "none" if system is None else type(system).__name__
+            raise ValueError(
+                f"{path}: wanted a JumpDiffusion, DiscreteSystem or SwitchingSystem called "
+                f"`system`, or a function system() that returns one; got {got}"
+            )
+        system = None
     times = getattr(module, "times", None)
     if times is not None:
         try:
             times = as_times("times", times)
         except (TypeError, ValueError) as error:
             raise ValueError(f"{path}: {error}") from None
-    return system, times
+    found = [value for value in vars(module).values() if type(value) is Parameter]
+    return Model(system, times, filter, {str(p): p for p in sorted(found, key=str)}, path)
+
+
+def of_the_file(path: str, filter: Any) -> Any:
+    """The filter that a model's file defines, made where it is a function.
+
+    Raises
+    ------
+    ValueError
+        The function fails, or it is no filter.
+    """
+    try:
+        made = filter() if callable(filter) and not hasattr(filter, "run") else filter
+    except (Exception, SystemExit) as error:
+        raise ValueError(f"{path}: {_told(error, path)}") from None
+    if not (hasattr(made, "run") and hasattr(getattr(made, "system", None), "measurement_size")):
+        raise ValueError(
+            f"{path}: wanted `filter` with the verbs of seedslib.filters.Filter, got "
+            f"{type(made).__name__}"
+        )
+    return made
 
 
 def _told(error, place):

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import json
 import math
 import re
 from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -51,7 +54,7 @@ def as_memory(text: str) -> Memory:
             found[part] = True
     if len(found) < len(parts):
         raise ValueError(wanted)
-    return Memory(**{"estimates": 0, **found})
+    return Memory(**found)
 
 
 def as_choice(name: str, text: str, choices: Mapping[str, str], room: object) -> object:
@@ -91,11 +94,7 @@ def as_time_grid(text: str) -> np.ndarray:
         if ":" not in text:
             return as_times("times", [float(part) for part in text.split(",")])
         start, stop, step = (float(part) for part in text.split(":"))
-        steps = (stop - start) / step
-        if not (0 <= steps < 1e6 and step > 0):
-            raise ValueError
-        steps += slack(step, max(abs(start), abs(stop))) / step  # the stop may be rounded
-        times = start + step * np.arange(math.floor(steps) + 1)
+        times = in_steps_of(start, stop, step)
     except (ValueError, ZeroDivisionError) as error:
         reason = str(error) if str(error).startswith("times:") else ""
         raise ValueError(
@@ -104,28 +103,80 @@ def as_time_grid(text: str) -> np.ndarray:
     return as_times("times", times)
 
 
-def as_tables(texts: list[str]) -> dict[str, list[Axis]]:
-    """Axes of a table from ``y=-8:8:121`` and ``z=-3:3:121``; several, for several components.
+def as_linearization(text: str) -> Any:
+    """A linearization of the library; see `as_choice`."""
+    from seedslib import linearization
+
+    return as_choice("linearization", text, LINEARIZATIONS, linearization)
+
+
+def in_steps_of(start: float, stop: float, step: float) -> np.ndarray:
+    """Times from the first up to the last, which is one of them where a step meets it.
+
+    Raises
+    ------
+    ValueError, ZeroDivisionError
+        A step that is not positive, a stop before the start, more than a million of them.
+    """
+    steps = (stop - start) / step
+    if not (0 <= steps < 1e6 and step > 0):
+        raise ValueError(f"wanted up to a million positive steps, got {start:g}:{stop:g}:{step:g}")
+    steps += slack(step, max(abs(start), abs(stop))) / step  # the stop may be rounded
+    return start + step * np.arange(math.floor(steps) + 1)
+
+
+def as_axes(option: str, texts: list[str], first: str, *others: str) -> dict[str, list[Axis]]:
+    """Axes from ``y=-8:8:121`` and ``z=-3:3:121``; several, for several components.
+
+    Parameters
+    ----------
+    option : str
+        For messages.
+    texts : list of str
+    first, *others : str
+        Names of axes; the first is wanted.
 
     Raises
     ------
     ValueError
         Something else, or one of them twice.
     """
+    wanted = " ".join(f"{name}=low:high:count" for name in (first, *others))
     found: dict[str, list[Axis]] = {}
     for text in texts:
         name, _, axes = text.partition("=")
         try:
-            if name not in ("y", "z") or name in found:
+            if name not in (first, *others) or name in found:
                 raise ValueError
             found[name] = [_axis(axis) for axis in axes.split(",")]
         except (TypeError, ValueError):
             raise ValueError(
-                "table: wanted y=low:high:count z=low:high:count, a comma between components; "
-                f"got {text!r}"
+                f"{option}: wanted {wanted}, a comma between components; got {text!r}"
             ) from None
-    if "y" not in found:
-        raise ValueError(f"table: wanted y=low:high:count too, got {' '.join(texts)!r}")
+    if first not in found:
+        raise ValueError(f"{option}: wanted {first}=low:high:count too, got {' '.join(texts)!r}")
+    return found
+
+
+def as_values(text: str) -> dict[str, float]:
+    """Values of parameters from ``q=1.3,r=2``, or from a file that the command fit has written.
+
+    Raises
+    ------
+    ValueError
+        Something else, or not such a file.
+    """
+    wanted = f"set: wanted such as q=1.3,r=2, or FILE.json of the command fit; got {text!r}"
+    try:
+        if text.endswith(".json"):
+            pairs = json.loads(Path(text).read_text(encoding="utf-8"))["values"].items()
+        else:
+            pairs = [part.split("=") for part in text.split(",")]
+        found = {name.strip(): float(value) for name, value in pairs}
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise ValueError(wanted) from None
+    if not all(map(math.isfinite, found.values())):
+        raise ValueError(wanted)
     return found
 
 

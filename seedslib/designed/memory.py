@@ -47,7 +47,7 @@ class Past(NamedTuple):
 
 @dataclass(frozen=True)
 class Memory:
-    """Memory of a finite-order filter.
+    """Memory of a finite-order filter: what is named is remembered, and nothing else.
 
     Parameters
     ----------
@@ -74,7 +74,7 @@ class Memory:
     out. The matrix C that cuts it off is a slice here.
     """
 
-    estimates: int = 1
+    estimates: int = 0
     measurements: int = 0
     indicators: int = 0
     log_odds: bool = False
@@ -177,4 +177,4 @@ def finite_memory(l: int) -> Memory:
     TypeError, ValueError
         `l` not a whole number of at least 1.
     """
-    return Memory(0, as_count("l", l))
+    return Memory(measurements=as_count("l", l))

@@ -102,4 +102,4 @@ def test_a_number_with_an_underscore_is_none(folder, capsys, refused, cell):
     told = refused(
         capsys, main, "filter", "f.npz", "o.csv", "--model", "scalar.py", "--out", "x.csv"
     )
-    assert f"o.csv, row 3: wanted a number, got '{cell}'" in told
+    assert f"o.csv, row 3, column y1: wanted a number, got '{cell}'" in told

@@ -93,7 +93,7 @@ def test_a_table_runs_from_its_file_alone(table, capsys, write, read, refused):
     names, *rows = read("alone.csv")
     assert names == ["t", "x1", "sd1"]
     # everything is linear: the table gives what the filter gives
-    system, _ = load_model("linear.py")
+    system = load_model("linear.py").system
     plain = synthesize(system, Memory(1), ExactGaussian(), [0, 0.5, 1], paths=600, seed=0, nodes=1)
     y = np.array([[1.5], [np.nan], [np.nan], [-0.25]])
     expected = plain.run([0, 0.25, 0.5, 1], y).mean[:, 0]
@@ -123,7 +123,7 @@ def test_files_hold_no_code(table, header):
     assert known["model"]["drift"] == "[-x]"
     header(table, "model", drift="[__import__('os').abort()]")
     assert load(table).order == 1
-    assert load(table, load_model("linear.py")[0]).order == 1
+    assert load(table, load_model("linear.py").system).order == 1
 
 
 def test_without_the_extras_of_the_book(folder, command, write, read):
@@ -168,10 +168,10 @@ for command in (
         ("t,y1,y2\n0,1,2\n", "wanted the first row t,y1, got t,y1,y2"),
         ("t,y1\n", "wanted a row for each measurement, got none"),
         ("t,y1\n0,1\n\n0.5,1,3\n", "row 4: wanted 2 cells, got 3"),
-        ("t,y1\n0,one\n", "row 2: wanted a number, got 'one'"),
-        ("t,y1\n0,1\n0.5,inf\n", "row 3: wanted a finite number, got 'inf'"),
-        ("t,y1\n,1\n", "row 2: wanted a finite number, got ''"),
-        ("t,y1\n0,1\n0.5,1\n0.5,1\n", "row 4: wanted a time after 0.5, got 0.5"),
+        ("t,y1\n0,one\n", "row 2, column y1: wanted a number, got 'one'"),
+        ("t,y1\n0,1\n0.5,inf\n", "row 3, column y1: wanted a finite number, got 'inf'"),
+        ("t,y1\n,1\n", "row 2, column t: wanted a finite number, got ''"),
+        ("t,y1\n0,1\n0.5,1\n0.5,1\n", "row 4, column t: wanted a time after 0.5, got 0.5"),
         ("t,y1\n0.5,1\n", "row 2: t = 0.5 comes after the measurement time 0 of the design"),
         ("t,y1\n0,1\n1,1\n", "row 3: t = 1 comes after the measurement time 0.5 of the design"),
         ("t,y1\n0,1\n0.3,1\n", "row 3: t = 0.3 is no measurement time of the design (the "
@@ -239,7 +239,7 @@ def test_a_model_may_import_its_neighbour(folder, write):
     write("neighbour.py", TARGET)
     write("model.py", "from neighbour import system\ntimes = (0, 1)\n")
     before = list(sys.path)
-    system, times = load_model(folder / "model.py")
+    system, times, *_ = load_model(folder / "model.py")
     assert sys.path == before
     assert system.state_size == 2
     assert times.tolist() == [0.0, 1.0]
@@ -281,10 +281,8 @@ def test_words():
     assert words.as_memory("large_order:3") == large_order(3)
     assert words.as_memory("small_order") == Memory(1)
     from seedslib import design as making
-    from seedslib import linearization
 
-    def rule(text):
-        return words.as_choice("linearization", text, words.LINEARIZATIONS, linearization)
+    rule = words.as_linearization
 
     def predictor(text):
         return words.as_choice("predictor", text, words.PREDICTORS, making)

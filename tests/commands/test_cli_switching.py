@@ -96,9 +96,9 @@ def test_tables_without_their_model_and_filters_that_last(folder, write, read):
     ("text", "message"),
     [
         ("t,y1\n0,1\n", "wanted the first row t,y1,j, got t,y1"),
-        ("t,y1,j\n0,1,2\n", "row 2: wanted an indicator j from 0 to 1, got 2"),
-        ("t,y1,j\n0,1,0.5\n", "row 2: wanted an indicator j from 0 to 1, got 0.5"),
-        ("t,y1,j\n0,1,0\n1,1,-1\n", "row 3: wanted an indicator j from 0 to 1, got -1"),
+        ("t,y1,j\n0,1,2\n", "row 2, column j: wanted an indicator j from 0 to 1, got 2"),
+        ("t,y1,j\n0,1,0.5\n", "row 2, column j: wanted an indicator j from 0 to 1, got 0.5"),
+        ("t,y1,j\n0,1,0\n1,1,-1\n", "row 3, column j: wanted an indicator j from 0 to 1, got -1"),
         ("t,y1,j\n0,1,0\n0.5,,\n", "row 3: t = 0.5 is no measurement time of the design (the "
          "nearest is 0)\n"),
         ("t,y1,j\n0,1,0\n1,1,0\n2,1,0\n3,1,0\n4,1,0\n", "row 6: t = 4 is no measurement time"),

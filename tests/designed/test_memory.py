@@ -98,3 +98,11 @@ def test_memories_that_make_no_sense(options, error, message):
 def test_a_kept_block_must_be_given():
     with pytest.raises(ValueError, match="measurement: wanted by this memory"):
         Memory(1, 1).push(Past(), estimate=np.zeros(2))
+
+
+def test_what_is_named_is_remembered_and_nothing_else():
+    assert Memory(measurements=2) == finite_memory(2) == Memory(0, 2)
+    assert Memory(estimates=2) == large_order(2) == Memory(2)
+    for words in ({}, {"indicators": 1}):
+        with pytest.raises(ValueError, match="wanted at least one estimate or measurement"):
+            Memory(**words)
