@@ -62,7 +62,9 @@ class SwitchingSmoother(Smoother):
                 _corrected(*pairs, ModeLaw(*(p[..., l, :] for p in part)))
                 for l, pairs in enumerate(self._pairs(state, link))
             ]
-            log_prob, mean, cov = (np.stack(p, axis=p[0].ndim - 1) for p in zip(*found, strict=True))
+            log_prob, mean, cov = (
+                np.stack(p, axis=p[0].ndim - 1) for p in zip(*found, strict=True)
+            )
             # the pairs of each old mode: its parts and all new modes together
             modes, n, paths = self.filter.system.modes, len(mean), log_prob.shape[-1]
             merged = mix_logs(
@@ -101,7 +103,9 @@ class SwitchingSmoother(Smoother):
                     spread[n:, n:, i, g] = _wide(new.cov, 2)
                     cross = _wide(new.cross, 2)
                     spread[:n, n:, i, g], spread[n:, :n, i, g] = cross, cross.swapaxes(0, 1)
-            if rules.split and shown is not None:  # a part is what one value of the indicator goes with
+            if (
+                rules.split and shown is not None
+            ):  # a part is what one value of the indicator goes with
                 told = (shown < 0) | (np.arange(size)[:, None] == shown)
                 possible = (told & (log_prob > -np.inf)).any(axis=(0, 1))
                 log_prob = np.where(told | ~possible, log_prob, -np.inf)
