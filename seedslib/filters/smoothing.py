@@ -81,7 +81,8 @@ def smooth(
         shapes = [(*one.cov.shape[:3], *one.mean.shape[2:]) for one in found]
         covs = [c if c.ndim > 3 else c[..., None] for c in covs]
         cov = joined([np.broadcast_to(c, s) for c, s in zip(covs, shapes, strict=True)])
-    return Estimates(*map(joined, zip(*found, strict=True)))._replace(cov=cov)
+    rest = (one._replace(cov=None) for one in found)
+    return Estimates(*map(joined, zip(*rest, strict=True)))._replace(cov=cov)
 
 
 def draw_trajectories(
