@@ -192,7 +192,7 @@ def test_angles_are_smoothed_as_if_the_circle_were_unrolled():
             y = np.angle(np.exp(1j * y))
         for make in (extended_kalman, unscented_kalman):
             found.append(smooth(make(system), np.arange(30.0), y))
-    assert np.abs(y).max() < np.pi
+    assert np.nanmax(np.abs(y)) < np.pi
     assert np.abs(found[0].mean[:, 0]).max() > 3 * np.pi
     for one, two in zip(found[:2], found[2:], strict=True):
         turns = (one.mean - two.mean) / (2 * np.pi)
@@ -204,7 +204,7 @@ def test_angles_are_smoothed_as_if_the_circle_were_unrolled():
 def test_what_cannot_be_smoothed_is_refused(linear):
     system, times, y, _ = linear
     kalman = extended_kalman(system)
-    with pytest.raises(TypeError, match="filter: wanted one that can be smoothed .* got GridBayes"):
+    with pytest.raises(TypeError, match=r"one that can be smoothed .* got GridBayes"):
         smooth(GridBayesFilter.__new__(GridBayesFilter), times, y)
     with pytest.raises(TypeError, match="filter: wanted a filter of this library, got str"):
         smooth("kalman", times, y)

@@ -168,10 +168,10 @@ def test_systems_without_a_density_of_moves_are_refused():
     x, y, v, w = sp.symbols("x y v w")
     noise, see = Noise((v,)), StochasticMap((x,), [x + w], Noise((w,)))
     jumps = JumpDiffusion((x,), [-x], [[1]], [x + w], Noise((w,)), [0], [[1]])
-    with pytest.raises(ValueError, match="got a JumpDiffusion, .* smooth with assumed_density"):
+    with pytest.raises(ValueError, match=r"got a JumpDiffusion, .* smooth with assumed_density"):
         smooth(ParticleFilter(jumps, 10), TIMES, np.zeros((6, 1)))
     curved = DiscreteSystem(StochasticMap((x,), [x + v**2], noise), see, [0], [[1]])
-    with pytest.raises(ValueError, match="moves with a log-density .* smooth with unscented"):
+    with pytest.raises(ValueError, match=r"moves with a log-density .* smooth with unscented"):
         smooth(ParticleFilter(curved, 10), TIMES, np.zeros((6, 1)))
     plane = StochasticMap((x, y), [x + w], Noise((w,)))
     still = DiscreteSystem(
