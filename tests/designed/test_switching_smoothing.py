@@ -140,6 +140,24 @@ def test_fixed_lag_is_the_end_of_shorter_records(tracked):
     assert np.array_equal(lagged.loglik, filter.run(TIMES, y).loglik)
 
 
+def test_axes_of_records_may_be_none_or_several(tracked):
+    system, y, sim, _ = tracked
+    modes = np.asarray(sim.modes)
+    for filter, told in (
+        (SwitchingFilter(system, Taylor()), {}),
+        (KnownModeFilter(system), {"modes": modes}),
+    ):
+        whole = smooth(filter, TIMES, y, **told)
+        plane = {name: part.reshape(7, 3, 4) for name, part in told.items()}
+        several = smooth(filter, TIMES, y.reshape(7, 1, 3, 4), **plane)
+        one = smooth(filter, TIMES, y[..., 5], **{n: part[:, 5] for n, part in told.items()})
+        for a, b, c in zip(whole, several, one, strict=True):
+            assert np.allclose(a.reshape(b.shape), b, atol=1e-14)
+            assert np.allclose(a[..., 5], c, atol=1e-14)
+        assert several.mean.shape == (7, 2, 3, 4)
+        assert one.cov.shape == (7, 2, 2)
+
+
 def test_given_the_modes_it_is_one_large_gaussian(tracked):
     system, y, sim, _ = tracked
     modes = np.asarray(sim.modes)
@@ -251,7 +269,7 @@ def moved_by_state(request):
 @pytest.mark.parametrize("split", [True, False])
 def test_a_state_that_moves_its_modes_is_near_the_exact_law_on_a_grid(moved_by_state, split):
     system, times, y, shown, exact = moved_by_state
-    taken = ExactGaussian() if system.indicator_is_blind else GaussHermite(15)
+    taken = ExactGaussian() if system.indicator_is_blind else GaussHermite(9)
     filter = SwitchingFilter(system, taken, split=split)
     found = smooth(filter, times, y, indicators=shown)
     prob, mean = distance(found, exact)

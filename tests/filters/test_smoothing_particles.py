@@ -77,6 +77,17 @@ def test_trajectory_i_of_a_few_is_trajectory_i_of_many(linear):
     assert np.allclose(found.mean, many.mean(axis=2), atol=1e-13)
 
 
+def test_one_record_has_no_axis_of_records(linear):
+    system, y = linear
+    filter = ParticleFilter(system, 50)
+    one = smooth(filter, TIMES, y[..., 0], trajectories=20, seed=2)
+    same = smooth(filter, TIMES, y[..., :1], trajectories=20, seed=2)
+    assert one.mean.shape == (6, 2)
+    assert one.cov.shape == (6, 2, 2)
+    assert np.array_equal(one.mean, same.mean[..., 0])
+    assert draw_trajectories(filter, TIMES, y[..., 0], 20, seed=2).shape == (6, 2, 20)
+
+
 def test_of_a_nonlinear_system_it_is_forward_and_backward_on_a_grid():
     x, v, w = sp.symbols("x v w")
     step = 0.5 * x + 3 * x / (1 + x**2)
