@@ -73,7 +73,7 @@ def smooth(
         if parts[0] is None or found[0].mean.ndim == 2:  # one record without an axis of records
             return parts[0]
         whole = np.concatenate(parts, axis=-1)
-        return whole.reshape(*whole.shape[:-1], *batch)
+        return whole.reshape((*whole.shape[:-1], *batch))
 
     if all(c.ndim == 3 and np.array_equal(c, covs[0], equal_nan=True) for c in covs):
         cov = covs[0]
@@ -118,7 +118,7 @@ def draw_trajectories(
         filter, times, measurements, None, indicators, None, trajectories, seed, _drawn
     )
     whole, batch = np.concatenate(found, axis=-1), np.shape(measurements)[2:]
-    return whole.reshape(*whole.shape[:-1], *batch)
+    return whole.reshape((*whole.shape[:-1], *batch))
 
 
 def _in_blocks(
