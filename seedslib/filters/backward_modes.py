@@ -37,7 +37,9 @@ class KnownModeSmoother(Smoother):
         if not branch.constant:
             return self.filter.linearization.weighted(branch.map)
         moments = self.filter.linearization.moments(branch.whole)
-        return lambda t, mean, cov: Weighted(1.0, Gaussian(mean, cov), moments(t, mean, cov))
+        return lambda t, mean, cov: Weighted(
+            np.ones(()), Gaussian(mean, cov), moments(t, mean, cov)
+        )
 
     def step(
         self, state: Any, t: float, y: ArrayLike, indicator: ArrayLike | None = None,
@@ -72,5 +74,5 @@ class KnownModeSmoother(Smoother):
 
     def report(self, part: Known) -> Estimates:
         """Mean and covariance; the mode is the given one, with probability one."""
-        state = KnownModeState(None, part.mode, part.columns[..., 0], part.cov, 0.0)
+        state = KnownModeState(None, part.mode, part.columns[..., 0], part.cov, np.zeros(()))
         return self.filter.report(state)

@@ -265,12 +265,13 @@ def moved_by_state(request):
     laws /= laws.sum(axis=(1, 2), keepdims=True)
     mean = np.einsum("kiap,a->kp", laws, grid)[:, None]
     square = np.einsum("kiap,a->kp", laws, grid**2)[:, None, None]
-    return system, times, y, shown, (laws.sum(axis=2), mean, square - mean[:, None] ** 2)
+    exact = laws.sum(axis=2), mean, square - mean[:, None] ** 2
+    return system, times, y, shown, exact, (np.asarray(sim.modes), grid, move, like)
 
 
 @pytest.mark.parametrize("split", [True, False])
 def test_a_state_that_moves_its_modes_is_near_the_exact_law_on_a_grid(moved_by_state, split):
-    system, times, y, shown, exact = moved_by_state
+    system, times, y, shown, exact, _ = moved_by_state
     taken = ExactGaussian() if system.indicator_is_blind else GaussHermite(9)
     filter = SwitchingFilter(system, taken, split=split)
     found = smooth(filter, times, y, indicators=shown)
@@ -280,6 +281,33 @@ def test_a_state_that_moves_its_modes_is_near_the_exact_law_on_a_grid(moved_by_s
     before = distance(filter.run(times, y, indicators=shown), exact)
     assert before[0] > 4 * prob
     assert before[1] > 4 * mean
+
+
+def test_given_the_modes_switches_tell_of_the_state(moved_by_state):
+    """Against the exact law on a grid given all modes."""
+    system, times, y, shown, _, (modes, grid, move, like) = moved_by_state
+    exact = []
+    for path in range(40):
+        told = modes[:, path]
+        ahead, behind = [norm.pdf(grid) * like[0, told[0], :, path]], [np.ones_like(grid)]
+        for k in range(1, 8):
+            ahead.append(ahead[-1] @ move[told[k - 1], told[k]] * like[k, told[k], :, path])
+        for k in range(7, 0, -1):
+            later = behind[-1] * like[k, told[k], :, path]
+            behind.append(move[told[k - 1], told[k]] @ later)
+        laws = np.array(ahead) * behind[::-1]
+        laws /= laws.sum(axis=1, keepdims=True)
+        exact.append(np.stack([laws @ grid, laws @ grid**2 - (laws @ grid) ** 2]))
+    mean, variance = np.moveaxis(exact, 0, -1)
+    taken = ExactGaussian() if system.indicator_is_blind else GaussHermite(9)
+    found = smooth(KnownModeFilter(system, taken), times, y, modes=modes, indicators=shown)
+    error = np.sqrt(np.mean((found.mean[:, 0] - mean) ** 2 / variance))
+    blind = system.indicator_is_blind
+    assert error < (0.012 if blind else 0.08)
+    apart = np.abs(np.log(found.cov[:, 0, 0] / variance)).mean()
+    assert apart < (0.02 if blind else 0.06)
+    plain = KnownModeFilter(system, taken).run(times, y, modes=modes, indicators=shown)
+    assert np.sqrt(np.mean((plain.mean[:, 0] - mean) ** 2 / variance)) > 4 * error
 
 
 def test_a_filter_with_a_memory_is_refused(tracked):
