@@ -57,10 +57,20 @@ class SwitchingSmoother(Smoother):
 
     def back(self, state: SwitchingState, link: Any, part: ModeLaw) -> ModeLaw:
         """See `Smoother.back`."""
+        rules, t, law = self.filter.rules, state.time, state.law
+        switch = getattr(rules, "switch", None)
+        if switch is None:
+            return self._back(rules.rows, t, law, link, part)
+        # the new mode drives the step: a switch of a state that stands still, and then a move
+        part = self._back(rules.rows, t, rules.switched(t, law), link, part)
+        return self._back(switch, t, law, None, part)
+
+    def _back(self, rows, t, law, shown, part):
+        """Smoothed law of mode and state before the moves in `rows`, from that after them."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             found = [
                 _corrected(*pairs, ModeLaw(*(p[..., l, :] for p in part)))
-                for l, pairs in enumerate(self._pairs(state, link))
+                for l, pairs in enumerate(self._pairs(rows, t, law, shown))
             ]
             log_prob, mean, cov = (
                 np.stack(p, axis=p[0].ndim - 1) for p in zip(*found, strict=True)
@@ -78,15 +88,13 @@ class SwitchingSmoother(Smoother):
         modes, mean = decide(part)
         return Estimates(mean, total_covariance(part), part.prob, modes=modes)
 
-    def _pairs(self, state, shown):
+    def _pairs(self, rows, t, law, shown):
         """For each new mode, (log_prob, both, spread) of its pairs with old modes and their parts.
 
         Shapes (P, paths), (2n, P, paths) and (2n, 2n, P, paths): the state before and after.
         """
-        rules, law, (n, modes, paths) = self.filter.rules, state.law, state.law.mean.shape
-        rows = [
-            row(state.time, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rules.rows)
-        ]
+        rules, (n, modes, paths) = self.filter.rules, law.mean.shape
+        rows = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
         size = len(rows[0][0])
         for l in range(modes):
             log_prob = np.full((modes, size, paths), -np.inf)
