@@ -155,6 +155,12 @@ class CovarianceFilter(Filter, Remade):
             change[k] = component
         return state._replace(mean=mean, cov=symmetric(change, self.n))
 
+    def smoother(self) -> Any:
+        """See `Filter.smoother`."""
+        from seedslib.filters.backward import Rauch
+
+        return Rauch(self)
+
     def apart(self) -> CovarianceFilter:
         """The filter as `smooth` runs it."""
         return self

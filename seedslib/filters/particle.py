@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count
+from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.filters.estimates import Estimates, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import relative
@@ -70,6 +71,8 @@ class ParticleFilter(Filter):
         self._modes = system.modes if switches(system) else None
         self._moving = as_system("system", system.hybrid if self._modes else system)
         self.system: Any = system
+        dynamics = getattr(system, "dynamics", None)
+        self._periods: Periods = getattr(dynamics, "period", ())
         self.options: dict[str, Any] = options
         self.particles: int = as_count("particles", particles)
         self.records: int = max(1, BLOCK // self.particles)
@@ -85,7 +88,7 @@ class ParticleFilter(Filter):
         count = self.particles * int(np.prod(batch, dtype=int))
         x = self._moving.initial_sample(stream(seed, 0), count)
         x = x.reshape(len(x), self.particles, *batch)
-        mean, cov, prob = self._estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
+        mean, cov, prob = self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
         return ParticleState(
             None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
         )
@@ -120,7 +123,7 @@ class ParticleFilter(Filter):
         total = weight.sum(axis=0)
         loglik = np.where(lost, -np.inf, highest + np.log(total / self.particles))
         weight = weight / total
-        mean, cov, prob = self._estimate(x, weight)
+        mean, cov, prob = self.estimate(x, weight)
         rng = stream(state.seed, state.draws)
         if np.isfinite(y).any():
             x = _resample(x, weight, rng)
@@ -132,12 +135,33 @@ class ParticleFilter(Filter):
     def forecast(self, state: ParticleState, t: float) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
         x = self.predict(state, t).particles
-        return Estimates(*self._estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
+        return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
 
-    def _estimate(self, x, weight):
-        """Weighted mean (n, *batch), covariance (n, n, *batch), mode probabilities or None."""
+    def smoother(self, trajectories: Count = 200) -> Any:
+        """See `Filter.smoother`."""
+        from seedslib.filters.backward_simulation import BackwardSimulation
+
+        return BackwardSimulation(self, trajectories)
+
+    def estimate(
+        self, x: np.ndarray, weight: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, MaybeArray]:
+        """Weighted mean (n, *batch), covariance (n, n, *batch), mode probabilities or None.
+
+        Circular components of the state are counted from their mean direction.
+
+        Parameters
+        ----------
+        x : ndarray, shape (n, particles, *batch)
+            With the mode as one more row of a switching system.
+        weight : ndarray, shape (particles, *batch)
+            Of sum one.
+        """
         if self._modes is None:
-            return *_moments(x, weight), None
+            if self._periods:
+                x = nearest(x, _direction(x, weight, self._periods)[:, None], self._periods)
+            mean, cov = _moments(x, weight)
+            return wrapped(mean, self._periods), cov, None
         prob = np.stack([(weight * (x[-1] == i)).sum(axis=0) for i in range(self._modes)])
         return *_moments(x[:-1], weight), prob
 
@@ -145,6 +169,16 @@ class ParticleFilter(Filter):
 def stream(seed: Any, draw: Any) -> np.random.Generator:
     """Generator of one draw, found from its number alone."""
     return np.random.default_rng(child(seed, draw))
+
+
+def _direction(x, weight, periods):
+    """Mean directions of circular components, zero for the others, (n, *batch)."""
+    middle = np.zeros((len(x), *x.shape[2:]))
+    for k, period in periods:
+        angle = 2.0 * np.pi / period * x[k]
+        sine, cosine = ((weight * f(angle)).sum(axis=0) for f in (np.sin, np.cos))
+        middle[k] = period / (2.0 * np.pi) * np.arctan2(sine, cosine)
+    return middle
 
 
 def _moments(x, weight):

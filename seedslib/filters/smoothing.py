@@ -7,15 +7,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import Count
+from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count
-from seedslib.base.correction import correct
-from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.estimates import Estimates
-from seedslib.filters.kalman import settle
+from seedslib.filters.backward import Smoother
+from seedslib.filters.estimates import Estimates, as_indicators, as_modes
+from seedslib.filters.particle import ParticleFilter
+from seedslib.filters.verbs import Filter
 
 
 def smooth(
-    filter: CovarianceFilter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
+    filter: Filter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
+    indicators: ArrayLike | None = None, modes: ArrayLike | None = None,
+    trajectories: Count | None = None, seed: object = 0,
 ) -> Estimates:  # fmt: skip
     """Estimates of the state at each time from the measurements up to a later one.
 
@@ -25,114 +29,181 @@ def smooth(
     systems; otherwise it is the smoother of the filter's linearization: of `extended_kalman` the
     extended, of `unscented_kalman` the unscented one, and so on.
 
+    A `KnownModeFilter` is smoothed likewise, given all modes. A `SwitchingFilter` without a memory
+    is smoothed in mode and state, by Gaussian laws in each mode; what that neglects stands in
+    `seedslib.designed.switching.smoothing`. A `ParticleFilter` is smoothed by trajectories drawn
+    backwards (Godsill, Doucet and West 2004), where its system moves with a density.
+
     Parameters
     ----------
-    filter : CovarianceFilter
-        With continuous dynamics and jumps, or discrete ones.
+    filter : Filter
+        A covariance filter of continuous dynamics and jumps or of discrete ones, or one of those
+        named above.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m, *batch)
         NaN marks a missing component.
     lag : int, optional
         Use the measurements of so many later times only (fixed lag); all of them by default
         (fixed interval).
+    indicators, modes : array_like of int, shape (K+1, *batch), optional
+        As in `run` of the filter.
+    trajectories : int, optional
+        Of a particle filter; 200 by default.
+    seed : int, SeedSequence or Generator
+        Of a filter that draws.
 
     Returns
     -------
     Estimates
-        ``mean`` (K+1, n, *batch) and ``cov`` (K+1, n, n, *batch) or (K+1, n, n); ``loglik`` and
-        ``diverged`` are those of the filter.
+        ``mean`` (K+1, n, *batch) and ``cov`` (K+1, n, n, *batch) or (K+1, n, n); of modes
+        ``mode_prob`` (K+1, L, *batch) and ``modes`` (K+1, *batch). ``loglik`` is that of the
+        filter, and ``diverged`` says where it has diverged or an estimate is no number.
 
     Raises
     ------
     TypeError, ValueError
-        Another filter; a lag below one; as `run` of the filter.
+        A filter that has no smoother; a lag below one; as `run` of the filter.
     """
-    if not isinstance(filter, CovarianceFilter):
-        raise TypeError(f"filter: wanted a CovarianceFilter, got {type(filter).__name__}")
-    if lag is not None:
-        lag = as_count("lag", lag)
-    times, y = filter.record(times, measurements)
-    batch, n = y.shape[2:], filter.n
-    filter = filter.apart()
-    state = filter.initial(batch)
-    states, forecasts = [], []
-    for t, row in zip(times, y, strict=True):
-        if states:
-            later, cross = filter.moved_jointly(state, t)
-            cov = _wide(later.cov, batch)
-            forecasts.append((_columns(later), cov, _gain(_wide(cross, batch), cov)))
-            state = later._replace(time=float(t))
-        else:
-            state = filter.predict(state, t)
-        state = filter.correct(state, row)
-        states.append(state)
-    found = _interval(states, forecasts, batch) if lag is None else (
-        _lagged(states, forecasts, batch, lag)
-    )  # fmt: skip
-    means, covs = zip(*(_settled(*part) for part in found), strict=True)
-    means = np.stack([np.broadcast_to(mean, (n, *batch)) for mean in means])
-    finite = np.isfinite(means).all(axis=(0, 1))
-    for cov in covs:
-        finite &= ~np.isnan(cov).all(axis=(0, 1)).reshape(cov.shape[2:] or (1,) * len(batch))
-    if all(c.shape[2:] == (1,) * len(batch) for c in covs):  # common to all paths
-        covs = [c.reshape(n, n) for c in covs]
+    found = _in_blocks(
+        filter, times, measurements, lag, indicators, modes, trajectories, seed, _estimated
+    )
+    batch, covs = np.shape(measurements)[2:], [one.cov for one in found]
+
+    def joined(parts):
+        if parts[0] is None or found[0].mean.ndim == 2:  # one record without an axis of records
+            return parts[0]
+        whole = np.concatenate(parts, axis=-1)
+        return whole.reshape((*whole.shape[:-1], *batch))
+
+    if all(c.ndim == 3 and np.array_equal(c, covs[0], equal_nan=True) for c in covs):
+        cov = covs[0]
     else:
-        covs = [np.broadcast_to(c, (n, n, *batch)) for c in covs]
-    loglik = np.stack([np.broadcast_to(s.loglik, batch) for s in states])
-    return Estimates(means, np.stack(covs), None, loglik, ~finite)
+        shapes = [(*one.cov.shape[:3], *one.mean.shape[2:]) for one in found]
+        covs = [c if c.ndim > 3 else c[..., None] for c in covs]
+        cov = joined([np.broadcast_to(c, s) for c, s in zip(covs, shapes, strict=True)])
+    rest = (one._replace(cov=None) for one in found)
+    return Estimates(*map(joined, zip(*rest, strict=True)))._replace(cov=cov)
 
 
-def _columns(state: Any) -> np.ndarray:
-    """The mean, and what unknown numbers add to it, as columns (n, *batch, 1 + q)."""
-    mean = state.mean[..., None]
-    effect = getattr(state, "effect", None)
-    return mean if effect is None else np.concatenate([mean, effect], axis=-1)
+def draw_trajectories(
+    filter: ParticleFilter, times: ArrayLike, measurements: ArrayLike, trajectories: Count,
+    seed: object = 0, *, indicators: ArrayLike | None = None,
+) -> np.ndarray:  # fmt: skip
+    """Paths of the state drawn from its law given all measurements: backward simulation.
+
+    Those of which `smooth` forms the moments. Trajectory i of a few is trajectory i of many.
+
+    Parameters
+    ----------
+    filter : ParticleFilter
+    times, measurements, indicators : array_like
+        As in `smooth`.
+    trajectories : int
+        How many.
+    seed : int, SeedSequence or Generator
+
+    Returns
+    -------
+    ndarray, shape (K+1, n, trajectories, *batch)
+        Of a switching system with the mode as one more row.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Another filter; as `smooth`.
+    """
+    if not isinstance(filter, ParticleFilter):
+        raise TypeError(f"filter: wanted a ParticleFilter, got {type(filter).__name__}")
+    found = _in_blocks(
+        filter, times, measurements, None, indicators, None, trajectories, seed, _drawn
+    )
+    whole, batch = np.concatenate(found, axis=-1), np.shape(measurements)[2:]
+    return whole.reshape((*whole.shape[:-1], *batch))
 
 
-def _settled(columns: np.ndarray, cov: np.ndarray, told: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance, unknown numbers taken from what the measurements up to `told` say."""
-    if columns.shape[-1] == 1:
-        return columns[..., 0], cov
-    return settle(columns[..., 0], cov, columns[..., 1:], told)
+def _in_blocks(
+    filter, times, measurements, lag, indicators, modes, trajectories, seed, said
+) -> list[Any]:  # fmt: skip
+    """What `said(smoother, parts, states)` makes of each block of records, in their order."""
+    if not isinstance(filter, Filter):
+        raise TypeError(f"filter: wanted a filter of this library, got {type(filter).__name__}")
+    if trajectories is None:
+        smoother = filter.smoother()
+    elif isinstance(filter, ParticleFilter):
+        smoother = filter.smoother(as_count("trajectories", trajectories))
+    else:
+        raise ValueError("trajectories: wanted none, the filter draws none")
+    lag = None if lag is None else as_count("lag", lag)
+    filter = smoother.filter
+    times, y = filter.record(times, measurements)
+    batch, shape = y.shape[2:], (len(times), *y.shape[2:])
+    indicators = as_indicators(indicators, filter.system, shape)
+    if "modes" in filter.takes:
+        modes = as_modes("modes", modes, shape, filter.system.modes)
+    elif modes is not None:
+        raise ValueError("modes: wanted none, the filter finds them by itself")
+    flat = y.reshape(*y.shape[:2], -1)
+    shown, true = (None if p is None else p.reshape(len(times), -1) for p in (indicators, modes))
+    wide, paths = bool(batch) or not filter.alone, flat.shape[2]
+
+    def work(start, stop, stream):
+        own, states, links = slice(start, stop), [], []
+        first = {} if true is None else {"mode": true[0, own]}
+        state = filter.initial((stop - start,) if wide else (), stream, **first)
+        for k, t in enumerate(times):
+            told = (None if part is None else part[k, own] for part in (shown, true))
+            state, link = smoother.step(state, t, flat[k, :, own] if wide else y[k], *told)
+            states.append(state)
+            links.append(link)
+        return said(smoother, _parts(smoother, states, links, lag), states)
+
+    return in_blocks(work, paths, seed, block=filter.block(times, paths, 1))
 
 
-def _wide(cov: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
-    """A matrix with axes of paths, of length one where it is common to them."""
-    return cov if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * len(batch))
-
-
-def _gain(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """G = C P⁺, shape (n, n, *batch): what each unit of the later state moves."""
-    n = len(cross)
-    still = np.zeros((n, *(1,) * (cross.ndim - 1)))
-    unit = np.eye(n).reshape(n, *(1,) * (cross.ndim - 2), n)
-    gain, _, _ = correct(still, None, unit, (still, cross[..., None], cov[..., None]))
-    return np.moveaxis(np.broadcast_to(gain, (*cross.shape[:1], *gain.shape[1:])), -1, 1)
-
-
-def _interval(states: list, forecasts: list, batch: tuple[int, ...]) -> list[tuple]:
-    """Columns and covariance of each time from all measurements, and the last state."""
-    last = states[-1]
-    found = [(_columns(last), _wide(last.cov, batch), last)]
-    for state, forecast in zip(states[-2::-1], forecasts[::-1], strict=True):
-        found.append((*_back(state, batch, *forecast, *found[-1][:2]), last))
+def _parts(smoother: Smoother, states: list, links: list, lag: int | None) -> list[Any]:
+    """What is known of each time from all measurements, or from those of `lag` later times."""
+    last = len(states) - 1
+    if lag is not None:
+        found = []
+        for k in range(last + 1):
+            end = min(k + lag, last)
+            part = smoother.last(states[end])
+            for j in range(end, k, -1):
+                part = smoother.back(states[j - 1], links[j], part)
+            found.append(part)
+        return found
+    found = [smoother.last(states[last])]
+    for j in range(last, 0, -1):
+        found.append(smoother.back(states[j - 1], links[j], found[-1]))
     return found[::-1]
 
 
-def _lagged(states: list, forecasts: list, batch: tuple[int, ...], lag: int) -> list[tuple]:
-    """The same from the measurements of the next `lag` times, by as many steps back for each."""
-    found = []
-    for k in range(len(states)):
-        end = min(k + lag, len(states) - 1)
-        part = _columns(states[end]), _wide(states[end].cov, batch)
-        for j in range(end - 1, k - 1, -1):
-            part = _back(states[j], batch, *forecasts[j], *part)
-        found.append((*part, states[end]))
-    return found
+def _drawn(smoother: Any, parts: list, states: list) -> np.ndarray:
+    """Trajectories of one block."""
+    return np.stack([part.x for part in parts])
 
 
-def _back(state, batch, forecast, forecast_cov, gain, later, later_cov):
-    """One step back: m + G (m' - E m'), P + G (P' - E P') Gᵀ."""
-    columns = _columns(state) + np.einsum("ij...,j...c->i...c", gain, later - forecast)
-    change = np.einsum("ij...,jk...,lk...->il...", gain, later_cov - forecast_cov, gain)
-    return columns, _wide(state.cov, batch) + 0.5 * (change + np.swapaxes(change, 0, 1))
+def _estimated(smoother: Smoother, parts: list, states: list) -> Estimates:
+    """Estimates of one block of records."""
+    said = [smoother.report(part) for part in parts]
+    loglik = [state.loglik for state in states]
+    batch = np.broadcast_shapes(*(one.mean.shape[1:] for one in said), *map(np.shape, loglik))
+    mean = np.stack([np.broadcast_to(one.mean, (len(one.mean), *batch)) for one in said])
+    diverged = ~np.isfinite(mean).all(axis=(0, 1))
+    for one, state in zip(said, states, strict=True):
+        diverged = diverged | ~_known(one.cov, batch) | smoother.lost(state)
+    covs = [one.cov for one in said]
+    if all(c.shape[2:] in ((), (1,) * len(batch)) for c in covs):  # common to all paths
+        covs = [c.reshape(c.shape[:2]) for c in covs]
+    else:
+        covs = [np.broadcast_to(c, (*c.shape[:2], *batch)) for c in covs]
+    prob = modes = None
+    if said[0].mode_prob is not None:
+        prob, modes = (np.stack([one[p] for one in said]) for p in (2, 5))
+    loglik = np.stack([np.broadcast_to(one, batch) for one in loglik])
+    return Estimates(mean, np.stack(covs), prob, loglik, diverged, modes)
+
+
+def _known(cov: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
+    """Where a covariance is one at least in part: of what nothing told some entries are NaN."""
+    return ~np.isnan(cov).all(axis=(0, 1)).reshape(cov.shape[2:] or (1,) * len(batch))

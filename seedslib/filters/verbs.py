@@ -140,6 +140,20 @@ class Filter(Shown):
         later = self.report(self.predict(state, t, *told))
         return later._replace(loglik=None, diverged=None)
 
+    def smoother(self) -> Any:
+        """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.
+
+        Raises
+        ------
+        TypeError
+            The filter has none.
+        """
+        raise TypeError(
+            "filter: wanted one that can be smoothed (extended_kalman and other covariance "
+            "filters, KnownModeFilter, ParticleFilter, SwitchingFilter without a memory), got "
+            f"{type(self).__name__}"
+        )
+
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Times (K+1,) and measurements (K+1, m, *batch) of a run, checked."""
         times = as_grid("times", times, self.system)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,8 +13,11 @@ from seedslib.base.checks import as_real, as_times, as_vectors
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule
-from seedslib.two_step.kalman_bucy import KalmanBucyFilter, LinearMoments
+from seedslib.two_step.kalman_bucy import KalmanBucyFilter
+from seedslib.two_step.kalman_bucy_design import LinearMoments
 from seedslib.two_step.laws import (
+    TwoStepPaths,
+    along,
     checked_symbols,
     closed_law,
     quadrature_law,
@@ -23,17 +26,6 @@ from seedslib.two_step.laws import (
 )
 from seedslib.two_step.linear import LinearDiffusion
 from seedslib.two_step.table import TwoStepTable, make_table
-
-
-class TwoStepPaths(NamedTuple):
-    """Along measured paths: optimal estimates, their conditional variances, plug-in estimates.
-
-    Shapes (K+1, ...) for a scalar function; (K+1, p, ...) and (K+1, p, p, ...) for a vector.
-    """
-
-    mean: np.ndarray
-    variance: np.ndarray
-    plugin: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -238,13 +230,20 @@ class TwoStepEstimator:
             moved = [self._ahead(c, t) for c, t in zip(paths.cov, times, strict=True)]
             mean = np.einsum("kij,jk...->ik...", np.stack([m for m, _ in moved]), mean)
             cov = np.stack([c for _, c in moved], axis=-1)
-        cov = cov.reshape(*cov.shape, *[1] * (mean.ndim - 2))
-        law = self._law
-        values = in_range(
-            "increments", lambda: (law.mean(mean, cov), law.variance(mean, cov), law.plugin(mean))
-        )
-        axes = (0, 0, 0) if law.scalar else (1, 2, 1)
-        return TwoStepPaths(*(np.moveaxis(v, a, 0) for v, a in zip(values, axes, strict=True)))
+        return along(self._law, mean, cov)
+
+    def smooth(
+        self, times: ArrayLike, increments: ArrayLike, *, lag: int | None = None
+    ) -> TwoStepPaths:
+        """Estimates from later measurements as well; see `KalmanBucyFilter.smooth`."""
+        self._want_no_lead()
+        paths = self.filter.smooth(times, increments, lag=lag)
+        return along(self._law, np.moveaxis(paths.mean, 0, 1), np.moveaxis(paths.cov, 0, -1))
+
+    def smoothed_errors(self, times: ArrayLike, *, lag: int | None = None) -> MeanSquareErrors:
+        """Exact errors of both smoothed estimates; see `KalmanBucyFilter.smoothed_moments`."""
+        self._want_no_lead()
+        return self._errors(self.filter.smoothed_moments(times, lag=lag))
 
     def table(self, times: ArrayLike) -> TwoStepTable:
         """Everything that can be computed before the data, for use online (section 2.5).
@@ -273,6 +272,10 @@ class TwoStepEstimator:
         """Transition over the lead from time t, and the covariance at its end."""
         move, noise = self.system.transition(t, t + self.lead)
         return move, move @ cov @ move.T + noise
+
+    def _want_no_lead(self) -> None:
+        if self.lead:
+            raise ValueError(f"lead: wanted 0 of a smoothed estimate, got {self.lead:g}")
 
     def _errors(self, moments: LinearMoments) -> MeanSquareErrors:
         pairs = [self._law.errors(*law) for law in zip(*moments, strict=True)]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,29 +12,11 @@ from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, as_
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import as_system
 from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, van_loan
-from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, make_design
+from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, LinearMoments, make_design
 from seedslib.two_step.linear import LinearDiffusion, Matrices
 from seedslib.two_step.riccati import information_rate, riccati_step
+from seedslib.two_step.smoothing import smoothed_errors, smoothed_means
 from seedslib.two_step.steady import steady_errors, steady_law
-
-
-class LinearMoments(NamedTuple):
-    """Second-order description of state and estimate on a grid.
-
-    Attributes
-    ----------
-    mean : ndarray
-        μ = E x = E x̂, shape (K, n).
-    cov : ndarray
-        C, covariance of the state without measurements, shape (K, n, n).
-    error_cov : ndarray
-        P, covariance of the estimation error, shape (K, n, n). The estimate has covariance C - P
-        and is independent of the error.
-    """
-
-    mean: np.ndarray
-    cov: np.ndarray
-    error_cov: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -173,6 +154,44 @@ class KalmanBucyFilter:
             Illegal arrays; gaps that differ between paths; a step longer than the time constant
             of the filter, over which the increments do not carry what the covariance promises.
         """
+        mean, design, _, batch = self._filtered(times, increments)
+        return Estimates(mean.reshape(*mean.shape[:2], *batch), design.cov)
+
+    def smooth(
+        self, times: ArrayLike, increments: ArrayLike, *, lag: int | None = None
+    ) -> Estimates:
+        """Estimates from what was measured later as well; arguments, discretisation as `run`.
+
+        Parameters
+        ----------
+        times, increments : array_like
+        lag : int, optional
+            Use the increments of so many later steps only; all of them by default.
+
+        Returns
+        -------
+        Estimates
+        """
+        mean, design, flat, batch = self._filtered(times, increments)
+        seen = self._seen(flat)
+        found, cov = smoothed_means(self.system, design, mean, np.nan_to_num(flat), seen, lag)
+        return Estimates(found.reshape(*mean.shape[:2], *batch), cov)
+
+    def smoothed_moments(self, times: ArrayLike, *, lag: int | None = None) -> LinearMoments:
+        """As `moments`, of the estimate at each time from measurements up to a later one.
+
+        Parameters
+        ----------
+        times : array_like
+        lag : int, optional
+            Measured until so many times later, or the last one; to the last by default.
+        """
+        known = self.moments(times)
+        later = smoothed_errors(self.system, as_times("times", times), known.error_cov, lag)
+        return known._replace(error_cov=later)
+
+    def _filtered(self, times, increments):
+        """Means (K+1, n, paths), design, increments (K, m, paths) and the axes of the paths."""
         times = as_times("times", times)
         increments = as_real("increments", increments, nan=True)
         wanted = (times.size - 1, self.system.measurement_size, *increments.shape[2:])
@@ -183,7 +202,7 @@ class KalmanBucyFilter:
         mean[0] = design.start[:, None]
         for k, step in enumerate(np.nan_to_num(flat)):
             mean[k + 1] = design.transition[k] @ mean[k] + design.gain[k] @ step
-        return Estimates(mean.reshape(times.size, self.system.state_size, *wanted[2:]), design.cov)
+        return mean, design, flat, wanted[2:]
 
     def design(self, times: ArrayLike, seen: ArrayLike | None = None) -> KalmanBucyDesign:
         """Everything that does not depend on the data: ``x̂ <- transition x̂ + gain Δy``.

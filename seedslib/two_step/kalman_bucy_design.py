@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,6 +15,25 @@ from seedslib.two_step.linear import LinearDiffusion, Matrices
 from seedslib.two_step.riccati import RiccatiStep, hamiltonian, information_rate, riccati_step
 
 LONGEST_STEP = 1.0
+
+
+class LinearMoments(NamedTuple):
+    """Second-order description of state and estimate on a grid.
+
+    Attributes
+    ----------
+    mean : ndarray
+        μ = E x = E x̂, shape (K, n).
+    cov : ndarray
+        C, covariance of the state without measurements, shape (K, n, n).
+    error_cov : ndarray
+        P, covariance of the estimation error, shape (K, n, n). The estimate has covariance C - P
+        and is independent of the error.
+    """
+
+    mean: np.ndarray
+    cov: np.ndarray
+    error_cov: np.ndarray
 
 
 class KalmanBucyDesign(NamedTuple):
@@ -64,6 +84,21 @@ def make_design(
     transition, gain = np.empty((count, n, n)), np.empty((count, n, m))
     cov = np.empty((times.size, n, n))
     cov[0] = move @ system.cov0 @ move.T + noise
+    for k, step in enumerate(estimate_steps(system, times, seen)):
+        transition[k], gain[k], cov[k + 1] = step.at(cov[k])
+    return KalmanBucyDesign(times, move @ system.mean0, transition, gain, cov)
+
+
+def estimate_steps(
+    system: LinearDiffusion, times: np.ndarray, seen: np.ndarray
+) -> Iterator[EstimateStep]:
+    """Steps of the estimate on a grid, with the components (K, m) that are measured over each.
+
+    Raises
+    ------
+    ValueError
+        A step longer than the time constant of the filter.
+    """
     lengths, index = distinct_steps(times)
     known: dict = {}
     for k, j in enumerate(index):
@@ -72,8 +107,7 @@ def make_design(
         if key not in known:
             middle = 0.5 * (times[k] + times[k + 1])
             known[key] = EstimateStep.of(system.matrices(middle), lengths[j], seen[k])
-        transition[k], gain[k], cov[k + 1] = known[key].at(cov[k])
-    return KalmanBucyDesign(times, move @ system.mean0, transition, gain, cov)
+        yield known[key]
 
 
 class EstimateStep(NamedTuple):
@@ -84,12 +118,15 @@ class EstimateStep(NamedTuple):
     riccati : RiccatiStep
     integral : ndarray
         Lower half of the integral of exp(sM) over the step, divided by its length, (n, 2n).
+    forcing : ndarray
+        Its upper left quarter, (n, n).
     weights : ndarray
         R⁻¹H on the measured components, (m, n).
     """
 
     riccati: RiccatiStep
     integral: np.ndarray
+    forcing: np.ndarray
     weights: np.ndarray
 
     @classmethod
@@ -118,9 +155,11 @@ class EstimateStep(NamedTuple):
         weights = np.zeros((known.sensor.shape[0], n))
         noise = known.sensor_intensity[np.ix_(seen, seen)]
         weights[seen] = np.linalg.solve(noise, known.sensor[seen])
+        summed = expm(large)[: 2 * n, 2 * n :]
         return cls(
             riccati_step(known.drift, information, known.diffusion, step),
-            expm(large)[n : 2 * n, 2 * n :] * np.outer(unit, np.concatenate([unit, 1 / unit])),
+            summed[n:] * np.outer(unit, np.concatenate([unit, 1 / unit])),
+            summed[:n, :n] * np.outer(1 / unit, unit),
             weights,
         )
 

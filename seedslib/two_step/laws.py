@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.semidefinite import square_root
+from seedslib.gaussian.arguments import in_range
 from seedslib.gaussian.errors.functions import MeanSquareErrors
 from seedslib.gaussian.errors.joint import as_joint_law
 from seedslib.gaussian.quadrature import Rule, points_of
@@ -44,6 +45,33 @@ class FunctionLaw(NamedTuple):
     variance: Callable[..., Any]
     errors: Callable[..., Any]
     polynomial: dict[Any, Any] | None = None
+
+
+class TwoStepPaths(NamedTuple):
+    """Along measured paths: optimal estimates, their conditional variances, plug-in estimates.
+
+    Shapes (K+1, ...) for a scalar function; (K+1, p, ...) and (K+1, p, p, ...) for a vector.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    plugin: np.ndarray
+
+
+def along(law: FunctionLaw, mean: np.ndarray, cov: np.ndarray) -> TwoStepPaths:
+    """Estimates along means (n, K+1, ...) of the state with covariances (n, n, K+1).
+
+    Raises
+    ------
+    ValueError
+        An infinite mean of the function.
+    """
+    cov = cov.reshape(*cov.shape, *[1] * (mean.ndim - 2))
+    values = in_range(
+        "increments", lambda: (law.mean(mean, cov), law.variance(mean, cov), law.plugin(mean))
+    )
+    axes = (0, 0, 0) if law.scalar else (1, 2, 1)
+    return TwoStepPaths(*(np.moveaxis(v, a, 0) for v, a in zip(values, axes, strict=True)))
 
 
 def checked_symbols(

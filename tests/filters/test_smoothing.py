@@ -9,8 +9,8 @@ import sympy as sp
 
 from seedslib.filters import (
     CovarianceFilter,
+    GridBayesFilter,
     KalmanFilter,
-    ParticleFilter,
     assumed_density,
     cubature_kalman,
     extended_kalman,
@@ -155,9 +155,62 @@ def test_the_published_errors_of_the_car():
         assert error == pytest.approx(wanted, rel=1e-12)
 
 
+def test_records_are_smoothed_in_blocks_that_do_not_show(linear, monkeypatch):
+    system, times, y, _ = linear
+    filter = extended_kalman(system)
+    whole = smooth(filter, times, y)
+    monkeypatch.setattr(type(filter), "block", lambda *_: 3)
+    parts = smooth(filter, times, y)
+    full = np.nan_to_num(y)
+    assert np.allclose(whole.mean, parts.mean, atol=1e-14)
+    assert np.allclose(whole.cov, parts.cov, atol=1e-14)
+    assert smooth(filter, times, full).cov.shape == (7, 3, 3)  # common to all records
+
+
+def test_what_leaves_the_bound_of_the_filter_has_diverged(linear):
+    system, times, y, _ = linear
+    bound = np.abs(extended_kalman(system).run(times, y).mean).max(axis=(0, 1))
+    found = smooth(extended_kalman(system, bound=np.sort(bound)[1:3].mean()), times, y)
+    assert found.diverged.sum() == 2
+
+
+def test_angles_are_smoothed_as_if_the_circle_were_unrolled():
+    """A record of angles, wrapped, against the same record without a cut."""
+    x, rate, v1, v2, w = sp.symbols("x rate v1 v2 w")
+    move = [x + rate + v1, rate + v2]
+    noise = Noise((v1, v2), cov=[[0.05, 0], [0, 0.01]])
+    period = {0: 2 * np.pi}
+    found = []
+    for around in (None, period):
+        dynamics = StochasticMap((x, rate), move, noise, period=around)
+        sensor = StochasticMap((x, rate), [x + 0.3 * w], Noise((w,)), period=around)
+        system = DiscreteSystem(dynamics, sensor, [3, 0.3], 0.1 * np.eye(2))
+        if around is None:
+            y = np.array(system.simulate(np.arange(30.0), 5, 1).measurements)
+            y[7:9] = np.nan
+        else:
+            y = np.angle(np.exp(1j * y))
+        for make in (extended_kalman, unscented_kalman):
+            found.append(smooth(make(system), np.arange(30.0), y))
+    assert np.nanmax(np.abs(y)) < np.pi
+    assert np.abs(found[0].mean[:, 0]).max() > 3 * np.pi
+    for one, two in zip(found[:2], found[2:], strict=True):
+        turns = (one.mean - two.mean) / (2 * np.pi)
+        assert np.allclose(turns[:, 0], np.round(turns[:, 0]), atol=1e-12)
+        assert np.allclose(one.mean[:, 1], two.mean[:, 1], atol=1e-12)
+        assert np.allclose(one.cov, two.cov, atol=1e-12)
+
+
 def test_what_cannot_be_smoothed_is_refused(linear):
     system, times, y, _ = linear
-    with pytest.raises(TypeError, match="filter: wanted a CovarianceFilter, got ParticleFilter"):
-        smooth(ParticleFilter(system, 10), times, y)
+    kalman = extended_kalman(system)
+    with pytest.raises(TypeError, match=r"one that can be smoothed .* got GridBayes"):
+        smooth(GridBayesFilter.__new__(GridBayesFilter), times, y)
+    with pytest.raises(TypeError, match="filter: wanted a filter of this library, got str"):
+        smooth("kalman", times, y)
     with pytest.raises(ValueError, match="lag: wanted at least 1, got 0"):
-        smooth(extended_kalman(system), times, y, lag=0)
+        smooth(kalman, times, y, lag=0)
+    with pytest.raises(ValueError, match="trajectories: wanted none, the filter draws none"):
+        smooth(kalman, times, y, trajectories=100)
+    with pytest.raises(ValueError, match="modes: wanted none"):
+        smooth(kalman, times, y, modes=np.zeros((7, 4), int))

@@ -197,6 +197,14 @@ class SwitchingFilter(DesignedFilter):
         cov = np.where(state.gap, np.nan, mixed.cov) if np.any(state.gap) else mixed.cov
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
+    def smoother(self) -> Any:
+        """See `Filter.smoother`: of whole laws, which a filter with a memory does not carry."""
+        if self.memory is not None:
+            return super().smoother()
+        from seedslib.designed.switching.smoothing import SwitchingSmoother
+
+        return SwitchingSmoother(self)
+
     def sizes(self, covariances: bool) -> Estimates:
         """Shapes of what is found at each time."""
         n = self.system.state_size
