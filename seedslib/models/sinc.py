@@ -6,13 +6,14 @@ digit near it, where a coordinated turn starts.
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import sympy
 
-TERMS = 10
-"""Terms of the series inside of the unit circle: the next one is below rounding."""
+TERMS = 14
+"""Terms of the series within two of zero: the next one is below rounding."""
 
 
 class SincRatio(sympy.Function):
@@ -48,14 +49,14 @@ def with_ratios(expression: Any) -> Any:
     return expression.replace(sympy.sinc, lambda x: SincRatio(0, x))
 
 
-def sinc_ratio(k: int, x: Any) -> np.ndarray:
-    """Values of `SincRatio`, by the power series near zero and by Bessel functions elsewhere."""
-    from scipy.special import factorial2, spherical_jn
-
-    x = np.abs(np.asarray(x, dtype=float))
-    near = x < 1.0
-    square, series = np.where(near, x, 0.0) ** 2, 1.0
+def sinc_ratio(k: int, x: Any) -> Any:
+    """Values of `SincRatio`: the power series within two of zero, the recurrence elsewhere."""
+    near = x * x < 4.0
+    square, series = np.select([near], [x * x], 0.0), 1.0
     for m in range(TERMS, 0, -1):
         series = 1.0 - series * square / (2 * m * (2 * (k + m) + 1))
-    away = np.where(near, 1.0, x)
-    return np.where(near, series / factorial2(2 * k + 1), spherical_jn(k, away) / away**k)
+    away = np.select([near], [2.0], x)
+    before, ratio = np.cos(away), np.sin(away) / away
+    for j in range(k):
+        before, ratio = ratio, ((2 * j + 1) * ratio - before) / (away * away)
+    return np.select([near], [series / math.prod(range(1, 2 * k + 2, 2))], ratio)

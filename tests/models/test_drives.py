@@ -13,6 +13,7 @@ from seedslib.designed import SwitchingFilter, large_order, load, save
 from seedslib.linearization import GaussHermite, Taylor
 from seedslib.models import (
     Noise,
+    PlaneModes,
     StochasticMap,
     SwitchingChain,
     SwitchingSystem,
@@ -247,3 +248,28 @@ def test_the_two_are_told_apart(tmp_path):
             assert load(path, one).system is one
             with pytest.raises(ValueError, match="drive by the new mode is there in only one"):
                 load(path, other)
+
+
+def test_a_chain_on_the_plane_moves_as_the_new_mode_too():
+    """Moments of the next state in each mode against those of the map."""
+    a, b, p, q = sympy.symbols("a b p q", real=True)
+    moves = [[a / 2 + p, b - a / 4 + q], [1 - a / 2 + p, b / 2 + q]]
+    stay = 0.4 + 0.5 * sympy.exp(-(a**2))
+    model = SwitchingSystem(
+        (a, b), moves, Noise((p, q), cov=[[0.3, 0], [0, 0.3]]), [[stay, 1 - stay], [0.2, 0.8]],
+        [[a + W]] * 2, Noise((W,)), [(1.0, [0, 0], np.eye(2)), (0.0, [0, 0], np.eye(2))],
+        drives="new",
+    )  # fmt: skip
+    chain = PlaneModes(model, [(-5, 5, 31), (-5, 5, 31)])
+    point = int(np.argmin(((chain.nodes - np.array([[1.0], [0.5]])) ** 2).sum(axis=0)))
+    law = np.zeros((2 * chain.nodes.shape[1], 1))
+    law[point] = 1.0  # in mode 0
+    later = chain.move(law, 0.0, 1.0).reshape(2, -1)
+    here = chain.nodes[:, point]
+    chance = 0.4 + 0.5 * np.exp(-(here[0] ** 2))
+    np.testing.assert_allclose(later.sum(axis=1), [chance, 1 - chance], rtol=1e-9)
+    for l, wanted in enumerate(
+        ([here[0] / 2, here[1] - here[0] / 4], [1 - here[0] / 2, here[1] / 2])
+    ):
+        mean = chain.nodes @ later[l] / later[l].sum()
+        np.testing.assert_allclose(mean, wanted, atol=1e-6)

@@ -33,7 +33,7 @@ def exact_turn(*x):
     return (mpmath.sin(angle) * a - (1 - mpmath.cos(angle)) * b) / rate
 
 
-@pytest.mark.parametrize("rate", [0.0, 1e-300, 1e-12, -1e-7, 1e-3, 0.7, -9.99, 10.01, 60.0])
+@pytest.mark.parametrize("rate", [0.0, 1e-300, 1e-12, -1e-7, 1e-3, 0.7, -19.99, 20.01, 60.0])
 def test_a_turn_and_its_slope_at_any_rate(rate):
     mean = [3.0, 4.0, rate]
     with mpmath.workdps(80), warnings.catch_warnings():
@@ -55,7 +55,7 @@ def test_derivatives_of_any_order(order):
         x, SincRatio(0, x).diff(x, order), [{"SincRatio": sinc_ratio}, "numpy"]
     )  # fmt: skip
     with mpmath.workdps(80):
-        for place in (1e-9, 0.3, 0.999, 1.001, 5.0):
+        for place in (1e-9, 0.3, 1.999, -2.001, 5.0):
             wanted = mpmath.diff(mpmath.sinc, mpmath.mpf(place), order)
             assert float(made(place)) == pytest.approx(float(wanted), rel=1e-11, abs=1e-16)
     assert float(made(0.0)) == pytest.approx({2: -1 / 3}.get(order, 0.0), abs=1e-16)
