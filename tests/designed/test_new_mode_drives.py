@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy
 
-from seedslib.design import grid_risk, grid_synthesis, synthesize
+from seedslib.design import grid_risk, grid_synthesis, simulated_synthesis, synthesize
 from seedslib.designed import large_order
 from seedslib.evaluation import evaluate
 from seedslib.filters import GridBayesFilter, ParticleFilter
@@ -30,7 +30,7 @@ AXIS = (-10.0, 10.0, 161)
 
 def test_grid_and_particles_agree_and_the_other_timing_does_not():
     system, times = wave(), np.arange(12.0)
-    data = system.simulate(times, 60, 5)
+    data = system.simulate(times, 30, 5)
     exact = GridBayesFilter(system, AXIS).run(times, data.measurements)
     drawn = ParticleFilter(system, 4000).run(times, data.measurements, seed=2)
     other = GridBayesFilter(wave("old"), AXIS).run(times, data.measurements)
@@ -84,6 +84,16 @@ def test_a_designed_filter_is_consistent_with_the_grid(designs):
         assert abs(made.predicted.rms[k, 0] ** 2 - paths) < 6 * error
         assert best.predicted.rms[k, 0] ** 2 < risk.mse[k] + 1e-9
         assert bayes.rms[k, 0] < best.predicted.rms[k, 0] + 4 * bayes.rms_error[k, 0]
+
+
+def test_tables_from_paths_are_consistent_with_those_of_the_grid(designs):
+    """Optimal functions of the same memory: nearest neighbours on paths and the exact law."""
+    _, best, times = designs
+    made = simulated_synthesis(wave(), large_order(1), times[:4], paths=8000, seed=4)
+    found = evaluate(made, wave(), times[:4], 8000, 9)
+    exact = evaluate(best, wave(), times, 8000, 9)
+    for k in range(4):
+        assert abs(found.rms[k, 0] / exact.rms[k, 0] - 1) < 0.03
 
 
 def test_the_other_timing_makes_a_worse_design(designs):
