@@ -31,8 +31,8 @@ class SincRatio(sympy.Function):
 
     def fdiff(self, argindex: int = 2) -> Any:
         """Derivative by x."""
-        k, x = self.args
-        return -x * SincRatio(k + 1, x)
+        parts: Any = self.args
+        return -parts[1] * SincRatio(parts[0] + 1, parts[1])
 
     def _eval_is_extended_real(self) -> Any:
         return self.args[1].is_extended_real
