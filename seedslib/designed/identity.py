@@ -116,7 +116,8 @@ def _likelihood(sensor, t, x):
 
 
 def _branches(system, points):
-    found = {}
+    # filters of the two differ even where the laws do not
+    found = {} if system.drives == "old" else {"drive by the new mode": np.ones((1, 1))}
     for name, table, noise in (
         ("switching", system.branches, system.noise),
         ("readings", system.readings, system.sensor_noise),

@@ -67,7 +67,8 @@ class KnownModeFilter(Filter, Remade):
         self.system: Any = system
         self.linearization: Linearization = linearization
         self._moves = [
-            [self._move(i, branch) for branch in row] for i, row in enumerate(system.branches)
+            [self._move(i, l, branch) for l, branch in enumerate(row)]
+            for i, row in enumerate(system.branches)
         ]
         self._sensors = [linearization.moments(map) for map in system.sensors]
         self._readings = [
@@ -75,13 +76,17 @@ class KnownModeFilter(Filter, Remade):
             for row in system.readings
         ]
 
-    def _move(self, i, branch):
+    def _move(self, i, l, branch):
         """Function (t, mean, cov) -> Gaussian of the next state in a branch; None for none."""
         if branch is None:
             return None
+        new = self.system.drives == "new"
+        whole = self.linearization.transition(self.system.dynamics[l if new else i])
         if branch.constant:
-            return self.linearization.transition(self.system.dynamics[i])
-        weighted = self.linearization.weighted(branch.map)
+            return whole
+        weighted = self.linearization.weighted((branch.still if new else branch).map)
+        if new:  # what the switch says of the state, and then the move
+            return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
 
         def move(t, mean, cov):
             _, _, y = weighted(t, mean, cov)

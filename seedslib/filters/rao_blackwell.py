@@ -118,19 +118,27 @@ class RaoBlackwellFilter(Filter, Remade):
             mode = np.take_along_axis(mode, chosen, axis=0)
             prob = np.full(mode.shape, -np.log(self.particles))
             draws += 1
-        moved, spread = np.empty(mean.shape), np.empty(cov.shape)
         leave = np.full((modes, *prob.shape), -np.inf)
         for i, row in enumerate(self.system.branches):
-            here = mode == i
-            y, square = self._move[i](state.time, mean[:, here], cov[:, :, here])
-            moved[:, here], spread[:, :, here] = y, _wide(square, y)
             for l, branch in enumerate(row):
                 if branch is not None:
-                    leave[l, here] = logarithm(_chance(branch, state.time, n))
-        law = (
-            np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
-            np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
-        )
+                    leave[l, mode == i] = logarithm(_chance(branch, state.time, n))
+        if self.system.drives == "new":  # each history moves in every mode that continues it
+            made = [move(state.time, mean, cov) for move in self._move]
+            law = (
+                np.stack([y for y, _ in made], axis=1),
+                np.stack([_wide(square, y) for y, square in made], axis=2),
+            )
+        else:
+            moved, spread = np.empty(mean.shape), np.empty(cov.shape)
+            for i, move in enumerate(self._move):
+                here = mode == i
+                y, square = move(state.time, mean[:, here], cov[:, :, here])
+                moved[:, here], spread[:, :, here] = y, _wide(square, y)
+            law = (
+                np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
+                np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
+            )
         prob = prob + leave
         found = _estimate(prob, law)
         return state._replace(log_prob=prob, law=law, draws=draws, **found)

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from collections.abc import Sequence
+from functools import cached_property, partial
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from seedslib.base.checks import unmasked
 from seedslib.models.maps import StochasticMap
+from seedslib.models.noise import Noise
+
+CLOSE = 1e-9
+"""Probabilities may miss their sum or their range by this much."""
 
 
 class Branch:
@@ -18,6 +24,8 @@ class Branch:
     ----------
     map : StochasticMap
         With its weight.
+    apart : bool
+        Whether a weight given as an array function is known not to look at the noise.
 
     Attributes
     ----------
@@ -25,12 +33,25 @@ class Branch:
         With the weight, and without.
     """
 
-    def __init__(self, map: StochasticMap) -> None:
+    def __init__(self, map: StochasticMap, apart: bool = False) -> None:
         self.map: StochasticMap = map
+        self.apart: bool = apart
         self.whole: StochasticMap = map.whole()
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return Branch, (self.map,)  # what was compiled stays behind
+        return Branch, (self.map, self.apart)  # what was compiled stays behind
+
+    @cached_property
+    def still(self) -> Branch:
+        """The switch alone, the state left where it is; of a probability without noise."""
+        map = self.map
+        if map.symbolic:
+            return Branch(
+                StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
+            )
+        weight = partial(_calm, map) if map.weighted else None
+        n = map.state_size
+        return Branch(StochasticMap.from_functions(n, n, _same, weight=weight), True)
 
     @cached_property
     def constant(self) -> bool:
@@ -45,7 +66,7 @@ class Branch:
         """Whether the probability mentions the noise of the map: dependent noises."""
         map = self.map
         if not map.symbolic:
-            return map.weighted
+            return map.weighted and not self.apart
         return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
 
     @cached_property
@@ -150,3 +171,77 @@ class Branch:
         still = value.subs(dict.fromkeys(map.noise.symbols, 0))
         v = slope.LUsolve(sympy.Matrix(y) - still)
         return compile_array((map.time, map.state, y), list(v))
+
+
+def branch_table(
+    name: str, table: Sequence, noise: Noise, x: np.ndarray, v: np.ndarray, new: bool = False
+) -> tuple[tuple[Branch | None, ...], ...]:
+    """Branches without those of probability zero; all probabilities are looked at first.
+
+    Parameters
+    ----------
+    name : str
+        Of the probabilities, for messages.
+    table : sequence of sequence of StochasticMap, shape (L, L) or (L, M)
+    noise : Noise
+        That of all maps.
+    x, v : ndarray, shapes (n, N) and (noise size, N)
+        States and noises where the maps are looked at.
+    new : bool
+        Whether the maps of a column have one value, those of the new mode, and not those of a row.
+
+    Raises
+    ------
+    ValueError
+        No probabilities, or maps that differ where they must not.
+    """
+    size, found = table[0][0].size, []
+    for i, row in enumerate(table):
+        for l, other in enumerate(row):
+            if not other.noise.alike(noise):
+                raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
+            if other.size != size:
+                raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
+            mode, first = (l, table[0][l]) if new else (i, row[0])
+            values = other.value(0.0, x, v), first.value(0.0, x, v)
+            if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
+                raise ValueError(f"{name}: wanted maps of one value in mode {mode}, got several")
+            if new and _noisy(other, x, v):
+                raise ValueError(
+                    f"{name} of mode {i}: wanted probabilities without the noise, which comes "
+                    "after the switch where the new mode drives the step"
+                )
+        weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
+        want_probabilities(f"{name} of mode {i}", weight)
+        never = [m.symbolic and m.weight_expression.is_zero for m in row]
+        pairs = zip(row, never, strict=True)
+        found.append(tuple(None if none else Branch(m, new) for m, none in pairs))
+    return tuple(found)
+
+
+def want_probabilities(name: str, weights: ArrayLike) -> None:
+    """Probabilities along the first axis, or ValueError."""
+    weights = np.asarray(weights, dtype=float)
+    if not (np.isfinite(weights).all() and (weights >= -CLOSE).all()):
+        raise ValueError(f"{name}: wanted probabilities of at least 0, got {np.min(weights):.6g}")
+    total = weights.sum(axis=0)
+    worst = np.ravel(total)[np.argmax(np.abs(total - 1.0))]
+    if abs(worst - 1.0) > CLOSE:
+        raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")
+
+
+def _noisy(map, x, v) -> bool:
+    """Whether the weight of a map depends on the noise: it is looked at with other noises too."""
+    if map.symbolic:
+        return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
+    return not np.array_equal(map.weight(0.0, x, v), map.weight(0.0, x, v[:, ::-1]))
+
+
+def _same(t, x, v):
+    """The state itself."""
+    return x
+
+
+def _calm(map, t, x, v):
+    """Weight of a map that does not look at its noise."""
+    return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))))

@@ -23,9 +23,10 @@ from seedslib.base.checks import require_shape
 from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import current, parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
+from seedslib.models.sinc import sinc_ratio, with_ratios
 
 LARGEST_POWER = 40
-MODULES = ["scipy", "numpy"]
+MODULES = [{"sinc_ratio": sinc_ratio}, "scipy", "numpy"]
 
 _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)
 
@@ -42,6 +43,10 @@ class _Printer(SciPyPrinter):
             product = "*".join([f"numpy.sqrt({base})", *[f"({base})"] * (abs(expr.exp.p) // 2)])
             return f"(1.0/({product}))" if expr.exp.is_negative else f"({product})"
         return super()._print_Pow(expr, rational=rational)
+
+    def _print_SincRatio(self, expr: sympy.Expr) -> str:
+        k, x = expr.args
+        return f"sinc_ratio({k}, {self._print(x)})"
 
     def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))
@@ -111,7 +116,7 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     except ValueError as error:
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
     result = np.empty(array.shape, dtype=object)
-    result.ravel()[:] = [as_expression(name, entry) for entry in array.ravel()]
+    result.ravel()[:] = [with_ratios(as_expression(name, entry)) for entry in array.ravel()]
     return result
 
 

@@ -15,7 +15,9 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source, drawn, normal
+from seedslib.base.checks import as_count, as_whole
 from seedslib.base.semidefinite import factor
+from seedslib.models.kinds import as_grid
 from seedslib.models.simulation import Simulation, simulate
 
 if TYPE_CHECKING:
@@ -53,11 +55,14 @@ class Hybrid:
         )
         self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
 
-    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
-        """Draws of mode and state, shape (n + 1, count)."""
+    def initial_sample(
+        self, rng: Source, count: int, told: np.ndarray | None = None
+    ) -> np.ndarray:  # fmt: skip
+        """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""
         bounds = np.cumsum(self.system.initial_probabilities)
         moving, choosing = rng.spawn(2)
         mode = _chosen(bounds[:-1, None], drawn(choosing, count, Generator.random))
+        mode = mode if told is None else told
         noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
@@ -66,9 +71,14 @@ class Hybrid:
         x[-1] = mode
         return x
 
-    def advance(self, x: np.ndarray, start: float, stop: float, rng: Source) -> np.ndarray:
-        """Mixed states (n + 1, *batch) one step later; the noises are those of the old time."""
-        flat = x.reshape(len(x), -1)
+    def advance(
+        self, x: np.ndarray, start: float, stop: float, rng: Source, told: np.ndarray | None = None
+    ) -> np.ndarray:  # fmt: skip
+        """Mixed states (n + 1, *batch) one step later; the noises are those of the old time.
+
+        The new modes are drawn, unless they are `told`, (*batch).
+        """
+        flat, old_drives = x.reshape(len(x), -1), self.system.drives == "old"
         moving, choosing = rng.spawn(2)
         v = self.system.noise.draw(moving, flat.shape[1])
         choice = drawn(choosing, flat.shape[1], Generator.random)
@@ -76,8 +86,16 @@ class Hybrid:
         for i, row in enumerate(self.system.branches):
             here = flat[-1] == i
             old, noise = flat[:-1, here], v[:, here]
-            moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
-            moved[-1, here] = _branch(row, start, old, noise, choice[here])
+            if old_drives:
+                moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
+            if told is None:
+                moved[-1, here] = _branch(row, start, old, noise, choice[here])
+        if told is not None:
+            moved[-1] = told.ravel()
+        if not old_drives:
+            for l, map in enumerate(self.system.dynamics):
+                here = moved[-1] == l
+                moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here])
         return moved.reshape(x.shape)
 
 
@@ -134,11 +152,22 @@ class HybridSensor:
 
 def simulate_hybrid(
     system: Any, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-    availability: ArrayLike | None = None, workers: int = 1,
+    availability: ArrayLike | None = None, modes: ArrayLike | None = None, workers: int = 1,
 ) -> Simulation:  # fmt: skip
     """Simulate a switching system, its modes and indicators apart from the numbers."""
+    told = None
+    if modes is not None:
+        if any(b is not None and b.depends_on_noise for row in system.branches for b in row):
+            raise ValueError("modes: wanted none, for the switching depends on the noise")
+        steps, paths = len(as_grid("times", times, system)), as_count("paths", paths)
+        told = np.asarray(modes)
+        if told.ndim == 1:
+            told = np.repeat(told[:, None], paths, axis=1)
+        told = as_whole("modes", told, (steps, paths))
+        if not ((told >= 0) & (told < system.modes)).all():
+            raise ValueError(f"modes: wanted numbers from 0 to {system.modes - 1}, got others")
     made = simulate(
-        system.hybrid, times, paths, seed, measured=measured, availability=availability,
+        system.hybrid, times, paths, seed, measured=measured, availability=availability, told=told,
         workers=workers,
     )  # fmt: skip
     m, shown = system.measurement_size, made.measurements

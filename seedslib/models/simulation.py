@@ -121,8 +121,8 @@ class Schedule(NamedTuple):
 
 def simulate(
     system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
-    measured: ArrayLike | None = None, availability: ArrayLike | None = None, workers: int = 1,
-    **options: Any,
+    measured: ArrayLike | None = None, availability: ArrayLike | None = None,
+    told: MaybeArray = None, workers: int = 1, **options: Any,
 ) -> Simulation:  # fmt: skip
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
@@ -142,6 +142,8 @@ def simulate(
     availability : float or array_like, shape (m,), optional
         Probability that a component that is read arrives, independently at each time and on
         each path; NaN where it does not. States and the numbers that arrive do not depend on it.
+    told : ndarray of int, shape (K+1, paths), optional
+        Modes, which ``initial_sample`` and ``advance`` are told as a last argument.
     workers : int
         Threads over blocks of paths.
 
@@ -163,10 +165,11 @@ def simulate(
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
             # a path that leaves the range of numbers shows as inf or NaN in the result
             with np.errstate(over="ignore", invalid="ignore"):
+                modes = () if told is None else (told[k, start:stop],)
                 if k == 0:
-                    x = system.initial_sample(moving, stop - start)
+                    x = system.initial_sample(moving, stop - start, *modes)
                 else:
-                    x = system.advance(x, times[k - 1], times[k], moving, **options)
+                    x = system.advance(x, times[k - 1], times[k], moving, *modes, **options)
                 states[k, :, start:stop] = x
                 if schedule.mask[k].any():
                     measurements[k, :, start:stop] = system.sensor.sample(times[k], x, sensing)

@@ -11,15 +11,12 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.models.branches import Branch
+from seedslib.models.branches import branch_table, want_probabilities
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation
 from seedslib.models.words import ShownModel
-
-CLOSE = 1e-9
-"""Probabilities may miss their sum or their range by this much."""
 
 
 class InitialMode(NamedTuple):
@@ -39,6 +36,12 @@ class SwitchingSystem(ShownModel):
     switching paper: the step from k to k + 1 uses the *old* mode and the old time. A probability
     that mentions the noise describes dependent noises V' and V (W' and W). Modes and values of
     the indicator are numbered from 0.
+
+    In the textbooks (Blom and Bar-Shalom, the interacting multiple model filter) the mode switches
+    first and the *new* one drives the step: with ``drives="new"`` the next mode is l with
+    probability A_il(t_k, X_k), and then X_{k+1} = a_l(t_k, X_k, V_k). Each step is a switch during
+    which the state stands still, and a move of each mode without a switch; the noise comes after
+    the switch, so the probabilities cannot depend on it.
 
     Parameters
     ----------
@@ -61,6 +64,8 @@ class SwitchingSystem(ShownModel):
         Values of the other symbols.
     time : SymPy symbol, optional
         Name of the time, ``t`` by default.
+    drives : {"old", "new"}
+        The mode that drives a step.
 
     Attributes
     ----------
@@ -81,7 +86,8 @@ class SwitchingSystem(ShownModel):
     TypeError, ValueError
         Shapes that do not fit, unknown symbols, covariances that are not semidefinite,
         probabilities outside of [0, 1] or that do not sum to one (looked at on points about the
-        initial law, where they depend on the state).
+        initial law, where they depend on the state); those of a switch that depend on the noise
+        where the new mode drives the step.
     """
 
     _shown = "state_size", "measurement_size", "modes"
@@ -96,7 +102,7 @@ class SwitchingSystem(ShownModel):
     def __init__(
         self, state: Any, dynamics: Any, noise: Any, switching: Any, sensor: Any, sensor_noise: Any,
         initial: Any, *, indicator: Any = None, parameters: Mapping[Any, Any] | None = None,
-        time: Any = None,
+        time: Any = None, drives: str = "old",
     ) -> None:  # fmt: skip
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
@@ -127,30 +133,37 @@ class SwitchingSystem(ShownModel):
                 for row, weight in zip(values, weights, strict=True)
             ]
 
-        moves, readings = table(moves, leave, noise), table(shows, tells, sensor_noise)
-        self._set_up(moves, readings, initial, indicator is not None)
+        moves, readings = (
+            table(moves, leave.T if drives == "new" else leave, noise),
+            table(shows, tells, sensor_noise),
+        )
+        if drives == "new":  # those of one value are a column: the moves to a mode
+            moves = list(zip(*moves, strict=True))
+        self._set_up(moves, readings, initial, indicator is not None, drives)
 
     @classmethod
     def from_maps(
-        cls, moves: Any, readings: Any, initial: Any, *, indicator: bool = False
-    ) -> SwitchingSystem:
+        cls, moves: Any, readings: Any, initial: Any, *, indicator: bool = False,
+        drives: str = "old",
+    ) -> SwitchingSystem:  # fmt: skip
         """Make a system of maps with probabilities, such as those of array functions.
 
         Parameters
         ----------
         moves : nested sequence of StochasticMap, shape (L, L)
-            Maps of mode i, each with the weight of its switch to mode l; those of a row have the
-            same value and noise.
+            Maps with the weights of the switches from mode i to mode l; those of a row have the
+            same value, or those of a column where the new mode drives the step.
         readings : nested sequence of StochasticMap, shape (L, M)
             Measurement of mode i, each with the weight of value j of the indicator.
         initial : as in the class
         indicator : bool
             Whether the indicator is seen.
+        drives : {"old", "new"}
 
         Raises
         ------
         TypeError, ValueError
-            As the class; no rows of maps, maps of a row with several values, or maps with several
+            As the class; no rows of maps, maps of a mode with several values, or maps with several
             noises.
         """
         moves, readings = _rows("moves", moves), _rows("readings", readings)
@@ -159,10 +172,17 @@ class SwitchingSystem(ShownModel):
         self = object.__new__(cls)
         self.state = moves[0][0].state
         self.time = moves[0][0].time
-        self._set_up(moves, readings, initial, bool(indicator))
+        self._set_up(moves, readings, initial, bool(indicator), drives)
         return self
 
-    def _set_up(self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool):
+    def _set_up(
+        self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool, drives: str
+    ) -> None:  # fmt: skip
+        if drives not in ("old", "new"):
+            raise ValueError(f"drives: wanted 'old' or 'new', got {drives!r}")
+        self.drives: str = drives
+        if drives == "new":
+            self._shown = (*self._shown, "drives")
         self.modes, values = len(moves), len(readings[0])
         self.indicators: int = values if indicator else 0
         if len(readings) != self.modes or any(len(row) != values for row in readings):
@@ -183,9 +203,11 @@ class SwitchingSystem(ShownModel):
         apart = means - self.mean0
         self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
-        self.branches: Any = self._branches("switching", moves, self.noise)
-        self.readings: Any = self._branches("indicator", readings, self.sensor_noise)
-        self.dynamics: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in moves)
+        new = drives == "new"
+        self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), new)
+        self.readings: Any = branch_table("indicator", readings, *self._probe(self.sensor_noise))
+        moved = moves[0] if new else [row[0] for row in moves]
+        self.dynamics: tuple[StochasticMap, ...] = tuple(map.whole() for map in moved)
         self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
 
     def _initial_modes(self, initial: Sequence) -> tuple[InitialMode, ...]:
@@ -203,35 +225,15 @@ class SwitchingSystem(ShownModel):
             probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
             mean = as_shape(f"initial[{i}] mean", mean, (n,))
             found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
-        _want_probabilities("initial", np.array([part.probability for part in found]))
+        want_probabilities("initial", np.array([part.probability for part in found]))
         return tuple(found)
 
-    def _branches(self, name: str, table: Sequence, noise: Noise) -> tuple:
-        """Branches without those of probability zero; all probabilities are looked at first."""
-        (x, v), size = self._probe(noise), table[0][0].size
-        found = []
-        for i, row in enumerate(table):
-            for other in row:
-                if not other.noise.alike(noise):
-                    raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
-                if other.size != size:
-                    raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
-                values = other.value(0.0, x, v), row[0].value(0.0, x, v)
-                if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
-                    raise ValueError(f"{name}: wanted maps of one value in mode {i}, got several")
-            weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
-            _want_probabilities(f"{name} of mode {i}", weight)
-            never = [m.symbolic and m.weight_expression.is_zero for m in row]
-            pairs = zip(row, never, strict=True)
-            found.append(tuple(None if none else Branch(m) for m, none in pairs))
-        return tuple(found)
-
-    def _probe(self, noise: Noise) -> tuple[np.ndarray, np.ndarray]:
-        """States and noises about the initial law, (n, 64) and (noise size, 64)."""
+    def _probe(self, noise: Noise) -> tuple[Noise, np.ndarray, np.ndarray]:
+        """The noise, and states and noises about the initial law, (n, 64), (noise size, 64)."""
         rng = np.random.default_rng(0)
         spread = np.sqrt(np.diagonal(self.cov0)) + 1e-3
         x = self.mean0[:, None] + 2.0 * spread[:, None] * rng.standard_normal((self.state_size, 64))
-        return x, noise.draw(rng, 64)
+        return noise, x, noise.draw(rng, 64)
 
     @property
     def symbolic(self) -> bool:
@@ -255,15 +257,37 @@ class SwitchingSystem(ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, workers: int = 1,
+        availability: ArrayLike | None = None, modes: ArrayLike | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
         `indicators` (K+1, paths) are whole numbers from 0, -1 for an indicator not measured.
+
+        Parameters
+        ----------
+        times, paths, seed, measured, availability, workers
+            As there.
+        modes : array_like of int, shape (K+1,) or (K+1, paths), optional
+            A course of the modes that is imposed on the paths, as in the truth of a benchmark:
+            nothing is switched, and the probabilities of switches are not looked at. The noises
+            are those of the same seed without it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As there; modes of a system whose switching depends on the noise, which would have
+            another law.
         """
         return simulate_hybrid(
-            self, times, paths, seed, measured=measured, availability=availability, workers=workers
+            self,
+            times,
+            paths,
+            seed,
+            measured=measured,
+            availability=availability,
+            modes=modes,
+            workers=workers,
         )
 
 
@@ -276,14 +300,3 @@ def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
     if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
         raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
     return rows
-
-
-def _want_probabilities(name: str, weights: ArrayLike) -> None:
-    """Probabilities along the first axis, or ValueError."""
-    weights = np.asarray(weights, dtype=float)
-    if not (np.isfinite(weights).all() and (weights >= -CLOSE).all()):
-        raise ValueError(f"{name}: wanted probabilities of at least 0, got {np.min(weights):.6g}")
-    total = weights.sum(axis=0)
-    worst = np.ravel(total)[np.argmax(np.abs(total - 1.0))]
-    if abs(worst - 1.0) > CLOSE:
-        raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")

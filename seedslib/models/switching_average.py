@@ -53,13 +53,15 @@ def averaged_switching(
                     total[l] += branch.probability(data.times[k], x).sum()
         if not total.sum() > 0:
             raise ValueError(f"paths: wanted some in mode {i}, got none")
-        moves.append([_branch(system.dynamics[i], w) for w in total / total.sum()])
+        share, maps = total / total.sum(), system.dynamics
+        driven = maps if system.drives == "new" else [maps[i]] * len(maps)
+        moves.append([_branch(map, w) for map, w in zip(driven, share, strict=True)])
     readings = [
         [_branch(map, 0) if b is None else b.map for b in row]
         for map, row in zip(system.sensors, system.readings, strict=True)
     ]
     return SwitchingSystem.from_maps(
-        moves, readings, system.initial, indicator=system.indicators > 0
+        moves, readings, system.initial, indicator=system.indicators > 0, drives=system.drives
     )
 
 

@@ -8,9 +8,24 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.linearization.moments import Gaussian, Linearization, Weighted
+from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
+from seedslib.models.branches import Branch
 from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
+
+
+def switch_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:
+    """Moments of a state that stands still while mode i switches, for each new mode."""
+    switch = [branch and branch.still for branch in system.branches[i]]
+    if not all(branch is None or branch.constant for branch in switch):
+        found = _row_moments(switch, linearization)
+        return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
+
+    def row(t, mean, cov):
+        stays = Gaussian(mean, cov), Moments(mean, cov, cov)
+        return [[b and Weighted(b.probability(t, mean), *stays)] for b in switch]
+
+    return row
 
 
 def forecast_row(
@@ -18,14 +33,19 @@ def forecast_row(
 ) -> Callable[..., Any]:
     """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode and part.
 
-    Where forecasts are split there is a part for each value of the indicator, (6.19).
+    Where forecasts are split there is a part for each value of the indicator, (6.19). Where the
+    new mode drives the step, the mode has switched before, and stays.
     """
+    branches = system.branches[i]
+    if system.drives == "new":
+        branches = [None] * system.modes
+        branches[i] = Branch(system.dynamics[i])
     if not split:
-        found = _row_moments(system.branches[i], linearization)
+        found = _row_moments(branches, linearization)
         return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
     table = [
         [branch and _seen_branch(branch, reading) for reading in system.readings[l]]
-        for l, branch in enumerate(system.branches[i])
+        for l, branch in enumerate(branches)
     ]
     try:
         found = _each_moments([map for row in table for map in row], linearization)

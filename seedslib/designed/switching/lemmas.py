@@ -110,7 +110,10 @@ def propagate(rows: Any, t: float, law: ModeLaw) -> ModeLaw:
                 mass[p] = heavy[i] * w.mass
                 means[:, p] = _lifted(w.value.mean, 1, len(batch))
                 covs[:, :, p] = _lifted(w.value.cov, 2, len(batch))
-            total, mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
+            if len(found) == 1 and (mass > 0).all():
+                total, mean[:, l, g], cov[:, :, l, g] = mass[0], means[:, 0], covs[:, :, 0]
+            else:
+                total, mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
             log_prob[l, g] = highest + logarithm(total)
             faint = total < FAINT
             if faint.any():

@@ -11,7 +11,12 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import mended
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.switching.branches import alone_moments, forecast_row, plain_moments
+from seedslib.designed.switching.branches import (
+    alone_moments,
+    forecast_row,
+    plain_moments,
+    switch_row,
+)
 from seedslib.designed.switching.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
 from seedslib.filters.weights import relative
 from seedslib.linearization.moments import Moments
@@ -100,9 +105,11 @@ class SwitchingRules:
         self.printed: bool = self.split and normalisation == "printed"
         # rules of points may have negative weights
         self.guarded: bool = isinstance(linearization, PointRule)
-        self.rows: list[Any] = [
-            forecast_row(system, i, linearization, self.split) for i in range(system.modes)
-        ]
+        modes = range(system.modes)
+        self.rows: list[Any] = [forecast_row(system, i, linearization, self.split) for i in modes]
+        self.switch: list[Any] | None = None
+        if system.drives == "new":
+            self.switch = [switch_row(system, i, linearization) for i in modes]
         self.readings: list[Any] = [
             [reading and alone_moments(reading, linearization) for reading in row]
             for row in system.readings
@@ -135,7 +142,19 @@ class SwitchingRules:
     def predict(self, t: float, law: ModeLaw) -> ModeLaw:
         """Forecast for the next time from the law at time t."""
         with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
-            return propagate(self.rows, t, law)
+            return propagate(self.rows, t, self.switched(t, law))
+
+    def switched(self, t: float, law: ModeLaw) -> ModeLaw:
+        """Law after the switch at time t and before the move, which the new mode drives.
+
+        The mixing of the interacting multiple model filter; the law itself where the old mode
+        drives the step, for then `rows` do both at once.
+        """
+        if self.switch is None:
+            return law
+        prob, mean, cov = propagate(self.switch, t, law)
+        cov = cov[:, :, :, 0]
+        return ModeLaw(prob[:, 0], mean[:, :, 0], mended(cov)[0] if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
         """Law given the indicator, and moments of the measurement.

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
+from seedslib.models.branches import Branch
 from seedslib.models.chains.feller import (
     FellerChain,
     cell_masses,
@@ -15,6 +18,7 @@ from seedslib.models.chains.feller import (
     warn_at_ends,
 )
 from seedslib.models.kinds import switches
+from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import SwitchingSystem
 
 
@@ -72,15 +76,23 @@ class SwitchingChain(Shown):
         if key not in self._known:
             count = self.axis.count
             found = np.zeros((self.modes, count, self.modes, count))
-            for i in range(self.modes):
-                found[:, :, i] = self._leaving(float(start), i)
+            maps, table = self.system.dynamics, self.system.branches
+            if self.system.drives == "new":  # the switch at each node, and the move of the new mode
+                x = self.axis.nodes[None]
+                moves = [self._leaving(float(start), map, [Branch(map)])[0] for map in maps]
+                for i, l in np.ndindex(self.modes, self.modes):
+                    if (branch := table[i][l]) is not None:
+                        found[l, :, i] = moves[l] * branch.probability(float(start), x)
+            else:
+                for i, (map, row) in enumerate(zip(maps, table, strict=True)):
+                    found[:, :, i] = self._leaving(float(start), map, row)
             self._known[key] = found.reshape(self.modes * count, -1)
         return self._known[key]
 
-    def _leaving(self, t: float, i: int) -> np.ndarray:
-        """Probabilities of the next mode and node (L, S') for each node (S) of mode i."""
-        x, row = self.axis.nodes[None], self.system.branches[i]
-        mean, deviation = sensor_reach(self.system.dynamics[i], t, x)
+    def _leaving(self, t: float, map: StochasticMap, row: Sequence[Branch | None]) -> np.ndarray:
+        """Probabilities (branches, S', S) of the branches of a map and the next node."""
+        x = self.axis.nodes[None]
+        mean, deviation = sensor_reach(map, t, x)
         if (deviation < self.axis.step).any():
             if any(b is not None and b.depends_on_noise for b in row):
                 raise ValueError(
@@ -93,7 +105,7 @@ class SwitchingChain(Shown):
         shape = (1, self.axis.count, self.axis.count)
         there = np.broadcast_to(x[:, :, None], shape)
         here = np.broadcast_to(x[:, None, :], shape)
-        logs = np.full((self.modes, *shape[1:]), -np.inf)
+        logs = np.full((len(row), *shape[1:]), -np.inf)
         for log, branch in zip(logs, row, strict=True):
             if branch is not None:
                 log[:] = branch.log_density(t, there, here)
