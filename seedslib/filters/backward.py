@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.correction import correct
 from seedslib.filters.estimates import Estimates
 from seedslib.filters.kalman import settle
@@ -26,12 +27,9 @@ class Smoother:
     def __init__(self, filter: Any) -> None:
         self.filter: Any = filter
 
-    def step(
-        self, state: Any, t: float, y: ArrayLike, indicator: ArrayLike | None = None,
-        mode: ArrayLike | None = None,
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """The filter's next state, and what `back` has to know of the step to it."""
-        return self.filter.step(state, t, y, indicator, mode=mode), None
+    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+        """The filter's forecast, as by `predict`, and what `back` has to know of the step."""
+        return self.filter.predict(state, t, *told), None
 
     def lost(self, state: Any) -> Any:
         """Where the filter has diverged in a state, (*batch) or a bool."""
@@ -41,8 +39,11 @@ class Smoother:
         """What is known of the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(self, state: Any, link: Any, part: Any) -> Any:
-        """What is known of the time of a state from what is known of the next."""
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+        """What is known of the time of a state from what is known of the next.
+
+        With the link of the step between them, and the indicator shown at the next time.
+        """
         raise NotImplementedError
 
     def report(self, part: Any) -> Estimates:
@@ -63,18 +64,15 @@ class Rauch(Smoother):
     def __init__(self, filter: Any) -> None:
         super().__init__(filter.apart())
 
-    def step(
-        self, state: Any, t: float, y: ArrayLike, indicator: ArrayLike | None = None,
-        mode: ArrayLike | None = None,
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """See `Smoother.step`; the link is the forecast and the gain of the step back."""
+    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
         if state.time is None:
-            return super().step(state, t, y)
+            return super().forecast(state, t)
         later, cross = self.filter.moved_jointly(state, t)
         batch = state.mean.shape[1:]
         cov = wide(later.cov, batch)
         link = _columns(later), cov, gain_of(wide(cross, batch), cov)
-        return self.filter.correct(later._replace(time=float(t)), y), link
+        return later._replace(time=float(t)), link
 
     def lost(self, state: Any) -> Any:
         """Where the mean is beyond the bound of the filter."""
@@ -85,7 +83,7 @@ class Rauch(Smoother):
         """See `Smoother.last`."""
         return _columns(state), wide(state.cov, state.mean.shape[1:]), state
 
-    def back(self, state: Any, link: Any, part: Any) -> Any:
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
         """See `Smoother.back`."""
         cov = wide(state.cov, state.mean.shape[1:])
         return *stepped_back(_columns(state), cov, *link, *part[:2]), part[2]

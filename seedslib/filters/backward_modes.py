@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.filters.backward import Smoother, gain_of, stepped_back
 from seedslib.filters.estimates import Estimates
 from seedslib.filters.known_modes import KnownModeState
@@ -41,15 +42,11 @@ class KnownModeSmoother(Smoother):
             np.ones(()), Gaussian(mean, cov), moments(t, mean, cov)
         )
 
-    def step(
-        self, state: Any, t: float, y: ArrayLike, indicator: ArrayLike | None = None,
-        mode: ArrayLike | None = None,
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """See `Smoother.step`; the link is the law before the step, the forecast and the gain."""
-        later = self.filter.predict(state, t, mode)
-        corrected = self.filter.correct(later, y, *(() if indicator is None else (indicator,)))
+    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the law before the step, the forecast, the gain."""
+        later = self.filter.predict(state, t, *told)
         if state.time is None:
-            return corrected, None
+            return later, None
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         cross = np.empty(cov.shape)
         for i, row in enumerate(self._joint):
@@ -62,13 +59,15 @@ class KnownModeSmoother(Smoother):
                 for whole, part in ((cov, before.cov), (cross, value.cross)):
                     whole[:, :, here] = part if part.ndim == 3 else part[:, :, None]
         gain = gain_of(cross, later.cov)
-        return corrected, (mean[..., None], cov, later.mean[..., None], later.cov, gain)
+        return later, (mean[..., None], cov, later.mean[..., None], later.cov, gain)
 
     def last(self, state: KnownModeState) -> Known:
         """See `Smoother.last`."""
         return Known(state.mode, state.mean[..., None], state.cov)
 
-    def back(self, state: KnownModeState, link: Any, part: Known) -> Known:
+    def back(
+        self, state: KnownModeState, part: Known, link: Any, indicator: MaybeArray = None
+    ) -> Known:
         """See `Smoother.back`."""
         return Known(state.mode, *stepped_back(*link, part.columns, part.cov))
 

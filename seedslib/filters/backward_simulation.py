@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import child
 from seedslib.base.semidefinite import factor
 from seedslib.filters.backward import Smoother
@@ -95,7 +96,9 @@ class BackwardSimulation(Smoother):
         chance = self._uniform(state, state.draws, x.shape[2:])
         return Drawn(_taken(x, (chance * x.shape[1]).astype(int)), state.draws)
 
-    def back(self, state: ParticleState, link: Any, part: Drawn) -> Drawn:
+    def back(
+        self, state: ParticleState, part: Drawn, link: Any, indicator: MaybeArray = None
+    ) -> Drawn:
         """See `Smoother.back`."""
         x, later = state.particles, part.x
         chance = self._uniform(state, part.end, x.shape[2:])

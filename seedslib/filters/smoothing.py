@@ -151,16 +151,22 @@ def _in_blocks(
         first = {} if true is None else {"mode": true[0, own]}
         state = filter.initial((stop - start,) if wide else (), stream, **first)
         for k, t in enumerate(times):
-            told = (None if part is None else part[k, own] for part in (shown, true))
-            state, link = smoother.step(state, t, flat[k, :, own] if wide else y[k], *told)
+            told = () if true is None else (true[k, own],)
+            seen = () if shown is None else (shown[k, own],)
+            state, link = smoother.forecast(state, t, *told)
+            state = filter.correct(state, flat[k, :, own] if wide else y[k], *seen)
             states.append(state)
-            links.append(link)
-        return said(smoother, _parts(smoother, states, links, lag), states)
+            links.append((link, *seen))
+
+        def back(k, part):
+            return smoother.back(states[k], part, *links[k + 1])
+
+        return said(smoother, _parts(smoother, back, states, lag), states)
 
     return in_blocks(work, paths, seed, block=filter.block(times, paths, 1))
 
 
-def _parts(smoother: Smoother, states: list, links: list, lag: int | None) -> list[Any]:
+def _parts(smoother: Smoother, back: Any, states: list[Any], lag: int | None) -> list[Any]:
     """What is known of each time from all measurements, or from those of `lag` later times."""
     last = len(states) - 1
     if lag is not None:
@@ -169,12 +175,12 @@ def _parts(smoother: Smoother, states: list, links: list, lag: int | None) -> li
             end = min(k + lag, last)
             part = smoother.last(states[end])
             for j in range(end, k, -1):
-                part = smoother.back(states[j - 1], links[j], part)
+                part = back(j - 1, part)
             found.append(part)
         return found
     found = [smoother.last(states[last])]
     for j in range(last, 0, -1):
-        found.append(smoother.back(states[j - 1], links[j], found[-1]))
+        found.append(back(j - 1, found[-1]))
     return found[::-1]
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import factor, mended
 from seedslib.designed.switching.lemmas import ModeLaw, decide, mix_logs, total_covariance
@@ -40,13 +40,6 @@ class SwitchingSmoother(Smoother):
         Without a memory.
     """
 
-    def step(
-        self, state: Any, t: float, y: ArrayLike, indicator: ArrayLike | None = None,
-        mode: ArrayLike | None = None,
-    ) -> tuple[Any, Any]:  # fmt: skip
-        """See `Smoother.step`; the link is the indicator that was shown."""
-        return super().step(state, t, y, indicator)[0], indicator
-
     def lost(self, state: SwitchingState) -> np.ndarray:
         """Where no mode can have shown what was seen."""
         return np.asarray(state.loglik == -np.inf)
@@ -55,14 +48,16 @@ class SwitchingSmoother(Smoother):
         """See `Smoother.last`."""
         return state.law
 
-    def back(self, state: SwitchingState, link: Any, part: ModeLaw) -> ModeLaw:
+    def back(
+        self, state: SwitchingState, part: ModeLaw, link: Any, indicator: MaybeArray = None
+    ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
         switch = getattr(rules, "switch", None)
         if switch is None:
-            return self._back(rules.rows, t, law, link, part)
+            return self._back(rules.rows, t, law, indicator, part)
         # the new mode drives the step: a switch of a state that stands still, and then a move
-        part = self._back(rules.rows, t, rules.switched(t, law), link, part)
+        part = self._back(rules.rows, t, rules.switched(t, law), indicator, part)
         return self._back(switch, t, law, None, part)
 
     def _back(self, rows, t, law, shown, part):
