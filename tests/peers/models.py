@@ -1,0 +1,129 @@
+"""Random models that the library and other programs are given, as arrays and plain functions.
+
+NumPy only, but for the functions that make our systems, so that a program that runs where the
+library is not installed can read them.
+"""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+
+class Linear(NamedTuple):
+    """X' = F X + W, Y = H X + V; ``y`` has shape (K, m), the law is that of the first state."""
+
+    F: np.ndarray
+    Q: np.ndarray
+    H: np.ndarray
+    R: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    y: np.ndarray
+
+
+class Bent(NamedTuple):
+    """X' = A X + B sin(C X) + W, Y = D X + E sin(G X) + V."""
+
+    A: np.ndarray
+    B: np.ndarray
+    C: np.ndarray
+    D: np.ndarray
+    E: np.ndarray
+    G: np.ndarray
+    Q: np.ndarray
+    R: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    y: np.ndarray
+
+    def move(self, x: Any, sin: Any = np.sin) -> Any:
+        return self.A @ x + self.B @ sin(self.C @ x)
+
+    def see(self, x: Any, sin: Any = np.sin) -> Any:
+        return self.D @ x + self.E @ sin(self.G @ x)
+
+    def move_slope(self, x: np.ndarray) -> np.ndarray:
+        return self.A + self.B @ np.diag(np.cos(self.C @ x)) @ self.C
+
+    def see_slope(self, x: np.ndarray) -> np.ndarray:
+        return self.D + self.E @ np.diag(np.cos(self.G @ x)) @ self.G
+
+
+def square(rng, n, rank=None):
+    """A random covariance, of a lower rank where one is given."""
+    root = rng.normal(size=(n, n if rank is None else rank))
+    return root @ root.T / n
+
+
+def matrix(rng, n, radius):
+    """A random matrix whose largest eigenvalue has this modulus."""
+    raw = rng.normal(size=(n, n))
+    return raw * (radius / np.abs(np.linalg.eigvals(raw)).max())
+
+
+def path(rng, model, move, see, steps):
+    """A record of a model."""
+    (n, m), y = (len(model.Q), len(model.R)), []
+    x = rng.multivariate_normal(model.mean, model.cov, method="svd")
+    for k in range(steps):
+        if k:
+            x = move(x) + rng.multivariate_normal(np.zeros(n), model.Q, method="svd")
+        y.append(see(x) + rng.multivariate_normal(np.zeros(m), model.R, method="svd"))
+    return model._replace(y=np.array(y))
+
+
+def linear(seed, n, m, radius=0.9, rank=None, known=0, steps=25):
+    """A random linear model; above a radius of one it is unstable.
+
+    `rank` is that of Q; the last `known` components have no noise and a known first value, so
+    that every covariance of the state is singular.
+    """
+    rng = np.random.default_rng(seed)
+    F, Q, cov = matrix(rng, n, radius), square(rng, n, rank), square(rng, n) + 0.2 * np.eye(n)
+    last = slice(n - known, n)
+    F[last, : n - known] = Q[last] = Q[:, last] = cov[last] = cov[:, last] = 0.0
+    H, R = rng.normal(size=(m, n)), square(rng, m) + 0.1 * np.eye(m)
+    model = Linear(F, Q, H, R, rng.normal(size=n), cov, np.empty(0))
+    return path(rng, model, lambda x: F @ x, lambda x: H @ x, steps)
+
+
+def bent(seed, n, m, radius=0.9, steps=20):
+    """A random model with sines in its dynamics and its sensor.
+
+    They are flat enough for filters to hold the state: a filter that has lost it makes anything
+    of the last digit.
+    """
+    rng = np.random.default_rng(seed)
+    A, (B, C) = matrix(rng, n, radius), rng.normal(size=(2, n, n)) * [[[0.5]], [[n**-0.5]]]
+    D, E, G = rng.normal(size=(m, n)), 0.5 * rng.normal(size=(m, n)), rng.normal(size=(n, n)) / n
+    Q, R = 0.1 * (square(rng, n) + 0.1 * np.eye(n)), 0.3 * (square(rng, m) + 0.1 * np.eye(m))
+    cov = 0.3 * (square(rng, n) + 0.2 * np.eye(n))
+    model = Bent(A, B, C, D, E, G, Q, R, rng.normal(size=n), cov, np.empty(0))
+    return path(rng, model, model.move, model.see, steps)
+
+
+def system(model):
+    """The library's system of a model."""
+    import sympy
+
+    from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
+
+    if isinstance(model, Linear):
+        return LinearSystem(*model[:6])
+    x, w, v = (
+        np.array(sympy.symbols(f"{name}1:{len(part) + 1}", real=True))
+        for name, part in (("x", model.mean), ("w", model.Q), ("v", model.R))
+    )
+    sin = np.vectorize(sympy.sin, otypes=[object])
+    return DiscreteSystem(
+        StochasticMap(x, model.move(x, sin) + w, Noise(w, cov=model.Q)),
+        StochasticMap(x, model.see(x, sin) + v, Noise(v, cov=model.R)),
+        model.mean, model.cov,
+    )  # fmt: skip
+
+
+def late(y):
+    """A record before which nothing was measured: filterpy moves the first law once."""
+    return np.concatenate([np.full((1, *y.shape[1:]), np.nan), y])
