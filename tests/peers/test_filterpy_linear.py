@@ -194,7 +194,25 @@ def test_fixed_lag(held, apart):
         "filterpy", "fixed lag, as rts_smoother of the record up to then",
         (found.mean[1:], mean), (found.cov[1:], cov),
     )  # fmt: skip
+
+
+def test_their_fixed_lag_smoother(held, apart):
+    """Where the gains stand still: with the forecast's covariance and F K for K it is right."""
+    model, lag, steps = linear(8, 3, 2, steps=150), 3, range(100, 140)
+    filter, times = KalmanFilter(system(model)), np.arange(151.0)
+    found = smooth(filter, times, late(model.y), lag=lag - 1).mean[1:][steps]
     made = peer(model, lambda dim_x, dim_z: kalman.FixedLagSmoother(dim_x, dim_z, N=lag))
     theirs, _ = made.smooth_batch(model.y, lag)
-    reason = "its gains begin with the corrected covariance and leave out F: right for neither"
-    apart("filterpy", "FixedLagSmoother", reason, mean, theirs, 0.05)
+    reason = "begins with the corrected covariance and leaves F out of its gains"
+    apart("filterpy", "FixedLagSmoother", reason, found, theirs[steps], 0.01)
+    made, wanted, errors = peer(model), [], []
+    for row in model.y:
+        made.predict()
+        wanted.append(made.x_prior.copy())
+        made.update(row)
+        spread, loop = made.P_prior, model.F - model.F @ made.K @ model.H
+        errors.append(made.SI @ made.y)
+        for i in range(min(lag, len(wanted))):
+            wanted[-1 - i] = wanted[-1 - i] + spread @ model.H.T @ errors[-1]
+            spread = spread @ loop.T
+    held("filterpy", "FixedLagSmoother with both put right", (found, np.array(wanted)[steps]))

@@ -167,19 +167,24 @@ def test_extended_filter(case, held):
     held("filterpy", "ExtendedKalmanFilter, predict and update", *pairs(taken(found), theirs))
 
 
-def test_extended_step_at_once(apart):
+def test_extended_step_at_once(held, apart):
     """`predict_update` takes the slope of the sensor where the state was before it moved."""
-    model, theirs = bent(2, 2, 1), []
+    model = bent(2, 2, 1)
     model = model._replace(B=0 * model.B)  # it moves by a matrix only
-    made = extended(model)
-    made.F = model.A
-    for row in model.y:
-        made.predict_update(row, model.see_slope, model.see)
-        theirs.append(made.x.copy())
     found = extended_kalman(system(model)).run(np.arange(len(model.y) + 1.0), late(model.y))
-    reason = "its sensor's slope is that before the move"
+
+    def means(slope):
+        made = extended(model)
+        made.F = model.A
+        for row in model.y:
+            made.predict_update(row, slope, model.see)
+            yield made.x.copy()
+
     what = "ExtendedKalmanFilter.predict_update"
-    apart("filterpy", what, reason, found.mean[1:], theirs, 0.01)
+    reason = "takes the sensor's slope before the move"
+    apart("filterpy", what, reason, found.mean[1:], [*means(model.see_slope)], 1e-3)
+    mended = [*means(lambda x: model.see_slope(model.A @ x))]
+    held("filterpy", f"{what}, given the slope after the move", (found.mean[1:], mended))
 
 
 def test_a_batch_is_their_loop(held):
