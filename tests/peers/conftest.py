@@ -14,11 +14,15 @@ def distance(ours, theirs):
 
 @pytest.fixture
 def held(record_property):
-    """``held(peer, what, (ours, theirs), ...)``: equal to 1e-10; the largest distance is kept."""
+    """``held(peer, what, (ours, theirs), ...)``: equal to 1e-10; the largest distance is kept.
 
-    def held(peer, what, *pairs, bound=1e-10):
+    Another bound wants a reason.
+    """
+
+    def held(peer, what, *pairs, bound=1e-10, reason=""):
+        assert reason or bound <= 1e-10
         found = max(distance(*pair) for pair in pairs)
-        record_property("held", (peer, what, found, ""))
+        record_property("held", (peer, what, found, reason))
         assert found <= bound
 
     return held
