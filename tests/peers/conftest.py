@@ -1,4 +1,4 @@
-"""How far ours and theirs are apart, kept for the table of `benchmarks/peers.py`."""
+"""How far ours and theirs are apart, kept for the table of `benchmarks/peers_table.py`."""
 
 import numpy as np
 import pytest

@@ -127,3 +127,13 @@ def system(model):
 def late(y):
     """A record before which nothing was measured: filterpy moves the first law once."""
     return np.concatenate([np.full((1, *y.shape[1:]), np.nan), y])
+
+
+DYNAMAX = {
+    "two states": linear(71, 2, 1, steps=8),
+    "three unstable states": linear(72, 3, 2, 1.05, steps=8),
+    "noise of rank one": linear(73, 3, 2, 0.9, 1, steps=8),
+    "two bent states": bent(74, 2, 1, steps=8),
+    "three bent states": bent(75, 3, 2, steps=8),
+}
+"""What ``benchmarks/peers_dynamax.py`` gives to dynamax."""

@@ -24,6 +24,7 @@ def modes():
     return models, chain, rng.dirichlet(np.ones(3)), models[0].y
 
 
+@pytest.fixture(scope="module")
 def textbook(modes):
     """Our filter: mode (a, b) shows by the sensor of a, and moves by b."""
     models, chain, start, _ = modes
@@ -65,14 +66,14 @@ def looped(made, y):
     return [np.array(part) for part in zip(*found, strict=True)]
 
 
-def ours(modes, y):
-    found = textbook(modes).run(np.arange(len(y) + 1.0), late(y), covariances=True)
+def ours(textbook, y):
+    found = textbook.run(np.arange(len(y) + 1.0), late(y), covariances=True)
     return found.mean[1:], found.cov[1:], found.mode_prob[1:].reshape(-1, 3, 3).sum(axis=2)
 
 
-def test_interacting_models(modes, held):
+def test_interacting_models(modes, textbook, held):
     y = modes[-1]
-    found = ours(modes, y)
+    found = ours(textbook, y)
     assert (
         0.05 < found[2][:, 0].min() < found[2][:, 0].max()
     )  # the modes are not told apart at once
@@ -80,12 +81,12 @@ def test_interacting_models(modes, held):
     held("filterpy", "IMMEstimator: means, covariances, probabilities of modes", *pairs)
 
 
-def test_their_modes_after_a_missing_record(modes, apart):
+def test_their_modes_after_a_missing_record(modes, textbook, apart):
     """A gap says nothing of the mode; theirs weighs the modes by the densities of the last S."""
     _, chain, _, y = modes
     y = y.copy()
     y[4] = np.nan
-    found = ours(modes, y)[2]
+    found = ours(textbook, y)[2]
     assert np.allclose(found[4], found[3] @ chain, rtol=0, atol=1e-12)
     theirs = looped(peer(modes), y)[2]
     assert np.allclose(found[:4], theirs[:4], rtol=0, atol=1e-10)
