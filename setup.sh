@@ -33,7 +33,7 @@ else
             >>"$venv/install.log" 2>&1
     }
 fi
-rm -f "$venv/install.log"
+: >"$venv/install.log"
 install --require-hashes -r requirements.lock || fail
 # One of the peers is a source package; it is built with what the lock has just installed.
 install --require-hashes --no-deps --no-build-isolation -r peers.lock || fail
