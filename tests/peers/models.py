@@ -51,10 +51,24 @@ class Bent(NamedTuple):
         return self.D + self.E @ np.diag(np.cos(self.G @ x)) @ self.G
 
 
-def square(rng, n, rank=None):
-    """A random covariance, of a lower rank where one is given."""
-    root = rng.normal(size=(n, n if rank is None else rank))
-    return root @ root.T / n
+def roots(rng, n, more=0.0, rank=None):
+    """Parts of a random covariance, each a matrix times its transpose; of a lower rank if wanted.
+
+    Noise is drawn along them: a factor that linear algebra is free to choose would make other
+    records on other processors.
+    """
+    parts = [rng.normal(size=(n, n if rank is None else rank)) / n**0.5]
+    return [*parts, more**0.5 * np.eye(n)] if more else parts
+
+
+def square(parts):
+    """The covariance of the parts."""
+    return sum(part @ part.T for part in parts)
+
+
+def drawn(rng, parts):
+    """A vector with that covariance."""
+    return sum(part @ rng.normal(size=part.shape[1]) for part in parts)
 
 
 def matrix(rng, n, radius):
@@ -63,14 +77,14 @@ def matrix(rng, n, radius):
     return raw * (radius / np.abs(np.linalg.eigvals(raw)).max())
 
 
-def path(rng, model, move, see, steps):
-    """A record of a model."""
-    (n, m), y = (len(model.Q), len(model.R)), []
-    x = rng.multivariate_normal(model.mean, model.cov, method="svd")
+def path(rng, model, laws, move, see, steps):
+    """The model with a record; laws are the parts of its three covariances."""
+    first, noise, sensor = laws
+    x, y = model.mean + drawn(rng, first), []
     for k in range(steps):
         if k:
-            x = move(x) + rng.multivariate_normal(np.zeros(n), model.Q, method="svd")
-        y.append(see(x) + rng.multivariate_normal(np.zeros(m), model.R, method="svd"))
+            x = move(x) + drawn(rng, noise)
+        y.append(see(x) + drawn(rng, sensor))
     return model._replace(y=np.array(y))
 
 
@@ -81,12 +95,15 @@ def linear(seed, n, m, radius=0.9, rank=None, known=0, steps=25):
     that every covariance of the state is singular.
     """
     rng = np.random.default_rng(seed)
-    F, Q, cov = matrix(rng, n, radius), square(rng, n, rank), square(rng, n) + 0.2 * np.eye(n)
+    F, noise, first = matrix(rng, n, radius), roots(rng, n, rank=rank), roots(rng, n, 0.2)
     last = slice(n - known, n)
-    F[last, : n - known] = Q[last] = Q[:, last] = cov[last] = cov[:, last] = 0.0
-    H, R = rng.normal(size=(m, n)), square(rng, m) + 0.1 * np.eye(m)
-    model = Linear(F, Q, H, R, rng.normal(size=n), cov, np.empty(0))
-    return path(rng, model, lambda x: F @ x, lambda x: H @ x, steps)
+    F[last, : n - known] = 0.0
+    for part in (*noise, *first):
+        part[last] = 0.0
+    H, sensor, mean = rng.normal(size=(m, n)), roots(rng, m, 0.1), rng.normal(size=n)
+    model = Linear(F, square(noise), H, square(sensor), mean, square(first), np.empty(0))
+    laws = first, noise, sensor
+    return path(rng, model, laws, lambda x: F @ x, lambda x: H @ x, steps)
 
 
 def bent(seed, n, m, radius=0.9, steps=20):
@@ -98,10 +115,13 @@ def bent(seed, n, m, radius=0.9, steps=20):
     rng = np.random.default_rng(seed)
     A, (B, C) = matrix(rng, n, radius), rng.normal(size=(2, n, n)) * [[[0.5]], [[n**-0.5]]]
     D, E, G = rng.normal(size=(m, n)), 0.5 * rng.normal(size=(m, n)), rng.normal(size=(n, n)) / n
-    Q, R = 0.1 * (square(rng, n) + 0.1 * np.eye(n)), 0.3 * (square(rng, m) + 0.1 * np.eye(m))
-    cov = 0.3 * (square(rng, n) + 0.2 * np.eye(n))
-    model = Bent(A, B, C, D, E, G, Q, R, rng.normal(size=n), cov, np.empty(0))
-    return path(rng, model, model.move, model.see, steps)
+    noise, sensor, first = (
+        [scale**0.5 * part for part in roots(rng, size, 0.1)]
+        for size, scale in ((n, 0.1), (m, 0.3), (n, 0.3))
+    )
+    laws = square(noise), square(sensor), rng.normal(size=n), square(first)
+    model = Bent(A, B, C, D, E, G, *laws, np.empty(0))
+    return path(rng, model, (first, noise, sensor), model.move, model.see, steps)
 
 
 def system(model):
