@@ -147,7 +147,8 @@ def main() -> None:
                     best[program] = min(best[program], spent)
             for program in work:
                 if program != "ours":
-                    rows.append([name, count, program, f"{best[program] / best['ours']:.2g}"])
+                    ratio = float(f"{best[program] / best['ours']:.2g}")
+                    rows.append([name, count, program, f"{ratio:g}"])
                     print(*rows[-1], flush=True)
     with Path(__file__).with_suffix(".csv").open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
