@@ -44,5 +44,5 @@ clean:
 
 setup: $(VENV)/.installed
 
-$(VENV)/.installed: requirements.lock pyproject.toml setup.sh
+$(VENV)/.installed: requirements.lock peers.lock pyproject.toml setup.sh
 	@sh setup.sh "$(PYTHON)" "$(VENV)"

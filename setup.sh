@@ -25,17 +25,19 @@ no_venv() {
 echo "set-up: installing the locked packages into $venv (once)"
 if command -v uv >/dev/null 2>&1; then
     uv venv --quiet --allow-existing --python "$python" "$venv" || no_venv
-    uv pip install --quiet --python "$venv/bin/python" --require-hashes -r requirements.lock \
-        >"$venv/install.log" 2>&1 || fail
-    uv pip install --quiet --python "$venv/bin/python" --no-deps --no-build-isolation -e . \
-        >>"$venv/install.log" 2>&1 || fail
+    install() { uv pip install --quiet --python "$venv/bin/python" "$@" >>"$venv/install.log" 2>&1; }
 else
     "$python" -m venv "$venv" || no_venv
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --require-hashes \
-        -r requirements.lock >"$venv/install.log" 2>&1 || fail
-    "$venv/bin/python" -m pip install --quiet --disable-pip-version-check --no-deps \
-        --no-build-isolation -e . >>"$venv/install.log" 2>&1 || fail
+    install() {
+        "$venv/bin/python" -m pip install --quiet --disable-pip-version-check "$@" \
+            >>"$venv/install.log" 2>&1
+    }
 fi
+: >"$venv/install.log"
+install --require-hashes -r requirements.lock || fail
+# One of the peers is a source package; it is built with what the lock has just installed.
+install --require-hashes --no-deps --no-build-isolation -r peers.lock || fail
+install --no-deps --no-build-isolation -e . || fail
 # The harness is not in the wheel: a path file lets notebooks and workers import it.
 "$venv/bin/python" -c "import pathlib, sysconfig; (pathlib.Path(sysconfig.get_path('purelib')) / 'bookkit.pth').write_text(str(pathlib.Path.cwd() / 'book'))" || fail
 touch "$venv/.installed"

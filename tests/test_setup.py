@@ -2,11 +2,14 @@
 
 import importlib.util
 import os
+import re
 import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
+from importlib.metadata import requires, version
 from pathlib import Path
 
 import pytest
@@ -85,6 +88,26 @@ def test_an_environment_that_cannot_be_made_is_said(tmp_path, tool):
     done = set_up(tmp_path, sys.executable, **environment)
     assert done.returncode == 2
     assert "set-up: no virtual environment could be made in .venv" in done.stderr
+
+
+def pins(lock):
+    """Versions of a lock file by package."""
+    return dict(re.findall(r"^([\w.-]+)==([\w.]+)", (ROOT / lock).read_text(), re.M))
+
+
+def test_peers_are_there_in_the_versions_of_their_lock():
+    """`make test` holds the library against them, always: no test of theirs can be left out."""
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    group = {re.match(r"[\w.-]+", entry)[0] for entry in project["dependency-groups"]["peers"]}
+    locked, others = pins("peers.lock"), pins("requirements.lock")
+    assert set(locked) == group
+    assert {name: version(name) for name in locked} == locked
+    for name in locked:
+        wanted = [line for line in requires(name) or [] if "extra" not in line]
+        names = {re.match(r"[\w.-]+", line)[0].lower().replace("_", "-") for line in wanted}
+        assert names <= {*locked, *others}, name
+    for path in (ROOT / "tests" / "peers").glob("*.py"):
+        assert not re.search(r"importorskip|skip\(|skipif|xfail", path.read_text()), path
 
 
 @pytest.fixture(scope="module")

@@ -63,6 +63,7 @@ class KalmanFilter(CovarianceFilter):
     def __init__(self, system: LinearSystem, *, bound: float | None = None) -> None:
         super().__init__(system, Matrices(), bound=bound)
         self._diffuse = list(system.diffuse)
+        self._lent = _lent(system)
         self._apart = False
 
     def apart(self) -> KalmanFilter:
@@ -77,6 +78,7 @@ class KalmanFilter(CovarianceFilter):
         if not self._diffuse:
             return state
         q = len(self._diffuse)
+        state.cov[self._diffuse, self._diffuse] = self._lent
         effect = np.zeros((self.n, *batch, q))
         effect[self._diffuse, ..., range(q)] = 1.0
         nothing = np.zeros((q, *batch)), np.zeros((q, q, *batch)), np.zeros(batch)
@@ -122,6 +124,8 @@ class KalmanFilter(CovarianceFilter):
         if self._apart or not _all_told(now.information):
             return now
         mean, cov = settle(now.mean, now.cov, now.effect, now)
+        if np.isnan(cov).any():  # told by rounding only
+            return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
 
     def expect(self, state: Any) -> Any:
@@ -134,6 +138,20 @@ class KalmanFilter(CovarianceFilter):
             return super().report(state)
         mean, cov = settle(state.mean, state.cov, state.effect, state)
         return super().report(FilterState(state.time, mean, cov, state.loglik))
+
+
+def _lent(system: LinearSystem) -> float:
+    """A variance for the first law of the components of which nothing is known.
+
+    A flat law plus N(0, c) is that flat law, so nothing depends on c; but with none a measurement
+    without noise would have no density given what is unknown, and would tell nothing of it.
+    """
+    try:
+        noises = [np.einsum("ii...->i...", part.cov_at(0.0)).max()
+                  for part in (system.dynamics, system.sensor)]  # fmt: skip
+    except LookupError:  # matrices from a table, which need not have this time
+        noises = []
+    return next((float(c) for c in noises if c > 0), 1.0)
 
 
 def settle(

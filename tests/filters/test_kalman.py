@@ -122,3 +122,45 @@ def test_a_mask_is_a_gap_while_the_start_is_unknown(trend):
     missing = filter.correct(state, [np.nan])
     for one, two in zip(masked, missing, strict=True):
         assert np.array_equal(one, two)
+
+
+def test_an_exact_sensor_tells_an_unknown_level():
+    """Then the record is the level: its differences are independent."""
+    steps = np.diff(NILE)
+    found = KalmanFilter(LinearSystem(1, 1469.1, 1, 0, 0, 0, diffuse=(0,))).run(
+        YEARS, NILE[:, None]
+    )
+    logs = -0.5 * (steps**2 / 1469.1 + np.log(2 * np.pi * 1469.1))
+    assert np.allclose(found.loglik[1:], logs, rtol=0, atol=1e-10)
+    assert found.loglik[0] == pytest.approx(-0.5 * np.log(2 * np.pi))
+    assert np.allclose(found.mean[:, 0], NILE)
+    assert np.allclose(found.cov, 0.0, atol=1e-9)
+
+
+def test_components_that_are_hardly_told_apart():
+    """Two roots d apart: the information on both has the determinant of d² times a number."""
+    y = np.random.default_rng(3).normal(size=(60, 1)).cumsum(axis=0)
+
+    def loglik(apart):
+        F, Q = np.diag([0.95, 0.95 + apart]), np.diag([0.5, 0.3])
+        system = LinearSystem(F, Q, [[1, 1]], 1, [0, 0], np.zeros((2, 2)), diffuse=(0, 1))
+        return KalmanFilter(system).run(np.arange(60.0), y).loglik.sum()
+
+    assert loglik(1e-5) - loglik(1e-4) == pytest.approx(np.log(10), abs=0.01)
+
+
+def test_matrices_from_a_table():
+    """The filter is made although the table ends before times at which sensors are looked at."""
+    table = np.array([[[1.0]], [[2.0]], [[0.5]]])
+    varied = LinearSystem(1, 1, lambda t: table[int(t)], 1, 0, 4)
+    y = np.array([[1.0], [2.0], [0.0]])
+    found = KalmanFilter(varied).run(np.arange(3.0), y)
+    mean, cov = 0.0, 4.0
+    for k, h in enumerate([1.0, 2.0, 0.5]):
+        cov += k > 0
+        gain = cov * h / (h * h * cov + 1)
+        mean, cov = mean + gain * (y[k, 0] - h * mean), cov - gain * h * cov
+        assert found.mean[k, 0] == pytest.approx(mean)
+        assert found.cov[k, 0, 0] == pytest.approx(cov)
+    late = LinearSystem(1, 1, lambda t: {1900: [[1.0]], 1901: [[2.0]]}[int(t)], 1, 0, 4)
+    assert KalmanFilter(late).run([1900.0, 1901.0], y[:2]).mean[0, 0] == pytest.approx(0.8)

@@ -53,7 +53,7 @@ class SwitchingSmoother(Smoother):
     ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
-        switch = getattr(rules, "switch", None)
+        switch = rules.switch
         if switch is None:
             return self._back(rules.rows, t, law, indicator, part)
         # the new mode drives the step: a switch of a state that stands still, and then a move
