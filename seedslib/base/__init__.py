@@ -12,8 +12,10 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
+    from seedslib.base.parameters import ELAPSED as ELAPSED
+    from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter
-    from seedslib.base.parameters import assigned as assigned
+    from seedslib.base.values import assigned as assigned
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import interpolate as interpolate
 else:

@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from scipy.special import ndtri
 
 from seedslib.base.checks import as_count
-from seedslib.base.parameters import Parameter, assigned
+from seedslib.base.parameters import Parameter
+from seedslib.base.values import assigned
 from seedslib.evaluation.scales import STEP, Scale
 from seedslib.filters.verbs import Filter
 

@@ -13,6 +13,7 @@ from seedslib.base.semidefinite import factor
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.linearization.matrices import Matrices
+from seedslib.models.kinds import elapsed
 from seedslib.models.linear import LinearSystem
 
 UNKNOWN = 1e-9
@@ -92,7 +93,8 @@ class KalmanFilter(CovarianceFilter):
         """See `CovarianceFilter.moved_jointly`; both given what is unknown."""
         later, cross = super().moved_jointly(state, t)
         if isinstance(state, DiffuseState):
-            effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
+            with elapsed(self.system, state.time, t):
+                effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
             later = later._replace(effect=effect)
         return later, cross
 

@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
+from seedslib.base.values import Inputs
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.estimates import Estimates
 from seedslib.filters.kalman import settle
@@ -16,6 +17,7 @@ from seedslib.filters.kalman import settle
 
 def smooth(
     filter: CovarianceFilter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
+    inputs: Inputs | None = None,
 ) -> Estimates:  # fmt: skip
     """Estimates of the state at each time from the measurements up to a later one.
 
@@ -35,6 +37,8 @@ def smooth(
     lag : int, optional
         Use the measurements of so many later times only (fixed lag); all of them by default
         (fixed interval).
+    inputs : mapping of Input to array_like, optional
+        As `run` of the filter.
 
     Returns
     -------
@@ -53,18 +57,21 @@ def smooth(
         lag = as_count("lag", lag)
     times, y = filter.record(times, measurements)
     batch, n = y.shape[2:], filter.n
+    course = filter.course(inputs, times, batch)
     filter = filter.apart()
     state = filter.initial(batch)
     states, forecasts = [], []
-    for t, row in zip(times, y, strict=True):
+    for k, (t, row) in enumerate(zip(times, y, strict=True)):
         if states:
-            later, cross = filter.moved_jointly(state, t)
+            with course.at(k - 1):
+                later, cross = filter.moved_jointly(state, t)
             cov = _wide(later.cov, batch)
             forecasts.append((_columns(later), cov, _gain(_wide(cross, batch), cov)))
             state = later._replace(time=float(t))
         else:
             state = filter.predict(state, t)
-        state = filter.correct(state, row)
+        with course.at(k):
+            state = filter.correct(state, row)
         states.append(state)
     found = _interval(states, forecasts, batch) if lag is None else (
         _lagged(states, forecasts, batch, lag)

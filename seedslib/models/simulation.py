@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, unmasked
-from seedslib.models.kinds import AnySystem, as_grid
+from seedslib.base.values import Course, Inputs, as_course, on_paths
+from seedslib.models.kinds import AnySystem, as_grid, inputs_of
 
 
 class Simulation(NamedTuple):
@@ -65,7 +66,8 @@ def as_measured(measured: object, count: int, name: str = "measured") -> np.ndar
 
 def simulate(
     system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
-    measured: ArrayLike | None = None, workers: int = 1, **options: Any,
+    measured: ArrayLike | None = None, inputs: Inputs | None = None, workers: int = 1,
+    **options: Any,
 ) -> Simulation:  # fmt: skip
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
@@ -80,6 +82,9 @@ def simulate(
     seed : int, SeedSequence or Generator
     measured : array_like, optional
         Mask or indices of the times with a measurement (default all); NaN at the others.
+    inputs : mapping of Input to array_like, shape (K+1,) or (K+1, paths), optional
+        Values of the inputs that the system mentions: those of a time act in the dynamics from
+        there until the next time, and in the sensor at that time.
     workers : int
         Threads over blocks of paths.
 
@@ -87,15 +92,21 @@ def simulate(
     ------
     TypeError, ValueError
         Times that do not increase, unequal steps of a system in discrete time, a count below
-        one, a wrong mask or seed.
+        one, a wrong mask or seed; inputs that are missing or do not fit.
     """
     times = as_grid("times", times, system)
     paths = as_count("paths", paths)
     measured = as_measured(measured, len(times))
+    course = as_course(inputs, inputs_of(system), len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
     def work(start: int, stop: int, stream: np.random.SeedSequence) -> None:
+        own = slice(start, stop)
+        with on_paths((paths,), own):
+            fill(start, stop, stream, course.of(own))
+
+    def fill(start: int, stop: int, stream: np.random.SeedSequence, held: Course) -> None:
         x = None
         for k, child in enumerate(stream.spawn(len(times))):
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
@@ -104,10 +115,13 @@ def simulate(
                 if k == 0:
                     x = system.initial_sample(moving, stop - start)
                 else:
-                    x = system.advance(x, times[k - 1], times[k], moving, **options)
+                    with held.at(k - 1):
+                        x = system.advance(x, times[k - 1], times[k], moving, **options)
                 states[k, :, start:stop] = x
                 if measured[k]:
-                    measurements[k, :, start:stop] = system.sensor.sample(times[k], x, sensing)
+                    with held.at(k):
+                        shown = system.sensor.sample(times[k], x, sensing)
+                    measurements[k, :, start:stop] = shown
 
     in_blocks(work, paths, seed, workers=workers)
     return Simulation(times, states, measurements)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.values import Inputs, looked_at
 from seedslib.models.branches import Branch
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
@@ -61,6 +62,8 @@ class SwitchingSystem(ShownModel):
         Values of the other symbols.
     time : SymPy symbol, optional
         Name of the time, ``t`` by default.
+    period : mapping of int to float, optional
+        Components of the measurement that lie on a circle, and their periods.
 
     Attributes
     ----------
@@ -96,7 +99,7 @@ class SwitchingSystem(ShownModel):
     def __init__(
         self, state: Any, dynamics: Any, noise: Any, switching: Any, sensor: Any, sensor_noise: Any,
         initial: Any, *, indicator: Any = None, parameters: Mapping[Any, Any] | None = None,
-        time: Any = None,
+        time: Any = None, period: Mapping[int, float] | None = None,
     ) -> None:  # fmt: skip
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
@@ -121,13 +124,14 @@ class SwitchingSystem(ShownModel):
         told = [[1]] * modes if indicator is None else indicator
         tells = expressions("indicator", told, (modes, None), sensor_noise)
 
-        def table(values, weights, source):
+        def table(values, weights, source, period=None):
+            made = partial(StochasticMap, self.state, time=self.time, period=period)
             return [
-                [StochasticMap(self.state, row, source, w, time=self.time) for w in weight]
+                [made(row, source, w) for w in weight]
                 for row, weight in zip(values, weights, strict=True)
             ]
 
-        moves, readings = table(moves, leave, noise), table(shows, tells, sensor_noise)
+        moves, readings = table(moves, leave, noise), table(shows, tells, sensor_noise, period)
         self._set_up(moves, readings, initial, indicator is not None)
 
     @classmethod
@@ -183,8 +187,11 @@ class SwitchingSystem(ShownModel):
         apart = means - self.mean0
         self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
-        self.branches: Any = self._branches("switching", moves, self.noise)
-        self.readings: Any = self._branches("indicator", readings, self.sensor_noise)
+        maps = [m for table in (moves, readings) for row in table for m in row]
+        self.mentions: frozenset[Any] = frozenset().union(*(m.mentions for m in maps))
+        with looked_at(self.mentions):
+            self.branches: Any = self._branches("switching", moves, self.noise)
+            self.readings: Any = self._branches("indicator", readings, self.sensor_noise)
         self.dynamics: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in moves)
         self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
 
@@ -255,14 +262,16 @@ class SwitchingSystem(ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        workers: int = 1,
+        inputs: Inputs | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
         `indicators` (K+1, paths) are whole numbers from 0, -1 for an indicator not measured.
         """
-        return simulate_hybrid(self, times, paths, seed, measured=measured, workers=workers)
+        return simulate_hybrid(
+            self, times, paths, seed, measured=measured, inputs=inputs, workers=workers
+        )
 
 
 def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:

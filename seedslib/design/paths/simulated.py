@@ -17,6 +17,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import step_count, when
+from seedslib.base.values import Inputs, as_course
 from seedslib.design.fitting import coefficients_of
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
@@ -27,7 +28,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps, switches
+from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps, inputs_of, switches
 
 if TYPE_CHECKING:
     from numpy.typing import ArrayLike
@@ -57,6 +58,7 @@ OF_MODES = ("normalisation", "split")
 def synthesize(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
+    inputs: Any = None,
 ) -> SwitchingFilter: ...  # fmt: skip
 
 
@@ -66,7 +68,7 @@ def synthesize(
     times: ArrayLike, *, predictor: Any = ..., nodes: Any = 4, components: Any = None,
     paths: Any = None, seed: Any = None, workers: Any = 1, horizon: Any = None,
     measured_nodes: Any = False, exact_moments: Any = False, step: Any = None,
-    scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None,
+    scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None, inputs: Any = None,
 ) -> FiniteOrderFilter: ...  # fmt: skip
 
 
@@ -77,7 +79,7 @@ def synthesize(
     horizon: float | None = None, measured_nodes: bool = False, exact_moments: bool = False,
     step: float | None = None, scheme: str = "euler", bound: float = np.inf,
     checkpoint: str | PathLike[str] | None = None, normalisation: str = "consistent",
-    split: bool = True,
+    split: bool = True, inputs: Inputs | None = None,
 ) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -131,6 +133,10 @@ def synthesize(
         stays when the design is finished; the held-out paths are then run again.
     normalisation, split
         Of a switching system: as `SwitchingFilter`.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        Values of the inputs that the system mentions, known beforehand: the forecasts are those
+        for this course, and a run is told it again. Where only a law of the inputs is known,
+        make them components of the state.
 
     Returns
     -------
@@ -173,9 +179,10 @@ def synthesize(
 
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            normalisation=normalisation, split=split,
+            normalisation=normalisation, split=split, inputs=inputs,
         )  # fmt: skip
     times = as_grid("times", times, system)
+    held = as_course(inputs, inputs_of(system), len(times))
     n = system.state_size
     _check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
@@ -205,7 +212,7 @@ def synthesize(
     if exact_moments:
         from seedslib.design.paths.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid))
+        return made(*linear_design(system, rules, times, grid, held))
     paths = as_count("paths", paths)
     _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
     root, bound, file = as_seed_sequence(seed), float(bound), None
@@ -213,7 +220,7 @@ def synthesize(
         from seedslib.design.paths.checkpoint import Checkpoint, identity
 
         file = Checkpoint(checkpoint, identity(
-            system, rules, linearization, predictor, times, grid, paths, root, options, bound
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound, held
         ))  # fmt: skip
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
@@ -222,13 +229,13 @@ def synthesize(
         )
         if file is not None:
             file.restore(forward)
-        found = forward.design(times, grid, file and file.write)
+        found = forward.design(times, grid, file and file.write, held)
         lost = forward.walk.warn_of_lost()
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), lost))
         del forward  # its paths are not wanted any more
         return examined(
             designed, root, paths, each, np.unique(stops), options=options, bound=bound,
-            forecasts=forecast_errors(designed),
+            forecasts=forecast_errors(designed), held=held,
         )  # fmt: skip
 
 
