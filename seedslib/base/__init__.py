@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from seedslib.base.parameters import ELAPSED as ELAPSED
     from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter
-    from seedslib.base.values import assigned as assigned
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import interpolate as interpolate
+    from seedslib.base.values import assigned as assigned
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

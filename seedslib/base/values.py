@@ -80,22 +80,27 @@ def on_paths(shape: tuple[int, ...], chosen: Any = slice(None)) -> AbstractConte
     return assigned({p: np.broadcast_to(v, shape).reshape(-1)[chosen] for p, v in own.items()})
 
 
-class WithValues:
-    """A function that is given the present values of parameters after its other arguments.
+def with_values(parameters: Iterable[Any], *functions: Any) -> tuple[Any, ...]:
+    """Functions that are given the present values of parameters after their other arguments.
 
     Parameters
     ----------
-    function : callable
     parameters : sequence of Parameter
+    *functions : callable or None
+
+    Raises
+    ------
+    TypeError
+        Something else among the parameters.
     """
+    told = tuple(parameters)
+    if not all(hasattr(p, "role") for p in told):
+        raise TypeError(f"parameters: wanted a sequence of Parameter, got {parameters!r}")
+    return tuple(f and partial(_given, f, told) for f in functions) if told else functions
 
-    def __init__(self, function: Callable[..., Any], parameters: Iterable[Parameter]) -> None:
-        self.function: Callable[..., Any] = function
-        self.parameters: tuple[Parameter, ...] = tuple(parameters)
 
-    def __call__(self, *given: Any) -> Any:
-        """Value of the function."""
-        return self.function(*given, *current(self.parameters))
+def _given(function: Callable[..., Any], parameters: tuple[Parameter, ...], *given: Any) -> Any:
+    return function(*given, *current(parameters))
 
 
 def carried(work: Callable[..., Any]) -> Callable[..., Any]:

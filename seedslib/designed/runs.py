@@ -16,6 +16,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import course_of
 
 DTYPES = tuple(int if name == "modes" else float for name in Estimates._fields)
 """Numbers that the parts of estimates are of."""
@@ -188,7 +189,7 @@ class DesignedFilter(Filter):
         times, y = self.record(times, measurements)
         batch = y.shape[2:]
         told = as_indicators(indicators, self.system, (len(times), *batch))
-        course = self.course(inputs, times, batch)
+        course = course_of(self.system, inputs, len(times), batch)
         index = self.placed(times, y)
         lost = None if self.memory is None else dropouts(y, index >= 0, told)
         tail = (y[0, 0].size,) if batch or not self.alone else ()

@@ -21,10 +21,11 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import child, in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
+from seedslib.base.values import Course, Inputs, as_course
 from seedslib.evaluation.consistency import bounds, mahalanobis
 from seedslib.evaluation.results import Comparison, Evaluation, roots
 from seedslib.evaluation.tally import merged, tally
-from seedslib.models.kinds import KINDS, AnySystem, as_system
+from seedslib.models.kinds import KINDS, AnySystem, as_system, inputs_of
 from seedslib.models.simulation import as_measured
 
 FILTERS = 0x46494C54
@@ -44,7 +45,8 @@ def evaluate(
 def compare(
     filters: Mapping[str, Any], system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
     measured: ArrayLike | None = None, components: int | None = None, window: Any = None,
-    bound: Any = np.inf, consistency: bool = False, workers: int = 1, **options: Any,
+    bound: Any = np.inf, consistency: bool = False, inputs: Inputs | None = None,
+    workers: int = 1, **options: Any,
 ) -> Comparison:  # fmt: skip
     """Accuracy of several filters on the same simulated paths.
 
@@ -72,6 +74,8 @@ def compare(
     consistency : bool
         Whether `nees` and `nis` are wanted. At each time they are means over the paths on which
         there is something to compare: not, for a designed filter, after a missing measurement.
+    inputs : mapping of Input to array_like, shape (J,) or (J, paths), optional
+        Values of the inputs that the truth and the filters' models mention.
     workers : int
         Threads over blocks of paths; errors do not depend on it, the time per step does.
     **options
@@ -112,10 +116,15 @@ def compare(
     if components is not None:
         components = as_count("components", components)
     window = _window(window, len(times))
+    mentioned = [inputs_of(getattr(f, "system", None)) for f in filters.values()]
+    known = inputs_of(system).union(*mentioned)
+    course = as_course(inputs, known, len(times), (paths,))
 
     def work(start, stop, stream):
-        data = system.simulate(times, stop - start, stream, measured=measured, **options)
-        return _block(filters, data, measured, components, window, bound, consistency, stream)
+        told = course.of(slice(start, stop)).values
+        own = {"inputs": _told(told, system)} if told else {}
+        data = system.simulate(times, stop - start, stream, measured=measured, **own, **options)
+        return _block(filters, data, measured, components, window, bound, consistency, stream, told)
 
     return _summed(
         filters, times, paths, in_blocks(work, paths, seed, workers=workers, block=BLOCK)
@@ -147,7 +156,12 @@ def _window(given, count):
     return mask
 
 
-def _block(filters, data, measured, components, window, bound, consistency, stream):
+def _told(inputs, system):
+    """Those inputs that a system mentions."""
+    return {u: inputs[u] for u in inputs_of(system) if u in inputs}
+
+
+def _block(filters, data, measured, components, window, bound, consistency, stream, told):
     errors, normalised, seconds, wrong = [], [], [], []
     truth = np.isfinite(data.states).all(axis=(0, 1))
     truth &= ~np.isinf(data.measurements).any(axis=(0, 1))
@@ -156,6 +170,8 @@ def _block(filters, data, measured, components, window, bound, consistency, stre
     astray = []
     for number, each in enumerate(filters.values()):
         wants = _wanted(each, data, child(stream, FILTERS, number), consistency)
+        own = _told(told, getattr(each, "system", None)) if told else {}
+        wants |= {"inputs": own} if own else {}
         begin = time.perf_counter()
         found = each.run(data.times, data.measurements, **wants)
         seconds.append(time.perf_counter() - begin)
@@ -172,7 +188,7 @@ def _block(filters, data, measured, components, window, bound, consistency, stre
         normalised.append(None)
         if consistency:
             squares = mahalanobis(errors[-1], found.cov)
-            normalised[-1] = squares, _innovations(each, data, measured)
+            normalised[-1] = squares, _innovations(each, data, measured, own)
     count = min(e.shape[1] for e in errors)
     if components is not None:
         if components > count:
@@ -199,18 +215,21 @@ def _wanted(filter, data, stream, consistency):
     return {name: part for name, part in given.items() if part is not None and name in takes}
 
 
-def _innovations(filter, data, measured):
+def _innovations(filter, data, measured, inputs):
     """Normalised squared innovations (J, N) of a filter that says what it expects to measure."""
     if not hasattr(filter, "expect"):
         return None
     y = data.measurements
     result = np.full((len(y), y.shape[2]), np.nan)
-    state = filter.initial(y.shape[2:])
+    state, held, last = filter.initial(y.shape[2:]), Course(inputs), 0
     for j in np.flatnonzero(measured):
-        state = filter.predict(state, data.times[j])
-        expected = filter.expect(state)
-        result[j] = mahalanobis((y[j] - expected.mean)[None], expected.cov[None])[0][0]
-        state = filter.correct(state, y[j])
+        with held.at(last):
+            state = filter.predict(state, data.times[j])
+        with held.at(j):
+            expected = filter.expect(state)
+            result[j] = mahalanobis((y[j] - expected.mean)[None], expected.cov[None])[0][0]
+            state = filter.correct(state, y[j])
+        last = j
     return result, y.shape[1]
 
 

@@ -13,6 +13,7 @@ from seedslib.base.values import Inputs
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.estimates import Estimates
 from seedslib.filters.kalman import settle
+from seedslib.models.kinds import course_of
 
 
 def smooth(
@@ -57,7 +58,7 @@ def smooth(
         lag = as_count("lag", lag)
     times, y = filter.record(times, measurements)
     batch, n = y.shape[2:], filter.n
-    course = filter.course(inputs, times, batch)
+    course = course_of(filter.system, inputs, len(times), batch)
     filter = filter.apart()
     state = filter.initial(batch)
     states, forecasts = [], []

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.objects import Shown
-from seedslib.base.values import Course, Inputs, as_course, on_paths
+from seedslib.base.values import Inputs, on_paths
 from seedslib.filters.estimates import (
     Estimates,
     as_indicators,
@@ -20,7 +20,7 @@ from seedslib.filters.estimates import (
     stays,
 )
 from seedslib.filters.weights import most_probable
-from seedslib.models.kinds import as_grid, elapsed, inputs_of
+from seedslib.models.kinds import as_grid, course_of, elapsed
 
 State = TypeVar("State", bound=Any)
 
@@ -159,12 +159,6 @@ class Filter(Shown):
         times = as_grid("times", times, self.system)
         return times, as_record(measurements, len(times), self.system.measurement_size)
 
-    def course(
-        self, inputs: Inputs | None, times: np.ndarray, batch: tuple[int, ...]
-    ) -> Course:
-        """Inputs of a run at its times, checked; see `seedslib.base.values.as_course`."""
-        return as_course(inputs, inputs_of(self.system), len(times), batch)
-
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
         """Number of records that are worked on together."""
         return self.records
@@ -210,7 +204,7 @@ class Filter(Shown):
         """
         times, y = self.record(times, measurements)
         batch = y.shape[2:]
-        course = self.course(inputs, times, batch)
+        course = course_of(self.system, inputs, len(times), batch)
         shape = (len(times), *batch)
         indicators = as_indicators(indicators, self.system, shape)
         if "modes" in self.takes:

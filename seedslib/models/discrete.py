@@ -101,6 +101,4 @@ class DiscreteSystem(ShownModel):
         inputs: Inputs | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""
-        return simulate(
-            self, times, paths, seed, measured=measured, inputs=inputs, workers=workers
-        )
+        return simulate(self, times, paths, seed, measured=measured, inputs=inputs, workers=workers)

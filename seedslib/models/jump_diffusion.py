@@ -13,7 +13,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_shape
 from seedslib.base.objects import Travelling
-from seedslib.base.values import Inputs, WithValues, looked_at
+from seedslib.base.values import Inputs, looked_at, with_values
 from seedslib.models import stepping
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
@@ -90,6 +90,7 @@ class JumpDiffusion(Travelling, ShownModel):
         parameters: Any = None, initial: Any = None, step: float = 0.01, time: Any = None,
         period: Mapping[int, float] | None = None,
     ) -> None:  # fmt: skip
+        from seedslib.base.parameters import parameters_of
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -114,6 +115,8 @@ class JumpDiffusion(Travelling, ShownModel):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
         self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
+        rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
+        self._parameters = parameters_of(rates)
         self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
 
     @classmethod
@@ -140,7 +143,7 @@ class JumpDiffusion(Travelling, ShownModel):
         wiener_size : int, optional
             Number of Wiener processes, found by one call of `diffusion` by default.
         parameters : sequence of Parameter, optional
-            As `StochasticMap.from_functions`, of drift, diffusion and intensity.
+            As `StochasticMap.from_functions`.
 
         Other parameters are those of the class.
         """
@@ -150,10 +153,7 @@ class JumpDiffusion(Travelling, ShownModel):
         if (jump is None) != (intensity is None):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.sensor, self.jump, self._parameters = sensor, jump, tuple(parameters)
-        if parameters:
-            drift, diffusion, intensity = (
-                f and WithValues(f, parameters) for f in (drift, diffusion, intensity)
-            )
+        drift, diffusion, intensity = with_values(parameters, drift, diffusion, intensity)
         mean0 = as_shape("mean0", mean0, (sensor.state_size,))
         n, probe = len(mean0), np.tile(mean0[:, None], 3)
         with looked_at(parameters):
@@ -185,12 +185,7 @@ class JumpDiffusion(Travelling, ShownModel):
     def mentions(self) -> frozenset[Any]:
         """Parameters and inputs in its formulas."""
         maps = [map.mentions for map in (self.sensor, self.jump) if map is not None]
-        if not self.symbolic:
-            return frozenset(self._parameters).union(*maps)
-        from seedslib.base.parameters import parameters_of
-
-        rates = [*self.drift_expressions, *self.diffusion_expressions.flat]
-        return frozenset(parameters_of([*rates, self.intensity_expression])).union(*maps)
+        return frozenset(self._parameters).union(*maps)
 
     def _compiled(self, expression: object) -> Rate:
         from seedslib.models.codegen import compile_array
@@ -291,8 +286,7 @@ class JumpDiffusion(Travelling, ShownModel):
     ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`.
 
-        `step` is the largest integration step, the system's own by default, and `scheme` one of
-        ``"euler"`` and ``"heun"``.
+        `step` is the largest integration step and `scheme` as in `advance`.
         """
         return simulate(
             self, times, paths, seed, measured=measured, inputs=inputs, workers=workers,

@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import when
-from seedslib.base.values import assigned
+from seedslib.base.values import Course, Inputs, as_course, assigned
 
 
 @runtime_checkable
@@ -147,11 +147,18 @@ def inputs_of(system: object) -> frozenset[Input]:
     return frozenset(p for p in found if p.role == "input") if found else found
 
 
+def course_of(
+    system: object, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
+) -> Course:
+    """What a system is told on a grid of times, see `seedslib.base.values.as_course`."""
+    return as_course(inputs, inputs_of(system), count, batch)
+
+
 def elapsed(system: object, start: float, stop: float) -> AbstractContextManager[None]:
     """Tell the maps of a system, where they ask, how long the step is that they make."""
     found = mentioned(system)
     asked = [p for p in found if p.role == "elapsed"] if found else found
-    return assigned({p: stop - start for p in asked}) if asked else _NOTHING
+    return assigned(dict.fromkeys(asked, stop - start)) if asked else _NOTHING
 
 
 _NOTHING: AbstractContextManager[None] = nullcontext()

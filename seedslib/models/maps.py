@@ -17,7 +17,7 @@ from seedslib.base.bundles import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.correction import correct
 from seedslib.base.objects import Shown, Travelling
-from seedslib.base.values import WithValues
+from seedslib.base.values import with_values
 from seedslib.models.missing import told
 from seedslib.models.noise import Noise, named_noise
 
@@ -49,11 +49,9 @@ class StochasticMap(Travelling, Shown):
 
     Raises
     ------
-    TypeError
-        Entries that are not SymPy expressions.
-    ValueError
-        Symbols other than the state, the noise and the time, or one symbol as two of them; an
-        expression without a finite value.
+    TypeError, ValueError
+        Entries that are not SymPy expressions, or have no finite value; symbols other than the
+        state, the noise and the time, or one symbol as two of them.
     """
 
     _shown = "state_size", "size"
@@ -111,24 +109,18 @@ class StochasticMap(Travelling, Shown):
             ``log_density(t, y, x) -> (*batch)``; it is asked about measurements with a missing
             (NaN) component, never believed about those that are missing altogether.
         parameters : sequence of Parameter, optional
-            Parameters, inputs and `ELAPSED`, whose values all these functions are given after
-            their other arguments, in this order: ``value(t, x, v, *parameters)``. A value is a
-            number, or has the shape (*batch).
+            With inputs and `ELAPSED`: all functions are given their values, numbers or of shape
+            (*batch), after their other arguments, ``value(t, x, v, *parameters)``.
         """
-        told = tuple(parameters)
-        if not all(hasattr(p, "role") for p in told):
-            raise TypeError(f"parameters: wanted a sequence of Parameter, got {parameters!r}")
-        if told:
-            value, weight, mean, cov, log_density = (
-                f and WithValues(f, told) for f in (value, weight, mean, cov, log_density)
-            )
+        parts = with_values(parameters, value, weight, mean, cov, log_density)
+        value, weight, mean, cov, log_density = parts
         self = object.__new__(cls)
         self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
         self.noise = Noise() if noise is None else noise
         self.state_size, self.size = int(state_size), int(size)
         self.period = as_periods("period", period, self.size)
         self._value, self._weight, self._log_density = value, weight, log_density
-        self._parameters = told
+        self._parameters = tuple(parameters)
         if (mean is None) != (cov is None):
             raise ValueError("mean, cov: wanted both or neither, got one")
         if mean is not None:
@@ -176,9 +168,8 @@ class StochasticMap(Travelling, Shown):
             )
         given = self.__dict__.get("conditional")
         made = StochasticMap.from_functions(
-            self.state_size, self.size, self._value, self.noise,
-            mean=given and given.mean, cov=given and given.cov, log_density=self._log_density,
-            period=dict(self.period),
+            self.state_size, self.size, self._value, self.noise, mean=given and given.mean,
+            cov=given and given.cov, log_density=self._log_density, period=dict(self.period),
         )  # fmt: skip
         made._parameters = self._parameters
         return made

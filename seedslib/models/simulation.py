@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, unmasked
-from seedslib.base.values import Course, Inputs, as_course, on_paths
-from seedslib.models.kinds import AnySystem, as_grid, inputs_of
+from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.models.kinds import AnySystem, as_grid, course_of
 
 
 class Simulation(NamedTuple):
@@ -97,7 +97,7 @@ def simulate(
     times = as_grid("times", times, system)
     paths = as_count("paths", paths)
     measured = as_measured(measured, len(times))
-    course = as_course(inputs, inputs_of(system), len(times), (paths,))
+    course = course_of(system, inputs, len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 

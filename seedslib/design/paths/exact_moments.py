@@ -22,9 +22,7 @@ from seedslib.models.kinds import AnySystem
 from seedslib.models.propagation import integrated, van_loan
 
 
-def linear_design(
-    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course
-) -> Any:
+def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance

@@ -51,7 +51,7 @@ TINY = np.finfo(float).tiny
 def examined(
     filter: Any, root: np.random.SeedSequence, paths: int, each: Crew, stops: np.ndarray, *,
     options: Mapping[Any, Any] | None = None, bound: float = np.inf,
-    forecasts: np.ndarray | None = None, held: Course | None = None,
+    forecasts: np.ndarray | None = None, course: Course | None = None,
 ) -> Any:  # fmt: skip
     """The filter with its errors on held-out paths, by its own `run`.
 
@@ -73,7 +73,7 @@ def examined(
         As in the design.
     forecasts : ndarray, shape (K+1, n'), optional
         Root-mean-square errors of the forecasts that are corrected, NaN where there is none.
-    held : Course, optional
+    course : Course, optional
         Inputs at the measurement times.
 
     Warns
@@ -82,7 +82,7 @@ def examined(
         Errors that differ from the predicted ones; an estimate that is worse than the mean of
         the state, or than the forecast that it corrects; paths on which the filter diverged.
     """
-    reach, course = _reach(filter, paths), Course() if held is None else held
+    reach, course = _reach(filter, paths), Course() if course is None else course
     held, size, lost, stray = _errors(
         filter, root, paths, each, stops, options or {}, min(bound, LARGEST), reach, course
     )

@@ -17,7 +17,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import step_count, when
-from seedslib.base.values import Inputs, as_course
+from seedslib.base.values import Inputs
 from seedslib.design.fitting import coefficients_of
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
@@ -28,14 +28,13 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps, inputs_of, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from seedslib.designed.switching.filter import SwitchingFilter
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
+    from seedslib.models.kinds import AnySystem
     from seedslib.models.switching import SwitchingSystem
 
 PATHS_PER_COEFFICIENT = 50
@@ -90,8 +89,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `normalisation` and `split` only, and
-        gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers`, `inputs`, `normalisation` and `split`
+        and gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -132,11 +131,10 @@ def synthesize(
         on from it, to the same numbers, here or on a cluster. It is replaced as a whole and
         stays when the design is finished; the held-out paths are then run again.
     normalisation, split
-        Of a switching system: as `SwitchingFilter`.
+        As `SwitchingFilter`.
     inputs : mapping of Input to array_like, shape (K+1,), optional
-        Values of the inputs that the system mentions, known beforehand: the forecasts are those
-        for this course, and a run is told it again. Where only a law of the inputs is known,
-        make them components of the state.
+        Values of the inputs that the system mentions. A run is told them again; an input of which
+        only a law is known is a component of the state.
 
     Returns
     -------
@@ -182,7 +180,7 @@ def synthesize(
             normalisation=normalisation, split=split, inputs=inputs,
         )  # fmt: skip
     times = as_grid("times", times, system)
-    held = as_course(inputs, inputs_of(system), len(times))
+    held = course_of(system, inputs, len(times))
     n = system.state_size
     _check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
@@ -235,7 +233,7 @@ def synthesize(
         del forward  # its paths are not wanted any more
         return examined(
             designed, root, paths, each, np.unique(stops), options=options, bound=bound,
-            forecasts=forecast_errors(designed), held=held,
+            forecasts=forecast_errors(designed), course=held,
         )  # fmt: skip
 
 

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
-from seedslib.base.values import Inputs, as_course
+from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
@@ -25,7 +25,7 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import cell_count, cell_number, require_memory
 from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, elapsed, inputs_of
+from seedslib.models.kinds import as_grid, course_of, elapsed
 from seedslib.models.switching import SwitchingSystem
 
 OFTEN = 0.05
@@ -35,7 +35,7 @@ OFTEN = 0.05
 def synthesize_switching(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
-    split: bool = True,
+    split: bool = True, inputs: Inputs | None = None,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -78,7 +78,7 @@ def synthesize_switching(
         say against the design, see `seedslib.design.paths.held_out`.
     """
     times = as_grid("times", times, system)
-    held = as_course(inputs, inputs_of(system), len(times))
+    held = course_of(system, inputs, len(times))
     require_memory(memory, system)
     paths, n = as_count("paths", paths), system.state_size
     order = memory.order(n, system.measurement_size, system.modes)
@@ -106,7 +106,9 @@ def synthesize_switching(
             rules=rules,
         )  # fmt: skip
         del walk  # its paths are not wanted any more
-        return examined(designed, root, paths, each, times, forecasts=np.array(forecasts), held=held)
+        return examined(
+            designed, root, paths, each, times, forecasts=np.array(forecasts), course=held
+        )
 
 
 def _pass(walk, system, memory, rules, times, held):
