@@ -157,7 +157,7 @@ def course_of(
 def elapsed(system: object, start: float, stop: float) -> AbstractContextManager[None]:
     """Tell the maps of a system, where they ask, how long the step is that they make."""
     found = mentioned(system)
-    asked = [p for p in found if p.role == "elapsed"] if found else found
+    asked = [p for p in found if p.role == "elapsed"] if found and in_steps(system) else ()
     return assigned(dict.fromkeys(asked, stop - start)) if asked else _NOTHING
 
 
