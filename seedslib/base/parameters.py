@@ -6,9 +6,12 @@ how long its step is. Which values they have at present is in `seedslib.base.val
 
 from __future__ import annotations
 
-from typing import Any, ClassVar, NoReturn
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import sympy
+
+if TYPE_CHECKING:
+    from typing import Self
 
 
 class Parameter(sympy.Symbol):
@@ -27,7 +30,7 @@ class Parameter(sympy.Symbol):
     role: ClassVar[str] = "parameter"
     value: float
 
-    def __new__(cls, name: str, value: float, **assumptions: bool) -> Parameter:
+    def __new__(cls, name: str, value: float, **assumptions: bool) -> Self:
         """One parameter for each name, value and set of assumptions."""
         self = super().__xnew__(cls, name, real=True, **assumptions)
         self.value = float(value)
@@ -62,7 +65,7 @@ class Input(Parameter):
     __slots__ = ()
     role = "input"
 
-    def __new__(cls, name: str, **assumptions: bool) -> Input:
+    def __new__(cls, name: str, **assumptions: bool) -> Self:
         """One input for each name and set of assumptions."""
         return super().__new__(cls, name, 0.5, **assumptions)
 
@@ -88,7 +91,7 @@ class Elapsed(Input):
     __slots__ = ()
     role = "elapsed"
 
-    def __new__(cls) -> Elapsed:
+    def __new__(cls) -> Self:
         """The one there is, written ``dt``; where a model is only looked at it is 1/1000."""
         return Parameter.__new__(cls, "dt", 1e-3, positive=True)
 
