@@ -1,7 +1,7 @@
 """The ground floor: what several rooms need and no subject owns.
 
 Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, parameters of models, how objects show themselves and
+correction, tables and their look-up, parameters and inputs, how objects show themselves and
 travel, and the lazy names of these doors. No model, no filter.
 
 May import: none.

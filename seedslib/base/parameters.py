@@ -53,7 +53,7 @@ class Input(Parameter):
 
     It has no value of its own. Whole records are told it by ``inputs=``, single steps by
     `assigned`. Where a model is only looked at, to check its probabilities or to know it again,
-    an input is 1/2.
+    an input is 0.37.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ class Input(Parameter):
 
     def __new__(cls, name: str, **assumptions: bool) -> Self:
         """One input for each name and set of assumptions."""
-        return super().__new__(cls, name, 0.5, **assumptions)
+        return super().__new__(cls, name, 0.37, **assumptions)
 
     def __getnewargs_ex__(self) -> Any:
         return (self.name,), super().__getnewargs_ex__()[1]
