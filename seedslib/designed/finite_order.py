@@ -250,10 +250,13 @@ class FiniteOrderFilter(BetweenFilter):
                 if spread:
                     rows.cov[j] = np.nan
                 continue
-            with held.at(last):
-                state = self._predict(state, t, interval)
-            with held.at(j):
-                state = self._correct(state, y[j], spread)
+            if not held.values:  # steps are short here, and two contexts would be a part of them
+                state = self._correct(self._predict(state, t, interval), y[j], spread)
+            else:
+                with held.at(last):
+                    state = self._predict(state, t, interval)
+                with held.at(j):
+                    state = self._correct(state, y[j], spread)
             last = j
             rows.mean[j], rows.loglik[j], interval = state.mean, state.loglik, None
             if spread:

@@ -123,7 +123,7 @@ def to_c(
     True
     """
     name = checked_name(name)
-    if any(p.role != "parameter" for p in mentioned(filter.system)):
+    if any(p.role != "parameter" for p in mentioned(getattr(filter, "system", None))):
         raise ValueError("filter: wanted a model without inputs and elapsed time, C has none yet")
     macros, text, rule = _parts(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
