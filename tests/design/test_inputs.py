@@ -92,8 +92,11 @@ def test_threads_files_and_checkpoints(tmp_path):
 
 
 def test_exact_moments():
-    told = JumpDiffusion([x], [u - x], [[1]], [x + u / 3 + w], Noise((w,)), [0], [[1]])
-    written = JumpDiffusion([x], [COURSE - x], [[1]], [x + COURSE / 3 + w], Noise((w,)), [0], [[1]])
+    def system(u):
+        sensor = [x * (1 + u / 4) + u / 3 + w]  # its gain changes the errors, its shift none
+        return JumpDiffusion([x], [u - x], [[1]], sensor, Noise((w,)), [0], [[1]])
+
+    told, written = system(u), system(COURSE)
     more = {"exact_moments": True, "nodes": 2}
     found = synthesize(told, Memory(1), Taylor(), TIMES, inputs=TOLD, **more)
     wanted = synthesize(written, Memory(1), Taylor(), TIMES, **more)
