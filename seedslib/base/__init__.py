@@ -1,7 +1,7 @@
 """The ground floor: what several rooms need and no subject owns.
 
 Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, parameters of models, how objects show themselves and
+correction, tables and their look-up, parameters and inputs, how objects show themselves and
 travel, and the lazy names of these doors. No model, no filter.
 
 May import: none.
@@ -12,9 +12,11 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
+    from seedslib.base.parameters import ELAPSED as ELAPSED
+    from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter
-    from seedslib.base.parameters import assigned as assigned
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import interpolate as interpolate
+    from seedslib.base.values import assigned as assigned
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,15 +1,17 @@
-"""Parameters of a model: numbers with a name, whose values can change without compiling again."""
+"""Parameters of a model: numbers with a name, whose values can change without compiling again.
+
+Some have no value of their own: inputs are told with the data, and a map in discrete time is told
+how long its step is. Which values they have at present is in `seedslib.base.values`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
-from contextvars import ContextVar
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
 
 import sympy
 
-_CURRENT: ContextVar[Mapping[Parameter, Any]] = ContextVar("values of parameters")
+if TYPE_CHECKING:
+    from typing import Self
 
 
 class Parameter(sympy.Symbol):
@@ -25,13 +27,18 @@ class Parameter(sympy.Symbol):
     """
 
     __slots__ = ("value",)
+    role: ClassVar[str] = "parameter"
     value: float
 
-    def __new__(cls, name: str, value: float, **assumptions: bool) -> Parameter:
+    def __new__(cls, name: str, value: float, **assumptions: bool) -> Self:
         """One parameter for each name, value and set of assumptions."""
         self = super().__xnew__(cls, name, real=True, **assumptions)
         self.value = float(value)
         return self
+
+    def default(self) -> float:
+        """What it is where nothing else was assigned."""
+        return self.value
 
     def _hashable_content(self) -> tuple[Any, ...]:
         return (*super()._hashable_content(), self.value)
@@ -41,26 +48,71 @@ class Parameter(sympy.Symbol):
         return (self.name, self.value), {name: self.assumptions0[name] for name in given}
 
 
-@contextmanager
-def assigned(values: Mapping[Parameter, Any]) -> Iterator[None]:
-    """Let parameters have other values within a block of code.
+class Input(Parameter):
+    """A number that is told with the data: a control, a known disturbance, a last measurement.
+
+    It has no value of its own. Whole records are told it by ``inputs=``, single steps by
+    `assigned`. Where a model is only looked at, to check its probabilities or to know it again,
+    an input is 0.37.
 
     Parameters
     ----------
-    values : mapping of Parameter to number or array, shape (*batch)
-        An array gives each path its own value.
+    name : str
+    **assumptions : bool
+        As of SymPy, such as ``positive=True``.
     """
-    token = _CURRENT.set({**_CURRENT.get({}), **values})
-    try:
-        yield
-    finally:
-        _CURRENT.reset(token)
+
+    __slots__ = ()
+    role = "input"
+
+    def __new__(cls, name: str, **assumptions: bool) -> Self:
+        """One input for each name and set of assumptions."""
+        return super().__new__(cls, name, 0.37, **assumptions)
+
+    def __getnewargs_ex__(self) -> Any:
+        return (self.name,), super().__getnewargs_ex__()[1]
+
+    def default(self) -> NoReturn:
+        """There is none.
+
+        Raises
+        ------
+        ValueError
+        """
+        raise ValueError(
+            f"{self}: wanted a value of this input, got none; tell it by inputs= of what takes "
+            "whole records, or by assigned"
+        )
 
 
-def current(parameters: tuple[Parameter, ...]) -> list[Any]:
-    """The present values of parameters."""
-    table = _CURRENT.get({})
-    return [table.get(p, p.value) for p in parameters]
+class Elapsed(Input):
+    """The length of the step that a map in discrete time makes; `ELAPSED` is the only one."""
+
+    __slots__ = ()
+    role = "elapsed"
+
+    def __new__(cls) -> Self:
+        """The one there is, written ``dt``; where a model is only looked at it is 1/1000."""
+        return Parameter.__new__(cls, "dt", 1e-3, positive=True)
+
+    def __getnewargs_ex__(self) -> Any:
+        return (), {}
+
+    def default(self) -> NoReturn:
+        """There is none but in a step.
+
+        Raises
+        ------
+        ValueError
+        """
+        raise ValueError(
+            "dt: the elapsed time is known only while a map in discrete time moves the state; a "
+            "sensor or a system in continuous time has none"
+        )
+
+
+ELAPSED: Elapsed = Elapsed()
+"""Time that passes in a step of a map in discrete time; who moves a state assigns it."""
 
 
 def parameters_of(expressions: Any) -> tuple[Parameter, ...]:

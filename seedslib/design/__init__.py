@@ -18,10 +18,10 @@ if TYPE_CHECKING:
     from seedslib.design.law.grid import grid_synthesis as grid_synthesis
     from seedslib.design.law.grid import optimal_risk as optimal_risk
     from seedslib.design.law.grid import optimal_steps as optimal_steps
-    from seedslib.design.law.joint import GridRisk as GridRisk
     from seedslib.design.law.joint import JointLaw as JointLaw
     from seedslib.design.law.plane import PlaneStep as PlaneStep
     from seedslib.design.law.plane import plane_steps as plane_steps
+    from seedslib.design.law.recursion import GridRisk as GridRisk
     from seedslib.design.law.risk import grid_risk as grid_risk
     from seedslib.design.paths.simulated import synthesize as synthesize
     from seedslib.design.paths.stationary import stationary as stationary

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
+from seedslib.base.values import Course
 from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start, initial_moments
 from seedslib.designed.gaps import step_unclaimed, unexpected
@@ -255,18 +256,27 @@ class FiniteOrderFilter(BetweenFilter):
 
     def fill(
         self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None,
+        indicators: np.ndarray | None, held: Course,
     ) -> int:  # fmt: skip
         """Run over a block of records; covariances are formed where they are wanted."""
         state, interval, spread = self.initial(y.shape[2:]), None, rows.cov is not None
+        last = 0  # row of the last measurement
         for j, (t, k) in enumerate(zip(times, index, strict=True)):
             if k < 0:
-                interval = interval or self.interval(state)
+                with held.at(last):
+                    interval = interval or self.interval(state)
                 rows.mean[j], rows.loglik[j] = at(interval, t, self.between), 0.0
                 if spread:
                     rows.cov[j] = np.nan
                 continue
-            state = self._correct(self._predict(state, t, interval), y[j], spread)
+            if not held.values:  # steps are short here, and two contexts would be a part of them
+                state = self._correct(self._predict(state, t, interval), y[j], spread)
+            else:
+                with held.at(last):
+                    state = self._predict(state, t, interval)
+                with held.at(j):
+                    state = self._correct(state, y[j], spread)
+            last = j
             rows.mean[j], rows.loglik[j], interval = state.mean, state.loglik, None
             if spread:
                 rows.cov[j].T[...] = state.cov.T  # with or without an axis of records

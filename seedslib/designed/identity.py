@@ -6,9 +6,10 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.values import looked_at
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
-from seedslib.models.kinds import AnySystem, in_steps, switches
+from seedslib.models.kinds import AnySystem, in_steps, mentioned, switches
 
 SAME = 1e-9
 """Largest difference between equal models, in units of each component of each quantity."""
@@ -63,6 +64,11 @@ def probe(
         The moments of the sensor that the filter takes are part of the identity. Without one the
         sensor is looked at by any rule, and its likelihood too where it has one.
     """
+    with looked_at(mentioned(system)):
+        return _probed(system, points, linearization)
+
+
+def _probed(system, points, linearization):
     if switches(system):
         return _branches(system, points)
     rule = _ANY if linearization is None else linearization

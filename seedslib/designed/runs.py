@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,12 +12,14 @@ from numpy.typing import ArrayLike
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, is_whole, unmasked
 from seedslib.base.clock import Clock
+from seedslib.base.values import Course, Inputs, on_paths
 from seedslib.designed.gaps import dropouts, unclaimed
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import course_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -118,7 +121,7 @@ class DesignedFilter(Filter):
 
     def fill(
         self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None,
+        indicators: np.ndarray | None, held: Course,
     ) -> int:  # fmt: skip
         """Run over a block of records, and write what is found.
 
@@ -131,6 +134,8 @@ class DesignedFilter(Filter):
             See `placed`.
         y : ndarray, shape (J+1, m, *batch)
         indicators : ndarray of int, shape (J+1, *batch), or None
+        held : Course
+            Inputs at these times.
 
         Returns
         -------
@@ -191,7 +196,7 @@ class DesignedFilter(Filter):
 
     def run(
         self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        covariances: bool = False, workers: int = 1,
+        inputs: Inputs | None = None, covariances: bool = False, workers: int = 1,
     ) -> Estimates:  # fmt: skip
         """Filter a record, or many at once.
 
@@ -205,6 +210,9 @@ class DesignedFilter(Filter):
             the measurement, and tables, take one as a whole or not at all.
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
+        inputs : mapping of Input to array_like, shape (J+1,) or (J+1, *batch), optional
+            Values of the inputs that the model mentions. Those of the design are wanted: its
+            forecasts have them in their numbers.
         covariances : bool
             Whether `cov` is wanted.
         workers : int
@@ -239,6 +247,7 @@ class DesignedFilter(Filter):
         times, y = self.record(times, measurements)
         batch = y.shape[2:]
         told = as_indicators(indicators, self.system, (len(times), *batch))
+        course = course_of(self.system, inputs, len(times), batch)
         index = self.placed(times, y)
         lost = None if self.memory is None else dropouts(y, index >= 0, told)
         tail = (y[0, 0].size,) if batch or not self.alone else ()
@@ -253,12 +262,14 @@ class DesignedFilter(Filter):
         def work(a, b, _):
             parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))
             *rows, shown, seen = parts
-            return self.fill(Estimates(*rows), times, index, shown, seen)
+            with on_paths(batch, slice(a, b)) if batch else nullcontext():
+                held = course.of(slice(a, b))
+                return self.fill(Estimates(*rows), times, index, shown, seen, held)
 
         if tail:
             raised = sum(in_blocks(work, *tail, 0, workers=workers))
         else:
-            raised = self.fill(whole, times, index, y, told)
+            raised = self.fill(whole, times, index, y, told, course)
         found = whole
         if tail != batch:
             found = Estimates(

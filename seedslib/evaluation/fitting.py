@@ -14,7 +14,8 @@ from scipy.optimize import minimize
 from scipy.special import ndtri
 
 from seedslib.base.checks import as_count
-from seedslib.base.parameters import Parameter, assigned
+from seedslib.base.parameters import Parameter
+from seedslib.base.values import Inputs, assigned
 from seedslib.evaluation.differences import Local, derivatives
 from seedslib.evaluation.scales import Scale
 from seedslib.filters.verbs import Filter
@@ -101,6 +102,7 @@ def fit(
     filter: Filter | Callable[[], Filter], times: ArrayLike, measurements: ArrayLike,
     free: Sequence[Parameter], *, bounds: Mapping[Parameter, Bounds] | None = None,
     starts: int = 1, seed: int = 0, indicators: ArrayLike | None = None,
+    inputs: Inputs | None = None,
 ) -> Fit:  # fmt: skip
     """Fit parameters of a model to records by the likelihood of a filter.
 
@@ -126,6 +128,8 @@ def fit(
         Of the further starts.
     indicators : array_like of int, shape (K+1) or (K+1, series), optional
         Of a system with modes that has one.
+    inputs : mapping of Input to array_like, shape (K+1,) or (K+1, series), optional
+        As `run` of the filter.
 
     Returns
     -------
@@ -137,7 +141,7 @@ def fit(
         No parameters, a start out of its bounds, a filter without a likelihood, a likelihood that
         is zero at all starts.
     """
-    problem = _Problem(filter, times, measurements, tuple(free), bounds or {}, indicators)
+    problem = _Problem(filter, times, measurements, tuple(free), bounds or {}, indicators, inputs)
     rng = np.random.default_rng(seed)
     spread = rng.normal(size=(as_count("starts", starts) - 1, len(problem.scales)))
     first = problem.start()
@@ -152,7 +156,7 @@ def fit(
 class _Problem:
     """A log-likelihood as a function of free numbers, many points at once."""
 
-    def __init__(self, filter, times, measurements, parameters, bounds, indicators):
+    def __init__(self, filter, times, measurements, parameters, bounds, indicators, inputs):
         if not parameters or not all(isinstance(p, Parameter) for p in parameters):
             raise TypeError(f"free: wanted parameters of the model, got {parameters!r}")
         if unknown := set(bounds) - set(parameters):
@@ -163,6 +167,7 @@ class _Problem:
         self.seen = None
         if indicators is not None:
             self.seen = np.asarray(indicators).reshape(len(self.y), -1)
+        self.told = {u: np.asarray(part) for u, part in dict(inputs or {}).items()}
         anywhere = {p: (0.0 if p.is_positive else -np.inf, np.inf) for p in parameters}
         self.scales = [Scale(*(anywhere | dict(bounds))[p]) for p in parameters]
         self.evaluations = 0
@@ -191,17 +196,19 @@ class _Problem:
         count, series = values.shape[1], self.y.shape[2]
         repeated = np.repeat(values, series, axis=1)
         seen = None if self.seen is None else np.tile(self.seen, (1, count))
-        found = self._run(self.filter, repeated, np.tile(self.y, (1, 1, count)), seen)
+        told = {u: v if v.ndim == 1 else np.tile(v, (1, count)) for u, v in self.told.items()}
+        found = self._run(self.filter, repeated, np.tile(self.y, (1, 1, count)), seen, told)
         return found.reshape(count, series).sum(axis=1)
 
     def _one(self, values):
-        return self._run(None, values, self.y, self.seen).sum()
+        return self._run(None, values, self.y, self.seen, self.told).sum()
 
-    def _run(self, filter, values, y, seen):
+    def _run(self, filter, values, y, seen, told):
         """Log-likelihood of each record, with a filter that is made where there is None."""
         with assigned(dict(zip(self.parameters, values, strict=True))):
             filter = self.filter() if filter is None else filter
-            found = filter.run(self.times, y, indicators=seen).loglik
+            own = {"inputs": told} if told else {}
+            found = filter.run(self.times, y, indicators=seen, **own).loglik
         if found is None:
             raise ValueError(f"filter: {filter!r} gives no likelihood")
         return found.sum(axis=0)

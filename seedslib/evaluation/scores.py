@@ -20,11 +20,12 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
+from seedslib.base.values import Inputs, as_course
 from seedslib.evaluation.consistency import bounds, ratio
 from seedslib.evaluation.results import NOTHING, Comparison, Evaluation, quadruple, roots
-from seedslib.evaluation.scoring import circular, scored
+from seedslib.evaluation.scoring import circular, mentioned, scored
 from seedslib.evaluation.tally import merged
-from seedslib.models.kinds import KINDS, AnySystem, as_system, kind_of
+from seedslib.models.kinds import KINDS, AnySystem, as_system, inputs_of, kind_of
 from seedslib.models.simulation import as_measured
 
 LATER = "DelaySystem", "PiecewiseLinearSystem"
@@ -45,6 +46,7 @@ def compare(
     filters: Mapping[str, Any], system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
     measured: ArrayLike | None = None, components: int | None = None, window: Any = None,
     bound: Any = np.inf, consistency: bool = False, period: Mapping[int, float] | None = None,
+    inputs: Inputs | None = None,
     workers: int = 1, **options: Any,
 ) -> Comparison:  # fmt: skip
     """Accuracy of several filters on the same simulated paths.
@@ -79,6 +81,8 @@ def compare(
     period : mapping of int to float, optional
         State components that lie on a circle, and their periods: their errors are differences
         on the circle. Those of the dynamics of a `DiscreteSystem` are known.
+    inputs : mapping of Input to array_like, shape (J,) or (J, paths), optional
+        Values of the inputs that the truth and the filters' models mention.
     workers : int
         Threads over blocks of paths; errors do not depend on it, the time per step does.
     **options
@@ -124,12 +128,19 @@ def compare(
     if components is not None:
         components = as_count("components", components)
     window = _window(window, len(times))
+    known = inputs_of(system).union(
+        *(inputs_of(getattr(f, "system", None)) for f in filters.values())
+    )
+    course = as_course(inputs, known, len(times), (paths,))
 
     def work(start, stop, stream):
-        data = system.simulate(times, stop - start, stream, measured=measured, **options)
+        told = course.of(slice(start, stop)).values
+        own = mentioned(told, system)
+        data = system.simulate(times, stop - start, stream, measured=measured, **own, **options)
         return scored(
-            filters, data, measured, components, window, bound, consistency, periods, first, stream
-        )
+            filters, data, measured, components, window, bound, consistency, periods, first, stream,
+            told,
+        )  # fmt: skip
 
     return _summed(
         filters, times, paths, in_blocks(work, paths, seed, workers=workers, block=BLOCK)

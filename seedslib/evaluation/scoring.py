@@ -10,8 +10,10 @@ import numpy as np
 
 from seedslib.base.blocks import child
 from seedslib.base.circle import Periods, as_periods, nearest, wrapped
+from seedslib.base.values import Course
 from seedslib.evaluation.consistency import innovation_squares, mahalanobis
 from seedslib.evaluation.tally import Tally, tally
+from seedslib.models.kinds import inputs_of
 
 FILTERS = 0x46494C54
 """Key of the filters' own streams among the children of a block's: no block of paths has it."""
@@ -26,9 +28,16 @@ def circular(given: Mapping[int, float] | None, system: Any) -> Periods:
     return tuple({pair for each in maps for pair in getattr(each, "period", ())})
 
 
+def mentioned(inputs: Mapping[Any, np.ndarray], system: Any) -> dict[str, Any]:
+    """Those inputs that a system mentions, as an option where there are any."""
+    own = {u: inputs[u] for u in inputs_of(system) if u in inputs}
+    return {"inputs": own} if own else {}
+
+
 def scored(
     filters: Mapping[str, Any], data: Any, measured: Any, components: int | None, window: Any,
     bound: float, consistency: bool, periods: Any, first: int, stream: np.random.SeedSequence,
+    inputs: Mapping[Any, np.ndarray],
 ) -> Tally:  # fmt: skip
     """Run the filters on the paths of a block, and add up their errors; see `compare`.
 
@@ -45,6 +54,8 @@ def scored(
     astray = []
     for number, each in enumerate(filters.values()):
         wants = _wanted(each, data, child(stream, FILTERS, number), consistency)
+        own = mentioned(inputs, getattr(each, "system", None))
+        wants |= own
         begin = time.perf_counter()
         found = each.run(data.times, data.measurements, **wants)
         seconds.append(time.perf_counter() - begin)
@@ -64,7 +75,7 @@ def scored(
         if consistency:
             normalised[-1] = (
                 None if found.cov is None else mahalanobis(error, found.cov[:, :n, :n]),
-                _innovations(each, data, rows),
+                _innovations(each, data, rows, Course(own.get("inputs", {}))),
                 None if found.cov is None else (_covered(found, error), 1.0),
             )
             told.append(_log_density(found, shown, len(truth)))
@@ -113,7 +124,7 @@ def _wanted(filter, data, stream, consistency):
     return {name: part for name, part in given.items() if part is not None and name in takes}
 
 
-def _innovations(filter, data, rows):
+def _innovations(filter, data, rows, held):
     """Normalised squared innovations (J, N) of a filter that says what it expects to measure, and
     how many components were measured.
     """
@@ -124,13 +135,17 @@ def _innovations(filter, data, rows):
     squares = np.full((len(y), y.shape[2]), np.nan)
     state = filter.initial(y.shape[2:])
     designed = getattr(filter, "times", None) is not None  # it stands at its own times only
+    last = 0
     for j, t in enumerate(data.times):
         if designed and not rows[j]:
             continue
-        state = filter.predict(state, t)
-        if rows[j]:
-            expected = filter.expect(state)
-            error = nearest(y[j], expected.mean, periods) - expected.mean
-            squares[j] = innovation_squares(error, gaps[j], expected.cov)
-        state = filter.correct(state, y[j])
+        with held.at(last):
+            state = filter.predict(state, t)
+        with held.at(j):
+            if rows[j]:
+                expected = filter.expect(state)
+                error = nearest(y[j], expected.mean, periods) - expected.mean
+                squares[j] = innovation_squares(error, gaps[j], expected.cov)
+            state = filter.correct(state, y[j])
+        last = j
     return squares, np.count_nonzero(~gaps, axis=1)

@@ -29,6 +29,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 import seedslib
+from seedslib.base.values import carried
 from seedslib.design.paths.walk import Crew
 
 PATIENCE = 30
@@ -112,7 +113,7 @@ class Cluster(Crew):
 
     def __call__(self, work: Callable[..., Any], *lists: Iterable[Any]) -> Remote:
         """Entries ``work(*entries)`` over the entries of the lists; they stay on the workers."""
-        return self._noted(work, lists)
+        return self._noted(carried(work), lists)
 
     def share(self, thing: object) -> Remote:
         """Stand-in for a list that has the same thing for every bundle, sent once."""

@@ -14,6 +14,7 @@ from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
 from seedslib.base.triangles import lower_triangle
+from seedslib.base.values import looked_at
 from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.filters.integration import adaptive, euler, rk4
@@ -21,7 +22,7 @@ from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
 from seedslib.models.derived import doubled
-from seedslib.models.kinds import AnySystem, as_system, in_steps
+from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps, mentioned
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -109,7 +110,8 @@ class CovarianceFilter(Filter, Remade):
         self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
         self._by_points = isinstance(linearization, PointRule)
-        warn_blind(self._sensor, system)
+        with looked_at(mentioned(system)):
+            warn_blind(self._sensor, system)
         if self.continuous:
             self._rate = linearization.rate(system)
             advance = INTEGRATORS[integrator]
@@ -173,7 +175,8 @@ class CovarianceFilter(Filter, Remade):
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                mean, cross, cov = self._jointly(state.time, state.mean, state.cov)
+                with elapsed(self.system, state.time, t):
+                    mean, cross, cov = self._jointly(state.time, state.mean, state.cov)
                 return state._replace(mean=mean, cov=cov), cross
             n, size = self.n, len(lower_triangle(self.n)[0])
             lower = state.cov[lower_triangle(n)]

@@ -9,7 +9,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_real, as_whole, unmasked
 from seedslib.base.clock import when
-from seedslib.models.kinds import AnySystem, in_steps, require_even, switches
+from seedslib.models.kinds import AnySystem, in_even_steps, require_even, switches
 
 
 class Estimates(NamedTuple):
@@ -220,7 +220,7 @@ def first_step(state: object, t: float, system: object) -> float:
     step = t - state.time
     if state.interval is None:
         return step
-    if in_steps(system):
+    if in_even_steps(system):
         steps = np.array([state.interval, step])
         require_even("t", steps, [state.time - state.interval, state.time, t])
     return state.interval

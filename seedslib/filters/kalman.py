@@ -10,9 +10,11 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import factor
+from seedslib.base.values import looked_at
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.linearization.matrices import Matrices
+from seedslib.models.kinds import elapsed
 from seedslib.models.linear import LinearSystem
 
 UNKNOWN = 1e-9
@@ -94,7 +96,8 @@ class KalmanFilter(CovarianceFilter):
         """See `CovarianceFilter.moved_jointly`; both given what is unknown."""
         later, cross = super().moved_jointly(state, t)
         if isinstance(state, DiffuseState):
-            effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
+            with elapsed(self.system, state.time, t):
+                effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
             later = later._replace(effect=effect)
         return later, cross
 
@@ -147,8 +150,9 @@ def _lent(system: LinearSystem) -> float:
     without noise would have no density given what is unknown, and would tell nothing of it.
     """
     try:
-        noises = [np.einsum("ii...->i...", part.cov_at(0.0)).max()
-                  for part in (system.dynamics, system.sensor)]  # fmt: skip
+        with looked_at(system.mentions):
+            noises = [np.einsum("ii...->i...", part.cov_at(0.0)).max()
+                      for part in (system.dynamics, system.sensor)]  # fmt: skip
     except LookupError:  # matrices from a table, which need not have this time
         noises = []
     return next((float(c) for c in noises if c > 0), 1.0)

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
+from seedslib.base.values import on_paths
 from seedslib.filters.estimates import Estimates, as_modes, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Gaussian, Linearization
@@ -127,7 +128,9 @@ class KnownModeFilter(Filter, Remade):
                     continue
                 if move is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
-                _put(mean, cov, here, move(state.time, state.mean[:, here], state.cov[:, :, here]))
+                with on_paths(here.shape, here):
+                    law = move(state.time, state.mean[:, here], state.cov[:, :, here])
+                _put(mean, cov, here, law)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
     def correct(
@@ -151,15 +154,16 @@ class KnownModeFilter(Filter, Remade):
                 if not here.any():
                     continue
                 prior = state.mean[:, here], state.cov[:, :, here]
-                if reading is None:
-                    moments = self._sensors[i](state.time, *prior)
-                else:
-                    _, prior, moments = reading(state.time, *prior)
-                plain, still = self._sensors[i], np.zeros_like(prior[1])
-                *found, loglik[here] = correct(
-                    *prior, y[:, here], moments, periods=self.system.sensors[i].period,
-                    noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
-                )  # fmt: skip
+                with on_paths(here.shape, here):
+                    if reading is None:
+                        moments = self._sensors[i](state.time, *prior)
+                    else:
+                        _, prior, moments = reading(state.time, *prior)
+                    plain, still = self._sensors[i], np.zeros_like(prior[1])
+                    *found, loglik[here] = correct(
+                        *prior, y[:, here], moments, periods=self.system.sensors[i].period,
+                        noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
+                    )  # fmt: skip
                 if isinstance(self.linearization, PointRule):
                     found[1] = settled(found[1], prior[1])
                 _put(mean, cov, here, found)

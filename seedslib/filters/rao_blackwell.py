@@ -12,6 +12,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
+from seedslib.base.values import on_paths
 from seedslib.filters.estimates import as_seen
 from seedslib.filters.mixture import mix
 from seedslib.filters.particle import resampled, stream
@@ -120,9 +121,11 @@ class RaoBlackwellFilter(Filter, Remade):
             draws += 1
         leave = np.full((modes, *prob.shape), -np.inf)
         for i, row in enumerate(self.system.branches):
+            here = mode == i
             for l, branch in enumerate(row):
                 if branch is not None:
-                    leave[l, mode == i] = logarithm(_chance(branch, state.time, n))
+                    chance = logarithm(_chance(branch, state.time, n, batch))
+                    leave[l, here] = np.broadcast_to(chance, here.shape)[here]
         if self.system.drives == "new":  # each history moves in every mode that continues it
             made = [move(state.time, mean, cov) for move in self._move]
             law = (
@@ -133,7 +136,8 @@ class RaoBlackwellFilter(Filter, Remade):
             moved, spread = np.empty(mean.shape), np.empty(cov.shape)
             for i, move in enumerate(self._move):
                 here = mode == i
-                y, square = move(state.time, mean[:, here], cov[:, :, here])
+                with on_paths(here.shape, here):
+                    y, square = move(state.time, mean[:, here], cov[:, :, here])
                 moved[:, here], spread[:, :, here] = y, _wide(square, y)
             law = (
                 np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
@@ -173,8 +177,13 @@ class RaoBlackwellFilter(Filter, Remade):
             )  # fmt: skip
             cov[:, :, i] = _wide(square, mean[:, i])
             if shown is not None:
-                chances = [0.0 if b is None else _chance(b, t, n) for b in self.system.readings[i]]
-                score[i] += logarithm([*chances, 1.0])[shown]  # the last one is that of a missing
+                row = self.system.readings[i]
+                chances = [
+                    np.zeros(y.shape[1:]) if b is None else _chance(b, t, n, y.shape[1:])
+                    for b in row
+                ]
+                chances.append(np.ones(y.shape[1:]))  # of a missing one
+                score[i] += logarithm(np.take_along_axis(np.stack(chances), shown[None], 0)[0])
         known = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
         prob, loglik = normalised(known, (0, 1))
         lost, law = ~np.isfinite(loglik), (mean, cov)
@@ -224,9 +233,9 @@ def _affine(map) -> bool:
     )  # fmt: skip
 
 
-def _chance(branch, t, n) -> float:
-    """Probability of a branch that depends on the time alone."""
-    return float(branch.probability(t, np.zeros(n)))
+def _chance(branch, t, n, batch) -> np.ndarray:
+    """Probability of a branch that no state moves, (*batch): records may have inputs of theirs."""
+    return branch.probability(t, np.zeros((n, *batch)))
 
 
 def _wide(square, mean):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -10,16 +11,18 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count
+from seedslib.base.values import Inputs, on_paths
 from seedslib.filters.backward import Smoother
 from seedslib.filters.estimates import Estimates, as_indicators, as_modes
 from seedslib.filters.particle import ParticleFilter
 from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import course_of, elapsed
 
 
 def smooth(
     filter: Filter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
     indicators: ArrayLike | None = None, modes: ArrayLike | None = None,
-    trajectories: Count | None = None, seed: object = 0,
+    inputs: Inputs | None = None, trajectories: Count | None = None, seed: object = 0,
 ) -> Estimates:  # fmt: skip
     """Estimates of the state at each time from the measurements up to a later one.
 
@@ -46,6 +49,7 @@ def smooth(
         Use the measurements of so many later times only (fixed lag); all of them by default
         (fixed interval).
     indicators, modes : array_like of int, shape (K+1, *batch), optional
+    inputs : mapping of Input to array_like, optional
         As in `run` of the filter.
     trajectories : int, optional
         Of a particle filter; 200 by default.
@@ -65,7 +69,7 @@ def smooth(
         A filter that has no smoother; a lag below one; as `run` of the filter.
     """
     found = _in_blocks(
-        filter, times, measurements, lag, indicators, modes, trajectories, seed, _estimated
+        filter, times, measurements, lag, indicators, modes, inputs, trajectories, seed, _estimated
     )
     batch, covs = np.shape(measurements)[2:], [one.cov for one in found]
 
@@ -87,7 +91,7 @@ def smooth(
 
 def draw_trajectories(
     filter: ParticleFilter, times: ArrayLike, measurements: ArrayLike, trajectories: Count,
-    seed: object = 0, *, indicators: ArrayLike | None = None,
+    seed: object = 0, *, indicators: ArrayLike | None = None, inputs: Inputs | None = None,
 ) -> np.ndarray:  # fmt: skip
     """Paths of the state drawn from its law given all measurements: backward simulation.
 
@@ -96,7 +100,7 @@ def draw_trajectories(
     Parameters
     ----------
     filter : ParticleFilter
-    times, measurements, indicators : array_like
+    times, measurements, indicators, inputs
         As in `smooth`.
     trajectories : int
         How many.
@@ -115,14 +119,14 @@ def draw_trajectories(
     if not isinstance(filter, ParticleFilter):
         raise TypeError(f"filter: wanted a ParticleFilter, got {type(filter).__name__}")
     found = _in_blocks(
-        filter, times, measurements, None, indicators, None, trajectories, seed, _drawn
+        filter, times, measurements, None, indicators, None, inputs, trajectories, seed, _drawn
     )
     whole, batch = np.concatenate(found, axis=-1), np.shape(measurements)[2:]
     return whole.reshape((*whole.shape[:-1], *batch))
 
 
 def _in_blocks(
-    filter, times, measurements, lag, indicators, modes, trajectories, seed, said
+    filter, times, measurements, lag, indicators, modes, inputs, trajectories, seed, said
 ) -> list[Any]:  # fmt: skip
     """What `said(smoother, parts, states)` makes of each block of records, in their order."""
     if not isinstance(filter, Filter):
@@ -137,6 +141,7 @@ def _in_blocks(
     filter = smoother.filter
     times, y = filter.record(times, measurements)
     batch, shape = y.shape[2:], (len(times), *y.shape[2:])
+    course = course_of(filter.system, inputs, len(times), batch)
     indicators = as_indicators(indicators, filter.system, shape)
     if "modes" in filter.takes:
         modes = as_modes("modes", modes, shape, filter.system.modes)
@@ -147,19 +152,27 @@ def _in_blocks(
     wide, paths = bool(batch) or not filter.alone, flat.shape[2]
 
     def work(start, stop, stream):
-        own, states, links = slice(start, stop), [], []
+        own = slice(start, stop)
+        with on_paths(batch, own) if batch else nullcontext():
+            return gone(own, stream, course.of(own) if wide else course)
+
+    def gone(own, stream, held):
+        states, links = [], []
         first = {} if true is None else {"mode": true[0, own]}
-        state = filter.initial((stop - start,) if wide else (), stream, **first)
+        state = filter.initial((own.stop - own.start,) if wide else (), stream, **first)
         for k, t in enumerate(times):
             told = () if true is None else (true[k, own],)
             seen = () if shown is None else (shown[k, own],)
-            state, link = smoother.forecast(state, t, *told)
-            state = filter.correct(state, flat[k, :, own] if wide else y[k], *seen)
+            with held.at(max(k - 1, 0)):
+                state, link = smoother.forecast(state, t, *told)
+            with held.at(k):
+                state = filter.correct(state, flat[k, :, own] if wide else y[k], *seen)
             states.append(state)
             links.append((link, *seen))
 
         def back(k, part):
-            return smoother.back(states[k], part, *links[k + 1])
+            with held.at(k), elapsed(filter.system, times[k], times[k + 1]):
+                return smoother.back(states[k], part, *links[k + 1])
 
         return said(smoother, _parts(smoother, back, states, lag), states)
 

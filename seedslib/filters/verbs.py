@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from typing import Any, ClassVar, TypeVar
 
 import numpy as np
@@ -9,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.objects import Shown
+from seedslib.base.values import Inputs, on_paths
 from seedslib.filters.estimates import (
     Estimates,
     as_indicators,
@@ -18,7 +20,7 @@ from seedslib.filters.estimates import (
     stays,
 )
 from seedslib.filters.weights import most_probable
-from seedslib.models.kinds import as_grid
+from seedslib.models.kinds import as_grid, course_of, elapsed
 
 State = TypeVar("State", bound=Any)
 
@@ -69,13 +71,15 @@ class Filter(Shown):
         Raises
         ------
         ValueError
-            A time before that of the state; of a system in discrete time, a step of another
-            length than the first.
+            A time before that of the state; of a system in discrete time that does not mention
+            the elapsed time, a step of another length than the first.
         """
         if stays(state, t):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
-        return self.moved(state, float(t), *told)._replace(time=float(t), interval=interval)
+        with elapsed(self.system, state.time, t):
+            moved = self.moved(state, float(t), *told)
+        return moved._replace(time=float(t), interval=interval)
 
     def moved(self, state: State, t: float) -> State:
         """What `predict` makes of a state, but for its time."""
@@ -112,6 +116,16 @@ class Filter(Shown):
         mode: ArrayLike | None = None,
     ) -> Any:  # fmt: skip
         """Forecast to time t and correct there.
+
+        A model with inputs is told those that act from the time of the state on for the forecast,
+        and those of time t for the correction::
+
+            with assigned({u: 0.3}):
+                state = filter.predict(state, t)
+            with assigned({u: 0.5}):
+                state = filter.correct(state, y)
+
+        and likewise `forecast`; where they are the same, one block around `step` will do.
 
         Parameters
         ----------
@@ -165,7 +179,8 @@ class Filter(Shown):
 
     def run(
         self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        modes: ArrayLike | None = None, seed: object = 0, workers: int = 1,
+        modes: ArrayLike | None = None, inputs: Inputs | None = None, seed: object = 0,
+        workers: int = 1,
     ) -> Estimates:  # fmt: skip
         """Filter a record, or many at once.
 
@@ -179,6 +194,9 @@ class Filter(Shown):
             -1 marks a missing one; wanted where the system has an indicator.
         modes : array_like of int, shape (K+1, *batch), optional
             The true modes, wanted by a filter that is told them.
+        inputs : mapping of Input to array_like, shape (K+1,) or (K+1, *batch), optional
+            Values of the inputs that the model mentions: those of a time act in the dynamics from
+            there until the next time, and in the sensor at that time.
         seed : int, SeedSequence or Generator
             Of a filter that draws.
         workers : int
@@ -194,11 +212,13 @@ class Filter(Shown):
         Raises
         ------
         TypeError, ValueError
-            Times that do not increase, infinite measurements, shapes that do not fit, and what
-            `predict` and `correct` refuse.
+            Times that do not increase, infinite measurements, shapes that do not fit, inputs
+            that are missing or that the model does not mention, and what `predict` and `correct`
+            refuse.
         """
         times, y = self.record(times, measurements)
         batch = y.shape[2:]
+        course = course_of(self.system, inputs, len(times), batch)
         shape = (len(times), *batch)
         indicators = as_indicators(indicators, self.system, shape)
         if "modes" in self.takes:
@@ -219,14 +239,22 @@ class Filter(Shown):
         diverged = np.zeros(paths, dtype=bool)
 
         def work(start, stop, stream):
-            own, common = slice(start, stop), []
+            own = slice(start, stop)
+            with on_paths(batch, own) if batch else nullcontext():
+                return fill(own, stream, course.of(own))
+
+        def fill(own, stream, held):
+            common = []
             rows = [(place, whole[..., own]) for place, whole in kept]
             first = {} if true is None else {"mode": true[0, own]}
-            state = self.initial((stop - start,) if wide else (), stream, **first)
+            state = self.initial((own.stop - own.start,) if wide else (), stream, **first)
             for k, t in enumerate(times):
                 shown = () if seen is None else (seen[k, own],)
-                told = {} if true is None else {"mode": true[k, own]}
-                state = self.step(state, t, flat[k, :, own] if wide else y[k], *shown, **told)
+                told = () if true is None else (true[k, own],)
+                with held.at(max(k - 1, 0)):
+                    state = self.predict(state, t, *told)
+                with held.at(k):
+                    state = self.correct(state, flat[k, :, own] if wide else y[k], *shown)
                 said = self.kept(state)
                 for place, whole in rows:
                     whole[k].T[...] = np.asarray(said[place]).T

@@ -30,7 +30,8 @@ class Matrices(Linearization):
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             slope = map.slope_at(t)
             lean = np.einsum("ij...,jk...->ik...", slope, cov)  # cov(y, x)
-            y, cross = np.einsum("ij...,j...->i...", slope, mean), np.swapaxes(lean, 0, 1)
+            y = map.pushed(t, np.einsum("ij...,j...->i...", slope, mean))
+            cross = np.swapaxes(lean, 0, 1)
             if not spread:
                 return Moments(y, cross, None)
             square = np.einsum("ij...,kj...->ik...", lean, slope)

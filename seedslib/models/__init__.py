@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from seedslib.models.discrete import DiscreteSystem as DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion as JumpDiffusion
     from seedslib.models.kinds import System as System
+    from seedslib.models.kinds import inputs_of as inputs_of
     from seedslib.models.linear import LinearSystem as LinearSystem
     from seedslib.models.maps import StochasticMap as StochasticMap
     from seedslib.models.noise import Noise as Noise

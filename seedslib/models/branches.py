@@ -245,3 +245,14 @@ def _same(t, x, v):
 def _calm(map, t, x, v):
     """Weight of a map that does not look at its noise."""
     return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))))
+
+
+def map_rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
+    """Rows of maps, as tuples."""
+    try:
+        rows = tuple(tuple(row) for row in table)
+    except TypeError:
+        rows = ()
+    if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
+        raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
+    return rows

@@ -21,8 +21,9 @@ from sympy.printing.numpy import SciPyPrinter
 
 from seedslib.base.checks import require_shape
 from seedslib.base.correction import joint_shape
-from seedslib.base.parameters import current, parameters_of
+from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
+from seedslib.base.values import current
 from seedslib.models.sinc import sinc_ratio, with_ratios
 
 LARGEST_POWER = 40

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,6 +12,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.values import Inputs
+from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
@@ -21,7 +25,8 @@ class DiscreteSystem(ShownModel):
     """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
 
     The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
-    sensor at the time of the measurement.
+    sensor at the time of the measurement. Dynamics that mention `seedslib.base.ELAPSED` see how
+    long their step is, and move the state over steps of any length.
 
     Parameters
     ----------
@@ -72,6 +77,11 @@ class DiscreteSystem(ShownModel):
             state, noise = (dict.fromkeys(s for part in group for s in part) for group in parts)
             require_distinct(state=state, noise=noise)
 
+    @cached_property
+    def mentions(self) -> frozenset[Any]:
+        """Parameters, inputs and elapsed time in the maps."""
+        return self.dynamics.mentions | self.sensor.mentions
+
     @property
     def measurement_size(self) -> int:
         """Number of measured components."""
@@ -83,13 +93,15 @@ class DiscreteSystem(ShownModel):
 
     def advance(self, x: np.ndarray, start: float, stop: float, rng: Source) -> np.ndarray:
         """States of shape (n, *batch) one step later; the dynamics are those of time `start`."""
-        return self.dynamics.sample(start, x, rng)
+        with elapsed(self, start, stop):
+            return self.dynamics.sample(start, x, rng)
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, workers: int = 1,
+        availability: ArrayLike | None = None, inputs: Inputs | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""
         return simulate(
-            self, times, paths, seed, measured=measured, availability=availability, workers=workers
-        )
+            self, times, paths, seed, measured=measured, availability=availability, inputs=inputs,
+            workers=workers,
+        )  # fmt: skip

@@ -17,7 +17,8 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source, drawn, normal
 from seedslib.base.checks import as_count, as_whole
 from seedslib.base.semidefinite import factor
-from seedslib.models.kinds import as_grid
+from seedslib.base.values import on_paths
+from seedslib.models.kinds import as_grid, elapsed
 from seedslib.models.simulation import Simulation, simulate
 
 if TYPE_CHECKING:
@@ -86,16 +87,18 @@ class Hybrid:
         for i, row in enumerate(self.system.branches):
             here = flat[-1] == i
             old, noise = flat[:-1, here], v[:, here]
-            if old_drives:
-                moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
-            if told is None:
-                moved[-1, here] = _branch(row, start, old, noise, choice[here])
+            with elapsed(self, start, stop), on_paths(x.shape[1:], here):
+                if old_drives:
+                    moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
+                if told is None:
+                    moved[-1, here] = _branch(row, start, old, noise, choice[here])
         if told is not None:
             moved[-1] = told.ravel()
         if not old_drives:
             for l, map in enumerate(self.system.dynamics):
                 here = moved[-1] == l
-                moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here])
+                with elapsed(self, start, stop), on_paths(x.shape[1:], here):
+                    moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here])
         return moved.reshape(x.shape)
 
 
@@ -121,9 +124,10 @@ class HybridSensor:
         for i, row in enumerate(system.readings):
             here = flat[-1] == i
             state, noise = flat[:-1, here], w[:, here]
-            y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
-            if system.indicators:
-                y[-1, here] = _branch(row, t, state, noise, choice[here])
+            with on_paths(x.shape[1:], here):
+                y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
+                if system.indicators:
+                    y[-1, here] = _branch(row, t, state, noise, choice[here])
         return y.reshape(self.size, *x.shape[1:])
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
@@ -138,21 +142,25 @@ class HybridSensor:
         for i, row in enumerate(system.readings):
             here = x[-1] == i
             if not system.indicators:
-                found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
+                with on_paths(batch, here):
+                    found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
                 continue
             unseen = here & np.isnan(y[-1])
             if unseen.any():
-                found[unseen] = system.sensors[i].log_density(t, y[:-1, unseen], x[:-1, unseen])
+                with on_paths(batch, unseen):
+                    shown, known = y[:-1, unseen], x[:-1, unseen]
+                    found[unseen] = system.sensors[i].log_density(t, shown, known)
             for j, branch in enumerate(row):
                 both = here & (y[-1] == j)
                 if branch is not None and both.any():
-                    found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
+                    with on_paths(batch, both):
+                        found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
         return found
 
 
 def simulate_hybrid(
-    system: Any, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-    availability: ArrayLike | None = None, modes: ArrayLike | None = None, workers: int = 1,
+    system: Any, times: ArrayLike, paths: Count, seed: Seed, *, modes: ArrayLike | None = None,
+    **options: Any,
 ) -> Simulation:  # fmt: skip
     """Simulate a switching system, its modes and indicators apart from the numbers."""
     told = None
@@ -166,10 +174,7 @@ def simulate_hybrid(
         told = as_whole("modes", told, (steps, paths))
         if not ((told >= 0) & (told < system.modes)).all():
             raise ValueError(f"modes: wanted numbers from 0 to {system.modes - 1}, got others")
-    made = simulate(
-        system.hybrid, times, paths, seed, measured=measured, availability=availability, told=told,
-        workers=workers,
-    )  # fmt: skip
+    made = simulate(system.hybrid, times, paths, seed, told=told, **options)
     m, shown = system.measurement_size, made.measurements
     indicators, modes = None, made.states[:, -1].astype(int)
     if system.indicators:

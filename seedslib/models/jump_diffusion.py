@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any
 
@@ -13,6 +13,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_shape
 from seedslib.base.objects import Travelling
+from seedslib.base.values import Inputs, looked_at, with_values
 from seedslib.models import stepping
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
@@ -54,6 +55,8 @@ class JumpDiffusion(Travelling, ShownModel):
         Default step of simulation and of the filters' integration, in units of time.
     time : SymPy symbol, optional
         Name of the time, ``t`` by default.
+    period : mapping of int to float, optional
+        Components of the measurement that lie on a circle, and their periods.
 
     Attributes
     ----------
@@ -85,7 +88,9 @@ class JumpDiffusion(Travelling, ShownModel):
         self, state: Any, drift: Any, diffusion: Any, sensor: Any, noise: Any, mean0: ArrayLike,
         cov0: ArrayLike, *, intensity: Any = 0, jump: Any = None, marks: Any = None,
         parameters: Any = None, initial: Any = None, step: float = 0.01, time: Any = None,
+        period: Mapping[int, float] | None = None,
     ) -> None:  # fmt: skip
+        from seedslib.base.parameters import parameters_of
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -98,9 +103,9 @@ class JumpDiffusion(Travelling, ShownModel):
             allowed = {self.time, *self.state, *symbols}
             return known_expressions(name, value, shape, values, allowed)
 
-        def mapped(name, value, rows, source):
+        def mapped(name, value, rows, source, period=None):
             value = expressions(name, value, (rows,), source.symbols)
-            return StochasticMap(self.state, value, source, time=self.time)
+            return StochasticMap(self.state, value, source, time=self.time, period=period)
 
         n = len(self.state)
         self.drift_expressions: Any = expressions("drift", drift, (n,))
@@ -109,14 +114,16 @@ class JumpDiffusion(Travelling, ShownModel):
         if (jump is None) != (self.intensity_expression == 0):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
-        self.sensor: StochasticMap = mapped("sensor", sensor, None, noise)
+        self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
+        rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
+        self._parameters = parameters_of(rates)
         self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
 
     @classmethod
     def from_functions(
         cls, drift: Rate, diffusion: Rate, sensor: StochasticMap, mean0: ArrayLike, cov0: ArrayLike,
         *, intensity: Rate | None = None, jump: StochasticMap | None = None, initial: Any = None,
-        step: float = 0.01, wiener_size: int | None = None,
+        step: float = 0.01, wiener_size: int | None = None, parameters: Sequence[Any] = (),
     ) -> JumpDiffusion:  # fmt: skip
         """Make a system of array functions.
 
@@ -135,6 +142,8 @@ class JumpDiffusion(Travelling, ShownModel):
             The jump; its conditional moments or Gaussian marks are needed by filters.
         wiener_size : int, optional
             Number of Wiener processes, found by one call of `diffusion` by default.
+        parameters : sequence of Parameter, optional
+            As `StochasticMap.from_functions`.
 
         Other parameters are those of the class.
         """
@@ -143,13 +152,15 @@ class JumpDiffusion(Travelling, ShownModel):
         self.intensity_expression = None
         if (jump is None) != (intensity is None):
             raise ValueError("jump, intensity: wanted both or neither, got one")
-        self.sensor, self.jump = sensor, jump
+        self.sensor, self.jump, self._parameters = sensor, jump, tuple(parameters)
+        drift, diffusion, intensity = with_values(parameters, drift, diffusion, intensity)
         mean0 = as_shape("mean0", mean0, (sensor.state_size,))
         n, probe = len(mean0), np.tile(mean0[:, None], 3)
-        as_shape("drift", drift(0.0, probe), (n, 3))
-        found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
-        if intensity is not None:
-            as_shape("intensity", intensity(0.0, probe), (3,))
+        with looked_at(parameters):
+            as_shape("drift", drift(0.0, probe), (n, 3))
+            found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
+            if intensity is not None:
+                as_shape("intensity", intensity(0.0, probe), (3,))
         vars(self).update(drift=drift, diffusion=diffusion, intensity=intensity or _never)
         self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
@@ -169,6 +180,12 @@ class JumpDiffusion(Travelling, ShownModel):
     def symbolic(self) -> bool:
         """Whether the system was given as SymPy expressions."""
         return self.drift_expressions is not None
+
+    @cached_property
+    def mentions(self) -> frozenset[Any]:
+        """Parameters and inputs in its formulas."""
+        maps = [map.mentions for map in (self.sensor, self.jump) if map is not None]
+        return frozenset(self._parameters).union(*maps)
 
     def _compiled(self, expression: object) -> Rate:
         from seedslib.models.codegen import compile_array
@@ -265,32 +282,14 @@ class JumpDiffusion(Travelling, ShownModel):
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, step: float | None = None,
         scheme: str = "euler", measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, workers: int = 1,
+        availability: ArrayLike | None = None, inputs: Inputs | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
-        """Simulate paths and measurements.
+        """Simulate paths and measurements; see `seedslib.models.simulation.simulate`.
 
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-            Output times; the first is the time of the initial law.
-        paths : int
-        seed : int, SeedSequence or Generator
-        step : float, optional
-            Largest integration step; the system's own by default.
-        scheme : {"euler", "heun"}
-        measured, availability : array_like, optional
-            As those of `seedslib.models.simulation.simulate`.
-        workers : int
-            Threads; the numbers do not depend on it, nor on the number of paths.
-
-        Returns
-        -------
-        Simulation
-            ``times``, ``states`` of shape (K+1, n, paths), ``measurements`` of shape
-            (K+1, m, paths).
+        `step` is the largest integration step and `scheme` as in `advance`.
         """
         return simulate(
-            self, times, paths, seed, measured=measured, availability=availability,
+            self, times, paths, seed, measured=measured, availability=availability, inputs=inputs,
             workers=workers, step=step, scheme=scheme,
         )  # fmt: skip
 

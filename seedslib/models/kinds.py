@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import MISSING, dataclass, fields
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
@@ -10,6 +11,7 @@ import numpy as np
 
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import when
+from seedslib.base.values import Course, Inputs, as_course, assigned
 
 
 @runtime_checkable
@@ -43,6 +45,7 @@ class System(Protocol):
 
 
 if TYPE_CHECKING:
+    from seedslib.base.parameters import Input, Parameter
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.switching import SwitchingSystem
@@ -125,17 +128,53 @@ def in_steps(system: object) -> bool:
     return hasattr(getattr(system, "system", system), "dynamics")
 
 
+def in_even_steps(system: object) -> bool:
+    """Whether these steps must be of one length, since the map does not see the elapsed time."""
+    return in_steps(system) and not any(p.role == "elapsed" for p in mentioned(system))
+
+
+def mentioned(system: object) -> frozenset[Parameter]:
+    """Parameters, inputs and elapsed time that the formulas of a system mention."""
+    return getattr(getattr(system, "system", system), "mentions", _NOBODY)
+
+
+_NOBODY: frozenset[Parameter] = frozenset()
+
+
+def inputs_of(system: object) -> frozenset[Input]:
+    """Inputs that the formulas of a system mention: what a record must be told with."""
+    found: Any = mentioned(system)
+    return frozenset(p for p in found if p.role == "input") if found else found
+
+
+def course_of(
+    system: object, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
+) -> Course:
+    """What a system is told on a grid of times, see `seedslib.base.values.as_course`."""
+    return as_course(inputs, inputs_of(system), count, batch)
+
+
+def elapsed(system: object, start: float, stop: float) -> AbstractContextManager[None]:
+    """Tell the maps of a system, where they ask, how long the step is that they make."""
+    found = mentioned(system)
+    asked = [p for p in found if p.role == "elapsed"] if found and in_steps(system) else ()
+    return assigned(dict.fromkeys(asked, stop - start)) if asked else _NOTHING
+
+
+_NOTHING: AbstractContextManager[None] = nullcontext()
+
+
 def as_grid(name: str, value: object, system: object) -> np.ndarray:
-    """Times, see `as_times`; equally spaced ones for a system in discrete time.
+    """Times, see `as_times`; equally spaced ones for what moves by steps of one length.
 
     Raises
     ------
     TypeError, ValueError
         As `as_times`; `ValueError` also for unequal steps of a system in discrete time, whose
-        map moves it by one step however long the gap is.
+        map moves it by one step however long the gap is: it does not mention the elapsed time.
     """
     times = as_times(name, value)
-    if len(times) > 2 and in_steps(system):
+    if len(times) > 2 and in_even_steps(system):
         require_even(name, np.diff(times), times)
     return times
 
@@ -160,7 +199,8 @@ def require_even(name: str, steps: np.ndarray, times: np.ndarray) -> None:
         raise ValueError(
             f"{name}: wanted equal steps, for a system in discrete time makes one step from "
             f"each time to the next, got steps of {steps[0]:g} and, from {when(times[k])} on, "
-            f"{steps[k]:g}; write the missing times with measurements of NaN"
+            f"{steps[k]:g}; write the missing times with measurements of NaN, or the dynamics with "
+            "the elapsed time ELAPSED"
         )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -9,17 +10,18 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
 from seedslib.base.semidefinite import factor
+from seedslib.base.values import current
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, tidy
-from seedslib.models.propagation import van_loan
+from seedslib.models.propagation import Discretised, SteppedMatrix
 
 Matrix: TypeAlias = Any
 """An array of numbers or of SymPy expressions, or a function of time that gives one."""
 
 
 class LinearMap(StochasticMap):
-    """y = A(t) x + v with v ~ N(0, S(t)).
+    """y = A(t) x + B(t) u + v with v ~ N(0, S(t)).
 
     Parameters
     ----------
@@ -29,6 +31,10 @@ class LinearMap(StochasticMap):
         S, likewise.
     shape : (int, int)
         m and n.
+    push : array_like or callable, shape (m, p), optional
+        B, likewise.
+    inputs : tuple of Parameter, length p
+        u.
 
     Raises
     ------
@@ -36,22 +42,28 @@ class LinearMap(StochasticMap):
         Other shapes, or a constant S that is not positive semidefinite.
     """
 
-    def __init__(self, slope: Matrix, cov: Matrix, shape: tuple[int, int]) -> None:
+    def __init__(
+        self, slope: Matrix, cov: Matrix, shape: tuple[int, int], push: Matrix = None,
+        inputs: tuple[Any, ...] = (),
+    ) -> None:  # fmt: skip
         m, n = shape
-        self._slope, self._cov = slope, cov
-        if callable(slope) or callable(cov):
+        self._slope, self._cov, self._push, self._inputs = slope, cov, push, inputs
+        if callable(slope) or callable(cov) or callable(push):
             made = StochasticMap.from_functions(
                 n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread
             )  # fmt: skip
             vars(self).update(vars(made))
+            told = (getattr(M, "mentions", ()) for M in (slope, cov, push))
+            self._parameters = (*inputs, *(p for part in told for p in part))
             return
         import sympy
 
         state = sympy.symbols(f"x1:{n + 1}", real=True)
         noise = sympy.symbols(f"v1:{m + 1}", real=True)
+        rows = self._slope if push is None else np.hstack([self._slope, push])
         value = [
-            sum((tidy(a) * x for a, x in zip(row, state, strict=True) if a), v)
-            for row, v in zip(self._slope, noise, strict=True)
+            sum((tidy(a) * x for a, x in zip(row, (*state, *inputs), strict=True) if a), v)
+            for row, v in zip(rows, noise, strict=True)
         ]
         super().__init__(state, value, Noise(noise, 0.0, self._cov))
 
@@ -71,8 +83,21 @@ class LinearMap(StochasticMap):
             return as_shape("cov", cov, (self.size, self.size, *cov.shape[2:]))
         return as_covariance("cov", cov, self.size)
 
+    def pushed(self, t: float, y: np.ndarray) -> np.ndarray:
+        """What the inputs make of A x, shape (m, *batch): they are added."""
+        if self._push is None:
+            return y
+        push = self._push
+        if callable(push):
+            push = as_real("push", push(t))
+            as_shape("push", push, (self.size, len(self._inputs), *push.shape[2:]))
+        push = push.reshape(*push.shape[:2], *(1,) * (y.ndim + 1 - push.ndim), *push.shape[2:])
+        for k, value in enumerate(current(self._inputs)):
+            y = y + push[:, k] * value
+        return y
+
     def _mean(self, t: float, x: np.ndarray) -> np.ndarray:
-        return np.einsum("ij...,j...->i...", self.slope_at(t), x)
+        return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t), x))
 
     def _spread(self, t: float, x: np.ndarray) -> np.ndarray:
         cov = self.cov_at(t)
@@ -90,7 +115,7 @@ class LinearMap(StochasticMap):
 
 
 class LinearSystem(DiscreteSystem):
-    """X_{k+1} = F X_k + W_k, Y_k = H X_k + V_k with W ~ N(0, Q), V ~ N(0, R).
+    """X_{k+1} = F X_k + B u_k + W_k, Y_k = H X_k + D u_k + V_k, W ~ N(0, Q), V ~ N(0, R).
 
     Every filter takes it; the one that is made for it is `seedslib.filters.KalmanFilter`.
 
@@ -98,7 +123,7 @@ class LinearSystem(DiscreteSystem):
     ----------
     F, Q : array_like or callable, shape (n, n)
         Matrices, or functions of the time that the step leaves. An entry may be a SymPy
-        expression in the time ``t`` and in parameters.
+        expression in the time ``t``, in parameters, inputs and the elapsed time.
     H, R : array_like or callable, shapes (m, n) and (m, m)
         Likewise, at the time of the measurement.
     mean0, cov0 : array_like, shapes (n,) and (n, n)
@@ -106,18 +131,28 @@ class LinearSystem(DiscreteSystem):
     diffuse : sequence of int
         Components of the first state of which nothing is known: `KalmanFilter` gives them an
         infinite variance, and other filters refuse the system. Their rows of `cov0` are zero.
+    B, D : array_like or callable, shapes (n, p) and (m, p), optional
+        What the inputs do to the state and to the measurement, like F and H.
+    inputs : sequence of Input, length p
+        u; those of a time act until the next time.
 
     Raises
     ------
     TypeError, ValueError
         Shapes that do not fit, covariances that are not positive semidefinite, components that
-        do not exist.
+        do not exist, inputs without a matrix or a matrix without them.
     """
 
     def __init__(
         self, F: Matrix, Q: Matrix, H: Matrix, R: Matrix, mean0: ArrayLike, cov0: ArrayLike, *,
-        diffuse: tuple[int, ...] = (),
+        diffuse: tuple[int, ...] = (), B: Matrix = None, D: Matrix = None,
+        inputs: Sequence[Any] = (),
     ) -> None:  # fmt: skip
+        inputs = tuple(inputs)
+        if not all(hasattr(u, "role") for u in inputs):
+            raise TypeError(f"inputs: wanted a sequence of Input, got {inputs!r}")
+        if bool(inputs) != (B is not None or D is not None):
+            raise ValueError("B, D, inputs: wanted a matrix and its inputs, got one without other")
         mean0 = np.atleast_1d(as_real("mean0", mean0))
         n = len(mean0)
         F, Q, H, R = (_entries(name, M) for name, M in zip("FQHR", (F, Q, H, R), strict=True))
@@ -129,6 +164,10 @@ class LinearSystem(DiscreteSystem):
                 as_shape(name, M, sizes[name])
                 if name in "QR":
                     as_covariance(name, M, len(M))
+        B, D = (None if M is None else _entries(name, M) for name, M in (("B", B), ("D", D)))
+        for name, M, rows in (("B", B, n), ("D", D, m)):
+            if M is not None and not callable(M):
+                as_shape(name, M, (rows, len(inputs)))
         diffuse = tuple(diffuse)
         for k in diffuse:
             if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
@@ -138,7 +177,9 @@ class LinearSystem(DiscreteSystem):
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
         if np.any(cov0[list(diffuse)] != 0.0):
             raise ValueError("cov0: wanted zeros in the rows of diffuse components")
-        super().__init__(LinearMap(F, Q, (n, n)), LinearMap(H, R, (m, n)), mean0, cov0)
+        dynamics = LinearMap(F, Q, (n, n), B, inputs if B is not None else ())
+        sensor = LinearMap(H, R, (m, n), D, inputs if D is not None else ())
+        super().__init__(dynamics, sensor, mean0, cov0)
         vars(self)["diffuse"] = diffuse
 
     def initial_sample(self, rng: Any, count: int) -> np.ndarray:
@@ -156,19 +197,23 @@ class LinearSystem(DiscreteSystem):
     @classmethod
     def from_continuous(
         cls, drift: ArrayLike, diffusion: ArrayLike, H: Matrix, R: Matrix, mean0: ArrayLike,
-        cov0: ArrayLike, *, step: float, diffuse: tuple[int, ...] = (),
+        cov0: ArrayLike, *, step: float | None, diffuse: tuple[int, ...] = (),
+        B: ArrayLike | None = None, D: Matrix = None, inputs: Sequence[Any] = (),
     ) -> LinearSystem:  # fmt: skip
-        """The system dX = drift X dt + dB seen at equal steps, by exact discretisation.
+        """The system dX = (drift X + B u) dt + dW seen at some times, by exact discretisation.
 
         Parameters
         ----------
         drift : array_like, shape (n, n)
         diffusion : array_like, shape (n, n)
-            Covariance of B per unit of time.
-        H, R, mean0, cov0, diffuse
+            Covariance of W per unit of time.
+        H, R, mean0, cov0, diffuse, D, inputs
             As for the class.
-        step : float
-            Time from one measurement to the next.
+        step : float, or None
+            Time from one measurement to the next; None for times at any distance, each step being
+            discretised by itself.
+        B : array_like, shape (n, p), optional
+            Of the inputs, which are constant from one measurement to the next.
 
         Raises
         ------
@@ -179,10 +224,18 @@ class LinearSystem(DiscreteSystem):
         spread = as_covariance(
             "diffusion", np.atleast_2d(as_real("diffusion", diffusion)), len(drift)
         )
-        if not step > 0:
+        as_shape("drift", drift, spread.shape)
+        push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
+        as_shape("B", push, (len(drift), len(inputs) if B is not None else 0))
+        steps = Discretised(drift, spread, push)
+        if step is None:
+            F, Q, B = (SteppedMatrix(steps, part) for part in range(3))
+        elif not step > 0:
             raise ValueError(f"step: wanted a positive number, got {step}")
-        F, Q = van_loan(as_shape("drift", drift, spread.shape), spread, float(step))
-        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse)
+        else:
+            F, Q, B = steps(float(step))
+        told = {"B": None if push.size == 0 else B, "D": D, "inputs": inputs}
+        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, **told)
 
 
 def _entries(name: str, matrix: Any) -> Any:
@@ -213,12 +266,14 @@ class Entries:
     def __init__(self, name: str, entries: np.ndarray) -> None:
         import sympy
 
+        from seedslib.base.parameters import parameters_of
         from seedslib.models.codegen import compile_components, known_expressions
 
         self._made_of, self.shape = (name, entries), entries.shape
         time = sympy.Symbol("t")
         known = known_expressions(name, entries, entries.shape, {}, {time})
         self._function = compile_components([time], list(known.flat))
+        self.mentions: tuple[Any, ...] = parameters_of(known.flat)
 
     def __call__(self, t: float) -> np.ndarray:
         """The matrix at a time."""

@@ -7,7 +7,7 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -17,6 +17,7 @@ from seedslib.base.bundles import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.correction import correct
 from seedslib.base.objects import Shown, Travelling
+from seedslib.base.values import with_values
 from seedslib.models.missing import told
 from seedslib.models.noise import Noise, named_noise
 
@@ -48,11 +49,9 @@ class StochasticMap(Travelling, Shown):
 
     Raises
     ------
-    TypeError
-        Entries that are not SymPy expressions.
-    ValueError
-        Symbols other than the state, the noise and the time, or one symbol as two of them; an
-        expression without a finite value.
+    TypeError, ValueError
+        Entries that are not SymPy expressions, or have no finite value; symbols other than the
+        state, the noise and the time, or one symbol as two of them.
     """
 
     _shown = "state_size", "size"
@@ -87,7 +86,7 @@ class StochasticMap(Travelling, Shown):
         cls, state_size: int, size: int, value: Callable[..., Any], noise: Noise | None = None, *,
         weight: Callable[..., Any] | None = None, mean: Callable[..., Any] | None = None,
         cov: Callable[..., Any] | None = None, log_density: Callable[..., Any] | None = None,
-        period: Mapping[int, float] | None = None,
+        period: Mapping[int, float] | None = None, parameters: Sequence[Any] = (),
     ) -> StochasticMap:  # fmt: skip
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
 
@@ -109,13 +108,19 @@ class StochasticMap(Travelling, Shown):
         log_density : callable, optional
             ``log_density(t, y, x) -> (*batch)``; it is asked about measurements with a missing
             (NaN) component, never believed about those that are missing altogether.
+        parameters : sequence of Parameter, optional
+            With inputs and `ELAPSED`: all functions are given their values, numbers or of shape
+            (*batch), after their other arguments, ``value(t, x, v, *parameters)``.
         """
+        parts = with_values(parameters, value, weight, mean, cov, log_density)
+        value, weight, mean, cov, log_density = parts
         self = object.__new__(cls)
         self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
         self.noise = Noise() if noise is None else noise
         self.state_size, self.size = int(state_size), int(size)
         self.period = as_periods("period", period, self.size)
         self._value, self._weight, self._log_density = value, weight, log_density
+        self._parameters = tuple(parameters)
         if (mean is None) != (cov is None):
             raise ValueError("mean, cov: wanted both or neither, got one")
         if mean is not None:
@@ -144,6 +149,15 @@ class StochasticMap(Travelling, Shown):
         """Whether the branch has a probability other than one."""
         return self.weight_expression != 1 if self.symbolic else self._weight is not None
 
+    @cached_property
+    def mentions(self) -> frozenset[Any]:
+        """Parameters, inputs and elapsed time that it mentions."""
+        if not self.symbolic:
+            return frozenset(self._parameters)
+        from seedslib.base.parameters import parameters_of
+
+        return frozenset(parameters_of([self.weight_expression, *self.expressions]))
+
     def whole(self) -> StochasticMap:
         """The map without its weight: what it does where it applies."""
         if not self.weighted:
@@ -153,11 +167,12 @@ class StochasticMap(Travelling, Shown):
                 self.state, self.expressions, self.noise, time=self.time, period=dict(self.period)
             )
         given = self.__dict__.get("conditional")
-        return StochasticMap.from_functions(
-            self.state_size, self.size, self._value, self.noise,
-            mean=given and given.mean, cov=given and given.cov, log_density=self._log_density,
-            period=dict(self.period),
+        made = StochasticMap.from_functions(
+            self.state_size, self.size, self._value, self.noise, mean=given and given.mean,
+            cov=given and given.cov, log_density=self._log_density, period=dict(self.period),
         )  # fmt: skip
+        made._parameters = self._parameters
+        return made
 
     def value(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
         """Value y of shape (size, *batch) at states x and noises v (components first)."""

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
 from seedslib.base.clock import lengths_alike, when
+from seedslib.base.values import current
 
 RTOL = 1e-11
 ATOL = 1e-14
@@ -59,6 +60,60 @@ def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
         column = unit[:, None]
         move, spread = move * (column / unit), 0.5 * (spread + spread.T) * column * unit
     return bounded(step, move, spread)
+
+
+class Discretised:
+    """Exact discretisation of dX = (F X + G u) dt + dW, with u constant within a step.
+
+    Called with the length of a step it gives the transition matrix, the covariance of the noise
+    and the matrix of the inputs, the integral of exp(F s) G; those of the last length are kept.
+
+    Parameters
+    ----------
+    drift, diffusion : ndarray, shape (n, n)
+        F, and the covariance of W per unit of time.
+    push : ndarray, shape (n, p)
+        G.
+    """
+
+    def __init__(self, drift: np.ndarray, diffusion: np.ndarray, push: np.ndarray) -> None:
+        n, p = push.shape
+        self.size: int = n
+        self._drift, self._diffusion = np.zeros((2, n + p, n + p))  # of (X, u)
+        self._drift[:n] = np.hstack([drift, push])
+        self._diffusion[:n, :n] = diffusion
+        self._last: Any = None, None
+
+    def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """The three matrices for a step of this length."""
+        known, n = self._last, self.size
+        if known[0] != step:
+            move, spread = van_loan(self._drift, self._diffusion, step)
+            known = step, (move[:n, :n], spread[:n, :n], move[:n, n:])
+            self._last = known
+        return known[1]
+
+
+class SteppedMatrix:
+    """One of the matrices of `Discretised`, for the time that has elapsed in a step.
+
+    Parameters
+    ----------
+    steps : Discretised
+    part : int
+        0 for the transition, 1 for the noise, 2 for the inputs.
+    """
+
+    def __init__(self, steps: Discretised, part: int) -> None:
+        from seedslib.base.parameters import ELAPSED
+
+        self.steps: Discretised = steps
+        self.part: int = part
+        self.mentions: tuple[Any, ...] = (ELAPSED,)
+
+    def __call__(self, t: float) -> np.ndarray:
+        """The matrix."""
+        return self.steps(*current(self.mentions))[self.part]
 
 
 def balanced(

@@ -16,7 +16,8 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_real, unmasked
-from seedslib.models.kinds import AnySystem, as_grid
+from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.models.kinds import AnySystem, as_grid, course_of
 
 ARRIVALS = 0x41525256
 """Key of the stream that decides what arrives, among the children of a block's."""
@@ -122,7 +123,7 @@ class Schedule(NamedTuple):
 def simulate(
     system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
     measured: ArrayLike | None = None, availability: ArrayLike | None = None,
-    told: MaybeArray = None, workers: int = 1, **options: Any,
+    inputs: Inputs | None = None, told: MaybeArray = None, workers: int = 1, **options: Any,
 ) -> Simulation:  # fmt: skip
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
@@ -142,6 +143,9 @@ def simulate(
     availability : float or array_like, shape (m,), optional
         Probability that a component that is read arrives, independently at each time and on
         each path; NaN where it does not. States and the numbers that arrive do not depend on it.
+    inputs : mapping of Input to array_like, shape (K+1,) or (K+1, paths), optional
+        Values of the inputs that the system mentions: those of a time act in the dynamics from
+        there until the next time, and in the sensor at that time.
     told : ndarray of int, shape (K+1, paths), optional
         Modes, which ``initial_sample`` and ``advance`` are told as a last argument.
     workers : int
@@ -151,15 +155,21 @@ def simulate(
     ------
     TypeError, ValueError
         Times that do not increase, unequal steps of a system in discrete time, a count below
-        one, a wrong mask or seed, no probabilities.
+        one, a wrong mask or seed, no probabilities; inputs that are missing or do not fit.
     """
     times = as_grid("times", times, system)
     paths = as_count("paths", paths)
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
+    course = course_of(system, inputs, len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
     def work(start: int, stop: int, stream: np.random.SeedSequence) -> None:
+        own = slice(start, stop)
+        with on_paths((paths,), own):
+            fill(start, stop, stream, course.of(own))
+
+    def fill(start: int, stop: int, stream: np.random.SeedSequence, held: Course) -> None:
         x = None
         for k, child in enumerate(stream.spawn(len(times))):
             moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
@@ -169,10 +179,13 @@ def simulate(
                 if k == 0:
                     x = system.initial_sample(moving, stop - start, *modes)
                 else:
-                    x = system.advance(x, times[k - 1], times[k], moving, *modes, **options)
+                    with held.at(k - 1):
+                        x = system.advance(x, times[k - 1], times[k], moving, *modes, **options)
                 states[k, :, start:stop] = x
                 if schedule.mask[k].any():
-                    measurements[k, :, start:stop] = system.sensor.sample(times[k], x, sensing)
+                    with held.at(k):
+                        shown = system.sensor.sample(times[k], x, sensing)
+                    measurements[k, :, start:stop] = shown
                     schedule.leave_out(k, measurements[k, :, start:stop], stream)
 
     in_blocks(work, paths, seed, workers=workers)

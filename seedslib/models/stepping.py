@@ -13,6 +13,7 @@ from numpy.random import Generator
 from seedslib.base.blocks import BLOCK
 from seedslib.base.bundles import Source, drawn, parts
 from seedslib.base.clock import step_count, when
+from seedslib.base.values import on_paths
 
 if TYPE_CHECKING:
     from seedslib.models.jump_diffusion import JumpDiffusion
@@ -70,7 +71,7 @@ def advance(
     x = np.array(x, dtype=float).reshape(shape[0], -1)
     state, count = list(x), x.shape[1]
     clock = _JumpClock(system, rng, count) if system.jump is not None else None
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", invalid="ignore"), on_paths(shape[1:]):
         for k, normal in enumerate(_normals(rng, steps, system.wiener_size, count)):
             t = start + k * h
             move = increment(t, h, root, state, normal)
@@ -218,7 +219,8 @@ class _JumpClock:
         while number.max() + 1 >= self.ready:
             self._extend()
         marks = self.marks[number, :, due]
-        kicks = self.kick(t, [c[due] for c in before], list(marks.T))
+        with on_paths((self.count,), due):
+            kicks = self.kick(t, [c[due] for c in before], list(marks.T))
         for component, kick in zip(after, kicks, strict=True):
             if isinstance(kick, np.ndarray) or kick != 0:
                 component[due] += kick

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.models.branches import branch_table, want_probabilities
+from seedslib.base.values import Inputs, looked_at
+from seedslib.models.branches import branch_table, map_rows, want_probabilities
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
@@ -66,6 +67,8 @@ class SwitchingSystem(ShownModel):
         Name of the time, ``t`` by default.
     drives : {"old", "new"}
         The mode that drives a step.
+    period : mapping of int to float, optional
+        Components of the measurement that lie on a circle, and their periods.
 
     Attributes
     ----------
@@ -102,7 +105,7 @@ class SwitchingSystem(ShownModel):
     def __init__(
         self, state: Any, dynamics: Any, noise: Any, switching: Any, sensor: Any, sensor_noise: Any,
         initial: Any, *, indicator: Any = None, parameters: Mapping[Any, Any] | None = None,
-        time: Any = None, drives: str = "old",
+        time: Any = None, drives: str = "old", period: Mapping[int, float] | None = None,
     ) -> None:  # fmt: skip
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
@@ -127,15 +130,16 @@ class SwitchingSystem(ShownModel):
         told = [[1]] * modes if indicator is None else indicator
         tells = expressions("indicator", told, (modes, None), sensor_noise)
 
-        def table(values, weights, source):
+        def table(values, weights, source, period=None):
+            made = partial(StochasticMap, self.state, time=self.time, period=period)
             return [
-                [StochasticMap(self.state, row, source, w, time=self.time) for w in weight]
+                [made(row, source, w) for w in weight]
                 for row, weight in zip(values, weights, strict=True)
             ]
 
         moves, readings = (
             table(moves, leave.T if drives == "new" else leave, noise),
-            table(shows, tells, sensor_noise),
+            table(shows, tells, sensor_noise, period),
         )
         if drives == "new":  # those of one value are a column: the moves to a mode
             moves = list(zip(*moves, strict=True))
@@ -166,7 +170,7 @@ class SwitchingSystem(ShownModel):
             As the class; no rows of maps, maps of a mode with several values, or maps with several
             noises.
         """
-        moves, readings = _rows("moves", moves), _rows("readings", readings)
+        moves, readings = map_rows("moves", moves), map_rows("readings", readings)
         if not isinstance(indicator, bool | np.bool_):
             raise TypeError(f"indicator: wanted True where it is seen or False, got {indicator!r}")
         self = object.__new__(cls)
@@ -203,9 +207,12 @@ class SwitchingSystem(ShownModel):
         apart = means - self.mean0
         self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
-        new = drives == "new"
-        self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), new)
-        self.readings: Any = branch_table("indicator", readings, *self._probe(self.sensor_noise))
+        maps = [m for table in (moves, readings) for row in table for m in row]
+        self.mentions: frozenset[Any] = frozenset().union(*(m.mentions for m in maps))
+        new, sensed = drives == "new", self.sensor_noise
+        with looked_at(self.mentions):
+            self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), new)
+            self.readings: Any = branch_table("indicator", readings, *self._probe(sensed))
         moved = moves[0] if new else [row[0] for row in moves]
         self.dynamics: tuple[StochasticMap, ...] = tuple(map.whole() for map in moved)
         self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
@@ -257,7 +264,8 @@ class SwitchingSystem(ShownModel):
 
     def simulate(
         self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, modes: ArrayLike | None = None, workers: int = 1,
+        availability: ArrayLike | None = None, inputs: Inputs | None = None,
+        modes: ArrayLike | None = None, workers: int = 1,
     ) -> Simulation:  # fmt: skip
         """Simulate paths, modes, measurements and indicators.
 
@@ -266,7 +274,7 @@ class SwitchingSystem(ShownModel):
 
         Parameters
         ----------
-        times, paths, seed, measured, availability, workers
+        times, paths, seed, measured, availability, inputs, workers
             As there.
         modes : array_like of int, shape (K+1,) or (K+1, paths), optional
             A course of the modes that is imposed on the paths, as in the truth of a benchmark:
@@ -286,17 +294,7 @@ class SwitchingSystem(ShownModel):
             seed,
             measured=measured,
             availability=availability,
+            inputs=inputs,
             modes=modes,
             workers=workers,
         )
-
-
-def _rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
-    """Rows of maps, as tuples."""
-    try:
-        rows = tuple(tuple(row) for row in table)
-    except TypeError:
-        rows = ()
-    if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
-        raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
-    return rows

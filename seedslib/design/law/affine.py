@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.correction import correct
 from seedslib.base.tables import AxesLike, AxisLike
+from seedslib.base.values import Inputs
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -20,12 +21,13 @@ from seedslib.models.kinds import AnySystem
 def affine_synthesis(
     system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     x: AxisLike, z: AxesLike | None = None, y: AxesLike | None = None,
+    inputs: Inputs | None = None,
 ) -> tuple[FiniteOrderFilter, GridRisk]:  # fmt: skip
     """Filter of theorem 2 with moments from the grid instead of simulated ones.
 
     Parameters
     ----------
-    system, memory, times, x, z, y
+    system, memory, times, x, z, y, inputs
         As `grid_synthesis`. The range of `z` should hold the estimates, which are not bounded
         here; what falls outside is counted.
     linearization : Linearization
@@ -43,18 +45,20 @@ def affine_synthesis(
     """
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
-    law = JointLaw(system, memory, times, x, z, y)
+    law = JointLaw(system, memory, times, x, z, y, inputs)
     sensor, start, fits = linearization.moments(system.sensor), None, []
     for k, t, sight, _ in law.steps():
         if k == 0:
-            start = _sensed(law, t)
+            with law.held.at(0):
+                start = _sensed(law, t)
             mean, cov, moments = start
             mean = mean[:, None]
             moments = moments._replace(mean=moments.mean[:, None])
         else:
             fits.append(regress(*_moments(law), 1))
             mean, cov = fits[-1].forecast(law.memory_points)
-            moments = sensor(float(t), mean, cov)
+            with law.held.at(k):
+                moments = sensor(float(t), mean, cov)
         law.take(k, corrected(law, mean, cov, moments), sight)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
 from seedslib.base.tables import AxesLike, AxisLike, Labels
+from seedslib.base.values import Inputs
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.law.recursion import conditional, seen
 from seedslib.designed.memory import Memory
@@ -25,6 +26,7 @@ METHOD = "density recursion"
 def grid_synthesis(
     system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
     y: AxesLike | None = None, nodes: Count = 4, probabilities: bool = False,
+    inputs: Inputs | None = None,
 ) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by the density recursion of theorem 1.
 
@@ -59,6 +61,9 @@ def grid_synthesis(
         Number of evenly spaced forecasts inside each interval; a switching system has none.
     probabilities : bool
         Whether tables of the probabilities of the modes are wanted too.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        Values of the inputs that the system mentions: the tables are those for this course. An
+        input of which a law is known is a component of the state.
 
     Returns
     -------
@@ -78,14 +83,15 @@ def grid_synthesis(
     """
     if nodes != 0:
         as_count("nodes", nodes)
-    law = JointLaw(system, memory, times, x, z, y)
+    law = JointLaw(system, memory, times, x, z, y, inputs)
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
     nodes = 0 if law.switching else nodes
     steps, changes, between, before = [], [], [], None
     for k, found in enumerate(optimal_steps(law, nodes)):
         changes.append(_change(before, found))
-        steps.append(_tables(law, k, found, probabilities))
+        with law.held.at(k):
+            steps.append(_tables(law, k, found, probabilities))
         between.append(found.between)
         before = found
     stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
@@ -138,7 +144,7 @@ def optimal_steps(law: JointLaw, nodes: int = 0) -> Iterator[Optimal]:
     Optimal
     """
     for k, _, sight, between in law.steps(nodes):
-        held, given = law.held, conditional(law.joint)
+        held, given = law.filled, conditional(law.joint)
         found = law.posterior(sight.relative, given)
         mass = law.take(k, found.mean, sight, found.mode)
         yield Optimal(held, given, *found, mass, between)
@@ -183,13 +189,13 @@ def _tables(law, k, optimal, probabilities) -> Step:
 
 def optimal_risk(
     system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
-    y: AxesLike | None = None,
+    y: AxesLike | None = None, inputs: Inputs | None = None,
 ) -> GridRisk:  # fmt: skip
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.
 
     Parameters
     ----------
-    system, memory, times, x, z, y
+    system, memory, times, x, z, y, inputs
         As `grid_synthesis`.
 
     Returns
@@ -201,7 +207,7 @@ def optimal_risk(
     TypeError, ValueError
         As `grid_synthesis`.
     """
-    law = JointLaw(system, memory, times, x, z, y)
+    law = JointLaw(system, memory, times, x, z, y, inputs)
     for _ in optimal_steps(law):
         pass
     return law.risk()

@@ -5,17 +5,18 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, AxisLike, Labels, as_axes, mesh
+from seedslib.base.values import Course, Inputs
 from seedslib.design.law.recursion import (
+    GridRisk,
     Seen,
     conditional,
     mode_masses,
@@ -31,7 +32,15 @@ from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains.feller import FellerChain
 from seedslib.models.chains.switching import SwitchingChain, chain_of
-from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
+from seedslib.models.kinds import (
+    AnySystem,
+    as_grid,
+    as_system,
+    course_of,
+    elapsed,
+    mentioned,
+    switches,
+)
 
 SPREADS = 6.5
 """Default axes of measurements reach this many deviations of the sensor beyond its means."""
@@ -54,35 +63,12 @@ UNSEEN = 1e-15
 """Events of this probability or less are left out where a memory holds modes."""
 
 
-class GridRisk(NamedTuple):
-    """Accuracy of a filter without random numbers.
-
-    Attributes
-    ----------
-    times : ndarray, shape (K+1,)
-    mse : ndarray, shape (K+1,)
-        M(X - Z_k)² of the filter whose memory is rounded to the grid at random.
-    bias : ndarray, shape (K+1,)
-        M(Z_k - X).
-    clamped : ndarray, shape (K+1,)
-        Probability that the estimate falls outside of the axis of the memory.
-    mode_error : ndarray, shape (K+1,), or None
-        Probability of a wrong mode, for a switching system.
-    """
-
-    times: np.ndarray
-    mse: np.ndarray
-    bias: np.ndarray
-    clamped: np.ndarray
-    mode_error: MaybeArray = None
-
-
 class JointLaw:
     """Joint law of state and memory on a grid, and what was found on the way.
 
     Parameters
     ----------
-    system, memory, times, x, z, y
+    system, memory, times, x, z, y, inputs
         As `seedslib.design.grid_synthesis`.
 
     Attributes
@@ -101,7 +87,7 @@ class JointLaw:
 
     def __init__(
         self, system: AnySystem, memory: Memory, times: ArrayLike, x: AxisLike, z: AxesLike | None,
-        y: AxesLike | None,
+        y: AxesLike | None, inputs: Inputs | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
@@ -112,10 +98,12 @@ class JointLaw:
         self.system: AnySystem = system
         self.memory: Memory = memory
         self.times: np.ndarray = as_grid("times", times, system)
+        self.held: Course = course_of(system, inputs, len(self.times))
         self.values: np.ndarray = self.chain.values
         self.modes: int = self.chain.modes
         self.switching: bool = switches(system)
-        axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
+        with self.held.at(0):
+            axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes
         self.shown: np.ndarray = mesh(self.measurement_axes)
@@ -129,7 +117,7 @@ class JointLaw:
         self.letter_axes: tuple[Any, ...] = decided + kept + axes
         self.letters: int = int(np.prod([axis.count for axis in self.letter_axes]))
         self.depth: int = memory.depth
-        self.held: int = 0
+        self.filled: int = 0
         size = max(self.values.shape[1], self.shown.shape[1])
         entries = float(self.letters) ** self.depth * size
         if entries > LARGEST:
@@ -144,7 +132,7 @@ class JointLaw:
     @property
     def memory_axes(self) -> tuple[Axis, ...]:
         """Axes of the memory as it is now."""
-        return self.letter_axes * self.held
+        return self.letter_axes * self.filled
 
     @property
     def memory_points(self) -> np.ndarray:
@@ -158,11 +146,14 @@ class JointLaw:
         """
         between: list[Table] = []
         for k, t in enumerate(followed(self.times, "design on a grid")):
-            yield k, t, self.look(t), tuple(between)
+            with self.held.at(k):
+                sight = self.look(t)
+            yield k, t, sight, tuple(between)
             if k + 1 < len(self.times):
                 stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
                 for a, b in pairwise(stops):
-                    self.move(a, b)
+                    with self.held.at(k), elapsed(self.system, a, b):
+                        self.move(a, b)
                     if b != stops[-1]:
                         between.append(self.forecast(b))
         self.look_at_memory()
@@ -224,7 +215,7 @@ class JointLaw:
         right = (part[modes == i].sum() for i, part in enumerate(masses))
         wrong = None if modes is None else 1.0 - sum(right)
         outside = 0.0
-        tail = self.letters if self.held == self.depth else 1
+        tail = self.letters if self.filled == self.depth else 1
         if self.memory.estimates:
             axis = self.letter_axes[-1]
             lower, share = axis.place(estimate)
@@ -244,11 +235,13 @@ class JointLaw:
             self.joint = remember(self.joint, shown, tail)
         self.found.append((mse, bias, outside, wrong))
         self.scores.append((self.times[k], mse))
-        self.held = min(self.held + 1, self.depth)
+        self.filled = min(self.filled + 1, self.depth)
         return mass
 
     def move(self, start: float, stop: float) -> Any:
         """Let the state move while the memory stays: (4.8)."""
+        if any(p.role != "parameter" for p in mentioned(self.system)):
+            self.chain = chain_of(self.system, self.chain.axis)  # it knows other transitions
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
     def forecast(self, t: float) -> Table:

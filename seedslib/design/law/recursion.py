@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
+
 NEGLIGIBLE = 1e-290
 """Probabilities below this are set to zero: they cannot be divided by."""
 
@@ -29,6 +31,29 @@ class Seen(NamedTuple):
     relative: np.ndarray
     mass: np.ndarray
     defect: np.ndarray
+
+
+class GridRisk(NamedTuple):
+    """Accuracy of a filter without random numbers.
+
+    Attributes
+    ----------
+    times : ndarray, shape (K+1,)
+    mse : ndarray, shape (K+1,)
+        M(X - Z_k)² of the filter whose memory is rounded to the grid at random.
+    bias : ndarray, shape (K+1,)
+        M(Z_k - X).
+    clamped : ndarray, shape (K+1,)
+        Probability that the estimate falls outside of the axis of the memory.
+    mode_error : ndarray, shape (K+1,), or None
+        Probability of a wrong mode, for a switching system.
+    """
+
+    times: np.ndarray
+    mse: np.ndarray
+    bias: np.ndarray
+    clamped: np.ndarray
+    mode_error: MaybeArray = None
 
 
 def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.tables import AxesLike, AxisLike
+from seedslib.base.values import Inputs
 from seedslib.design.law.affine import corrected
 from seedslib.design.law.joint import GridRisk, JointLaw
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -15,7 +16,7 @@ from seedslib.designed.switching.filter import SwitchingFilter
 
 def grid_risk(
     filter: FiniteOrderFilter | SwitchingFilter | OutputFilter, *, x: AxisLike,
-    z: AxesLike | None = None, y: AxesLike | None = None,
+    z: AxesLike | None = None, y: AxesLike | None = None, inputs: Inputs | None = None,
 ) -> GridRisk:  # fmt: skip
     """Mean-square errors of any designed filter of finite order, without random numbers.
 
@@ -23,7 +24,7 @@ def grid_risk(
     ----------
     filter : FiniteOrderFilter, SwitchingFilter, TableFilter or LearnedFilter
         Of a scalar system, with a memory of estimates or of measurements.
-    x, z, y
+    x, z, y, inputs
         As `grid_synthesis`. Estimates that are not bounded may need a longer `z`.
 
     Returns
@@ -43,7 +44,7 @@ def grid_risk(
     """
     if filter.memory is None:
         raise ValueError("filter: wanted one with a memory, got one that carries whole laws")
-    law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
+    law = JointLaw(filter.system, filter.memory, filter.times, x, z, y, inputs)
     for k, _, sight, _ in law.steps():
         found = _decided(filter, law, k)
         law.take(k, found.mean, sight, found.mode)
@@ -67,7 +68,13 @@ def _decided(filter, law, k) -> Output:
             mode = past.modes[0] if past.modes else np.zeros(cells, dtype=int)
             known = {"time": float(law.times[k - 1]), "mode": mode}
         state = state._replace(index=k - 1, past=past, corrected=True, **known)
-    state = filter.predict(state, t)
+    with law.held.at(max(k - 1, 0)):
+        state = filter.predict(state, t)
+    with law.held.at(k):
+        return _corrected(filter, law, state, cells)
+
+
+def _corrected(filter, law, state, cells) -> Output:
     if not law.switching:
         return Output(corrected(law, state.mean, state.cov, filter.expect(state)))
     told, y = None, law.shown

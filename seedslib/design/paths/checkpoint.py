@@ -19,11 +19,13 @@ import numpy as np
 
 import seedslib
 from seedslib.base.blocks import seed_record
+from seedslib.base.values import looked_at
 from seedslib.design.paths.forward_pass import Found
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import KNOWN, packed, unpacked
 from seedslib.designed.finite_order_rules import FiniteOrderState
 from seedslib.designed.memory import Past
+from seedslib.models.kinds import mentioned
 from seedslib.models.simulation import simulate
 from seedslib.models.words import model_text
 
@@ -129,14 +131,15 @@ class Checkpoint:
 
 def identity(
     system: Any, rules: Any, linearization: Any, predictor: Any, times: Any, grid: Any, paths: Any,
-    root: Any, options: Any, bound: Any,
+    root: Any, options: Any, bound: Any, held: Any,
 ) -> Any:  # fmt: skip
     """What a design depends on, by name and in a form that JSON takes.
 
     The system is recognised by its formulas and by a small run, bit by bit, and so are the
     moments of the sensor.
     """
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
+    known = looked_at(mentioned(system))
+    with warnings.catch_warnings(), np.errstate(all="ignore"), known:
         warnings.simplefilter("ignore")  # the design itself will warn
         trial = simulate(system, times[:3], TRIAL, 0)
         moments = rules.sensor(times[0], trial.states[0], system.cov0)
@@ -162,6 +165,7 @@ def identity(
         "bound": bound,
         "version of seedslib": seedslib.__version__,
         "version of NumPy": np.__version__,
+        **{f"input {u}": _digest(values) for u, values in held.values.items()},
     }
 
 

@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
 from seedslib.base.diffuse import LOST
+from seedslib.base.values import Course
 from seedslib.design.fitting import ROUNDING
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order_rules import Start
@@ -21,7 +22,7 @@ from seedslib.models.kinds import AnySystem
 from seedslib.models.propagation import integrated, van_loan
 
 
-def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any) -> Any:
+def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance
@@ -35,6 +36,8 @@ def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any) ->
     times : ndarray, shape (K+1,)
     grid : tuple of ndarray
         Node times.
+    held : Course
+        Inputs at the times.
 
     Returns
     -------
@@ -47,20 +50,24 @@ def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any) ->
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    start = joint.first(*linear.sensor(times[0]))
+    with held.at(0):
+        start = joint.first(*linear.sensor(times[0]))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, found = times[k], []
         for node in nodes:
-            joint.move(*linear.transition(t, node))
+            with held.at(k):
+                joint.move(*linear.transition(t, node))
             found.append(joint.node_fit())
             scores.append((node, np.diagonal(found[-1].cov)))
             t = node
         node_fits.append(tuple(found))
         if k + 1 < len(times):
-            joint.move(*linear.transition(t, times[k + 1]))
-            fits.append(joint.correct(*linear.sensor(times[k + 1])))
+            with held.at(k):
+                joint.move(*linear.transition(t, times[k + 1]))
+            with held.at(k + 1):
+                fits.append(joint.correct(*linear.sensor(times[k + 1])))
             scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))

@@ -13,6 +13,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
+from seedslib.base.values import Course
 from seedslib.design.fitting import fit_forecast
 from seedslib.design.regression import ABSOLUTE, root_mean_squares
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start
@@ -68,7 +69,9 @@ class ForwardPass:
         self.start, self.fits, self.node_fits = None, [], []
         self.scores, self.size = [], np.zeros(self.components)
 
-    def design(self, times: ArrayLike, grid: Any, keep: Any = None) -> Any:
+    def design(
+        self, times: ArrayLike, grid: Any, keep: Any = None, held: Course | None = None
+    ) -> Any:
         """Start, fits for the measurements, fits for the nodes, and the predicted errors.
 
         Parameters
@@ -78,18 +81,24 @@ class ForwardPass:
             Node times.
         keep : callable, optional
             Called with the pass and whether this was the last step, after each step.
+        held : Course, optional
+            Inputs at the times.
         """
+        held = Course() if held is None else held
         if self.start is None:
-            self._start(times[0])
+            with held.at(0):
+                self._start(times[0])
         for k in followed(range(len(self.node_fits), len(grid)), "design"):
             nodes, last = grid[k], k + 1 == len(times)
-            if not self.continuous:
-                between, u = self._nodes(k, times[k], nodes)
-            else:
-                between, u = self._moves(times[k], nodes if last else [*nodes, times[k + 1]], last)
-            self.node_fits.append(tuple(between))
-            if not last:
-                self._tact(k + 1, times[k + 1], u)
+            with held.at(k):
+                if not self.continuous:
+                    between, u = self._nodes(k, times[k], nodes)
+                else:
+                    stops = nodes if last else [*nodes, times[k + 1]]
+                    between, u = self._moves(times[k], stops, last)
+                self.node_fits.append(tuple(between))
+                if not last:
+                    self._tact(k + 1, times[k + 1], u, held)
             if keep is not None:
                 keep(self, k + 1 == len(grid))
         stamps, rms, error = (np.array(part) for part in zip(*self.scores, strict=True))
@@ -162,10 +171,15 @@ class ForwardPass:
                 t = stop
         return fits, z
 
-    def _tact(self, k, t, u):
+    def _tact(self, k, t, u, held):
         walk = self.walk
         walk.advance(self.scores[-1][0], t)
         fit = self._fit(self.predictor, u, walk.n, self._sizes(k - 1))
+        with held.at(k):
+            self._taken(k, t, u, fit)
+
+    def _taken(self, k, t, u, fit):
+        walk = self.walk
         y = walk.measure(t)
 
         def step(rules, state, u, y):

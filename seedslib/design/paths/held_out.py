@@ -13,6 +13,7 @@ import numpy as np
 from seedslib.base.blocks import BLOCK, child
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.base.values import Course
 from seedslib.design.paths.walk import LARGEST, Crew, Walk
 from seedslib.design.regression import combine, root_mean_squares, scatter
 from seedslib.designed.finite_order import FiniteOrderFilter
@@ -50,7 +51,7 @@ TINY = np.finfo(float).tiny
 def examined(
     filter: Any, root: np.random.SeedSequence, paths: int, each: Crew, stops: np.ndarray, *,
     options: Mapping[Any, Any] | None = None, bound: float = np.inf,
-    forecasts: np.ndarray | None = None,
+    forecasts: np.ndarray | None = None, course: Course | None = None,
 ) -> Any:  # fmt: skip
     """The filter with its errors on held-out paths, by its own `run`.
 
@@ -72,6 +73,8 @@ def examined(
         As in the design.
     forecasts : ndarray, shape (K+1, n'), optional
         Root-mean-square errors of the forecasts that are corrected, NaN where there is none.
+    course : Course, optional
+        Inputs at the measurement times.
 
     Warns
     -----
@@ -79,9 +82,9 @@ def examined(
         Errors that differ from the predicted ones; an estimate that is worse than the mean of
         the state, or than the forecast that it corrects; paths on which the filter diverged.
     """
-    reach = _reach(filter, paths)
+    reach, course = _reach(filter, paths), Course() if course is None else course
     held, size, lost, stray = _errors(
-        filter, root, paths, each, stops, options or {}, min(bound, LARGEST), reach
+        filter, root, paths, each, stops, options or {}, min(bound, LARGEST), reach, course
     )
     astray = lost or not _by_chance(stray, held.paths / paths)
     share = math.sqrt(paths / held.paths)
@@ -123,7 +126,7 @@ def _tail(count, mean):
     return 1.0 - below
 
 
-def _errors(filter, root, paths, each, stops, options, bound, reach):
+def _errors(filter, root, paths, each, stops, options, bound, reach, course):
     """What was found, root mean squares of the state (K+1, n'), lost paths, stray ones."""
     count = max(LEAST, -(-paths // SHARE))
     sizes = [min(BLOCK, count - a) for a in range(0, count, BLOCK)]
@@ -132,7 +135,7 @@ def _errors(filter, root, paths, each, stops, options, bound, reach):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
         found = each(
-            lambda one, job: _block(one, *job, stops, at, options, bound, reach),
+            lambda one, job: _block(one, *job, stops, at, options, bound, reach, course),
             each.share(filter), jobs,
         )  # fmt: skip
         blocks, lost, stray = zip(*found, strict=True)
@@ -144,7 +147,7 @@ def _errors(filter, root, paths, each, stops, options, bound, reach):
     return held, size, lost, stray
 
 
-def _paths(system, stream, count, stops, at, options, bound):
+def _paths(system, stream, count, stops, at, options, bound, course):
     """States, measurements, and which paths are still there, at the measurement times.
 
     A lost path goes on harmlessly: it is not scored, and must not show what is not finite.
@@ -155,14 +158,16 @@ def _paths(system, stream, count, stops, at, options, bound):
         if j == 0:
             walk.begin(t)
         else:
-            walk.advance(stops[j - 1], t)
+            with course.at(len(taken) - 1):
+                walk.advance(stops[j - 1], t)
         if j in at:
-            (y,) = walk.measure(t)
+            with course.at(len(taken)):
+                (y,) = walk.measure(t)
             taken.append((*walk.states, y, *walk.alive))
     return [np.stack(part) for part in zip(*taken, strict=True)]
 
 
-def _block(filter, stream, count, stops, at, options, bound, reach):
+def _block(filter, stream, count, stops, at, options, bound, reach, course):
     """Moments of squared errors and states at each measurement; lost paths, stray ones.
 
     Of a stray path it is the largest error in units of the reach, where that is beyond 1.
@@ -170,12 +175,12 @@ def _block(filter, stream, count, stops, at, options, bound, reach):
     with np.errstate(all="ignore"):
         system = filter.system
         mixed = getattr(system, "hybrid", system)
-        states, y, good = _paths(mixed, stream, count, stops, at, options, bound)
-        told, modes = {}, None
+        states, y, good = _paths(mixed, stream, count, stops, at, options, bound, course)
+        told, modes = {"inputs": course.values or None}, None
         if mixed is not system:
             modes = states[:, -1].astype(int)
             if system.indicators:
-                y, told = y[:, :-1], {"indicators": y[:, -1].astype(int)}
+                y, told["indicators"] = y[:, :-1], y[:, -1].astype(int)
         found = filter.run(filter.times, y, **told)
         fine = (np.abs(found.mean) <= LARGEST).all(axis=1)
         kept = good & np.logical_and.accumulate(fine)

@@ -17,6 +17,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import step_count, when
+from seedslib.base.values import Inputs
 from seedslib.design.fitting import coefficients_of
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
@@ -27,14 +28,13 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, in_steps, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
-
     from seedslib.designed.switching.filter import SwitchingFilter
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
+    from seedslib.models.kinds import AnySystem
     from seedslib.models.switching import SwitchingSystem
 
 PATHS_PER_COEFFICIENT = 50
@@ -57,6 +57,7 @@ OF_MODES = ("normalisation", "split")
 def synthesize(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
+    inputs: Any = None,
 ) -> SwitchingFilter: ...  # fmt: skip
 
 
@@ -66,7 +67,7 @@ def synthesize(
     times: ArrayLike, *, predictor: Any = ..., nodes: Any = 4, components: Any = None,
     paths: Any = None, seed: Any = None, workers: Any = 1, horizon: Any = None,
     measured_nodes: Any = False, exact_moments: Any = False, step: Any = None,
-    scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None,
+    scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None, inputs: Any = None,
 ) -> FiniteOrderFilter: ...  # fmt: skip
 
 
@@ -77,7 +78,7 @@ def synthesize(
     horizon: float | None = None, measured_nodes: bool = False, exact_moments: bool = False,
     step: float | None = None, scheme: str = "euler", bound: float = np.inf,
     checkpoint: str | PathLike[str] | None = None, normalisation: str = "consistent",
-    split: bool = True,
+    split: bool = True, inputs: Inputs | None = None,
 ) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -88,8 +89,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `normalisation` and `split` only, and
-        gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers`, `inputs`, `normalisation` and `split`
+        and gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -130,7 +131,10 @@ def synthesize(
         on from it, to the same numbers, here or on a cluster. It is replaced as a whole and
         stays when the design is finished; the held-out paths are then run again.
     normalisation, split
-        Of a switching system: as `SwitchingFilter`.
+        As `SwitchingFilter`.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        Values of the inputs that the system mentions. A run is told them again; an input of which
+        only a law is known is a component of the state.
 
     Returns
     -------
@@ -173,9 +177,10 @@ def synthesize(
 
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            normalisation=normalisation, split=split,
+            normalisation=normalisation, split=split, inputs=inputs,
         )  # fmt: skip
     times = as_grid("times", times, system)
+    held = course_of(system, inputs, len(times))
     n = system.state_size
     _check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
@@ -205,7 +210,7 @@ def synthesize(
     if exact_moments:
         from seedslib.design.paths.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid))
+        return made(*linear_design(system, rules, times, grid, held))
     paths = as_count("paths", paths)
     _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
     root, bound, file = as_seed_sequence(seed), float(bound), None
@@ -213,7 +218,7 @@ def synthesize(
         from seedslib.design.paths.checkpoint import Checkpoint, identity
 
         file = Checkpoint(checkpoint, identity(
-            system, rules, linearization, predictor, times, grid, paths, root, options, bound
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound, held
         ))  # fmt: skip
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
@@ -222,13 +227,13 @@ def synthesize(
         )
         if file is not None:
             file.restore(forward)
-        found = forward.design(times, grid, file and file.write)
+        found = forward.design(times, grid, file and file.write, held)
         lost = forward.walk.warn_of_lost()
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), lost))
         del forward  # its paths are not wanted any more
         return examined(
             designed, root, paths, each, np.unique(stops), options=options, bound=bound,
-            forecasts=forecast_errors(designed),
+            forecasts=forecast_errors(designed), course=held,
         )  # fmt: skip
 
 

@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
+from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
@@ -25,7 +26,7 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import cell_count, cell_number, require_memory
 from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid
+from seedslib.models.kinds import as_grid, course_of, elapsed
 from seedslib.models.switching import SwitchingSystem
 
 OFTEN = 0.05
@@ -35,7 +36,7 @@ OFTEN = 0.05
 def synthesize_switching(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
-    split: bool = True,
+    split: bool = True, inputs: Inputs | None = None,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -78,6 +79,7 @@ def synthesize_switching(
         say against the design, see `seedslib.design.paths.held_out`.
     """
     times = as_grid("times", times, system)
+    held = course_of(system, inputs, len(times))
     require_memory(memory, system)
     paths, n = as_count("paths", paths), system.state_size
     order = memory.order(n, system.measurement_size, system.modes)
@@ -87,7 +89,8 @@ def synthesize_switching(
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
-        fits, scores, forecasts, thin, pairs, raised = _pass(walk, system, memory, rules, times)
+        found = _pass(walk, system, memory, rules, times, held)
+        fits, scores, forecasts, thin, pairs, raised = found
         if thin > OFTEN * pairs:
             warnings.warn(
                 f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
@@ -104,10 +107,12 @@ def synthesize_switching(
             rules=rules,
         )  # fmt: skip
         del walk  # its paths are not wanted any more
-        return examined(designed, root, paths, each, times, forecasts=np.array(forecasts))
+        return examined(
+            designed, root, paths, each, times, forecasts=np.array(forecasts), course=held
+        )
 
 
-def _pass(walk, system, memory, rules, times):
+def _pass(walk, system, memory, rules, times, held):
     """Run the filter on the paths, and fit it before each step."""
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
@@ -117,7 +122,6 @@ def _pass(walk, system, memory, rules, times):
             walk.begin(t)
             states = walk.each(lambda x: rules.start(x.shape[1:]), walk.states)
         else:
-            walk.advance(times[k - 1], t)
             fit, old = fits[-1], times[k - 1]
 
             def predict(state, fit=fit, old=old):
@@ -125,16 +129,18 @@ def _pass(walk, system, memory, rules, times):
                 law = rules.predict(old, fit.forecast(cell, state.past.vector))
                 return state._replace(law=law, corrected=False)
 
-            states = walk.each(predict, states)
+            with held.at(k - 1), elapsed(system, old, t):
+                walk.advance(old, t)
+                states = walk.each(predict, states)
             found = walk.gather(lambda x, state: (x[:n] - _forecast(state.law)) ** 2, states)
             forecasts.append(np.sqrt(found.mean))
-        shown = walk.measure(t)
 
         def correct(state, y, k=k, t=t):
             seen = y[m].astype(int) if system.indicators else None
             return rules.correct(state._replace(index=k, time=t), y[:m], seen, memory)
 
-        states = walk.kept(correct, states, shown, array=lambda state: state.mean)
+        with held.at(k):
+            states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
         scores.append(_score(walk, n, states))
         if k + 1 == len(times):
             continue

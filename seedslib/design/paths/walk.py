@@ -12,6 +12,7 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
+from contextvars import copy_context
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -83,7 +84,7 @@ def _side_by_side(pool, workers, work, *lists) -> list:
         for place in places:
             found[place] = work(*jobs[place])
 
-    others = [pool.submit(run) for _ in range(min(workers, len(jobs)) - 1)]
+    others = [pool.submit(copy_context().run, run) for _ in range(min(workers, len(jobs)) - 1)]
     run()
     for other in others:
         other.result()

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
+from seedslib.base.values import Course
 from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.guards import freeze, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
@@ -238,7 +239,7 @@ class OutputFilter(BetweenFilter):
 
     def fill(
         self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None,
+        indicators: np.ndarray | None, held: Course,
     ) -> int:  # fmt: skip
         """Run over a block of records."""
         state, known = self.initial(y.shape[2:]), None

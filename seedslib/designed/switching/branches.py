@@ -10,7 +10,7 @@ import numpy as np
 
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
 from seedslib.models.branches import Branch
-from seedslib.models.kinds import AnySystem
+from seedslib.models.kinds import AnySystem, inputs_of
 from seedslib.models.maps import StochasticMap
 
 
@@ -114,6 +114,12 @@ def _seen_branch(branch, reading):
     if move.symbolic:
         with suppress(ValueError):  # none has a closed form where the noise decides
             told = reading.probability_expression
+    symbols = inputs_of(shown) if told is None else told.free_symbols
+    if any(getattr(symbol, "role", None) == "input" for symbol in symbols):
+        raise ValueError(
+            "split: an indicator whose probability depends on an input cannot split the forecast, "
+            "which is told the input of the time before; use split=False"
+        )
     if told is None:
         return StochasticMap.from_functions(
             move.state_size, move.size, move.value, move.noise,

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
+from seedslib.base.values import Course
 from seedslib.designed.gaps import law_unclaimed
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory
@@ -24,7 +25,7 @@ from seedslib.filters.estimates import Estimates, first_step
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_system
+from seedslib.models.kinds import as_system, elapsed
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -145,9 +146,11 @@ class SwitchingFilter(DesignedFilter):
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
         interval = first_step(state, t, self.system)
+        with elapsed(self.system, state.time, t):
+            law = self.rules.predict(state.time, self.known(state))
         return state._replace(
-            index=k, time=t, law=self.rules.predict(state.time, self.known(state)), mean=None,
-            mode=None, loglik=0.0, corrected=False, interval=interval,
+            index=k, time=t, law=law, mean=None, mode=None, loglik=0.0, corrected=False,
+            interval=interval,
         )  # fmt: skip
 
     def known(self, state: SwitchingState) -> ModeLaw:
@@ -220,13 +223,16 @@ class SwitchingFilter(DesignedFilter):
 
     def fill(
         self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None,
+        indicators: np.ndarray | None, held: Course,
     ) -> int:  # fmt: skip
         """Run over a block of records."""
         state = self.initial(y.shape[2:])
         for k, t in enumerate(times):
             shown = None if indicators is None else indicators[k]
-            state = self.rules.correct(self.predict(state, t), y[k], shown, self.memory)
+            with held.at(max(k - 1, 0)):
+                state = self.predict(state, t)
+            with held.at(k):
+                state = self.rules.correct(state, y[k], shown, self.memory)
             rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
             rows.modes[k], rows.loglik[k] = state.mode, state.loglik
             if rows.cov is not None:

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import mended
+from seedslib.base.values import on_paths
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.switching.branches import (
     alone_moments,
@@ -176,7 +177,8 @@ class SwitchingRules:
         flat = ModeLaw(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
         for j in values:
             here = np.flatnonzero(indicator.ravel() == j)
-            piece = self._sense(t, ModeLaw(*(part[..., here] for part in flat)), int(j))
+            with on_paths(batch, here):
+                piece = self._sense(t, ModeLaw(*(part[..., here] for part in flat)), int(j))
             parts = (*piece[:3], *piece.moments)
             whole = whole or [np.empty((*part.shape[:-1], indicator.size)) for part in parts]
             for target, part in zip(whole, parts, strict=True):

@@ -9,7 +9,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import mentioned, switches
 
 _HEAD = """\
 #ifndef @NAME_H
@@ -123,6 +123,8 @@ def to_c(
     True
     """
     name = checked_name(name)
+    if any(p.role != "parameter" for p in mentioned(getattr(filter, "system", None))):
+        raise ValueError("filter: wanted a model without inputs and elapsed time, C has none yet")
     macros, text, rule = _parts(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
     sizes = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
