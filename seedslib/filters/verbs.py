@@ -251,10 +251,14 @@ class Filter(Shown):
             for k, t in enumerate(times):
                 shown = () if seen is None else (seen[k, own],)
                 told = () if true is None else (true[k, own],)
-                with held.at(max(k - 1, 0)):
-                    state = self.predict(state, t, *told)
-                with held.at(k):
-                    state = self.correct(state, flat[k, :, own] if wide else y[k], *shown)
+                row = flat[k, :, own] if wide else y[k]
+                if not held.values:
+                    state = self.correct(self.predict(state, t, *told), row, *shown)
+                else:
+                    with held.at(max(k - 1, 0)):
+                        state = self.predict(state, t, *told)
+                    with held.at(k):
+                        state = self.correct(state, row, *shown)
                 said = self.kept(state)
                 for place, whole in rows:
                     whole[k].T[...] = np.asarray(said[place]).T

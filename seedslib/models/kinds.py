@@ -130,7 +130,10 @@ def in_steps(system: object) -> bool:
 
 def in_even_steps(system: object) -> bool:
     """Whether these steps must be of one length, since the map does not see the elapsed time."""
-    return in_steps(system) and not any(p.role == "elapsed" for p in mentioned(system))
+    if not in_steps(system):
+        return False
+    found = mentioned(system)
+    return not found or all(p.role != "elapsed" for p in found)
 
 
 def mentioned(system: object) -> frozenset[Parameter]:
