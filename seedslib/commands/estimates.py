@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base import assigned
 from seedslib.base.atomic import write_whole
 from seedslib.commands.records import Record
 from seedslib.commands.words import in_steps_of
@@ -40,6 +41,8 @@ def prolonged(record: Record, count: int | None, until: str | None, every: float
         return record
     if (count is None) == (until is None) or (count is not None and count < 1):
         raise ValueError("forecast: wanted a positive number of steps, or --until, one of the two")
+    if record.inputs:
+        raise ValueError("forecast: wanted rows without measurements in the table, with inputs")
     last, steps = float(record.times[-1]), np.diff(record.times)
     if every is None:
         if not len(steps) or np.ptp(steps) > UNEVEN * steps.min():
@@ -83,16 +86,19 @@ def expected_measurements(filter: Any, record: Record) -> Estimates | None:
     designed = getattr(filter, "memory", None) is not None
     at = filter.placed(times, y) if designed else range(len(times))
     mean, cov = np.full_like(y, np.nan), np.full((*y.shape, y.shape[1]), np.nan)
-    state = filter.initial()
+    state, before = filter.initial(), 0
     for k, place in enumerate(at):
         if place < 0:
             continue
-        state = filter.predict(state, times[k])
+        with assigned({u: value[before] for u, value in record.inputs.items()}):
+            state = filter.predict(state, times[k])
+        before = k
         said = filter.report(state)
-        # where something is unknown, a state given it says nothing of measurements
-        if np.array_equal(said.mean, state.mean) and not np.isinf(said.cov).any():
-            mean[k], _, cov[k] = filter.expect(state)
-        state = filter.correct(state, y[k])
+        with assigned({u: value[k] for u, value in record.inputs.items()}):
+            # where something is unknown, a state given it says nothing of measurements
+            if np.array_equal(said.mean, state.mean) and not np.isinf(said.cov).any():
+                mean[k], _, cov[k] = filter.expect(state)
+            state = filter.correct(state, y[k])
     return Estimates(mean, cov)
 
 

@@ -59,6 +59,7 @@ def add_table(parser: argparse.ArgumentParser) -> None:
     add("data", metavar="DATA.csv", help="measurements, t,y1,y2,...")
     add("--time", metavar="NAME", help="column of the times (t)")
     add("--columns", metavar="y1=NAME,...", help="columns of y1,y2,..., or their names in order")
+    add("--inputs", metavar="u=NAME,...", help="columns of the inputs of the model")
     add_unit(parser)
 
 
@@ -97,6 +98,8 @@ def run_filter(options: argparse.Namespace) -> int:
         record = prolonged(record, options.forecast, options.until, options.every)
         if record.indicators is not None:
             told["indicators"] = record.indicators
+        if record.inputs:
+            told["inputs"] = record.inputs
         try:
             # what a filter that diverges computes is said in one line below, not by NumPy in many
             with np.errstate(all="ignore"):

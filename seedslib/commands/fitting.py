@@ -69,7 +69,7 @@ def run_fit(options: argparse.Namespace) -> int:
             found = fit(
                 make if options.kind in ALWAYS_MADE_ANEW else filter, record.times,
                 record.measurements, free, starts=options.starts, seed=options.seed,
-                indicators=record.indicators,
+                indicators=record.indicators, inputs=record.inputs or None,
             )  # fmt: skip
         except (TypeError, ValueError) as error:
             raise ValueError(f"{options.data}: {error}") from None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import csv
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,13 +12,14 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray
 from seedslib.commands.calendar import Calendar, as_calendar, read_times
 from seedslib.commands.cells import Table, as_number, read_table
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import inputs_of, switches
 
 
 class Record(NamedTuple):
     """Times (J,), measurements (J, m) and, where there are any, indicators (J,).
 
-    ``name`` and ``cells`` (J,) are the column of the times as it came in.
+    ``name`` and ``cells`` (J,) are the column of the times as it came in; ``inputs`` (J,) each are
+    what the model is told.
     """
 
     times: np.ndarray
@@ -27,6 +28,7 @@ class Record(NamedTuple):
     name: str = "t"
     cells: Sequence[str] = ()
     calendar: Calendar = Calendar()
+    inputs: Mapping[Any, np.ndarray] = {}
 
 
 def read_record(path: str, filter: Any, options: argparse.Namespace) -> Record:
@@ -41,7 +43,7 @@ def read_record(path: str, filter: Any, options: argparse.Namespace) -> Record:
     path : str
     filter : Filter
     options : argparse.Namespace
-        With ``columns``, ``time``, ``unit`` and ``epoch``, as they were typed.
+        With ``columns``, ``time``, ``unit``, ``epoch`` and ``inputs``, as they were typed.
 
     Raises
     ------
@@ -53,7 +55,8 @@ def read_record(path: str, filter: Any, options: argparse.Namespace) -> Record:
     system, table = filter.system, read_table(path)
     m, told = system.measurement_size, getattr(system, "indicators", 0)
     wanted = [*(f"y{i + 1}" for i in range(m)), *["j"] * bool(told)]
-    time, places = _places(table, wanted, options.time, options.columns)
+    told_by = _input_columns(table, options.inputs, system)
+    time, places = _places(table, wanted, told_by.values(), options.time, options.columns)
     if not table.rows:
         raise ValueError(f"{path}: wanted a row for each measurement, got none")
     cells = [row[time] for row in table.rows]
@@ -71,7 +74,9 @@ def read_record(path: str, filter: Any, options: argparse.Namespace) -> Record:
         _check_times(table, times, measured, filter)
     indicators = _indicators(table, places[-1], values[:, -1], told) if told else None
     name = table.header[time]
-    return Record(times, values[:, :m], indicators, name, cells, calendar)
+    rows = range(len(cells))
+    inputs = {u: np.array([_cell(table, k, c) for k in rows]) for u, c in told_by.items()}
+    return Record(times, values[:, :m], indicators, name, cells, calendar, inputs)
 
 
 def times_of_column(text: str, unit: str | None, epoch: str | None) -> np.ndarray:
@@ -91,22 +96,36 @@ def times_of_column(text: str, unit: str | None, epoch: str | None) -> np.ndarra
     return read_times(cells, as_calendar(unit, epoch), lambda k: table.place(k, column))[0]
 
 
-def _places(table: Table, wanted: list[str], time: str | None, chosen: str | None):
+def _input_columns(table: Table, chosen: str | None, system: Any) -> dict[Any, int]:
+    """Columns of the inputs that a model mentions."""
+    known = {str(u): u for u in inputs_of(system)}
+    parts = [part.partition("=") for part in next(csv.reader([chosen or ""]))]
+    names = {name: column for name, _, column in parts}
+    if names.keys() != known.keys():
+        such = ",".join(f"{name}=COLUMN" for name in sorted(known)) or "none"
+        raise ValueError(f"inputs: wanted {such}, those of the model; got {chosen}")
+    return {known[name]: table.column(column) for name, column in names.items()}
+
+
+def _places(
+    table: Table, wanted: list[str], others: Iterable[int], time: str | None, chosen: str | None
+) -> tuple[int, list[int]]:
     """Columns of the time and of what is wanted."""
-    path, header = table.path, table.header
+    path = table.path
+    header = [name for c, name in enumerate(table.header) if c not in others]
     if time is None and chosen is None:
         if header != ["t", *wanted]:
             raise ValueError(
                 f"{path}: wanted the first row {','.join(['t', *wanted])}, got "
                 f"{table.shown}; or choose with --time and --columns"
             )
-        return 0, list(range(1, len(header)))
+        return table.column("t"), [table.column(name) for name in wanted]
     at = table.column(time or "t")
     if chosen is None:
-        names = header[:at] + header[at + 1 :]
+        names = [name for name in header if name != table.header[at]]
         if len(names) != len(wanted):
             raise ValueError(
-                f"{path}: wanted a column for {', '.join(wanted)} beside {header[at]}, got "
+                f"{path}: wanted a column for {', '.join(wanted)} beside {table.header[at]}, got "
                 f"{','.join(names)[:60]}; choose with --columns"
             )
     else:
