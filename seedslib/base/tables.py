@@ -95,6 +95,10 @@ class Axis:
         index = position.astype(np.intp)
         return index, position - index
 
+    def halved(self) -> Axis:
+        """Every second node where their count is odd, and otherwise half as many."""
+        return Axis(self.low, self.high, self.count // 2 + 1)
+
     def __str__(self) -> str:
         return f"{self.count} nodes from {self.low:g} to {self.high:g}"
 
@@ -203,7 +207,6 @@ def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
 AxisLike = Axis | tuple[float, float, int]
 AxesLike = AxisLike | Sequence[AxisLike]
 """An axis, or what makes one; and several of them."""
-
 
 def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:
     """Tuple of axes from one or several of them, each an Axis or (low, high, count).

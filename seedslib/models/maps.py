@@ -261,6 +261,11 @@ class StochasticMap(Travelling, Shown):
         v = self.noise.symbols
         return all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
 
+    @property
+    def gaussian_density(self) -> bool:
+        """Whether that density is the Gaussian one of the conditional moments."""
+        return self.has_log_density and self._log_density is None and self.noise.gaussian
+
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
 

@@ -28,6 +28,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
+from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.feller import FellerChain
 from seedslib.models.chains.switching import SwitchingChain, chain_of
 from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
@@ -104,9 +105,9 @@ class JointLaw:
     ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        as_system("system", system, "JumpDiffusion", "SwitchingSystem")
+        as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
         x = Axis.of("x", x)
-        self.chain: FellerChain | SwitchingChain = chain_of(system, x)
+        self.chain: DiscreteChain | FellerChain | SwitchingChain = chain_of(system, x)
         require_letters(memory, self.chain.indicators, " for a grid")
         self.system: AnySystem = system
         self.memory: Memory = memory
@@ -169,6 +170,8 @@ class JointLaw:
     def look(self, t) -> Seen:
         """Likelihood of the measurements on the grid."""
         sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
+        if self.chain.loses:  # given that it is on the axis still, whose ends are looked at
+            self.joint /= self.joint.sum()
         law = self.joint.sum(axis=0)
         self.chain.look_at_ends(law)
         missed = float(law @ sight.defect)

@@ -95,6 +95,7 @@ class FellerChain(Shown):
 
     modes: int = 1
     indicators: int = 0
+    loses: bool = False
 
     _shown = ("axis",)
 

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.objects import Shown
+from seedslib.base.parameters import current, parameters_of
 from seedslib.base.tables import Axis, AxisLike
+from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.feller import (
     FellerChain,
     cell_masses,
@@ -14,7 +16,7 @@ from seedslib.models.chains.feller import (
     want_scalar,
     warn_at_ends,
 )
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import in_steps, switches
 from seedslib.models.switching import SwitchingSystem
 
 
@@ -29,7 +31,8 @@ class SwitchingChain(Shown):
     system : SwitchingSystem
         With one state component, and moves and readings that have densities in closed form.
     axis : Axis
-        Nodes of the state. Their range should hold all but a millionth of the probability.
+        Nodes of the state. Their range should hold all but a millionth of the probability: columns
+        of the transition are normalised, so what would leave it is spread over its nodes.
 
     Attributes
     ----------
@@ -44,6 +47,7 @@ class SwitchingChain(Shown):
         More than one state component, or no density.
     """
 
+    loses: bool = False
     _shown = ("axis",)
 
     def __init__(self, system: SwitchingSystem, axis: AxisLike) -> None:
@@ -59,6 +63,8 @@ class SwitchingChain(Shown):
         self.modes: int = system.modes
         self.indicators: int = system.indicators
         self.values: np.ndarray = np.tile(self.axis.nodes, self.modes)[None]
+        maps = [b.map for row in system.branches for b in row if b is not None and b.map.symbolic]
+        self._moving = parameters_of(e for m in maps for e in (m.weight_expression, *m.expressions))
         self._known: dict = {}
 
     def start(self) -> np.ndarray:
@@ -68,7 +74,7 @@ class SwitchingChain(Shown):
 
     def transition(self, start: float, stop: float) -> np.ndarray:
         """Transition matrix P, p(next) = P p(now), from the time `start`; columns sum to one."""
-        key = None if self._steady else float(start)
+        key = None if self._steady else float(start), *current(self._moving)
         if key not in self._known:
             count = self.axis.count
             found = np.zeros((self.modes, count, self.modes, count))
@@ -151,6 +157,9 @@ class SwitchingChain(Shown):
         warn_at_ends(mass.reshape(self.modes, -1).sum(axis=0))
 
 
-def chain_of(system: object, axis: AxisLike) -> FellerChain | SwitchingChain:
-    """The chain of a scalar system of either kind."""
-    return SwitchingChain(system, axis) if switches(system) else FellerChain(system, axis)
+def chain_of(system: object, axis: AxisLike) -> DiscreteChain | FellerChain | SwitchingChain:
+    """The chain of a scalar system of any kind."""
+    want_scalar(system)
+    if switches(system):
+        return SwitchingChain(system, axis)
+    return DiscreteChain(system, axis) if in_steps(system) else FellerChain(system, axis)
