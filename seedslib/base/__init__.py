@@ -12,6 +12,7 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
+    from seedslib.base.nodes import Nodes as Nodes
     from seedslib.base.parameters import Parameter as Parameter
     from seedslib.base.parameters import assigned as assigned
     from seedslib.base.tables import Axis as Axis

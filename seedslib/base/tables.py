@@ -208,6 +208,7 @@ AxisLike = Axis | tuple[float, float, int]
 AxesLike = AxisLike | Sequence[AxisLike]
 """An axis, or what makes one; and several of them."""
 
+
 def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:
     """Tuple of axes from one or several of them, each an Axis or (low, high, count).
 

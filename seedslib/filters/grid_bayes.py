@@ -8,12 +8,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import outside
+from seedslib.base.checks import as_count, outside
 from seedslib.base.nodes import Grid, Nodes
 from seedslib.base.tables import Axis
-from seedslib.filters.estimates import as_indicators, as_seen
+from seedslib.filters.estimates import Estimates, as_indicators, as_seen
+from seedslib.filters.grid_records import GridAccuracy, followed, smoothed_laws
 from seedslib.filters.verbs import Filter
-from seedslib.filters.weights import logarithm, normalised, relative
+from seedslib.filters.weights import logarithm, most_probable, normalised, relative
 from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.switching import SwitchingChain
 from seedslib.models.kinds import AnySystem, as_system, switches
@@ -32,8 +33,8 @@ class GridState(NamedTuple):
     ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none is
     lost however small it becomes, L = 1 where there are none; ``law`` (L, S, *batch) is the law of
     the state in each mode. ``mode_prob`` has shape (L, *batch), ``mean`` (n, *batch), ``cov``
-    (n, n, *batch); ``diverged`` marks the records with a measurement that no node explains, ``interval`` is the
-    length of the first step.
+    (n, n, *batch); ``diverged`` marks the records with a measurement that no node explains,
+    ``interval`` is the length of the first step.
     """
 
     time: float | None
@@ -45,25 +46,6 @@ class GridState(NamedTuple):
     loglik: np.ndarray
     diverged: np.ndarray
     interval: float | None = None
-
-
-class GridAccuracy(NamedTuple):
-    """How good the numbers of a `GridBayesFilter` are, told by every second node.
-
-    Attributes
-    ----------
-    loglik : ndarray, shape (*batch)
-        Difference of the log-likelihoods of whole records. The trapezoid rule's error falls
-        faster than any power of the step, so it bounds that of all nodes amply.
-    mean : ndarray, shape (n, *batch)
-        Largest difference of the estimates.
-    lost : ndarray, shape (*batch)
-        Sum of the probabilities that left the nodes; 0 of a switching system, which keeps them.
-    """
-
-    loglik: np.ndarray
-    mean: np.ndarray
-    lost: np.ndarray
 
 
 class GridBayesFilter(Filter):
@@ -211,23 +193,55 @@ class GridBayesFilter(Filter):
         """
         times, y = self.record(times, measurements)
         seen = as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
-        rough = GridBayesFilter(self.system, [axis.halved() for axis in self.axes])
+        halves = [axis.halved() for axis in self.axes]
+        rough = GridBayesFilter(self.system, halves if len(halves) > 1 else halves[0])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fine, coarse = (filter._followed(times, y, seen) for filter in (self, rough))
+            fine, coarse = (followed(filter, times, y, seen) for filter in (self, rough))
         apart = [np.abs(a - b) for a, b in zip(fine, coarse, strict=True)]
         return GridAccuracy(apart[0], apart[1].max(axis=0), fine[2])
 
-    def _followed(self, times, y, seen):
-        """Log-likelihood, estimates and lost probability of records."""
-        state, loglik, means, lost = self.initial(y.shape[2:]), 0.0, [], 0.0
+    def smoothed(
+        self, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
+        indicators: ArrayLike | None = None,
+    ) -> Estimates:  # fmt: skip
+        """Estimates at each time from what is measured later as well, exact on the nodes.
+
+        Parameters
+        ----------
+        times, measurements, indicators
+            As `run`.
+        lag : int, optional
+            How many later times count; all of them by default.
+
+        Returns
+        -------
+        Estimates
+            As of `run`; ``loglik`` and ``diverged`` are those of the filter.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `run`; a lag below one.
+        """
+        lag = lag if lag is None else as_count("lag", lag)
+        times, y = self.record(times, measurements)
+        batch, size = y.shape[2:], self._modes * self._count
+        seen = as_indicators(indicators, self.system, (len(times), *batch))
+        state, laws, moves, told = self.initial(batch), [], [], []
         for k, t in enumerate(times):
-            state = self.predict(state, t)
-            lost = lost + (1.0 - np.exp(state.log_prob).sum(axis=0))
-            state = self.correct(state, y[k], *(() if seen is None else (seen[k],)))
-            loglik = loglik + state.loglik
-            means.append(state.mean)
-        return loglik, np.array(means), lost
+            if k:
+                moves.append(self._chain.transition(state.time, float(t)))
+            state = self.step(state, t, y[k], None if seen is None else seen[k])
+            laws.append((np.exp(state.log_prob)[:, None] * state.law).reshape(size, -1))
+            told.append(state.loglik)
+        found = np.stack(smoothed_laws(laws, moves, lag), axis=-1)
+        found = found.reshape(self._modes, self._count, *batch, len(times))
+        parts = [
+            None if p is None else np.moveaxis(p, -1, 0) for p in self._moments(*_split(found))
+        ]
+        modes = None if parts[0] is None else most_probable(parts[0], 1)
+        return Estimates(*parts[1:], parts[0], np.array(told), state.diverged, modes)
 
     def _look(self, change):
         """Warn where a step changes the probability: by what leaves the nodes or is between."""

@@ -58,7 +58,7 @@ class DiscreteChain(Shown):
         n = system.state_size
         if n > 2:
             raise ValueError(
-                f"system: wanted one or two state components for a grid, got {n}; see ParticleFilter"
+                f"system: wanted one or two state components, got {n}; see ParticleFilter"
             )
         for name, map in (("dynamics", system.dynamics), ("sensor", system.sensor)):
             if not map.has_log_density:
