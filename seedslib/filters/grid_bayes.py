@@ -104,7 +104,7 @@ class GridBayesFilter(Filter):
         shape = (self._modes, self._count)
         law = self._chain.start().reshape(*shape, *(1,) * len(batch))
         log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
-        self._look(log_prob)
+        self._look(log_prob, 0.0)
         return GridState(
             None, log_prob, law, *self._moments(log_prob, law), np.zeros(batch),
             np.zeros(batch, dtype=bool),
@@ -123,8 +123,7 @@ class GridBayesFilter(Filter):
             log_prob[l, here], law[l][:, here] = self._alone(
                 move, l, state.log_prob[:, here], state.law[:, :, here]
             )
-        with np.errstate(invalid="ignore"):  # nothing was left before
-            self._look(log_prob - state.log_prob)
+        self._look(log_prob, state.log_prob)
         prob, mean, cov = self._moments(log_prob, law)
         return state._replace(log_prob=log_prob, law=law, mode_prob=prob, mean=mean, cov=cov)
 
@@ -243,9 +242,13 @@ class GridBayesFilter(Filter):
         modes = None if parts[0] is None else most_probable(parts[0], 1)
         return Estimates(*parts[1:], parts[0], np.array(told), state.diverged, modes)
 
-    def _look(self, change):
+    def _look(self, log_prob, before):
         """Warn where a step changes the probability: by what leaves the nodes or is between."""
-        if self._chain.loses and np.abs(np.expm1(change)).max(initial=0.0) > LOST:
+        if not self._chain.loses:
+            return
+        with np.errstate(invalid="ignore"):  # nothing was left before
+            change = np.abs(np.expm1(log_prob - before))
+        if (change > LOST).any():
             warnings.warn(
                 f"x: more than {LOST:g} of the probability leaves the nodes in a step, and is "
                 "dropped, or they are too coarse for the noise; see accuracy",
@@ -261,8 +264,10 @@ class GridBayesFilter(Filter):
         middle = x[:, self._count // 2]
         apart, batch = x - middle[:, None], law.shape[2:]
         shift = np.stack([np.tensordot(row, marginal, 1) for row in apart])
-        centred = apart.reshape(*apart.shape, *(1,) * len(batch)) - shift[:, None]
-        cov = [[(a * b * marginal).sum(axis=0) for b in centred] for a in centred]
+        centred = list(apart.reshape(*apart.shape, *(1,) * len(batch)) - shift[:, None])
+        cov = [
+            [((a**2 if a is b else a * b) * marginal).sum(axis=0) for b in centred] for a in centred
+        ]
         mean = shift + middle.reshape(-1, *(1,) * len(batch))
         return prob if switches(self.system) else None, mean, np.array(cov)
 

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from seedslib.base.checks import unmasked
+from seedslib.base.parameters import Parameter, parameters_of
 from seedslib.models.densities import noise_of
 from seedslib.models.maps import StochasticMap
+
+
+def parameters_in(table: Iterable[Iterable[Branch | None]]) -> tuple[Parameter, ...]:
+    """The parameters that the formulas of branches mention."""
+    maps = [b.map for row in table for b in row if b is not None and b.map.symbolic]
+    return parameters_of(e for m in maps for e in (m.weight_expression, *m.expressions))
 
 
 class Branch:

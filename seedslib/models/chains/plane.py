@@ -8,7 +8,9 @@ import numpy as np
 
 from seedslib.base.clock import lengths_alike, step_count
 from seedslib.base.objects import Shown
+from seedslib.base.parameters import current
 from seedslib.base.tables import Axis, AxisLike, as_axes, mesh
+from seedslib.models.branches import parameters_in
 from seedslib.models.chains.feller import log_densities
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.switching import SwitchingSystem
@@ -172,6 +174,7 @@ class PlaneModes(Shown):
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes
         self.values: np.ndarray = np.tile(self.nodes, self.modes)
+        self._moving = parameters_in(system.branches)
         self._known: dict = {}
 
     def start(self) -> np.ndarray:
@@ -181,10 +184,11 @@ class PlaneModes(Shown):
 
     def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
         """Laws (S, C) after one step, each a column; the functions are those of its start."""
-        if start not in self._known:
-            self._known = {start: [self._leaving(float(start), i) for i in range(self.modes)]}
+        key = start, *current(self._moving)
+        if key not in self._known:
+            self._known = {key: [self._leaving(float(start), i) for i in range(self.modes)]}
         count = self.nodes.shape[1]
-        parts = zip(self._known[start], law.reshape(self.modes, count, -1), strict=True)
+        parts = zip(self._known[key], law.reshape(self.modes, count, -1), strict=True)
         return sum(kernel @ part for kernel, part in parts).reshape(law.shape)
 
     def _leaving(self, t: float, i: int) -> np.ndarray:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from seedslib.base.objects import Shown
-from seedslib.base.parameters import current, parameters_of
+from seedslib.base.parameters import current
 from seedslib.base.tables import Axis, AxisLike
+from seedslib.models.branches import parameters_in
 from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.feller import (
     FellerChain,
@@ -63,8 +64,7 @@ class SwitchingChain(Shown):
         self.modes: int = system.modes
         self.indicators: int = system.indicators
         self.values: np.ndarray = np.tile(self.axis.nodes, self.modes)[None]
-        maps = [b.map for row in system.branches for b in row if b is not None and b.map.symbolic]
-        self._moving = parameters_of(e for m in maps for e in (m.weight_expression, *m.expressions))
+        self._moving = parameters_in(system.branches)
         self._known: dict = {}
 
     def start(self) -> np.ndarray:
