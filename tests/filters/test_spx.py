@@ -66,8 +66,6 @@ def test_the_filter_equals_cells_on_a_part_of_the_record(routes, returns):
     found = by_filter(y, values, 400)
     coarse, fine = (routes.root_cells(y, values, n)[0] for n in (400, 800))
     assert found == pytest.approx(fine + (fine - coarse) / 3, abs=2e-3)
-    # the faults that must show
-    assert routes.log_cells(y, values, 400, clip=True)[0] > found + 0.3
     each = [routes.by_particles(y, values, 20_000, seed) for seed in range(8)]
     mean = logsumexp(each) - np.log(8)
     error = np.std(np.exp(each - mean), ddof=1) / np.sqrt(8)
@@ -82,6 +80,10 @@ def test_rows_of_the_table_are_computed_again(routes, returns):
         found, lost = function(returns, routes.PUBLISHED, 100)
         assert found == pytest.approx(float(table[name, "100"]["loglik"]), abs=2e-6)
         assert lost.max() == pytest.approx(float(table[name, "100"]["lost_most"]), abs=2e-6)
+    # the fault that must show: what falls below the lowest cell put into it
+    clipped = routes.log_cells(returns, routes.PUBLISHED, 200, clip=True)[0]
+    assert clipped == pytest.approx(float(table["clipped", "200"]["loglik"]), abs=5e-6)
+    assert clipped > float(table["cells of log V", "200"]["loglik"]) + 5.0
 
 
 def test_the_committed_maximum_is_one(routes, returns):
