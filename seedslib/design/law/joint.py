@@ -28,9 +28,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
-from seedslib.models.chains.discrete import DiscreteChain
-from seedslib.models.chains.feller import FellerChain
-from seedslib.models.chains.switching import SwitchingChain, chain_of
+from seedslib.models.chains.switching import chain_of
 from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 SPREADS = 6.5
@@ -107,7 +105,7 @@ class JointLaw:
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
         x = Axis.of("x", x)
-        self.chain: DiscreteChain | FellerChain | SwitchingChain = chain_of(system, x)
+        self.chain: Any = chain_of(system, x)
         require_letters(memory, self.chain.indicators, " for a grid")
         self.system: AnySystem = system
         self.memory: Memory = memory
