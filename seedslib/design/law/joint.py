@@ -113,11 +113,8 @@ class JointLaw:
         self.values: np.ndarray = self.chain.values
         self.modes: int = self.chain.modes
         self.switching: bool = switches(system)
-        axes = (
-            self._default_axes()
-            if y is None
-            else as_axes("y", y, len(self.chain.reach(float(self.times[0]))[0]))
-        )
+        reach = self.chain.reach(float(self.times[0]))
+        axes = self._default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes
         self.shown: np.ndarray = mesh(self.measurement_axes)
@@ -294,8 +291,7 @@ class JointLaw:
                 stacklevel=outside(),
             )
 
-    def _default_axes(self):
-        mean, deviation = self.chain.reach(float(self.times[0]))
+    def _default_axes(self, mean, deviation):
         low = (mean - SPREADS * deviation).min(axis=1)
         high = (mean + SPREADS * deviation).max(axis=1)
         count = (high - low) / (FINENESS * deviation.min(axis=1))
