@@ -20,6 +20,7 @@ PAPERS = {
     "riemann": "Riemann problem",
     "jump-diffusion": "Large-order filter for jump-diffusions",
     "switching": "Large-order filter for switching systems",
+    "field": "Held against the field",
 }
 ORIGINS = {
     "stated": "the paper says it",

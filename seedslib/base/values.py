@@ -55,6 +55,25 @@ def current(parameters: Iterable[Parameter]) -> list[Any]:
     return [table[p] if p in table else p.default() for p in parameters]
 
 
+def present(parameters: Iterable[Parameter]) -> tuple[float, ...]:
+    """Present values of parameters in the order of their names, a number each: a key.
+
+    Raises
+    ------
+    ValueError
+        A parameter that has a value for each path, an input that was not told.
+    """
+    known = sorted(parameters, key=str)
+    values = current(known)
+    for parameter, value in zip(known, values, strict=True):
+        if np.ndim(value):
+            raise ValueError(
+                f"{parameter}: wanted one value on a grid, got {np.shape(value)}; make the filter "
+                "anew for each, as fit does with a function that makes it"
+            )
+    return tuple(map(float, values))
+
+
 def looked_at(parameters: Iterable[Parameter]) -> AbstractContextManager[None]:
     """Values for what has none of its own, where a model is looked at and not used."""
     values = {p: p.value for p in parameters if p.role != "parameter"}

@@ -1,31 +1,40 @@
-"""Bayes filter of a scalar switching system on a grid: the exact posterior law, for reference."""
+"""Bayes filter of a system in discrete time on a grid: the exact posterior law, for reference."""
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.tables import Axis, AxisLike
-from seedslib.filters.estimates import as_seen
+from seedslib.base.checks import as_count, outside
+from seedslib.base.nodes import Grid, Nodes
+from seedslib.base.tables import Axis
+from seedslib.filters.estimates import Estimates, as_indicators, as_seen
+from seedslib.filters.grid_records import GridAccuracy, followed, smoothed_laws
 from seedslib.filters.verbs import Filter
-from seedslib.filters.weights import logarithm, normalised, relative
+from seedslib.filters.weights import logarithm, most_probable, normalised, relative
+from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.switching import SwitchingChain
-from seedslib.models.kinds import AnySystem, as_system
+from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
 """Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
+
+
+LOST = 1e-6
+"""Probability that leaves the nodes in a step, or that they are too coarse for, worth a warning."""
 
 
 class GridState(NamedTuple):
     """Law of mode and state on the nodes, and the last estimate.
 
     ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none is
-    lost however small it becomes; ``law`` (L, S, *batch) is the law of the state in each mode.
-    ``mode_prob`` has shape (L, *batch), ``mean`` (1, *batch), ``cov`` (1, 1, *batch);
-    ``diverged`` marks the records with a measurement that no node explains, ``interval`` is the
-    length of the first step.
+    lost however small it becomes, L = 1 where there are none; ``law`` (L, S, *batch) is the law of
+    the state in each mode. ``mode_prob`` has shape (L, *batch), ``mean`` (n, *batch), ``cov``
+    (n, n, *batch); ``diverged`` marks the records with a measurement that no node explains,
+    ``interval`` is the length of the first step.
     """
 
     time: float | None
@@ -40,41 +49,62 @@ class GridState(NamedTuple):
 
 
 class GridBayesFilter(Filter):
-    """Posterior law of mode and state on evenly spaced nodes.
+    """Posterior law of mode and state on nodes.
 
-    The absolutely optimal filter (the paper's AOF) of a system with one state component:
-    (4.1) to (4.3) of the switching paper with the law of the object itself in place of its law
-    given a finite memory. It uses no random numbers. Columns of the transition matrix are
-    normalised, so what would leave the axis is spread over its nodes.
+    The absolutely optimal filter (the paper's AOF): (4.1) to (4.3) of the switching paper with
+    the law of the object itself in place of its law given a finite memory. It uses no random
+    numbers, and its log-likelihood is deterministic.
+
+    Of a `DiscreteSystem` what leaves the nodes is dropped: likelihoods are those of paths that
+    stay on them, and a warning says when that is not all. On evenly spaced nodes with a step
+    below the deviations of the noise they are exact to many digits, see `accuracy`. Of a
+    switching system columns of the transition matrix are normalised, so what would leave the axis
+    is spread over its nodes.
 
     Parameters
     ----------
-    system : SwitchingSystem
-        With one state component, whose next value and whose measurement have densities.
-    x : Axis or (low, high, count)
-        Nodes of the state; the range should hold all but a millionth of the probability.
+    system : DiscreteSystem or SwitchingSystem
+        With one state component, or two of a `DiscreteSystem`, whose next value and whose
+        measurement have densities.
+    x : Axis, (low, high, count) or Nodes; of two components two of them
+        Nodes of the state; the range should hold all but a millionth of the probability. `Nodes`,
+        which need not be evenly spaced, are for a `DiscreteSystem`.
 
     Raises
     ------
     TypeError, ValueError
-        No switching system, more state components, branches without a density.
+        Another system, more state components, maps without a density, a component of the state
+        that is moved without noise.
+
+    Warns
+    -----
+    UserWarning
+        More than a millionth of the probability leaves the nodes in a step, or they are too
+        coarse for the noise.
     """
 
-    _shown = ("axis",)
+    _shown = ("axes",)
     takes: ClassVar[tuple[str, ...]] = ("indicators",)
     records: int = 512
 
-    def __init__(self, system: AnySystem, x: AxisLike = (-8.0, 8.0, 161)) -> None:
-        as_system("system", system, "SwitchingSystem")
+    def __init__(self, system: AnySystem, x: Grid = (-8.0, 8.0, 161)) -> None:
+        as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
-        self.axis: Axis = Axis.of("x", x)
-        self._chain = SwitchingChain(system, self.axis)
+        if switches(system):
+            self._chain: Any = SwitchingChain(system, Axis.of("x", x))
+            self.axes: tuple[Axis | Nodes, ...] = (self._chain.axis,)
+        else:
+            self._chain = DiscreteChain(system, x)
+            self.axes = self._chain.axes
+        self._modes: int = self._chain.modes
+        self._count: int = self._chain.values.shape[1] // self._modes
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
-        shape = (self.system.modes, self.axis.count)
+        shape = (self._modes, self._count)
         law = self._chain.start().reshape(*shape, *(1,) * len(batch))
         log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
+        self._look(log_prob, 0.0)
         return GridState(
             None, log_prob, law, *self._moments(log_prob, law), np.zeros(batch),
             np.zeros(batch, dtype=bool),
@@ -93,12 +123,13 @@ class GridBayesFilter(Filter):
             log_prob[l, here], law[l][:, here] = self._alone(
                 move, l, state.log_prob[:, here], state.law[:, :, here]
             )
+        self._look(log_prob, state.log_prob)
         prob, mean, cov = self._moments(log_prob, law)
         return state._replace(log_prob=log_prob, law=law, mode_prob=prob, mean=mean, cov=cov)
 
     def _alone(self, move, l, log_prob, law):
         """Logarithm of the probability of the next mode l, and the law in it, formed by itself."""
-        modes, count = self.system.modes, self.axis.count
+        modes, count = self._modes, self._count
         rows = move[l * count : (l + 1) * count].reshape(count, modes, count)
         masses, parts = _split(np.stack([rows[:, i] @ law[i] for i in range(modes)]))
         share, highest, lost = relative(log_prob + masses, 0)
@@ -144,14 +175,101 @@ class GridBayesFilter(Filter):
             state.diverged | lost, state.interval,
         )  # fmt: skip
 
+    def accuracy(
+        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None
+    ) -> GridAccuracy:
+        """How good the numbers of `run` are: differences from a run on every second node.
+
+        Parameters
+        ----------
+        times, measurements, indicators
+            As `run`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `run`.
+        """
+        times, y = self.record(times, measurements)
+        seen = as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
+        halves = [axis.halved() for axis in self.axes]
+        rough = GridBayesFilter(self.system, halves if len(halves) > 1 else halves[0])
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            fine, coarse = (followed(filter, times, y, seen) for filter in (self, rough))
+        apart = [np.abs(a - b) for a, b in zip(fine, coarse, strict=True)]
+        return GridAccuracy(apart[0], apart[1].max(axis=0), fine[2])
+
+    def smoothed(
+        self, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
+        indicators: ArrayLike | None = None,
+    ) -> Estimates:  # fmt: skip
+        """Estimates at each time from what is measured later as well, exact on the nodes.
+
+        Parameters
+        ----------
+        times, measurements, indicators
+            As `run`.
+        lag : int, optional
+            How many later times count; all of them by default.
+
+        Returns
+        -------
+        Estimates
+            As of `run`; ``loglik`` and ``diverged`` are those of the filter.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `run`; a lag below one.
+        """
+        lag = lag if lag is None else as_count("lag", lag)
+        times, y = self.record(times, measurements)
+        batch, size = y.shape[2:], self._modes * self._count
+        seen = as_indicators(indicators, self.system, (len(times), *batch))
+        state, laws, moves, told = self.initial(batch), [], [], []
+        for k, t in enumerate(times):
+            if k:
+                moves.append(self._chain.transition(state.time, float(t)))
+            state = self.step(state, t, y[k], None if seen is None else seen[k])
+            laws.append((np.exp(state.log_prob)[:, None] * state.law).reshape(size, -1))
+            told.append(state.loglik)
+        found = np.stack(smoothed_laws(laws, moves, lag), axis=-1)
+        found = found.reshape(self._modes, self._count, *batch, len(times))
+        parts = [
+            None if p is None else np.moveaxis(p, -1, 0) for p in self._moments(*_split(found))
+        ]
+        modes = None if parts[0] is None else most_probable(parts[0], 1)
+        return Estimates(*parts[1:], parts[0], np.array(told), state.diverged, modes)
+
+    def _look(self, log_prob, before):
+        """Warn where a step changes the probability: by what leaves the nodes or is between."""
+        if not self._chain.loses:
+            return
+        with np.errstate(invalid="ignore"):  # nothing was left before
+            change = np.abs(np.expm1(log_prob - before))
+        if (change > LOST).any():
+            warnings.warn(
+                f"x: more than {LOST:g} of the probability leaves the nodes in a step, and is "
+                "dropped, or they are too coarse for the noise; see accuracy",
+                stacklevel=outside(),
+            )
+
     def _moments(self, log_prob, law):
-        prob, x = np.exp(log_prob), self.axis.nodes
+        prob, x = np.exp(log_prob), self._chain.values[:, : self._count]
+        if self._chain.loses:
+            prob = prob / prob.sum(axis=0)
         marginal = np.einsum("l...,ls...->s...", prob, law)
         # about a node, so that no digits are lost far from the origin
-        apart = x - x[len(x) // 2]
-        shift = np.tensordot(apart, marginal, 1)
-        centred = apart.reshape(-1, *(1,) * shift.ndim) - shift
-        return prob, (shift + x[len(x) // 2])[None], (centred**2 * marginal).sum(axis=0)[None, None]
+        middle = x[:, self._count // 2]
+        apart, batch = x - middle[:, None], law.shape[2:]
+        shift = np.stack([np.tensordot(row, marginal, 1) for row in apart])
+        centred = list(apart.reshape(*apart.shape, *(1,) * len(batch)) - shift[:, None])
+        cov = [
+            [((a**2 if a is b else a * b) * marginal).sum(axis=0) for b in centred] for a in centred
+        ]
+        mean = shift + middle.reshape(-1, *(1,) * len(batch))
+        return prob if switches(self.system) else None, mean, np.array(cov)
 
 
 def _split(joint):

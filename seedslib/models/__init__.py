@@ -10,6 +10,7 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from seedslib.models.chains.discrete import DiscreteChain as DiscreteChain
     from seedslib.models.chains.feller import FellerChain as FellerChain
     from seedslib.models.chains.plane import PlaneChain as PlaneChain
     from seedslib.models.chains.plane import PlaneModes as PlaneModes

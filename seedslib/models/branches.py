@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import unmasked
+from seedslib.models.densities import noise_of
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 
@@ -156,21 +157,13 @@ class Branch:
     @cached_property
     def _residual_noise(self):
         """The noise as a function of (t, x, y) where the value is affine in it and invertible."""
-        map = self.map
-        if not map.symbolic or map.size != map.noise.size or not self.whole.has_log_density:
+        found = noise_of(self.map) if self.whole.has_log_density else None
+        if found is None:
             return None
-        import sympy
-
         from seedslib.models.codegen import compile_array
 
-        y = sympy.symbols(f"y:{map.size}", cls=sympy.Dummy, real=True)
-        value = sympy.Matrix(map.expressions)
-        slope = value.jacobian(map.noise.symbols)
-        if slope.det() == 0:
-            return None
-        still = value.subs(dict.fromkeys(map.noise.symbols, 0))
-        v = slope.LUsolve(sympy.Matrix(y) - still)
-        return compile_array((map.time, map.state, y), list(v))
+        y, noise, _ = found
+        return compile_array((self.map.time, self.map.state, y), noise)
 
 
 def branch_table(

@@ -266,15 +266,27 @@ class StochasticMap(Travelling, Shown):
 
     @cached_property
     def has_log_density(self) -> bool:
-        """Whether `log_density` exists: the given one, or y affine in Gaussian noise."""
+        """Whether `log_density` exists: the given one, or y affine in noise that has one."""
         if not self.symbolic:
             return self._log_density is not None
         import sympy
 
-        if not self.noise.gaussian:
-            return False
         v = self.noise.symbols
-        return all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
+        affine = all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
+        if not affine or self.noise.gaussian:
+            return affine
+        return self._by_noise is not None
+
+    @cached_property
+    def _by_noise(self):
+        from seedslib.models.densities import by_noise
+
+        return by_noise(self)
+
+    @property
+    def gaussian_density(self) -> bool:
+        """Whether that density is the Gaussian one of the conditional moments."""
+        return self.has_log_density and self._log_density is None and self.noise.gaussian
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
         """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
@@ -282,11 +294,13 @@ class StochasticMap(Travelling, Shown):
         Raises
         ------
         ValueError
-            There is no closed form: the noise enters nonlinearly or is not Gaussian. A part of a
+            There is no closed form: the noise enters nonlinearly or has no density. A part of a
             measurement is missing and the given log-density cannot do without it.
         """
         if self._log_density is not None:
             return told(self._log_density, t, y, x)
+        if self.has_log_density and not self.noise.gaussian:
+            return told(self._by_noise, t, y, x)
         if not self.has_log_density:
             raise ValueError(
                 "log_density: wanted y affine in Gaussian noise or a given log_density, "

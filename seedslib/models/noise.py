@@ -32,17 +32,22 @@ class Noise:
     sample : callable, optional
         ``sample(rng, count) -> (size, count)`` draws the vector where it is not Gaussian; `mean`
         and `cov` must be its moments. Gaussian by default.
+    log_density : callable, optional
+        ``log_density(v) -> (*batch)``, logarithm of the density of `sample` at v of shape
+        (size, *batch). Maps that are affine in the noise and can be solved for it have one then.
 
     Raises
     ------
     TypeError, ValueError
-        Repeated symbols, shapes that do not fit or a covariance that is not positive semidefinite.
+        A density without `sample`, repeated symbols, shapes that do not fit or a covariance that
+        is not positive semidefinite.
     """
 
     symbols: Sequence[Any] | Any = ()
     mean: Array = 0.0
     cov: Array = None
     sample: Callable[..., Any] | None = None
+    log_density: Callable[..., Any] | None = None
     size: int = field(init=False)
     root: np.ndarray = field(init=False, repr=False)
 
@@ -61,6 +66,8 @@ class Noise:
         cov = np.eye(size) if self.cov is None else as_covariance("cov", self.cov, size)
         if self.sample is not None and not callable(self.sample):
             raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
+        if self.log_density is not None and not (callable(self.log_density) and self.sample):
+            raise TypeError("log_density: wanted a function (v) beside sample, got another")
         vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=factor(cov))
 
     def __eq__(self, other: object) -> bool:
@@ -72,7 +79,8 @@ class Noise:
     def alike(self, other: Noise) -> bool:
         """Whether the law is the same, whatever the components are called."""
         return (
-            (self.size, self.sample) == (other.size, other.sample)
+            (self.size, self.sample, self.log_density)
+            == (other.size, other.sample, other.log_density)
             and np.array_equal(self.mean, other.mean)
             and np.array_equal(self.cov, other.cov)
         )

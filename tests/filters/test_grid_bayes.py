@@ -166,7 +166,7 @@ def test_unexplained_measurements_are_marked():
     ("make", "error", "message"),
     [
         (lambda: GridBayesFilter(zoo.manoeuvring_target()), ValueError, "state"),
-        (lambda: GridBayesFilter(zoo.flip_process()), TypeError, "wanted a SwitchingSystem"),
+        (lambda: GridBayesFilter(zoo.flip_process()), TypeError, "or SwitchingSystem, got a Jump"),
         (lambda: GridBayesFilter(two_speeds(), (0, 1)), TypeError, "x: wanted an Axis"),
     ],
 )

@@ -18,7 +18,7 @@ from seedslib.design.law.recursion import conditional, seen
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Step, Table, prior
 from seedslib.designed.outputs.table import TableFilter
-from seedslib.models.kinds import AnySystem
+from seedslib.models.kinds import AnySystem, in_steps
 
 METHOD = "density recursion"
 
@@ -42,7 +42,7 @@ def grid_synthesis(
 
     Parameters
     ----------
-    system : JumpDiffusion or SwitchingSystem
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
         With one state component.
     memory : Memory
         Of estimates or of measurements (finite memory), not of both; of as many indicators too,
@@ -58,7 +58,8 @@ def grid_synthesis(
         beyond its means at the ends of `x`, four nodes to its smallest deviation. The step
         should move an estimate by less than the step of `z`.
     nodes : int
-        Number of evenly spaced forecasts inside each interval; a switching system has none.
+        Number of evenly spaced forecasts inside each interval; a system in discrete time
+        has none.
     probabilities : bool
         Whether tables of the probabilities of the modes are wanted too.
     inputs : mapping of Input to array_like, shape (K+1,), optional
@@ -86,7 +87,7 @@ def grid_synthesis(
     law = JointLaw(system, memory, times, x, z, y, inputs)
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
-    nodes = 0 if law.switching else nodes
+    nodes = 0 if in_steps(system) else nodes
     steps, changes, between, before = [], [], [], None
     for k, found in enumerate(optimal_steps(law, nodes)):
         changes.append(_change(before, found))

@@ -30,15 +30,13 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
-from seedslib.models.chains.feller import FellerChain
-from seedslib.models.chains.switching import SwitchingChain, chain_of
+from seedslib.models.chains.switching import chain_of
 from seedslib.models.kinds import (
     AnySystem,
     as_grid,
     as_system,
     course_of,
     elapsed,
-    mentioned,
     switches,
 )
 
@@ -91,9 +89,9 @@ class JointLaw:
     ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-        as_system("system", system, "JumpDiffusion", "SwitchingSystem")
+        as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
         x = Axis.of("x", x)
-        self.chain: FellerChain | SwitchingChain = chain_of(system, x)
+        self.chain: Any = chain_of(system, x)
         require_letters(memory, self.chain.indicators, " for a grid")
         self.system: AnySystem = system
         self.memory: Memory = memory
@@ -103,7 +101,8 @@ class JointLaw:
         self.modes: int = self.chain.modes
         self.switching: bool = switches(system)
         with self.held.at(0):
-            axes = self._default_axes() if y is None else as_axes("y", y, len(self._reach()[0]))
+            reach = self.chain.reach(float(self.times[0]))
+            axes = self._default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes
         self.shown: np.ndarray = mesh(self.measurement_axes)
@@ -161,6 +160,8 @@ class JointLaw:
     def look(self, t) -> Seen:
         """Likelihood of the measurements on the grid."""
         sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
+        if self.chain.loses:  # given that it is on the axis still, whose ends are looked at
+            self.joint /= self.joint.sum()
         law = self.joint.sum(axis=0)
         self.chain.look_at_ends(law)
         missed = float(law @ sight.defect)
@@ -240,8 +241,6 @@ class JointLaw:
 
     def move(self, start: float, stop: float) -> Any:
         """Let the state move while the memory stays: (4.8)."""
-        if any(p.role != "parameter" for p in mentioned(self.system)):
-            self.chain = chain_of(self.system, self.chain.axis)  # it knows other transitions
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
     def forecast(self, t: float) -> Table:
@@ -282,11 +281,7 @@ class JointLaw:
                 stacklevel=outside(),
             )
 
-    def _reach(self):
-        return self.chain.reach(float(self.times[0]))
-
-    def _default_axes(self):
-        mean, deviation = self._reach()
+    def _default_axes(self, mean, deviation):
         low = (mean - SPREADS * deviation).min(axis=1)
         high = (mean + SPREADS * deviation).max(axis=1)
         count = (high - low) / (FINENESS * deviation.min(axis=1))

@@ -10,6 +10,7 @@ import numpy as np
 from seedslib.base.clock import lengths_alike, step_count, when
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
+from seedslib.base.values import present
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.maps import StochasticMap
 
@@ -95,6 +96,7 @@ class FellerChain(Shown):
 
     modes: int = 1
     indicators: int = 0
+    loses: bool = False
 
     _shown = ("axis",)
 
@@ -125,7 +127,8 @@ class FellerChain(Shown):
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
         steady = self._steady(start, stop)
-        key = float(lengths_alike(stop - start)) if steady else (start, stop)
+        length = (float(lengths_alike(stop - start)),) if steady else (start, stop)
+        key = *length, *present(self.system.mentions)
         if key not in self._known:
             if steady:
                 found = self._exponential(start, stop)

@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.clock import lengths_alike, step_count
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike, as_axes, mesh
+from seedslib.base.values import present
 from seedslib.models.chains.feller import log_densities
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.switching import SwitchingSystem
@@ -181,10 +182,11 @@ class PlaneModes(Shown):
 
     def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
         """Laws (S, C) after one step, each a column; the functions are those of its start."""
-        if start not in self._known:
-            self._known = {start: [self._leaving(float(start), i) for i in range(self.modes)]}
+        key = start, *present(self.system.mentions)
+        if key not in self._known:
+            self._known = {key: [self._leaving(float(start), i) for i in range(self.modes)]}
         count = self.nodes.shape[1]
-        parts = zip(self._known[start], law.reshape(self.modes, count, -1), strict=True)
+        parts = zip(self._known[key], law.reshape(self.modes, count, -1), strict=True)
         return sum(kernel @ part for kernel, part in parts).reshape(law.shape)
 
     def _leaving(self, t: float, i: int) -> np.ndarray:

@@ -8,7 +8,9 @@ import numpy as np
 
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
+from seedslib.base.values import present
 from seedslib.models.branches import Branch
+from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.feller import (
     FellerChain,
     cell_masses,
@@ -17,9 +19,12 @@ from seedslib.models.chains.feller import (
     want_scalar,
     warn_at_ends,
 )
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import elapsed, in_steps, switches
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import SwitchingSystem
+
+KEPT = 64
+"""Transitions that are kept, of times or of values of inputs."""
 
 
 class SwitchingChain(Shown):
@@ -33,7 +38,8 @@ class SwitchingChain(Shown):
     system : SwitchingSystem
         With one state component, and moves and readings that have densities in closed form.
     axis : Axis
-        Nodes of the state. Their range should hold all but a millionth of the probability.
+        Nodes of the state. Their range should hold all but a millionth of the probability: columns
+        of the transition are normalised, so what would leave it is spread over its nodes.
 
     Attributes
     ----------
@@ -48,6 +54,7 @@ class SwitchingChain(Shown):
         More than one state component, or no density.
     """
 
+    loses: bool = False
     _shown = ("axis",)
 
     def __init__(self, system: SwitchingSystem, axis: AxisLike) -> None:
@@ -72,8 +79,14 @@ class SwitchingChain(Shown):
 
     def transition(self, start: float, stop: float) -> np.ndarray:
         """Transition matrix P, p(next) = P p(now), from the time `start`; columns sum to one."""
-        key = None if self._steady else float(start)
+        with elapsed(self.system, start, stop):
+            return self._transition(start)
+
+    def _transition(self, start: float) -> np.ndarray:
+        key = None if self._steady else float(start), *present(self.system.mentions)
         if key not in self._known:
+            if len(self._known) >= KEPT:
+                self._known.clear()
             count = self.axis.count
             found = np.zeros((self.modes, count, self.modes, count))
             maps, table = self.system.dynamics, self.system.branches
@@ -163,6 +176,9 @@ class SwitchingChain(Shown):
         warn_at_ends(mass.reshape(self.modes, -1).sum(axis=0))
 
 
-def chain_of(system: object, axis: AxisLike) -> FellerChain | SwitchingChain:
-    """The chain of a scalar system of either kind."""
-    return SwitchingChain(system, axis) if switches(system) else FellerChain(system, axis)
+def chain_of(system: object, axis: AxisLike) -> DiscreteChain | FellerChain | SwitchingChain:
+    """The chain of a scalar system of any kind."""
+    want_scalar(system)
+    if switches(system):
+        return SwitchingChain(system, axis)
+    return DiscreteChain(system, axis) if in_steps(system) else FellerChain(system, axis)
