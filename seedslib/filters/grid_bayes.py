@@ -8,13 +8,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_count, outside
+from seedslib.base.checks import outside
 from seedslib.base.nodes import Grid, Nodes
 from seedslib.base.tables import Axis
-from seedslib.filters.estimates import Estimates, as_indicators, as_seen
-from seedslib.filters.grid_records import GridAccuracy, followed, smoothed_laws
+from seedslib.filters.estimates import as_indicators, as_seen
+from seedslib.filters.grid_records import GridAccuracy, GridSmoother, followed
 from seedslib.filters.verbs import Filter
-from seedslib.filters.weights import logarithm, most_probable, normalised, relative
+from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chains.discrete import DiscreteChain
 from seedslib.models.chains.switching import SwitchingChain
 from seedslib.models.kinds import AnySystem, as_system, switches
@@ -91,18 +91,18 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
-            self._chain: Any = SwitchingChain(system, Axis.of("x", x))
-            self.axes: tuple[Axis | Nodes, ...] = (self._chain.axis,)
+            self.chain: Any = SwitchingChain(system, Axis.of("x", x))
+            self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
         else:
-            self._chain = DiscreteChain(system, x)
-            self.axes = self._chain.axes
-        self._modes: int = self._chain.modes
-        self._count: int = self._chain.values.shape[1] // self._modes
+            self.chain = DiscreteChain(system, x)
+            self.axes = self.chain.axes
+        self._modes: int = self.chain.modes
+        self._count: int = self.chain.values.shape[1] // self._modes
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self._modes, self._count)
-        law = self._chain.start().reshape(*shape, *(1,) * len(batch))
+        law = self.chain.start().reshape(*shape, *(1,) * len(batch))
         log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
         self._look(log_prob, 0.0)
         return GridState(
@@ -112,7 +112,7 @@ class GridBayesFilter(Filter):
 
     def moved(self, state: GridState, t: float) -> GridState:
         """The law one step of the system later."""
-        shape, move = state.law.shape, self._chain.transition(state.time, t)
+        shape, move = state.law.shape, self.chain.transition(state.time, t)
         weight, highest, _ = relative(state.log_prob, 0)
         joint = weight[:, None] * state.law
         log_prob, law = _split((move @ joint.reshape(len(move), -1)).reshape(shape))
@@ -157,7 +157,7 @@ class GridBayesFilter(Filter):
         y, shown = as_seen(state, self.system, y, indicator)
         seen = y if shown is None else np.concatenate([shown[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            score = self._chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
+            score = self.chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
         score = np.where(np.isfinite(score), score, -np.inf).reshape(state.law.shape)
         weight, highest, lost = relative(np.moveaxis(score, 1, 0), 0)
         weight = np.moveaxis(weight, 0, 1)
@@ -200,51 +200,17 @@ class GridBayesFilter(Filter):
         apart = [np.abs(a - b) for a, b in zip(fine, coarse, strict=True)]
         return GridAccuracy(apart[0], apart[1].max(axis=0), fine[2])
 
-    def smoothed(
-        self, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
-        indicators: ArrayLike | None = None,
-    ) -> Estimates:  # fmt: skip
-        """Estimates at each time from what is measured later as well, exact on the nodes.
+    def smoother(self) -> GridSmoother:
+        """Exact on the nodes; see `Filter.smoother`."""
+        return GridSmoother(self)
 
-        Parameters
-        ----------
-        times, measurements, indicators
-            As `run`.
-        lag : int, optional
-            How many later times count; all of them by default.
-
-        Returns
-        -------
-        Estimates
-            As of `run`; ``loglik`` and ``diverged`` are those of the filter.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `run`; a lag below one.
-        """
-        lag = lag if lag is None else as_count("lag", lag)
-        times, y = self.record(times, measurements)
-        batch, size = y.shape[2:], self._modes * self._count
-        seen = as_indicators(indicators, self.system, (len(times), *batch))
-        state, laws, moves, told = self.initial(batch), [], [], []
-        for k, t in enumerate(times):
-            if k:
-                moves.append(self._chain.transition(state.time, float(t)))
-            state = self.step(state, t, y[k], None if seen is None else seen[k])
-            laws.append((np.exp(state.log_prob)[:, None] * state.law).reshape(size, -1))
-            told.append(state.loglik)
-        found = np.stack(smoothed_laws(laws, moves, lag), axis=-1)
-        found = found.reshape(self._modes, self._count, *batch, len(times))
-        parts = [
-            None if p is None else np.moveaxis(p, -1, 0) for p in self._moments(*_split(found))
-        ]
-        modes = None if parts[0] is None else most_probable(parts[0], 1)
-        return Estimates(*parts[1:], parts[0], np.array(told), state.diverged, modes)
+    def moments_of(self, joint: np.ndarray) -> tuple[Any, ...]:
+        """Mode probabilities or None, mean and covariance of joint laws (S, N)."""
+        return self._moments(*_split(joint.reshape(self._modes, self._count, -1)))
 
     def _look(self, log_prob, before):
         """Warn where a step changes the probability: by what leaves the nodes or is between."""
-        if not self._chain.loses:
+        if not self.chain.loses:
             return
         with np.errstate(invalid="ignore"):  # nothing was left before
             change = np.abs(np.expm1(log_prob - before))
@@ -256,8 +222,8 @@ class GridBayesFilter(Filter):
             )
 
     def _moments(self, log_prob, law):
-        prob, x = np.exp(log_prob), self._chain.values[:, : self._count]
-        if self._chain.loses:
+        prob, x = np.exp(log_prob), self.chain.values[:, : self._count]
+        if self.chain.loses:
             prob = prob / prob.sum(axis=0)
         marginal = np.einsum("l...,ls...->s...", prob, law)
         # about a node, so that no digits are lost far from the origin

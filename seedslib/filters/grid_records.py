@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-Law = np.ndarray
+from seedslib.base.arrays import MaybeArray
+from seedslib.filters.backward import Smoother
+from seedslib.filters.estimates import Estimates
+from seedslib.filters.weights import most_probable
 
 
 class GridAccuracy(NamedTuple):
@@ -44,43 +47,37 @@ def followed(
     return loglik, np.array(means), lost
 
 
-def smoothed_laws(filtered: list[Law], moves: list[np.ndarray], lag: int | None) -> list[Law]:
-    """Laws of a chain's states at each time from what was measured up to a later one.
+class GridSmoother(Smoother):
+    """The exact step back on nodes, of mode and state together.
 
-    p(x | later) = p(x) sum over x' of P(x' | x) p(x' | later) / p'(x'), with the forecast
-    p' = P p: nothing is approximated but the nodes.
-
-    Parameters
-    ----------
-    filtered : list of ndarray, shape (S, N)
-        Laws after each measurement, of N records.
-    moves : list of ndarray, shape (S, S)
-        P from each time to the next.
-    lag : int or None
-        How many later times count; None for all.
+    p(x | later) = p(x) sum over x' of P(x' | x) p(x' | later) / p'(x'), with the forecast p' = P p:
+    nothing is approximated but the nodes. A part is the joint law (S, N) of N records.
     """
 
-    def back(k: int, later: Law) -> Law:
-        ahead = moves[k] @ filtered[k]
-        ratio = np.divide(later, ahead, out=np.zeros_like(later), where=ahead > 0)
-        return filtered[k] * (moves[k].T @ ratio)
+    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the transition."""
+        before = state.time
+        later, _ = super().forecast(state, t)
+        return later, None if before is None else self.filter.chain.transition(before, t)
 
-    return _interval(filtered, back) if lag is None else _lagged(filtered, back, lag)
+    def lost(self, state: Any) -> Any:
+        """Where no node explains what was seen."""
+        return state.diverged
 
+    def last(self, state: Any) -> Any:
+        """See `Smoother.last`."""
+        joint = np.exp(state.log_prob)[:, None] * state.law
+        return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-def _interval(filtered: list[Law], back: Callable[[int, Law], Law]) -> list[Law]:
-    found = [filtered[-1]]
-    for k in reversed(range(len(filtered) - 1)):
-        found.append(back(k, found[-1]))
-    return found[::-1]
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+        """See `Smoother.back`."""
+        now = self.last(state)
+        ahead = link @ now
+        ratio = np.divide(part, ahead, out=np.zeros_like(part), where=ahead > 0)
+        return now * (link.T @ ratio)
 
-
-def _lagged(filtered: list[Law], back: Callable[[int, Law], Law], lag: int) -> list[Law]:
-    found = []
-    for k in range(len(filtered)):
-        end = min(k + lag, len(filtered) - 1)
-        law = filtered[end]
-        for j in reversed(range(k, end)):
-            law = back(j, law)
-        found.append(law)
-    return found
+    def report(self, part: Any) -> Estimates:
+        """Mean, covariance, and the modes with their probabilities, where there are modes."""
+        prob, mean, cov = self.filter.moments_of(part)
+        modes = None if prob is None else most_probable(prob)
+        return Estimates(mean, cov, prob, modes=modes)

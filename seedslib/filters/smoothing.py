@@ -34,7 +34,8 @@ def smooth(
 
     A `KnownModeFilter` is smoothed likewise, given all modes. A `SwitchingFilter` without a memory
     is smoothed in mode and state, by Gaussian laws in each mode; what that neglects stands in
-    `seedslib.designed.switching.smoothing`. A `ParticleFilter` is smoothed by trajectories drawn
+    `seedslib.designed.switching.smoothing`. A `GridBayesFilter` is smoothed exactly on its nodes,
+    in mode and state. A `ParticleFilter` is smoothed by trajectories drawn
     backwards (Godsill, Doucet and West 2004), where its system moves with a density.
 
     Parameters

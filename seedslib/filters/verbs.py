@@ -164,7 +164,8 @@ class Filter(Shown):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, KnownModeFilter, ParticleFilter, SwitchingFilter without a memory), got "
+            "filters, KnownModeFilter, ParticleFilter, GridBayesFilter, SwitchingFilter without a "
+            "memory), got "
             f"{type(self).__name__}"
         )
 

@@ -88,7 +88,7 @@ def test_linear_system_of_two_components_equals_the_kalman_filter(record):
 
 @pytest.mark.parametrize("lag", [None, 1, 3])
 def test_smoothing_equals_that_of_the_kalman_filter(record, lag):
-    found = GridBayesFilter(line(), LINE).smoothed(*record, lag=lag)
+    found = smooth(GridBayesFilter(line(), LINE), *record, lag=lag)
     wanted = smooth(KalmanFilter(line()), *record, lag=lag)
     np.testing.assert_allclose(found.mean, wanted.mean, atol=1e-8)
     np.testing.assert_allclose(found.cov, plain(wanted.cov, (3,)), atol=1e-8)
@@ -102,7 +102,7 @@ def test_smoothing_of_modes_equals_the_sum_over_all_paths():
         Noise([W]), [(0.4, [0], [[1]]), (0.6, [1], [[1]])],
     )  # fmt: skip
     times, y = np.arange(4.0), np.array([[0.3], [2.0], [-0.5], [1.0]])
-    found = GridBayesFilter(system, (-8, 9, 137)).smoothed(times, y)
+    found = smooth(GridBayesFilter(system, (-8, 9, 137)), times, y)
     # of each of the 16 courses of the modes the likelihood by a Kalman filter of its own
     weights, means = [], []
     for course in np.ndindex(2, 2, 2, 2):

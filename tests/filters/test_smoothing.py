@@ -9,8 +9,8 @@ import sympy as sp
 
 from seedslib.filters import (
     CovarianceFilter,
-    GridBayesFilter,
     KalmanFilter,
+    RaoBlackwellFilter,
     assumed_density,
     cubature_kalman,
     extended_kalman,
@@ -204,8 +204,8 @@ def test_angles_are_smoothed_as_if_the_circle_were_unrolled():
 def test_what_cannot_be_smoothed_is_refused(linear):
     system, times, y, _ = linear
     kalman = extended_kalman(system)
-    with pytest.raises(TypeError, match=r"one that can be smoothed .* got GridBayes"):
-        smooth(GridBayesFilter.__new__(GridBayesFilter), times, y)
+    with pytest.raises(TypeError, match=r"one that can be smoothed .* got RaoBlackwell"):
+        smooth(RaoBlackwellFilter.__new__(RaoBlackwellFilter), times, y)
     with pytest.raises(TypeError, match="filter: wanted a filter of this library, got str"):
         smooth("kalman", times, y)
     with pytest.raises(ValueError, match="lag: wanted at least 1, got 0"):
