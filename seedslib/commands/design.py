@@ -60,6 +60,12 @@ def add_design(commands: Any) -> None:
         "--table", nargs="+", metavar="AXIS",
         help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
     )  # fmt: skip
+    add(
+        "--stationary", type=float, nargs="?", const=0.02, metavar="TOLERANCE",
+        help="let the last step serve all later times; refused where a filter does not settle to "
+        "so much of its error (default 0.02)",
+    )  # fmt: skip
+    add("--cycle", type=int, default=1, help="with --stationary: so many last steps in turn")
     add("--verbose", action="store_true", help="tell on stderr how far the design has come")
     add("--out", required=True, metavar="FILE.npz", help="file of the filter")
     parser.set_defaults(run=run_design)
@@ -113,6 +119,10 @@ def run_design(options: argparse.Namespace) -> int:
         designed = making.synthesize(system, memory, rule, times, **chosen)
     if tables is not None:
         designed = making.tabulated(designed, **tables)
+    if options.stationary is not None:
+        designed = making.stationary(
+            designed, options.stationary, cycle=options.cycle, seed=options.seed + 1
+        )
     save(designed, out)
     print(designed)
     print(f"written to {out}")
