@@ -1,4 +1,4 @@
-"""Densities of maps that can be solved for their noise."""
+"""What a map gives at a fixed state: moments in formulas, and densities."""
 
 from __future__ import annotations
 
@@ -9,6 +9,27 @@ import numpy as np
 
 if TYPE_CHECKING:
     from seedslib.models.maps import StochasticMap
+
+
+def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, Any]:
+    """SymPy mean (size,), covariance (size, size) and weight of y given x, in its branch."""
+    import sympy
+
+    average, y = map.noise.expectation, map.expressions
+    joint = map.weight_expression.free_symbols & set(map.noise.symbols)
+    w = map.weight_expression if joint else sympy.Integer(1)
+    mass = average(w)
+    mean = [average(sympy.expand(w * part)) / mass for part in y]
+    # in a branch the means are quotients, which only their names keep from being multiplied out
+    named = sympy.symbols(f"mean:{map.size}", cls=sympy.Dummy, real=True) if joint else mean
+    cov = np.empty((map.size, map.size), dtype=object)
+    for i in range(map.size):
+        for j in range(i + 1):
+            spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+            if joint:
+                spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
+            cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
+    return np.array(mean, dtype=object), cov, mass if joint else map.weight_expression
 
 
 def noise_of(map: StochasticMap) -> tuple[Any, list[Any], Any] | None:
@@ -57,3 +78,32 @@ def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
             )
 
     return log_density
+
+
+def told(log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The given log-density; zero where the whole measurement is missing (NaN), log 1.
+
+    Parameters
+    ----------
+    log_density : callable
+        ``log_density(t, y, x) -> (*batch)``.
+    t : float
+    y, x : ndarray, shapes (m, *batch) and (n, *batch)
+
+    Raises
+    ------
+    ValueError
+        A part of a measurement is missing, and the function gives no number at any state.
+    """
+    y, gaps = np.asarray(y, dtype=float), np.isnan(y)
+    if not gaps.any():
+        return log_density(t, y, x)
+    with np.errstate(invalid="ignore"):
+        found = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x))
+    partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), found.shape)
+    if partly.any() and np.isnan(found[partly]).all():
+        raise ValueError(
+            "log_density: wanted numbers where a part of the measurement is missing (NaN), got "
+            "NaN; it must integrate over that part, or the measurement be missing as a whole"
+        )
+    return found

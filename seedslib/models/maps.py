@@ -18,7 +18,7 @@ from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.correction import correct
 from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import with_values
-from seedslib.models.missing import told
+from seedslib.models.densities import by_noise, conditional_formulas, told
 from seedslib.models.noise import Noise, named_noise
 
 
@@ -202,24 +202,7 @@ class StochasticMap(Travelling, Shown):
             from seedslib.gaussian.means.classes import NoClosedForm
 
             raise NoClosedForm("map: array functions have no closed form; use a rule with points")
-        import sympy
-
-        average, y = self.noise.expectation, self.expressions
-        joint = self.weight_expression.free_symbols & set(self.noise.symbols)
-        w = self.weight_expression if joint else sympy.Integer(1)
-        mass = average(w)
-        mean = [average(sympy.expand(w * part)) / mass for part in y]
-        # in a branch the means are quotients, which only their names keep from being multiplied out
-        named = sympy.symbols(f"mean:{self.size}", cls=sympy.Dummy, real=True) if joint else mean
-        cov = np.empty((self.size, self.size), dtype=object)
-        for i in range(self.size):
-            for j in range(i + 1):
-                spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
-                if joint:
-                    spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
-                cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
-        weight = mass if joint else self.weight_expression
-        return Conditional(np.array(mean, dtype=object), cov, weight)
+        return Conditional(*conditional_formulas(self))
 
     @cached_property
     def conditional(self) -> Conditional:
@@ -279,8 +262,6 @@ class StochasticMap(Travelling, Shown):
 
     @cached_property
     def _by_noise(self):
-        from seedslib.models.densities import by_noise
-
         return by_noise(self)
 
     @property

@@ -256,21 +256,6 @@ def test_what_nothing_has_told_is_not_forecast(read, write):
 # Designs
 
 
-def test_a_design_without_an_end(capsys, write, read, refused):
-    design = ["design", "slow.py", "--memory", "estimates=1", "--paths", "4000", "--nodes", "1"]
-    grid = ["--times", "0:10:0.5", "--stationary", "0.1", "--out", "f.npz"]
-    assert main([*design, *grid]) == 0
-    assert "the last step serves all" in capsys.readouterr().out
-    rows = (f"{t / 4},{'' if t % 2 else t % 3}\n" for t in range(120))
-    write("long.csv", "t,y1\n" + "".join(rows))
-    assert main(["filter", "f.npz", "long.csv", "--model", "slow.py", "--out", "x.csv"]) == 0
-    names, *rows = read("x.csv")
-    assert len(rows) == 120
-    assert all(row[names.index("x1")] for row in rows)
-    early = [*design, "--times", "0:1.5:0.5", "--stationary", "0.001", "--out", "g.npz"]
-    assert "got 0." in refused(capsys, main, *early)
-
-
 def test_times_of_a_design_from_a_table_and_what_it_tells(capsys, write, read):
     write("days.csv", "day;t;y\n2020-01-01;0;1\n2020-01-02;.5;1\n2020-01-04;1.5;1\n")
     design = ["design", "slow.py", "--memory", "measurements=2", "--paths", "400", "--nodes", "0"]
