@@ -72,12 +72,16 @@ class Compiled:
     def run(self, times, y):
         """Means, covariances, likelihoods, node forecasts, each with the batch axis last."""
         rows = self.filter.n if self.carried else self.filter.components
-        nodes = 0
+        nodes, most = 0, 0
         if not self.carried:
             nodes = sum(map(len, self.filter.node_times))
+            most = max(map(len, self.filter.node_times), default=0)
         count, paths = len(y), y.shape[2]
         mean, cov = np.empty((paths, count, rows)), np.empty((paths, count, rows, rows))
-        loglik, ahead = np.empty((paths, count)), np.full((paths, nodes + 1, rows), np.nan)
+        loglik, ahead = (
+            np.empty((paths, count)),
+            np.full((paths, nodes + most * count + 1, rows), np.nan),
+        )
         times = np.ascontiguousarray(times, dtype=float)
         for i in range(paths):
             shown = np.ascontiguousarray(y[..., i])

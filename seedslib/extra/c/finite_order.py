@@ -9,7 +9,7 @@ import numpy as np
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.extra.c.forecasts import ahead, course, held
-from seedslib.extra.c.records import STATE, between, frame, push
+from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape
 from seedslib.extra.c.traced import (
@@ -25,8 +25,7 @@ static inline int @name_step(@name_state *s, const double *y)
 {
     double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
     const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
-    int i, lost = gap;
-    if (s->k >= @NAME_TIMES) return @NAME_END;
+    int i, lost = gap;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
         if (isnan(y[i])) lost = 1;
@@ -36,21 +35,21 @@ static inline int @name_step(@name_state *s, const double *y)
     } else {
         memcpy(u, s->memory, sizeof u);
         @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
-        @name_correct_(@name_times[s->k], mean, cov, s, y);
+        @name_correct_(@name_times[s->k]@LATER, mean, cov, s, y);
     }
     if (gap) s->loglik = (double)NAN;
     for (i = 0; lost && i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
         s->cov[i / @NAME_ESTIMATE][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
-    s->k++;
+    s->k++;@LAP
     return @NAME_OK;
 }
 """
 
 NODES = """\
 /* Forecasts of the estimated components at the nodes from the last measurement to the next,
- * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+ * at @name_node_times[@name_node_start[s->k - 1]]@LATER and on. Returns their number. */
 static inline int @name_nodes(const @name_state *s, double *out)
 {
     int i, j, n;
@@ -74,7 +73,7 @@ for (j = 0; j < @NAME_MEASUREMENT; j++) {
 
 COURSE_NODES = """\
 /* Forecasts of the estimated components at the nodes from the last measurement to the next,
- * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+ * at @name_node_times[@name_node_start[s->k - 1]]@LATER and on. Returns their number. */
 static inline int @name_nodes(const @name_state *s, double *out)
 {
     double z[@NAME_MEMORY];
@@ -83,7 +82,7 @@ static inline int @name_nodes(const @name_state *s, double *out)
     count = @name_node_start[s->k] - @name_node_start[s->k - 1];
     memcpy(z, s->memory, sizeof z);
     for (i = 0; i < count; i++) {
-        @name_move_(@name_course_start[s->k - 1] + i, z);
+        @name_move_(@name_course_start[s->k - 1] + i, 0.0@LATER, z);
         memcpy(out + i * @NAME_ESTIMATE, z, sizeof z);
     }
     return count;
@@ -105,12 +104,16 @@ static inline void @name_end_(const @name_state *s, double *out)
 {
     int i;
     memcpy(out, s->memory, sizeof s->memory);
-    for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, out);
+    for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) {
+        @name_move_(i, 0.0@LATER, out);
+    }
 }
 """
 
 _COURSE_ARRIVE = """\
-for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, u);
+for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) {
+            @name_move_(i, 0.0@LATER, u);
+        }
         """
 
 
@@ -141,7 +144,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
         between(filter),
     ])  # fmt: skip
-    return {**common, **macros}, text
+    return {**common, **macros}, going_on(filter, text)
 
 
 def _first(filter: FiniteOrderFilter) -> str:

@@ -136,8 +136,8 @@ static inline void @name_floor_(const double root[@NAME_STATE][@NAME_STATE],
 """
 
 _MOVE = """\
-/* One Euler step of the continuous forecast. */
-static inline void @name_move_(int i, double *z)
+/* One Euler step of the continuous forecast, so much later than in the design. */
+static inline void @name_move_(int i, double later, double *z)
 {
     double mean[@NAME_STATE], rate[@NAME_ESTIMATE];
     int k, j;
@@ -146,7 +146,7 @@ static inline void @name_move_(int i, double *z)
         for (j = 0; j < @NAME_ESTIMATE; j++) sum += @name_course_gain[i][k][j] * z[j];
         mean[k] = sum + @name_course_offset[i][k];
     }
-    @name_velocity_(@name_course_time[i], mean, @name_course_cov[i], rate);
+    @name_velocity_(@name_course_time[i] + later, mean, @name_course_cov[i], rate);
     for (k = 0; k < @NAME_ESTIMATE; k++) z[k] += @name_course_step[i] * rate[k];
 }
 """

@@ -8,7 +8,7 @@ from typing import Any
 from seedslib.base.tables import Axis
 from seedslib.designed.outputs.lookup import Table
 from seedslib.designed.outputs.table import TableFilter
-from seedslib.extra.c.records import STATE, between, frame, push
+from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants
 from seedslib.extra.c.tape import literal
 
@@ -76,8 +76,7 @@ static inline int @name_step(@name_state *s, const double *y)
 {
     double point[@NAME_AXES] = { 0.0 };
     const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
-    int i, missing = 0;
-    if (s->k >= @NAME_TIMES) return @NAME_END;
+    int i, missing = 0;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
         if (isnan(y[i])) missing++;
@@ -102,14 +101,14 @@ static inline int @name_step(@name_state *s, const double *y)
     }
     s->loglik = (double)NAN;
     @name_push_(s);
-    s->k++;
+    s->k++;@LAP
     return @NAME_OK;
 }
 """
 
 _NODES = """\
 /* Forecasts at the nodes from the last measurement to the next, at
- * @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+ * @name_node_times[@name_node_start[s->k - 1]]@LATER and on. Returns their number. */
 static inline int @name_nodes(const @name_state *s, double *out)
 {
     double point[@NAME_AXES] = { 0.0 };
@@ -166,10 +165,11 @@ def table_source(filter: TableFilter) -> tuple[dict[Any, Any], str]:
     text += constants("@name_first_mean", first.estimate)
     text += constants("@name_cov", filter.covariances)
     lookup = "@name_lookup_(&@name_node[n], point, out);" if nodes else ""
-    return macros, "\n".join([
+    text = "\n".join([
         timing, _TYPES, text, STATE, _LOOKUP, push(filter), _STEP,
         _NODES.replace("@LOOKUP", lookup), between(filter),
     ])  # fmt: skip
+    return macros, going_on(filter, text)
 
 
 def _tables(name: str, fits: Sequence[Table], axes: list[Axis], most: int) -> str:
