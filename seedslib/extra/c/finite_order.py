@@ -9,15 +9,17 @@ import numpy as np
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.extra.c.forecasts import ahead, course, held
+from seedslib.extra.c.points import factor_source
 from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape
 from seedslib.extra.c.traced import (
     check_formulas,
     corrected_outputs,
-    map_moments,
+    moments_source,
     record_correction,
 )
+from seedslib.linearization.points import PointRule
 
 STEP = """\
 /* One measurement: forecast from the memory, correction, memory. NaN: component missing. */
@@ -134,6 +136,8 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         )
     continuous = isinstance(filter.predictor, Continuous)
     text, macros = ahead(filter)
+    if isinstance(filter.linearization, PointRule):
+        text += factor_source()
     if continuous:
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""
@@ -175,16 +179,17 @@ def _correction(filter: FiniteOrderFilter) -> str:
     """C of the moments of the sensor and the correction, in one straight line."""
     tape, n, m = Tape(), len(filter.start.mean), filter.system.sensor.size
     y = tape.inputs("y[{}]", m)
-    mean, lower = tape.inputs("mean[{}]", n), tape.inputs("cov[{}]", n * (n + 1) // 2)
-    moments = map_moments(filter.linearization, filter.system.sensor)
-    moments = moments(tape.inputs("t")[()], mean, lower)
+    mean, lower = tape.inputs("mean[{}]", n), tape.inputs("lower[{}]", n * (n + 1) // 2)
+    text, lines, moments = moments_source(
+        tape, filter.linearization, filter.system.sensor, "@name_sensor", mean, lower
+    )
     kept, periods = filter.components, filter.rules.periods
     found = record_correction(tape, mean, lower, y, moments, kept, periods)
     head = (
-        "void @name_correct_(double t, const double *mean, const double *cov, @name_state *s,\n"
+        "void @name_correct_(double t, const double *mean, const double *lower, @name_state *s,\n"
         "                                 const double *y)"
     )
-    return function(head, ["    (void)t;", *tape.body(_stored(found))])
+    return text + function(head, [*lines, "    (void)t;", *tape.body(_stored(found))])
 
 
 def _stored(found: tuple) -> dict:
