@@ -11,7 +11,7 @@ from seedslib.design import Continuous, synthesize
 from seedslib.designed import Memory
 from seedslib.filters import CovarianceFilter, cubature_kalman, unscented_kalman
 from seedslib.linearization import Cubature, GaussHermite, Unscented
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 TIMES = 0.5 * np.arange(9.0)
 
@@ -60,6 +60,7 @@ FILTERS = {
     "known exactly": lambda: unscented_kalman(exactly()),
     "continuous": lambda: unscented_kalman(zoo.van_der_pol(), step=0.05),
     "continuous, Euler": lambda: cubature_kalman(zoo.van_der_pol(), integrator="euler", step=0.01),
+    "Gauss-Hermite in loops": lambda: CovarianceFilter(target(), GaussHermite(3)),
     "continuous, jumps": lambda: CovarianceFilter(zoo.kicked_duffing(), GaussHermite(3), step=0.1),
 }  # fmt: skip
 

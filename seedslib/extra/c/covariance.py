@@ -175,12 +175,17 @@ def _motion(filter: CovarianceFilter) -> str:
     return function(head, ["    (void)t; (void)h;", *stores])
 
 
-_PACKED = """\
-    double lower[@NAME_STATE * (@NAME_STATE + 1) / 2];
-    const double *mean = s->mean;
-    int i, j;"""
+_BEFORE = """\
+    double scale[@NAME_STATE];
+    int i;
+    for (i = 0; i < @NAME_STATE; i++) scale[i] = s->cov[i][i];"""
 
 _PACK = """\
+    double lower[@NAME_STATE * (@NAME_STATE + 1) / 2];
+    const double *mean = s->mean;
+    int j;"""
+
+_PACKED = """\
     for (i = 0; i < @NAME_STATE; i++) {
         for (j = 0; j <= i; j++) lower[i * (i + 1) / 2 + j] = s->cov[i][j];
     }"""
@@ -195,8 +200,8 @@ def _correction(filter: CovarianceFilter) -> str:
     )
     found = record_correction(tape, mean, cov[np.tril_indices(n)], y, moments, n, sensor.period)
     stores, last = tape.body(corrected_outputs(found)), []
-    if lines:
-        lines[1:1] = [_PACKED, _PACK]
-        last = ["    @name_settle_(lower, s);"]
+    if isinstance(filter.linearization, PointRule):
+        lines = [*lines[:1], _PACK, _BEFORE, _PACKED, *lines[1:]] if lines else [_BEFORE]
+        last = ["    @name_settle_(scale, s);"]
     head = "void @name_correct_(double t, @name_state *s, const double *y)"
     return text + function(head, [*lines, "    (void)t;", *stores, *last])

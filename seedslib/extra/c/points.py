@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
+from seedslib.extra.c.unrolled import point_space
 from seedslib.linearization.points import PointRule
 from seedslib.models.maps import StochasticMap
 
@@ -45,13 +46,11 @@ static inline void @name_factor_(const double *lower, const double *scale,
 
 SETTLE = """\
 /* Without what rounding has left of directions that are known exactly. */
-static inline void @name_settle_(const double *before, @name_state *s)
+static inline void @name_settle_(const double *scale, @name_state *s)
 {
     double lower[@NAME_STATE * (@NAME_STATE + 1) / 2], root[@NAME_STATE][@NAME_STATE];
-    double scale[@NAME_STATE];
     int i, j, k, zero = 0;
     for (i = 0; i < @NAME_STATE; i++) {
-        scale[i] = before[i * (i + 3) / 2];
         for (j = 0; j <= i; j++) lower[i * (i + 1) / 2 + j] = s->cov[i][j];
     }
     @name_factor_(lower, scale, root);
@@ -76,27 +75,29 @@ static inline void @LABEL_at_(double t, const double *mean, const double *lower,
     for (i = 0; i < @NAME_STATE; i++) scale[i] = fabs(lower[i * (i + 3) / 2]);
     @name_factor_(lower, scale, root);
     for (p = 0; p < @SPOTS; p++) {
-        for (i = 0; i < @NAME_STATE; i++) {
-            double sum = 0.0;
-            for (j = 0; j <= i; j++) sum += root[i][j] * @LABEL_unit[p][j];
-            x[i] = mean[i] + sum;
+        for (i = 0; i < @NAME_STATE; i++) x[i] = 0.0;
+        for (j = 0; j < @NAME_STATE; j++) {
+            const double u = @LABEL_unit[p][j];
+            for (i = j; u != 0.0 && i < @NAME_STATE; i++) x[i] += root[i][j] * u;
         }
+        for (i = 0; i < @NAME_STATE; i++) x[i] += mean[i];
         @LABEL_value_(t, x, @NOISE, y[p]);
     }
 }
 """
 
 _SLOPE = """\
-    for (i = 0; i < @SIZE; i++) {
-        double slope[@NAME_STATE];
-        for (j = 0; j < @NAME_STATE; j++) {
-            double sum = 0.0;
-            for (p = 0; p < @SPOTS; p++) sum += @LABEL_unit[p][j] * y[p][i] * @LABEL_square[p];
-            slope[j] = sum;
+    for (j = 0; j < @NAME_STATE; j++) {
+        for (i = 0; i < @SIZE; i++) slope[j][i] = 0.0;
+        for (p = 0; p < @SPOTS; p++) {
+            const double u = @LABEL_unit[p][j] * @LABEL_square[p];
+            for (i = 0; u != 0.0 && i < @SIZE; i++) slope[j][i] += u * y[p][i];
         }
-        for (k = 0; k < @NAME_STATE; k++) {
+    }
+    for (k = 0; k < @NAME_STATE; k++) {
+        for (i = 0; i < @SIZE; i++) {
             double sum = 0.0;
-            for (j = 0; j <= k; j++) sum += root[k][j] * slope[j];
+            for (j = 0; j <= k; j++) sum += root[k][j] * slope[j][i];
             cross[k * @SIZE + i] = sum;
         }
     }
@@ -107,7 +108,7 @@ _MOMENTS = (
 /* Mean of the map, its covariance with the state, its own on and below the diagonal. */
 static inline void @LABEL_(double t, const double *mean, const double *lower, double *found)
 {
-    double root[@NAME_STATE][@NAME_STATE], y[@SPOTS][@WIDTH];
+    double root[@NAME_STATE][@NAME_STATE], y[@SPOTS][@WIDTH], slope[@NAME_STATE][@SIZE];
     double *cross = found + @SIZE, *cov = cross + @NAME_STATE * @SIZE;
     int i, j, k, p;
     @LABEL_at_(t, mean, lower, root, y);
@@ -122,14 +123,13 @@ static inline void @LABEL_(double t, const double *mean, const double *lower, do
 """
     + _SLOPE
     + """\
-    for (i = 0; i < @SIZE; i++) {
-        for (j = 0; j <= i; j++) {
-            double sum = 0.0;
-            for (p = 0; p < @SPOTS; p++) sum += y[p][i] * y[p][j] * @LABEL_square[p];
-            cov[i * (i + 1) / 2 + j] += sum;
+    for (p = 0; p < @SPOTS; p++) {
+        for (i = 0, k = 0; i < @SIZE; i++) {
+            const double u = y[p][i] * @LABEL_square[p];
+            for (j = 0; j <= i; j++) cov[k++] += u * y[p][j];
         }
     }
-@VARIED    (void)k; (void)cross;
+@VARIED    (void)cross;
 }
 """
 )
@@ -148,6 +148,7 @@ _RATE = (
 static inline void @name_rate_(double t, const double *z, double *dz)
 {
     double root[@NAME_STATE][@NAME_STATE], y[@SPOTS][@WIDTH], cross[@NAME_STATE * @NAME_STATE];
+    double slope[@NAME_STATE][@NAME_STATE];
     int i, j, k, p, place = @NAME_STATE;
     @LABEL_at_(t, z, z + @NAME_STATE, root, y);
     for (i = 0; i < @WIDTH; i++) {
@@ -215,14 +216,8 @@ def point_moments(rule: PointRule, map: StochasticMap, label: str, spread: bool 
     Without `spread` nothing random is added to y, and its covariance has no meaning.
     """
     n, m = map.state_size, map.size
-    try:
-        mean, cov, _ = map.conditional_expressions
-    except ValueError:  # points must cover the noise
-        mean, cov = map.expressions, np.zeros((m, m), dtype=object)
-        noise, size = map.noise, n + map.noise.size
-    else:
-        noise, size = None, n
-    unit, weight, square = rule.rule(size)
+    mean, cov, noise = point_space(map)
+    unit, weight, square = rule.rule(n + (0 if noise is None else noise.size))
     state, lower = set(map.state), [cov[i, j] for i in range(m) for j in range(i + 1)]
     varied = [k for k, e in enumerate(lower) if getattr(e, "free_symbols", set()) & state]
     fixed = [0 if k in varied else e for k, e in enumerate(lower)] if spread else [0] * len(lower)

@@ -49,8 +49,11 @@ def moments_source(
         evaluate = map_moments(linearization, map, spread)
         return "", [], evaluate(tape.inputs("t")[()], mean, lower)
     from seedslib.extra.c.points import point_moments
+    from seedslib.extra.c.unrolled import few_points, unrolled_moments
 
     n, m = map.state_size, map.size
+    if few_points(linearization, map):
+        return "", [], unrolled_moments(tape, linearization, map, mean, lower, spread)
     size = m * (1 + n) + m * (m + 1) // 2
     found = tape.inputs("found[{}]", size)
     h, cross, cov = np.split(found, [m, m + n * m])
