@@ -7,9 +7,9 @@ import os
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import switches
 
 _HEAD = """\
 #ifndef @NAME_H
@@ -27,6 +27,7 @@ _HEAD = """\
 #define @NAME_INFINITE 2 /* a measurement that is infinite */
 #define @NAME_PARTLY 3   /* a measurement of which only some components are there */
 #define @NAME_TIME 4     /* a time that is not where it should be */
+#define @NAME_RANGE 5    /* an indicator that is none */
 
 """
 
@@ -44,6 +45,10 @@ pivot. One that the components before it determine (its pivot is at most 1e-13 o
 gets the gain zero and is not counted in loglik; the Python library uses the pseudo-inverse \
 there, which is the same for measurements that do not contradict each other. A covariance of the \
 measurement that is clearly indefinite gives NaN."""
+
+_MODES = """ \
+A covariance that the correction leaves indefinite by rounding is not mended. An indicator is -1 \
+where it is missing; what no mode can show says nothing, and loglik is minus infinity."""
 
 _WHOLE = """\
 A measurement is missing as a whole or not at all; where the tables end their last values are \
@@ -135,7 +140,7 @@ def to_c(
 
 def _parts(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    if isinstance(filter, TableFilter) and not switches(filter.system):
+    if isinstance(filter, TableFilter):
         from seedslib.extra.c.tables import table_source
 
         return *table_source(filter), _WHOLE
@@ -143,6 +148,10 @@ def _parts(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> tuple[
         from seedslib.extra.c.covariance import covariance_source
 
         return *covariance_source(filter), _REDUNDANT
+    if isinstance(filter, SwitchingFilter):
+        from seedslib.extra.c.switching import switching_source
+
+        return *switching_source(filter), _REDUNDANT + _MODES
     if isinstance(filter, FiniteOrderFilter):
         from seedslib.extra.c.finite_order import finite_order_source
 

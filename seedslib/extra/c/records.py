@@ -91,7 +91,7 @@ def going_on(filter: DesignedFilter, text: str) -> str:
     cycle, times = filter.cycle, filter.times
     for mark, part in (_FOR_EVER if cycle else _ONCE).items():
         text = text.replace(mark, part)
-    return text.replace("@SPAN", literal(times[-1] - times[-1 - cycle]))
+    return text.replace("@SPAN", literal(times[-1] - times[-1 - cycle])) if cycle else text
 
 
 def frame(filter: BetweenFilter) -> tuple[dict[Any, Any], str]:
@@ -103,7 +103,7 @@ def frame(filter: BetweenFilter) -> tuple[dict[Any, Any], str]:
     macros = {
         "STATE": filter.system.state_size,
         "ESTIMATE": filter.components,
-        "MEASUREMENT": filter.system.sensor.size,
+        "MEASUREMENT": filter.system.measurement_size,
         "MEMORY": filter.order,
         "TIMES": len(times),
         "NODES": max(counts),
@@ -139,7 +139,7 @@ def push(filter: DesignedFilter) -> str:
     lines, place = [], 0
     for count, size, source in (
         (filter.memory.estimates, filter.components, "mean"),
-        (filter.memory.measurements, filter.system.sensor.size, "shown"),
+        (filter.memory.measurements, filter.system.measurement_size, "shown"),
     ):
         start = f"s->memory + {place}" if place else "s->memory"
         if count > 1:

@@ -50,9 +50,11 @@ def literal(value: float) -> str:
     Raises
     ------
     ValueError
-        A number that is not finite.
+        A number that is neither finite nor minus infinity, the logarithm of zero.
     """
     value = float(value)
+    if value == -math.inf:
+        return "-HUGE_VAL"
     if not math.isfinite(value):
         raise ValueError(f"constant: wanted a finite number for C, got {value}")
     return repr(value)
