@@ -1,6 +1,7 @@
 """What wants another package or another language: C, learned outputs, a cluster.
 
-`to_c` writes a designed filter as a C header, `learn` wants scikit-learn, `cluster` wants Dask.
+`to_c` writes a filter as a C header, `compiled` runs that C behind the filter's own verbs, `learn`
+wants scikit-learn, `cluster` wants Dask.
 Nothing uses this room.
 
 May import: base, models, linearization, filters, designed, design.
@@ -11,6 +12,8 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.extra.c.header import to_c as to_c
+    from seedslib.extra.compilation import CompiledFilter as CompiledFilter
+    from seedslib.extra.compilation import compiled as compiled
     from seedslib.extra.dask_crew import cluster as cluster
     from seedslib.extra.learned import learn as learn
 else:
