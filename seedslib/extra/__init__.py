@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from seedslib.extra.compilation import CompiledFilter as CompiledFilter
     from seedslib.extra.compilation import compiled as compiled
     from seedslib.extra.dask_crew import cluster as cluster
+    from seedslib.extra.js.module import to_js as to_js
     from seedslib.extra.learned import learn as learn
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

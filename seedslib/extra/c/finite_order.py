@@ -41,7 +41,7 @@ static inline int @name_step(@name_state *s, const double *y)
     }
     if (gap) s->loglik = (double)NAN;
     for (i = 0; lost && i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
-        s->cov[i / @NAME_ESTIMATE][i % @NAME_ESTIMATE] = (double)NAN;
+        s->cov[(int)(i / @NAME_ESTIMATE)][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
     s->k++;@LAP
