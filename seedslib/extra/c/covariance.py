@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
-from seedslib.extra.c.points import SETTLE, factor_source, point_rates
+from seedslib.extra.c.points import FACTOR, SETTLE, point_rates
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import (
@@ -70,7 +70,7 @@ static inline int @name_predict(@name_state *s, double t)
 
 _INTEGRATE = """\
 {
-            const double steps = fmax(1.0, ceil((t - s->t) / @STEP - 1e-9));
+            const double steps = fmax(1.0, ceil((t - s->t) / @STEP - @NAME_SAME));
             const double h = (t - s->t) / steps;
             double k;
             for (k = 0.0; k < steps; k += 1.0) @name_advance_(s->t + k * h, h, z);
@@ -123,7 +123,7 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
     by_points = isinstance(filter.linearization, PointRule)
     parts = [
-        text, _STATE, factor_source() * by_points, SETTLE * by_points, _motion(filter),
+        text, _STATE, FACTOR * by_points, SETTLE * by_points, _motion(filter),
         _PREDICT.replace("@ADVANCE", advance), _correction(filter), _STEP,
     ]  # fmt: skip
     return macros, "\n".join(parts)

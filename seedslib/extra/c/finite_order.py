@@ -9,7 +9,7 @@ import numpy as np
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.extra.c.forecasts import ahead, course, held
-from seedslib.extra.c.points import factor_source
+from seedslib.extra.c.points import FACTOR
 from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape
@@ -137,7 +137,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
     continuous = isinstance(filter.predictor, Continuous)
     text, macros = ahead(filter)
     if isinstance(filter.linearization, PointRule):
-        text += factor_source()
+        text += FACTOR
     if continuous:
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""

@@ -93,7 +93,7 @@ static inline void @name_floor_(const double root[@NAME_STATE][@NAME_STATE],
             all += a[p][p] * a[p][p];
             for (q = 0; q < p; q++) off += a[p][q] * a[p][q];
         }
-        if (!(off > 1e-36 * all)) break;
+        if (!(off > @NAME_TURNED * all)) break;
         for (p = 0; p < @NAME_STATE; p++) {
             for (q = 0; q < p; q++) {
                 double turn, c, s;

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.unrolled import point_space
@@ -28,10 +27,10 @@ static inline void @name_factor_(const double *lower, const double *scale,
     for (j = 0; j < @NAME_STATE; j++) {
         const double variance = fabs(lower[j * (j + 3) / 2]), pivot = root[j][j];
         double inverse = 0.0;
-        if (pivot > @RELATIVE * variance + @ABSOLUTE) {
+        if (pivot > @NAME_RELATIVE * variance + @NAME_ABSOLUTE) {
             root[j][j] = sqrt(pivot);
             inverse = 1.0 / root[j][j];
-        } else if (pivot >= -@INDEFINITE * scale[j]) {
+        } else if (pivot >= -@NAME_INDEFINITE * scale[j]) {
             root[j][j] = 0.0;
         } else {
             root[j][j] = inverse = (double)NAN;
@@ -198,16 +197,6 @@ static inline void @name_advance_(double t, double h, double *z)
 }
 """,
 }
-
-
-def factor_source() -> str:
-    """C of the triangular factor of a covariance."""
-    text = FACTOR
-    for mark, value in (
-        ("@RELATIVE", RELATIVE), ("@ABSOLUTE", ABSOLUTE), ("@INDEFINITE", INDEFINITE),
-    ):  # fmt: skip
-        text = text.replace(mark, literal(value))
-    return text
 
 
 def point_moments(rule: PointRule, map: StochasticMap, label: str, spread: bool = True) -> str:

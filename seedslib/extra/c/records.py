@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.clock import ROUNDING, SAME
 from seedslib.designed.between import BetweenFilter
 from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.source import constants, function
@@ -49,9 +48,9 @@ static inline int @name_forecast(const @name_state *s, double t, double *out)
         @name_end_(s, value + count * @NAME_ESTIMATE);
         when[count++] = @name_times[s->k]@LATER;
     }
-    if (!(t >= when[0] - @SLACK && t <= when[count - 1] + @SLACK)) return @NAME_TIME;
+    if (!(t >= when[0] - @NAME_SLACK && t <= when[count - 1] + @NAME_SLACK)) return @NAME_TIME;
     span = when[count - 1] - when[0];
-    slack = fmin(fmax(@SAME * span, @ROUND * fabs(when[count - 1])), 0.25 * span);
+    slack = fmin(fmax(@NAME_SAME * span, @NAME_ROUND * fabs(when[count - 1])), 0.25 * span);
     while (i < nodes && when[i + 1] <= t + slack) i++;
     @SHARE
     for (j = 0; j < @NAME_ESTIMATE; j++) {
@@ -128,10 +127,7 @@ def between(filter: BetweenFilter) -> str:
             f"between: wanted one of {', '.join(FORECASTS)} for C, got {filter.between!r}; "
             'use filter.forecasting("interpolated")'
         )
-    text = BETWEEN.replace("@SHARE", _SHARES[filter.between])
-    for mark, value in (("@SLACK", filter.clock.tolerance), ("@SAME", SAME), ("@ROUND", ROUNDING)):
-        text = text.replace(mark, repr(value))
-    return text
+    return BETWEEN.replace("@SHARE", _SHARES[filter.between])
 
 
 def push(filter: DesignedFilter) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
 from seedslib.designed.switching.rules import SOFTEST
-from seedslib.extra.c import laws
+from seedslib.extra.c import cells, laws
 from seedslib.extra.c.branches import check_branches, moves_source, readings_source
 from seedslib.extra.c.records import going_on
 from seedslib.extra.c.source import constants, function
@@ -56,8 +56,8 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
         gaps = after = ""
     else:
         known = _designed(filter, macros)
-        text, own = text + constants("@name_times", filter.times), laws.DESIGNED_STEP
-        shared += [known, laws.PUSH.replace("@SOFT", literal(SOFTEST))]
+        text, own = text + constants("@name_times", filter.times), cells.DESIGNED_STEP
+        shared += [known, cells.PUSH.replace("@SOFT", literal(SOFTEST))]
         held, begin, header = _held(memory), "", "    int k; /* @COUNTED */\n@LAPS"
         gaps, after = ", NaN from a gap on", ", NaN after a gap"
         expect = laws.EXPECT if memory.measurements else ""
@@ -136,7 +136,7 @@ def _designed(filter: SwitchingFilter, macros: dict[Any, Any]) -> str:
     }  # fmt: skip
     if filter.cycle:
         macros["CYCLE"] = filter.cycle
-    text, rows = laws.KNOWN, []
+    text, rows = cells.KNOWN, []
     for k, fit in enumerate(fits):
         cov = fit.cov[np.tril_indices(n)]
         parts = [fit.log_weight, fit.centre, fit.white, fit.gain, fit.offset, cov]
@@ -146,4 +146,4 @@ def _designed(filter: SwitchingFilter, macros: dict[Any, Any]) -> str:
             text += constants(name, ordered.reshape(-1) if ordered.size else [0.0])
         rows.append(f"    {{ {len(fit.centre)}, {', '.join(names)} }}")
     text += f"static const @name_fit @name_fits[{len(rows)}] = {{\n" + ",\n".join(rows) + "\n};\n"
-    return text + laws.FORECAST
+    return text + cells.FORECAST

@@ -48,7 +48,8 @@ static inline int @name_lookup_(const @name_table *table, const double *point, d
         p = ((p < axis->low ? axis->low : p > axis->high ? axis->high : p) - axis->low)
             * axis->scale;
         below = p < axis->count - 2 ? (int)p : axis->count - 2;
-        share[split] = p - below < 1.0 ? p - below : 1.0;
+        p -= (double)below;
+        share[split] = p < 1.0 ? p : 1.0;
         nearest = nearest * axis->count + below + (share[split] > 0.5);
         for (corner = (1 << split) - 1; corner >= 0; corner--) {
             place[2 * corner + 1] = place[corner] * axis->count + below + 1;
@@ -149,7 +150,7 @@ _DECIDE = """\
 _WATCH = """\
     if (indicator < -1 || indicator >= @NAME_INDICATORS) return @NAME_RANGE;
     if (indicator < 0) lost = 1;
-    point[0] = indicator < 0 ? @NAME_INDICATORS : indicator;
+    point[0] = (double)(indicator < 0 ? @NAME_INDICATORS : indicator);
 """
 
 _WANTED = "    if (indicator < 0) return @NAME_PARTLY; /* it is to be remembered */\n"
@@ -232,7 +233,7 @@ def _lettered(macros: dict[Any, Any], letters: list[str]) -> str:
     lines = [
         "    int i;",
         f"    for (i = @NAME_MEMORY - 1; i >= {size}; i--) s->memory[i] = s->memory[i - {size}];",
-        *(f"    s->memory[{k}] = {letter};" for k, letter in enumerate(letters)),
+        *(f"    s->memory[{k}] = (double){letter};" for k, letter in enumerate(letters)),
         f"    memcpy(s->memory + {len(letters)}, s->{source}, sizeof s->{source});",
     ]
     told = ", int indicator" if "indicator" in letters else ""

@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.circle import Periods
 from seedslib.base.correction import eliminate
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI
 from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
 from seedslib.linearization.moments import Linearization, symmetric
@@ -144,15 +144,16 @@ def record_correction(
         for i in range(m)
     ]
     regular = []
+    relative, absolute, indefinite = map(tape.macro, ("RELATIVE", "ABSOLUTE", "INDEFINITE"))
 
     def reciprocal(pivot: Number, variance: Number) -> tuple[Number, Number]:
         if not isinstance(pivot, Scalar):
             regular.append(pivot > ABSOLUTE)
             return (1.0 / pivot, pivot) if regular[-1] else (0.0, 1.0)
-        least = ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE
+        least = absolute if pivot is variance else relative * variance + absolute
         regular.append(tape.infix(pivot, ">", least))
         redundant = tape.node(
-            "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(INDEFINITE * variance + ABSOLUTE)
+            "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(indefinite * variance + absolute)
         )  # fmt: skip
         inverse = tape.choose(regular[-1], 1.0 / pivot, redundant)
         return inverse, tape.choose(regular[-1], pivot, 1.0)

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
 from seedslib.extra.c.tape import Number, Scalar, Tape
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
@@ -40,10 +39,11 @@ def unrolled_factor(tape: Tape, lower: Sequence[Any], n: int) -> list[list[Numbe
     entries = iter(lower)
     rest = [[next(entries) for _ in range(k + 1)] for k in range(n)]
     variances = [rest[k][k] for k in range(n)]
+    relative, absolute, indefinite = map(tape.macro, ("RELATIVE", "ABSOLUTE", "INDEFINITE"))
     for j in range(n):
         pivot, variance = rest[j][j], np.abs(variances[j])
-        regular = tape.infix(pivot, ">", RELATIVE * variance + ABSOLUTE)
-        zero = tape.node("{0} >= {1} ? 0.0 : (double)NAN", pivot, -INDEFINITE * variance)
+        regular = tape.infix(pivot, ">", relative * variance + absolute)
+        zero = tape.node("{0} >= {1} ? 0.0 : (double)NAN", pivot, -(indefinite * variance))
         root = tape.choose(regular, np.sqrt(pivot), zero)
         inverse = tape.choose(regular, 1.0 / root, zero)
         rest[j][j] = root

@@ -31,7 +31,7 @@ _WHOLE = {"int", "signed", "char"}
 class Expressions:
     """A reader of tokens that translates expressions; the order of signs is that of C."""
 
-    def __init__(self, found: list[tuple[str, str]], macros: dict[str, int]) -> None:
+    def __init__(self, found: list[tuple[str, str]], macros: dict[str, float]) -> None:
         self._all, self._at, self.macros = found, 0, macros
         self.structs: dict[str, dict[str, Type]] = {}
         self.scopes: list[dict[str, Type]] = [{}]

@@ -70,9 +70,8 @@ def tokens(text: str) -> Iterator[tuple[str, str]]:
             yield found.lastgroup, found.group()
 
 
-def preprocessed(text: str) -> tuple[dict[str, int], str]:
-    """Macros with whole numbers, and the text without lines of the preprocessor."""
-    macros = {
-        name: int(value) for name, value in re.findall(r"^#define (\w+) (\d+)\b.*$", text, re.M)
-    }
+def preprocessed(text: str) -> tuple[dict[str, float], str]:
+    """Macros with numbers, and the text without lines of the preprocessor."""
+    found = re.findall(r"^#define (\w+) ([\d.]+(?:e[+-]?\d+)?)(?: .*)?$", text, re.M)
+    macros = {name: int(word) if word.isdigit() else float(word) for name, word in found}
     return macros, re.sub(r"^#.*$", "", text, flags=re.M)
