@@ -21,7 +21,10 @@ from seedslib.extra.c.traced import (
 )
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
+from seedslib.linearization.matrices import Matrices
+from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
+from seedslib.linearization.symbolic import Taylor
 
 _STEPS = {"rk4": rk4_step, "euler": euler_step}
 
@@ -112,7 +115,11 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
         A prior so wide that its variances lose their digits by the first measurement.
     """
     system = filter.system
-    check_formulas(filter.linearization, system)
+    if getattr(system, "diffuse", ()):
+        raise ValueError("system: wanted a first state with a law to write in C, got a diffuse one")
+    check_formulas(_rule(filter), system)
+    if not filter.continuous and not system.dynamics.symbolic:
+        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
     n, m = filter.n, system.sensor.size
     _look_at_prior(filter)
     macros = {"STATE": n, "MEASUREMENT": m, "MOMENTS": n * (n + 3) // 2}
@@ -121,12 +128,18 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     advance = "@name_advance_(s->t, z);  /* dynamics are those of the time they leave */"
     if filter.continuous:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
-    by_points = isinstance(filter.linearization, PointRule)
+    by_points = isinstance(_rule(filter), PointRule)
     parts = [
         text, _STATE, FACTOR * by_points, SETTLE * by_points, _motion(filter),
         _PREDICT.replace("@ADVANCE", advance), _correction(filter), _STEP,
     ]  # fmt: skip
     return macros, "\n".join(parts)
+
+
+def _rule(filter: CovarianceFilter) -> Linearization:
+    """The linearization; of the matrices of a linear system the one that is exact for them."""
+    linear = isinstance(filter.linearization, Matrices)
+    return Taylor() if linear else filter.linearization
 
 
 def _look_at_prior(filter: CovarianceFilter) -> None:
@@ -146,7 +159,7 @@ def _look_at_prior(filter: CovarianceFilter) -> None:
 
 def _motion(filter: CovarianceFilter) -> str:
     """C of one integration step, or of the step of a system in discrete time."""
-    system, n, tape, rule = filter.system, filter.n, Tape(), filter.linearization
+    system, n, tape, rule = filter.system, filter.n, Tape(), _rule(filter)
     if not filter.continuous:
         mean = tape.inputs("z[{}]", n)
         lower = tape.inputs(f"z[{n} + {{}}]", n * (n + 1) // 2)
@@ -196,11 +209,11 @@ def _correction(filter: CovarianceFilter) -> str:
     y = tape.inputs("y[{}]", sensor.size)
     mean, cov = tape.inputs("s->mean[{}]", n), tape.inputs("s->cov[{}][{}]", n, n)
     text, lines, moments = moments_source(
-        tape, filter.linearization, sensor, "@name_sensor", mean, cov[np.tril_indices(n)]
+        tape, _rule(filter), sensor, "@name_sensor", mean, cov[np.tril_indices(n)]
     )
     found = record_correction(tape, mean, cov[np.tril_indices(n)], y, moments, n, sensor.period)
     stores, last = tape.body(corrected_outputs(found)), []
-    if isinstance(filter.linearization, PointRule):
+    if isinstance(_rule(filter), PointRule):
         lines = [*lines[:1], _PACK, _BEFORE, _PACKED, *lines[1:]] if lines else [_BEFORE]
         last = ["    @name_settle_(scale, s);"]
     head = "void @name_correct_(double t, @name_state *s, const double *y)"
