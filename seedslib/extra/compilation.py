@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import ctypes
 import struct
 import warnings
@@ -174,6 +173,9 @@ class CompiledFilter(Filter):
         self._size = self._form.itemsize
         self._width = self.system.measurement_size
         self._pack = struct.Struct(f"{self._width}d").pack
+        # runs as the filter does, but for its loop
+        self._twin = object.__new__(type(filter))
+        vars(self._twin).update(vars(filter), fill=self._fill)
         self._told = bool(getattr(self.system, "indicators", 0))
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -308,9 +310,7 @@ class CompiledFilter(Filter):
     ) -> Estimates:  # fmt: skip
         """Filter a record, or many at once; arguments, results and errors as of the filter."""
         if isinstance(self.filter, DesignedFilter):
-            twin = copy.copy(self.filter)
-            object.__setattr__(twin, "fill", self._fill)
-            return twin.run(
+            return self._twin.run(
                 times, measurements, indicators=indicators, covariances=covariances,
                 workers=workers,
             )  # fmt: skip

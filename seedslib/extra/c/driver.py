@@ -48,24 +48,26 @@ int api_fill(int count, long long wide, int times, const double *t, const long l
              const double *y, const long long *told, double *mean, double *cov, double *loglik,
              double *prob, long long *mode)
 {
+    f_state tile[@TILE]; /* some at a time, that lie side by side */
     double shown[F_MEASUREMENT];
-    f_state s;
-    int i, j, k, code;
+    int first, i, j, k, code;
     (void)t; (void)told; (void)prob; (void)mode; (void)index;
-    for (i = 0; i < count; i++) {
-        f_init(&s);
-        for (k = 0; k < times; k++) {
+    for (first = 0; first < count; first += @TILE) {
+        const int last = first + @TILE < count ? first + @TILE : count;
+        for (i = first; i < last; i++) f_init(&tile[i - first]);
+        for (k = 0; k < times; k++) for (i = first; i < last; i++) {
+            f_state *s = &tile[i - first];
             const long long at = k * wide + i;
 @BETWEEN            for (j = 0; j < F_MEASUREMENT; j++) {
                 shown[j] = y[(k * (long long)F_MEASUREMENT + j) * wide + i];
             }
-            code = f_step(&s, @RECORDshown@TOLD2);
+            code = f_step(s, @RECORDshown@TOLD2);
             if (code != F_OK) return code;
-            for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = s.mean[j];
+            for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = s->mean[j];
             for (j = 0; cov && j < F_OUT * F_OUT; j++) {
-                cov[(k * (long long)(F_OUT * F_OUT) + j) * wide + i] = s.cov[j / F_OUT][j % F_OUT];
+                cov[(k * (long long)(F_OUT * F_OUT) + j) * wide + i] = s->cov[j / F_OUT][j % F_OUT];
             }
-            if (loglik) loglik[at] = s.loglik;
+            if (loglik) loglik[at] = s->loglik;
 @MODES            (void)at;
         }
     }
@@ -76,7 +78,7 @@ int api_fill(int count, long long wide, int times, const double *t, const long l
 _BETWEEN = """\
             if (index[k] < 0) {
                 double ahead[F_OUT];
-                code = f_forecast(&s, t[k], ahead);
+                code = f_forecast(s, t[k], ahead);
                 if (code != F_OK) return code;
                 for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = ahead[j];
                 for (j = 0; cov && j < F_OUT * F_OUT; j++) {
@@ -89,11 +91,11 @@ _BETWEEN = """\
 
 _PROB = """\
             for (j = 0; prob && j < F_MODES; j++) {
-                prob[(k * (long long)F_MODES + j) * wide + i] = s.prob[j];
+                prob[(k * (long long)F_MODES + j) * wide + i] = s->prob[j];
             }
 """
 
-_MODE = "            if (mode) mode[at] = s.mode;\n"
+_MODE = "            if (mode) mode[at] = s->mode;\n"
 
 _HALVES = """
 int api_predict(int count, const f_state *s, f_state *out, double t);
@@ -142,6 +144,10 @@ FIELDS = ("mean", "cov", "loglik", "prob", "mode", "t", "k", "started")
 """Parts of a state whose places a driver tells, behind the size of the whole."""
 
 
+TILE = 64
+"""Records that are run together, so that what lies side by side is read together."""
+
+
 def driver(text: str, later: str, slack: str) -> str:
     """The header with the functions that `seedslib.extra.compilation` calls; its prefix is ``f``.
 
@@ -170,7 +176,7 @@ def driver(text: str, later: str, slack: str) -> str:
         ("@TOLD1", ", told ? (int)told[i] : -1" * told),
         ("@TOLD2", ", told ? (int)told[k * wide + i] : -1" * told),
         ("@BETWEEN", _BETWEEN * between), ("@MODES", _PROB * known["prob"] + _MODE * known["mode"]),
-        ("@LATER", later), ("@SLACK", slack),
+        ("@LATER", later), ("@SLACK", slack), ("@TILE", str(TILE)),
     ):  # fmt: skip
         more = more.replace(mark, part)
     size = "F_ESTIMATE" if "#define F_ESTIMATE " in text else "F_STATE"
