@@ -21,6 +21,8 @@ from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.estimates import Estimates, as_indicators
 from seedslib.filters.verbs import Filter
 
+_DOUBLE = np.dtype(np.float64)
+
 _REFUSED = {
     1: "t: wanted at most the last measurement time",
     2: "y: wanted finite numbers or NaN, got an infinite one",
@@ -211,7 +213,7 @@ class CompiledFilter(Filter):
         """
         if state.batch:
             return self._many(state, t, y, indicator)
-        if type(y) is np.ndarray and y.dtype == np.float64 and y.shape == (self._width,):
+        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.ndim == 1 and len(y) == self._width:
             shown = y.tobytes()
         else:
             try:

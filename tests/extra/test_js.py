@@ -179,6 +179,30 @@ def test_what_is_refused_leaves_the_state(tmp_path):
     assert codes.tolist() == [0, 5]
 
 
+def test_several_states_at_once(tmp_path):
+    """Steps of two states in turn, and a copy, are those of each alone."""
+    to_js(extended_kalman(walk()), tmp_path / "made.mjs")
+    (tmp_path / "run.mjs").write_text("""
+import { init, step } from './made.mjs';
+const one = init(), other = init(), y = [[1, 0.1], [0.5, 0.4], [0.2, -0.3]];
+let kept;
+for (let k = 0; k < 3; k++) {
+  step(one, k, y[k]);
+  if (k === 1) kept = one.copy();
+  step(other, k, y[2 - k]);
+}
+step(kept, 2, y[2]);
+const alone = [init(), init()];
+for (let k = 0; k < 3; k++) step(alone[0], k, y[k]);
+for (let k = 0; k < 3; k++) step(alone[1], k, y[2 - k]);
+const told = [one, kept, alone[0], other, alone[1]].map((s) => [...s.mean, ...s.cov, s.loglik]);
+console.log(JSON.stringify(told));
+""")
+    done = subprocess.run([NODE, "run.mjs"], cwd=tmp_path, capture_output=True, text=True)
+    one, kept, first, other, second = json.loads(done.stdout)
+    assert one == kept == first != other == second
+
+
 def test_error_functions(tmp_path):
     x = np.linspace(-6.0, 6.0, 241)
     code = "\n".join(_HELPERS[name] for name in ("erf", "erfc", "tail"))

@@ -14,9 +14,9 @@ from seedslib.extra.js.translation import Translation
 _HELPERS = {
     "isInfinite": "const isInfinite = (x) => x === Infinity || x === -Infinity;",
     "exp2": "const exp2 = (x) => 2 ** x;",
-    "copy": "function copy(to, from, n) { for (let i = 0; i < n; i++) M[to + i] = M[from + i]; }",
-    "move": "function move(to, from, n) { M.copyWithin(to, from, from + n); }",
-    "fill": "function fill(at, x, n) { for (let i = 0; i < n; i++) M[at + i] = x; }",
+    "copy": "function copy(to, from, n) { for (let i = 0; i < n; i++) H[to + i] = H[from + i]; }",
+    "move": "function move(to, from, n) { H.copyWithin(to, from, from + n); }",
+    "fill": "function fill(at, x, n) { for (let i = 0; i < n; i++) H[at + i] = x; }",
     "erf": """\
 function erf(x) { // a series near zero, a continued fraction farther out
   if (!(Math.abs(x) > 2)) {
@@ -40,29 +40,36 @@ function tail(x) {
 _NEEDS = {"erfc": ("erf", "tail"), "erf": ("tail",)}
 
 _STATE = """\
+let held = null; // the state whose numbers are where the functions work
+
 // Estimate and what is remembered; see the comment at the top.
 export class State {
-  constructor(data) { this.data = data; }
+  constructor(data) { this.own = data; }
+  get data() { // all its numbers
+    if (held === this) for (let i = 0; i < @SIZE; i++) this.own[i] = H[@S + i];
+    return this.own;
+  }
   copy() { return new State(this.data.slice()); }
 @PARTS}
 
 export function init() {
+  if (held !== null) held.data;
+  held = null;
   f_init(@S);
-  return new State(M.slice(@S, @S + @SIZE));
+  return new State(H.slice(@S, @S + @SIZE));
 }
 
-function load(from, at, size) {
-  for (let i = 0; i < size; i++) M[at + i] = from[i];
-}
-
-function save(state, code) {
-  if (code === 0) for (let i = 0, d = state.data; i < @SIZE; i++) d[i] = M[@S + i];
-  return code;
+function hold(state) {
+  if (held === state) return;
+  if (held !== null) held.data;
+  held = null;
+  for (let i = 0, own = state.own; i < @SIZE; i++) H[@S + i] = own[i];
+  held = state;
 }
 
 function shown(y) {
   if (y.length !== @M) throw new RangeError(`y: wanted @M numbers, got ${y.length}`);
-  load(y, @Y, @M);
+  for (let i = 0; i < @M; i++) H[@Y + i] = y[i];
 }
 """
 
@@ -115,8 +122,8 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     size = sum(part.size(made.structs) for part in state.values())
     rows = made.macros.get("F_ESTIMATE", made.macros["F_STATE"])
     marks = {
-        "@SIZE": size, "@S": made.size, "@Y": made.size + size, "@M": m,
-        "@PARTS": _parts(made), "@O": made.size + size + m,
+        "@PARTS": _parts(made), "@SIZE": size, "@S": made.size, "@Y": made.size + size, "@M": m,
+        "@O": made.size + size + m,
     }  # fmt: skip
     whole = made.size + size + m + rows
     wanted = set(made.called)
@@ -129,8 +136,8 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
         interface = interface.replace(mark, str(value))
     parts = [
         about, *(f"export const {name} = {code};" for name, code in codes),
-        f"\nconst M = new Float64Array({whole});",
-        f"M.set([{_listed(made.numbers)}]);\n", *helpers, *made.lines, interface,
+        f"\nconst H = new Float64Array({whole});",
+        f"H.set([{_listed(made.numbers)}]);\n", *helpers, *made.lines, interface,
     ]  # fmt: skip
     module = "\n".join(parts)
     if path is not None:
@@ -158,10 +165,12 @@ def _parts(made: Translation) -> str:
     for name, kind in made.structs["f_state"].items():
         size = kind.size(made.structs)
         if name in ("mean", "cov", "prob"):
-            value = f"this.data.subarray({place}, {place + size})"
-            lines += f"  get {name}() {{ return {value}; }}\n"
+            here = f"H.slice(@S + {place}, @S + {place + size})"
+            own = f"this.own.slice({place}, {place + size})"
+            lines += f"  get {name}() {{ return held === this ? {here} : {own}; }}\n"
         elif name in ("loglik", "mode"):
-            lines += f"  get {name}() {{ return this.data[{place}]; }}\n"
+            value = f"held === this ? H[@S + {place}] : this.own[{place}]"
+            lines += f"  get {name}() {{ return {value}; }}\n"
         place += size
     return lines
 
@@ -171,20 +180,20 @@ def _verbs(text: str, rows: int) -> str:
     timed = "t, " * ("double t, const double *y" in text)
     told = ", indicator" * ("int indicator" in text)
     found = [
-        f"export function step(state, {timed}y{told}) {{\n  shown(y);\n"
-        f"  load(state.data, @S, @SIZE);\n  return save(state, f_step(@S, {timed}@Y{told}));\n}}"
+        f"export function step(state, {timed}y{told}) {{\n  shown(y);\n  hold(state);\n"
+        f"  return f_step(@S, {timed}@Y{told});\n}}"
     ]
     for name, given, value in (("predict", "t", "t"), ("correct", "y", "@Y")):
         if f" f_{name}(" in text:
             first = "  shown(y);\n" if given == "y" else ""
             found.append(
-                f"export function {name}(state, {given}) {{\n{first}"
-                f"  load(state.data, @S, @SIZE);\n  return save(state, f_{name}(@S, {value}));\n}}"
+                f"export function {name}(state, {given}) {{\n{first}  hold(state);\n"
+                f"  return f_{name}(@S, {value});\n}}"
             )
     if " f_forecast(" in text:
         found.append(
             "// The estimate at a time up to the next measurement; null where it is out of reach.\n"
-            "export function forecast(state, t) {\n  load(state.data, @S, @SIZE);\n"
-            f"  return f_forecast(@S, t, @O) === 0 ? M.slice(@O, @O + {rows}) : null;\n}}"
+            "export function forecast(state, t) {\n  hold(state);\n"
+            f"  return f_forecast(@S, t, @O) === 0 ? H.slice(@O, @O + {rows}) : null;\n}}"
         )
     return "\n" + "\n\n".join(found) + "\n"

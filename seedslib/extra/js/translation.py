@@ -120,6 +120,8 @@ class Translation(Expressions):
         self.scopes.append(scope)
         body = self._block("")
         self.scopes.pop()
+        # an array that is known inside of the function is quicker
+        body = body.replace("{\n", "{\n  const M = H;\n", 1)
         self.lines.append(f"function {name}({', '.join(given)}) {body}")
 
     def _data(self) -> list[float]:
