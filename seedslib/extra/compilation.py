@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import math
 import struct
 import warnings
 from typing import Any
@@ -173,6 +174,8 @@ class CompiledFilter(Filter):
         self._one = self._c.api_step  # without declared arguments, which would cost more than C
         self._form = self._layout()
         self._size = self._form.itemsize
+        self._first = bytes(self._size)  # as in `step`
+        self._c.api_init(1, self._first)
         self._width = self.system.measurement_size
         self._pack = struct.Struct(f"{self._width}d").pack
         # runs as the filter does, but for its loop
@@ -196,10 +199,8 @@ class CompiledFilter(Filter):
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> CompiledState:
         """State before any measurement; nothing is drawn from `seed`."""
-        count = int(np.prod(batch, dtype=int))
-        raw = bytes(count * self._size)  # as in `step`
-        self._c.api_init(count, raw)
-        return CompiledState(raw, tuple(batch), self._form)
+        many = self._first * math.prod(batch) if batch else self._first
+        return CompiledState(many, tuple(batch), self._form)
 
     def step(
         self, state: CompiledState, t: float, y: ArrayLike, indicator: ArrayLike | None = None
