@@ -14,7 +14,6 @@ from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import TINY
 from seedslib.models.branches import Branch
 from seedslib.models.codegen import compile_components
-from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
 
 
@@ -31,7 +30,7 @@ def check_branches(rules: SwitchingRules, linearization: Any, system: Any) -> No
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
 
 
-def moves_source(system: AnySystem, linearization: Any, split: bool) -> str:
+def moves_source(system: Any, linearization: Any, split: bool) -> str:
     """C of ``@name_move_(i, t, law, out)``: masses and moments of the next state in mode i.
 
     `out` holds for each next mode, and for each value of the indicator where forecasts are
@@ -58,7 +57,7 @@ def moves_source(system: AnySystem, linearization: Any, split: bool) -> str:
     return text + function(head, lines)
 
 
-def readings_source(system: AnySystem, linearization: Any) -> str:
+def readings_source(system: Any, linearization: Any) -> str:
     """C of ``@name_read_(i, shown, t, law, out)``: what mode i shows with a value of the indicator.
 
     `out` holds the mass and the joint law of state and measurement: the mean, and the covariance
@@ -105,7 +104,7 @@ class _Writer:
         """Numbers to be stored from a place on."""
         self.kept.update({f"out[{place + k}]": value for k, value in enumerate(values)})
 
-    def add(self, moments: BranchFormulas, place: int, choose: Any) -> None:
+    def add(self, moments: Any, place: int, choose: Any) -> None:
         """Mass and moments of a branch to be stored from a place on."""
         varies = mentions(self.names.meaning(moments.mass), {*self.mean, *self.lower})
         for k, expression in enumerate([moments.mass, *choose(moments)]):
@@ -127,12 +126,12 @@ class _Writer:
         return ["    (void)t; (void)law;", *tape.body(self.kept)]
 
 
-def _moved(moments: BranchFormulas) -> list[Any]:
+def _moved(moments: Any) -> list[Any]:
     cov = moments.spread
     return [*moments.value, *(cov[i, j] for i in range(len(moments.value)) for j in range(i + 1))]
 
 
-def _shown(moments: BranchFormulas) -> list[Any]:
+def _shown(moments: Any) -> list[Any]:
     """Joint law of state and measurement."""
     n, m = len(moments.mean), len(moments.value)
     joint = [moments.cov[i, j] for i in range(n) for j in range(i + 1)]
@@ -146,7 +145,7 @@ def _law_size(n: int) -> int:
     return n * (n + 3) // 2
 
 
-def _seen(move: StochasticMap, reading: Branch) -> StochasticMap:
+def _seen(move: StochasticMap, reading: Any) -> StochasticMap:
     """Move to the next state together with what the indicator will show there, (6.19)."""
     there = dict(zip(reading.map.state, move.expressions, strict=True))
     weight = move.weight_expression * reading.probability_expression.subs(there, simultaneous=True)
