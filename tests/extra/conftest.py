@@ -9,7 +9,7 @@ import pytest
 
 from seedslib.extra import to_c
 
-STRICT = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-pedantic"]
+STRICT = ["-std=c99", "-Wall", "-Wextra", "-Wconversion", "-Werror", "-pedantic"]
 FLAGS = [*STRICT, "-O1", "-ffp-contract=off", "-shared", "-fPIC"]
 
 DESIGNED = """
@@ -59,6 +59,29 @@ int record(int count, const double *t, const double *y, double *mean, double *co
 """
 
 
+SWITCHED = """
+#include "NAME.h"
+int record(int count, const double *t, const double *y, const int *told, double *mean, double *cov,
+           double *loglik, double *prob, int *mode)
+{
+    NAME_state s;
+    int k, code;
+    (void)t; (void)told; (void)prob;
+    NAME_init(&s);
+    for (k = 0; k < count; k++) {
+        code = NAME_step(&s, TIME y + k * BIG_MEASUREMENT TOLD);
+        if (code != BIG_OK) return code;
+        memcpy(mean + k * BIG_ESTIMATE, s.mean, sizeof s.mean);
+        memcpy(cov + k * BIG_ESTIMATE * BIG_ESTIMATE, s.cov, sizeof s.cov);
+        loglik[k] = s.loglik;
+        mode[k] = s.mode;
+        PROB
+    }
+    return BIG_OK;
+}
+"""
+
+
 def pointer(array):
     return array.ctypes.data_as(ctypes.POINTER(ctypes.c_double))
 
@@ -72,12 +95,16 @@ class Compiled:
     def run(self, times, y):
         """Means, covariances, likelihoods, node forecasts, each with the batch axis last."""
         rows = self.filter.n if self.carried else self.filter.components
-        nodes = 0
+        nodes, most = 0, 0
         if not self.carried:
             nodes = sum(map(len, self.filter.node_times))
+            most = max(map(len, self.filter.node_times), default=0)
         count, paths = len(y), y.shape[2]
         mean, cov = np.empty((paths, count, rows)), np.empty((paths, count, rows, rows))
-        loglik, ahead = np.empty((paths, count)), np.full((paths, nodes + 1, rows), np.nan)
+        loglik, ahead = (
+            np.empty((paths, count)),
+            np.full((paths, nodes + most * count + 1, rows), np.nan),
+        )
         times = np.ascontiguousarray(times, dtype=float)
         for i in range(paths):
             shown = np.ascontiguousarray(y[..., i])
@@ -123,6 +150,33 @@ def compile_c(folder, source, name="library", more=(), fails=False):
     return done.stderr if fails else folder / f"{name}.so"
 
 
+class Switched:
+    """A filter with modes in C that runs the records of an array (K+1, m, N)."""
+
+    def __init__(self, library, filter):
+        self.library, self.filter = library, filter
+
+    def run(self, times, y, told=None):
+        """Means, covariances, likelihoods, probabilities and modes, the batch axis last."""
+        count, _, paths = y.shape
+        n, modes = getattr(self.filter, "components", 0), self.filter.system.modes
+        n = n or self.filter.system.state_size
+        mean, cov = np.empty((paths, count, n)), np.empty((paths, count, n, n))
+        loglik, prob = np.empty((paths, count)), np.full((paths, count, modes), np.nan)
+        mode, times = np.empty((paths, count), np.intc), np.ascontiguousarray(times, dtype=float)
+        for i in range(paths):
+            shown = np.ascontiguousarray(y[..., i])
+            seen = np.zeros(count, np.intc) if told is None else told[:, i].astype(np.intc)
+            whole = [part.ctypes.data_as(ctypes.POINTER(ctypes.c_int)) for part in (seen, mode[i])]
+            parts = map(pointer, (mean[i], cov[i], loglik[i], prob[i]))
+            code = self.library.record(
+                count, pointer(times), pointer(shown), whole[0], *parts, whole[1]
+            )
+            if code:
+                return code
+        return tuple(np.moveaxis(part, 0, -1) for part in (mean, cov, loglik, prob, mode))
+
+
 @pytest.fixture
 def build():
     return compile_c
@@ -138,11 +192,21 @@ def compiled(tmp_path_factory):
         folder = tmp_path_factory.mktemp("c")
         text = to_c(filter, folder / f"{name}.h", name=name)
         carried = hasattr(filter, "integrator")
-        source = (CARRIED if carried else DESIGNED).replace("NAME", name)
+        switched = hasattr(filter.system, "modes")
+        source = CARRIED if carried else SWITCHED if switched else DESIGNED
+        source = source.replace("NAME", name)
+        source = source.replace("TIME", "t[k]," * ("double t, const double *y" in text))
+        source = source.replace("TOLD", ", told[k]" * ("int indicator" in text))
+        given = "memcpy(prob + k * BIG_MODES, s.prob, sizeof s.prob);"
+        source = source.replace("PROB", given * ("prob[" in text))
+        if "_ESTIMATE " not in text:
+            source = source.replace("ESTIMATE", "STATE")
         source = source.replace("BIG", name.upper())
         key = (text, source, *more)
         if key not in libraries:
             libraries[key] = ctypes.CDLL(str(compile_c(folder, source, more=more)))
+        if switched:
+            return Switched(libraries[key], filter)
         return Compiled(libraries[key], filter, carried)
 
     return make

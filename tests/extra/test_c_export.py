@@ -13,9 +13,9 @@ from seedslib.design import Continuous, Polynomial, affine_synthesis, grid_synth
 from seedslib.designed import Memory, finite_memory, large_order
 from seedslib.designed.predictors import PolynomialFit, monomials, standardised
 from seedslib.extra import to_c
-from seedslib.filters import assumed_density, cubature_kalman, extended_kalman, unscented_kalman
-from seedslib.linearization import Cubature, ExactGaussian, Taylor
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from seedslib.filters import CovarianceFilter, KalmanFilter, assumed_density, extended_kalman
+from seedslib.linearization import Cubature, ExactGaussian, Linearization, Taylor
+from seedslib.models import DiscreteSystem, JumpDiffusion, LinearSystem, Noise, StochasticMap
 
 TIMES = 0.5 * np.arange(7)
 PATHS = 200
@@ -193,6 +193,16 @@ def still():
     )  # fmt: skip
 
 
+def matrices(**options):
+    """Two numbers of which one is seen, by matrices; one of them depends on time."""
+    move = [[1.0, 0.5], [0.0, 0.9]]
+    options = {"mean0": [1.0, 0.5], "cov0": np.eye(2), **options}
+    return LinearSystem(
+        move, [[0.0, 0.0], [0.0, 0.2]], [[1 + sympy.sin(sympy.Symbol("t")) / 2, 0.0]], [[0.3]],
+        **options,
+    )  # fmt: skip
+
+
 CARRIED = {
     "EKF, Runge-Kutta": (zoo.van_der_pol, extended_kalman, {}),
     "EKF, Euler": (zoo.van_der_pol, extended_kalman, {"integrator": "euler", "step": 0.02}),
@@ -290,15 +300,22 @@ def test_the_comment_says_what_the_filter_is():
     assert "#define VDP_MEMORY 2" in code
 
 
+class Own(Linearization):
+    """A rule of one's own, of which nothing is known but its numbers."""
+
+    def moments(self, map, spread=True):
+        return Cubature().moments(map, spread)
+
+
 def test_what_has_no_c_is_refused_in_words():
     system = zoo.van_der_pol()
-    with pytest.raises(TypeError, match=r"linearization: wanted one with formulas.*Cubature"):
-        to_c(cubature_kalman(system))
-    with pytest.raises(TypeError, match="linearization"):
-        to_c(unscented_kalman(system))
-    points = synthesize(system, Memory(1), Cubature(), TIMES, paths=500, seed=1)
-    with pytest.raises(TypeError, match="rule with points"):
-        to_c(points)
+    with pytest.raises(TypeError, match="linearization: wanted formulas or a rule with points"):
+        to_c(CovarianceFilter(system, Own()))
+    with pytest.raises(ValueError, match="system: wanted a first state with a law"):
+        to_c(KalmanFilter(matrices(diffuse=(0, 1), cov0=np.zeros((2, 2)))))
+    moving = LinearSystem(lambda t: np.eye(2), np.eye(2), [[1, 0]], [[1]], [0, 0], np.eye(2))
+    with pytest.raises(ValueError, match="system: wanted symbolic expressions"):
+        to_c(KalmanFilter(moving))
     with pytest.raises(ValueError, match="integrator: wanted rk4 or euler"):
         to_c(extended_kalman(system, integrator="adaptive"))
     with pytest.raises(ValueError, match=r"between: .* got 'linear'"):

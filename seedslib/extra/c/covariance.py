@@ -9,17 +9,22 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
+from seedslib.extra.c.points import FACTOR, SETTLE, point_rates
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import (
     check_formulas,
     corrected_outputs,
-    map_moments,
     mean_rates,
+    moments_source,
     record_correction,
 )
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
+from seedslib.linearization.matrices import Matrices
+from seedslib.linearization.moments import Linearization
+from seedslib.linearization.points import PointRule
+from seedslib.linearization.symbolic import Taylor
 
 _STEPS = {"rk4": rk4_step, "euler": euler_step}
 
@@ -68,7 +73,7 @@ static inline int @name_predict(@name_state *s, double t)
 
 _INTEGRATE = """\
 {
-            const double steps = fmax(1.0, ceil((t - s->t) / @STEP - 1e-9));
+            const double steps = fmax(1.0, ceil((t - s->t) / @STEP - @NAME_SAME));
             const double h = (t - s->t) / steps;
             double k;
             for (k = 0.0; k < steps; k += 1.0) @name_advance_(s->t + k * h, h, z);
@@ -110,7 +115,11 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
         A prior so wide that its variances lose their digits by the first measurement.
     """
     system = filter.system
-    check_formulas(filter.linearization, system)
+    if getattr(system, "diffuse", ()):
+        raise ValueError("system: wanted a first state with a law to write in C, got a diffuse one")
+    check_formulas(_rule(filter), system)
+    if not filter.continuous and not system.dynamics.symbolic:
+        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
     n, m = filter.n, system.sensor.size
     _look_at_prior(filter)
     macros = {"STATE": n, "MEASUREMENT": m, "MOMENTS": n * (n + 3) // 2}
@@ -119,11 +128,18 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     advance = "@name_advance_(s->t, z);  /* dynamics are those of the time they leave */"
     if filter.continuous:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
+    by_points = isinstance(_rule(filter), PointRule)
     parts = [
-        text, _STATE, _motion(filter), _PREDICT.replace("@ADVANCE", advance), _correction(filter),
-        _STEP,
+        text, _STATE, FACTOR * by_points, SETTLE * by_points, _motion(filter),
+        _PREDICT.replace("@ADVANCE", advance), _correction(filter), _STEP,
     ]  # fmt: skip
     return macros, "\n".join(parts)
+
+
+def _rule(filter: CovarianceFilter) -> Linearization:
+    """The linearization; of the matrices of a linear system the one that is exact for them."""
+    linear = isinstance(filter.linearization, Matrices)
+    return Taylor() if linear else filter.linearization
 
 
 def _look_at_prior(filter: CovarianceFilter) -> None:
@@ -143,36 +159,62 @@ def _look_at_prior(filter: CovarianceFilter) -> None:
 
 def _motion(filter: CovarianceFilter) -> str:
     """C of one integration step, or of the step of a system in discrete time."""
-    system, n, tape = filter.system, filter.n, Tape()
-    z, t = tape.inputs("z[{}]", n * (n + 3) // 2), tape.inputs("t")[()]
-    if filter.continuous:
-        if filter.integrator not in _STEPS:
-            raise ValueError(
-                f"integrator: wanted rk4 or euler for C, whose steps are fixed, got "
-                f"{filter.integrator!r}"
-            )
-        if not system.drift_map.symbolic:
-            raise ValueError("system: wanted closed forms of its mean rates, got array functions")
-        rate = mean_rates(filter.linearization, system)
-        found = _STEPS[filter.integrator](rate, t, z, tape.inputs("h")[()])
-        head = "void @name_advance_(double t, double h, double *z)"
-    else:
-        moments = map_moments(filter.linearization, system.dynamics)
-        mean, _, cov = moments(t, z[:n], z[n:])
+    system, n, tape, rule = filter.system, filter.n, Tape(), _rule(filter)
+    if not filter.continuous:
+        mean = tape.inputs("z[{}]", n)
+        lower = tape.inputs(f"z[{n} + {{}}]", n * (n + 1) // 2)
+        text, lines, (mean, _, cov) = moments_source(
+            tape, rule, system.dynamics, "@name_dynamics", mean, lower
+        )
         found = [*mean, *cov[np.tril_indices(n)]]
+        stores = tape.body({f"z[{k}]": part for k, part in enumerate(found)})
+        if lines:
+            lines.insert(1, f"    const double *mean = z, *lower = z + {n};")
         head = "void @name_advance_(double t, double *z)"
-    outputs = {f"z[{k}]": part for k, part in enumerate(found)}
-    unused = "    (void)t; (void)h;" if filter.continuous else "    (void)t;"
-    return function(head, [unused, *tape.body(outputs)])
+        return text + function(head, [*lines, "    (void)t;", *stores])
+    if filter.integrator not in _STEPS:
+        raise ValueError(
+            f"integrator: wanted rk4 or euler for C, whose steps are fixed, got "
+            f"{filter.integrator!r}"
+        )
+    if not system.drift_map.symbolic:
+        raise ValueError("system: wanted closed forms of its mean rates, got array functions")
+    if isinstance(rule, PointRule):
+        return point_rates(rule, system, filter.integrator)
+    z, t = tape.inputs("z[{}]", n * (n + 3) // 2), tape.inputs("t")[()]
+    found = _STEPS[filter.integrator](mean_rates(rule, system), t, z, tape.inputs("h")[()])
+    stores = tape.body({f"z[{k}]": part for k, part in enumerate(found)})
+    head = "void @name_advance_(double t, double h, double *z)"
+    return function(head, ["    (void)t; (void)h;", *stores])
+
+
+_BEFORE = """\
+    double scale[@NAME_STATE];
+    int i;
+    for (i = 0; i < @NAME_STATE; i++) scale[i] = s->cov[i][i];"""
+
+_PACK = """\
+    double lower[@NAME_STATE * (@NAME_STATE + 1) / 2];
+    const double *mean = s->mean;
+    int j;"""
+
+_PACKED = """\
+    for (i = 0; i < @NAME_STATE; i++) {
+        for (j = 0; j <= i; j++) lower[i * (i + 1) / 2 + j] = s->cov[i][j];
+    }"""
 
 
 def _correction(filter: CovarianceFilter) -> str:
-    tape, n = Tape(), filter.n
-    y = tape.inputs("y[{}]", filter.system.sensor.size)
+    tape, n, sensor = Tape(), filter.n, filter.system.sensor
+    y = tape.inputs("y[{}]", sensor.size)
     mean, cov = tape.inputs("s->mean[{}]", n), tape.inputs("s->cov[{}][{}]", n, n)
-    lower = cov[np.tril_indices(n)]
-    moments = map_moments(filter.linearization, filter.system.sensor)
-    moments = moments(tape.inputs("t")[()], mean, lower)
-    found = record_correction(tape, mean, lower, y, moments, n, filter.system.sensor.period)
+    text, lines, moments = moments_source(
+        tape, _rule(filter), sensor, "@name_sensor", mean, cov[np.tril_indices(n)]
+    )
+    found = record_correction(tape, mean, cov[np.tril_indices(n)], y, moments, n, sensor.period)
+    stores, last = tape.body(corrected_outputs(found)), []
+    if isinstance(_rule(filter), PointRule):
+        lines = [*lines[:1], _PACK, _BEFORE, _PACKED, *lines[1:]] if lines else [_BEFORE]
+        last = ["    @name_settle_(scale, s);"]
     head = "void @name_correct_(double t, @name_state *s, const double *y)"
-    return function(head, ["    (void)t;", *tape.body(corrected_outputs(found))])
+    return text + function(head, [*lines, "    (void)t;", *stores, *last])

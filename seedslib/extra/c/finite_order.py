@@ -9,15 +9,17 @@ import numpy as np
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.extra.c.forecasts import ahead, course, held
-from seedslib.extra.c.records import STATE, between, frame, push
+from seedslib.extra.c.points import FACTOR
+from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape
 from seedslib.extra.c.traced import (
     check_formulas,
     corrected_outputs,
-    map_moments,
+    moments_source,
     record_correction,
 )
+from seedslib.linearization.points import PointRule
 
 STEP = """\
 /* One measurement: forecast from the memory, correction, memory. NaN: component missing. */
@@ -25,8 +27,7 @@ static inline int @name_step(@name_state *s, const double *y)
 {
     double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
     const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
-    int i, lost = gap;
-    if (s->k >= @NAME_TIMES) return @NAME_END;
+    int i, lost = gap;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
         if (isnan(y[i])) lost = 1;
@@ -36,21 +37,21 @@ static inline int @name_step(@name_state *s, const double *y)
     } else {
         memcpy(u, s->memory, sizeof u);
         @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
-        @name_correct_(@name_times[s->k], mean, cov, s, y);
+        @name_correct_(@name_times[s->k]@LATER, mean, cov, s, y);
     }
     if (gap) s->loglik = (double)NAN;
     for (i = 0; lost && i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
-        s->cov[i / @NAME_ESTIMATE][i % @NAME_ESTIMATE] = (double)NAN;
+        s->cov[(int)(i / @NAME_ESTIMATE)][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
-    s->k++;
+    s->k++;@LAP
     return @NAME_OK;
 }
 """
 
 NODES = """\
 /* Forecasts of the estimated components at the nodes from the last measurement to the next,
- * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+ * at @name_node_times[@name_node_start[s->k - 1]]@LATER and on. Returns their number. */
 static inline int @name_nodes(const @name_state *s, double *out)
 {
     int i, j, n;
@@ -74,7 +75,7 @@ for (j = 0; j < @NAME_MEASUREMENT; j++) {
 
 COURSE_NODES = """\
 /* Forecasts of the estimated components at the nodes from the last measurement to the next,
- * at @name_node_times[@name_node_start[s->k - 1]] and on. Returns their number. */
+ * at @name_node_times[@name_node_start[s->k - 1]]@LATER and on. Returns their number. */
 static inline int @name_nodes(const @name_state *s, double *out)
 {
     double z[@NAME_MEMORY];
@@ -83,7 +84,7 @@ static inline int @name_nodes(const @name_state *s, double *out)
     count = @name_node_start[s->k] - @name_node_start[s->k - 1];
     memcpy(z, s->memory, sizeof z);
     for (i = 0; i < count; i++) {
-        @name_move_(@name_course_start[s->k - 1] + i, z);
+        @name_move_(@name_course_start[s->k - 1] + i, 0.0@LATER, z);
         memcpy(out + i * @NAME_ESTIMATE, z, sizeof z);
     }
     return count;
@@ -105,12 +106,16 @@ static inline void @name_end_(const @name_state *s, double *out)
 {
     int i;
     memcpy(out, s->memory, sizeof s->memory);
-    for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, out);
+    for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) {
+        @name_move_(i, 0.0@LATER, out);
+    }
 }
 """
 
 _COURSE_ARRIVE = """\
-for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) @name_move_(i, u);
+for (i = @name_course_start[s->k - 1]; i < @name_course_start[s->k]; i++) {
+            @name_move_(i, 0.0@LATER, u);
+        }
         """
 
 
@@ -131,6 +136,8 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         )
     continuous = isinstance(filter.predictor, Continuous)
     text, macros = ahead(filter)
+    if isinstance(filter.linearization, PointRule):
+        text += FACTOR
     if continuous:
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""
@@ -141,7 +148,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
         between(filter),
     ])  # fmt: skip
-    return {**common, **macros}, text
+    return {**common, **macros}, going_on(filter, text)
 
 
 def _first(filter: FiniteOrderFilter) -> str:
@@ -172,16 +179,17 @@ def _correction(filter: FiniteOrderFilter) -> str:
     """C of the moments of the sensor and the correction, in one straight line."""
     tape, n, m = Tape(), len(filter.start.mean), filter.system.sensor.size
     y = tape.inputs("y[{}]", m)
-    mean, lower = tape.inputs("mean[{}]", n), tape.inputs("cov[{}]", n * (n + 1) // 2)
-    moments = map_moments(filter.linearization, filter.system.sensor)
-    moments = moments(tape.inputs("t")[()], mean, lower)
+    mean, lower = tape.inputs("mean[{}]", n), tape.inputs("lower[{}]", n * (n + 1) // 2)
+    text, lines, moments = moments_source(
+        tape, filter.linearization, filter.system.sensor, "@name_sensor", mean, lower
+    )
     kept, periods = filter.components, filter.rules.periods
     found = record_correction(tape, mean, lower, y, moments, kept, periods)
     head = (
-        "void @name_correct_(double t, const double *mean, const double *cov, @name_state *s,\n"
+        "void @name_correct_(double t, const double *mean, const double *lower, @name_state *s,\n"
         "                                 const double *y)"
     )
-    return function(head, ["    (void)t;", *tape.body(_stored(found))])
+    return text + function(head, [*lines, "    (void)t;", *tape.body(_stored(found))])
 
 
 def _stored(found: tuple) -> dict:

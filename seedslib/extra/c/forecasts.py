@@ -11,7 +11,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, range_roots
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
-from seedslib.extra.c.traced import map_moments
+from seedslib.extra.c.traced import moments_source
 
 _AHEAD = "static inline void @name_ahead_(int k, const double *u, double *mean, double *cov)\n{\n"
 
@@ -93,7 +93,7 @@ static inline void @name_floor_(const double root[@NAME_STATE][@NAME_STATE],
             all += a[p][p] * a[p][p];
             for (q = 0; q < p; q++) off += a[p][q] * a[p][q];
         }
-        if (!(off > 1e-36 * all)) break;
+        if (!(off > @NAME_TURNED * all)) break;
         for (p = 0; p < @NAME_STATE; p++) {
             for (q = 0; q < p; q++) {
                 double turn, c, s;
@@ -136,8 +136,8 @@ static inline void @name_floor_(const double root[@NAME_STATE][@NAME_STATE],
 """
 
 _MOVE = """\
-/* One Euler step of the continuous forecast. */
-static inline void @name_move_(int i, double *z)
+/* One Euler step of the continuous forecast, so much later than in the design. */
+static inline void @name_move_(int i, double later, double *z)
 {
     double mean[@NAME_STATE], rate[@NAME_ESTIMATE];
     int k, j;
@@ -146,7 +146,7 @@ static inline void @name_move_(int i, double *z)
         for (j = 0; j < @NAME_ESTIMATE; j++) sum += @name_course_gain[i][k][j] * z[j];
         mean[k] = sum + @name_course_offset[i][k];
     }
-    @name_velocity_(@name_course_time[i], mean, @name_course_cov[i], rate);
+    @name_velocity_(@name_course_time[i] + later, mean, @name_course_cov[i], rate);
     for (k = 0; k < @NAME_ESTIMATE; k++) z[k] += @name_course_step[i] * rate[k];
 }
 """
@@ -240,11 +240,12 @@ def course(filter: FiniteOrderFilter) -> str:
     system, n = filter.system, filter.components
     tape = Tape()
     size = system.state_size
-    mean, lower = tape.inputs("mean[{}]", size), tape.inputs("cov[{}]", size * (size + 1) // 2)
-    moments = map_moments(filter.linearization, system.drift_map, spread=False)
-    velocity = moments(tape.inputs("t")[()], mean, lower)[0]
+    mean, lower = tape.inputs("mean[{}]", size), tape.inputs("lower[{}]", size * (size + 1) // 2)
+    before, first, (velocity, *_) = moments_source(
+        tape, filter.linearization, system.drift_map, "@name_drift", mean, lower, spread=False
+    )
     lines = tape.body({f"rate[{k}]": velocity[k] for k in range(n)})
-    head = "void @name_velocity_(double t, const double *mean, const double *cov, double *rate)"
+    head = "void @name_velocity_(double t, const double *mean, const double *lower, double *rate)"
     times, sizes, starts = [], [], [0]
     for k, row in enumerate(filter.node_fits):
         end = filter.times[k + 1] if k < len(filter.fits) else filter.node_times[k][-1]
@@ -259,5 +260,5 @@ def course(filter: FiniteOrderFilter) -> str:
     text += constants("@name_course_gain", [fit.gain for fit in fits])
     text += constants("@name_course_offset", [fit.offset for fit in fits])
     text += constants("@name_course_cov", [_lower(fit.cov) for fit in fits])
-    unused = ["    (void)t; (void)mean; (void)cov;"]
-    return text + function(head, unused + lines) + _MOVE
+    unused = [*first, "    (void)t; (void)mean; (void)lower;"]
+    return text + before + function(head, unused + lines) + _MOVE

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import os
+from typing import Any
 
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.extra.c.single import compared, single, sizes, tolerances
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import mentioned, switches
+from seedslib.models.kinds import mentioned
 
 _HEAD = """\
 #ifndef @NAME_H
@@ -27,6 +30,7 @@ _HEAD = """\
 #define @NAME_INFINITE 2 /* a measurement that is infinite */
 #define @NAME_PARTLY 3   /* a measurement of which only some components are there */
 #define @NAME_TIME 4     /* a time that is not where it should be */
+#define @NAME_RANGE 5    /* an indicator that is none */
 
 """
 
@@ -40,10 +44,14 @@ on as it does any error of an estimate, and may make it larger. Never compile wi
 
 _REDUNDANT = """\
 A component of the measurement is left out exactly where it is missing: zero innovation, unit \
-pivot. One that the components before it determine (its pivot is at most 1e-13 of its variance) \
-gets the gain zero and is not counted in loglik; the Python library uses the pseudo-inverse \
-there, which is the same for measurements that do not contradict each other. A covariance of the \
-measurement that is clearly indefinite gives NaN."""
+pivot. One that the components before it determine (its pivot is at most 1e-13 of its variance, \
+1e-6 in float) gets the gain zero and is not counted in loglik; the Python library uses the \
+pseudo-inverse there, which is the same for measurements that do not contradict each other. A \
+covariance of the measurement that is clearly indefinite gives NaN."""
+
+_MODES = """ \
+A covariance that the correction leaves indefinite by rounding is not mended. An indicator is -1 \
+where it is missing; what no mode can show says nothing, and loglik is minus infinity."""
 
 _WHOLE = """\
 A measurement is missing as a whole or not at all; where the tables end their last values are \
@@ -52,11 +60,12 @@ measurement is missing."""
 
 
 def to_c(
-    filter: FiniteOrderFilter | TableFilter | CovarianceFilter,
+    filter: FiniteOrderFilter | TableFilter | SwitchingFilter | CovarianceFilter,
     path: str | os.PathLike[str] | None = None,
     name: str = "filter",
+    real: str = "double",
 ) -> str:
-    """Write a designed filter as a C99 header that needs <math.h> and <string.h> only.
+    """Write a filter as a C99 header that needs <math.h> and <string.h> only.
 
     The tables of the design are constants, the formulas of the sensor and of the forecast are
     the library's own lines, recorded. All functions are ``static inline``. The header holds
@@ -74,13 +83,16 @@ def to_c(
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter or CovarianceFilter
-        Affine, polynomial or continuous forecasts, `Taylor` or `ExactGaussian` moments; the
-        integrators with fixed steps.
+    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+        Affine, polynomial or continuous forecasts; `Taylor`, `ExactGaussian`, or with one mode a
+        rule with points; the integrators with fixed steps. A design may go on for ever.
     path : path_like, optional
         Where to write the header as well.
     name : str
         Prefix of all names.
+    real : {"double", "float"}
+        What numbers are; the header of the second says how far it is from the first, where there
+        is a C compiler to measure it.
 
     Returns
     -------
@@ -125,19 +137,29 @@ def to_c(
     name = checked_name(name)
     if any(p.role != "parameter" for p in mentioned(getattr(filter, "system", None))):
         raise ValueError("filter: wanted a model without inputs and elapsed time, C has none yet")
+    if real not in ("double", "float"):
+        raise ValueError(f"real: wanted double or float, got {real!r}")
     macros, text, rule = _parts(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
-    sizes = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
-    head = comment([_described(filter), model_lines(filter.system), *rules])
-    whole = head + named(_HEAD + sizes + "\n" + text + "\n#endif\n", name)
+    dimensions = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
+
+    def code(real: str, name: str) -> str:
+        made = _HEAD + dimensions + tolerances(filter, real) + "\n" + text + "\n#endif\n"
+        return single(named(made, name)) if real == "float" else named(made, name)
+
+    told = [sizes(code(real, name))]
+    if real == "float":
+        told.append(compared(filter, code("double", "f"), code("float", "f")))
+    head = comment([_described(filter), model_lines(filter.system), *rules, *told])
+    whole = head + code(real, name)
     if path is not None:
         write_whole(path, whole.encode("ascii"))
     return whole
 
 
-def _parts(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> tuple[dict, str, str]:
+def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    if isinstance(filter, TableFilter) and not switches(filter.system):
+    if isinstance(filter, TableFilter):
         from seedslib.extra.c.tables import table_source
 
         return *table_source(filter), _WHOLE
@@ -145,18 +167,23 @@ def _parts(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> tuple[
         from seedslib.extra.c.covariance import covariance_source
 
         return *covariance_source(filter), _REDUNDANT
+    if isinstance(filter, SwitchingFilter):
+        from seedslib.extra.c.switching import switching_source
+
+        return *switching_source(filter), _REDUNDANT + _MODES
     if isinstance(filter, FiniteOrderFilter):
         from seedslib.extra.c.finite_order import finite_order_source
 
         return *finite_order_source(filter), _REDUNDANT
     hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
     raise TypeError(
-        "filter: wanted a FiniteOrderFilter, a TableFilter or a CovarianceFilter, got "
+        "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
+        "CovarianceFilter, got "
         f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
     )
 
 
-def _described(filter: FiniteOrderFilter | TableFilter | CovarianceFilter) -> str:
+def _described(filter: Any) -> str:
     """The filter in words, its predicted errors included where it has some."""
     if not isinstance(filter, CovarianceFilter):
         return str(filter)

@@ -6,17 +6,18 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.clock import ROUNDING, SAME
-from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.between import BetweenFilter
+from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.source import constants, function
+from seedslib.extra.c.tape import literal
 
 FORECASTS = ("interpolated", "piecewise constant", "constant")
 """Forecasts between measurements that need nothing from before the last one."""
 
 STATE = """\
 typedef struct {
-    int k; /* measurements taken in */
-    double mean[@NAME_ESTIMATE]; /* estimate at the last one */
+    int k; /* @COUNTED */
+@LAPS    double mean[@NAME_ESTIMATE]; /* estimate at the last one */
     double cov[@NAME_ESTIMATE][@NAME_ESTIMATE]; /* its covariance, NaN from a gap on */
     double loglik; /* log-density of the last measurement, NaN after a gap */
     double memory[@NAME_MEMORY]; /* newest first: estimates, then measurements */
@@ -38,16 +39,18 @@ static inline int @name_forecast(const @name_state *s, double t, double *out)
     if (s->k == 0) return @NAME_TIME;
     memcpy(value, s->mean, sizeof s->mean);
     nodes = @name_nodes(s, value + @NAME_ESTIMATE);
-    when[0] = @name_times[s->k - 1];
-    for (j = 0; j < nodes; j++) when[j + 1] = @name_node_times[@name_node_start[s->k - 1] + j];
+    when[0] = @name_times[s->k - 1]@LATER;
+    for (j = 0; j < nodes; j++) {
+        when[j + 1] = @name_node_times[@name_node_start[s->k - 1] + j]@LATER;
+    }
     count = nodes + 1;
     if (s->k < @NAME_TIMES) {
         @name_end_(s, value + count * @NAME_ESTIMATE);
-        when[count++] = @name_times[s->k];
+        when[count++] = @name_times[s->k]@LATER;
     }
-    if (!(t >= when[0] - @SLACK && t <= when[count - 1] + @SLACK)) return @NAME_TIME;
+    if (!(t >= when[0] - @NAME_SLACK && t <= when[count - 1] + @NAME_SLACK)) return @NAME_TIME;
     span = when[count - 1] - when[0];
-    slack = fmin(fmax(@SAME * span, @ROUND * fabs(when[count - 1])), 0.25 * span);
+    slack = fmin(fmax(@NAME_SAME * span, @NAME_ROUND * fabs(when[count - 1])), 0.25 * span);
     while (i < nodes && when[i + 1] <= t + slack) i++;
     @SHARE
     for (j = 0; j < @NAME_ESTIMATE; j++) {
@@ -65,7 +68,32 @@ _SHARES = {
 }
 
 
-def frame(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
+_ONCE = {
+    "@COUNTED": "measurements taken in", "@LAPS": "", "@LATER": "",
+    "@ENDS": "\n    if (s->k >= @NAME_TIMES) return @NAME_END;", "@LAP": "",
+}  # fmt: skip
+
+_FOR_EVER = {
+    "@COUNTED": "step of the design that serves the next measurement",
+    "@LAPS": "    double laps; /* how often its last steps have begun again */\n",
+    "@LATER": " + s->laps * @SPAN", "@ENDS": "",
+    "@LAP": """
+    if (s->k == @NAME_TIMES) { /* the last steps serve all later measurements in turn */
+        s->k -= @NAME_CYCLE;
+        s->laps += 1.0;
+    }""",
+}  # fmt: skip
+
+
+def going_on(filter: DesignedFilter, text: str) -> str:
+    """C with what depends on whether the design has an end."""
+    cycle, times = filter.cycle, filter.times
+    for mark, part in (_FOR_EVER if cycle else _ONCE).items():
+        text = text.replace(mark, part)
+    return text.replace("@SPAN", literal(times[-1] - times[-1 - cycle])) if cycle else text
+
+
+def frame(filter: BetweenFilter) -> tuple[dict[Any, Any], str]:
     """Macros with the dimensions, and C of the times of measurements and nodes."""
     times = filter.times
     counts = [len(nodes) for nodes in filter.node_times]
@@ -74,17 +102,19 @@ def frame(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
     macros = {
         "STATE": filter.system.state_size,
         "ESTIMATE": filter.components,
-        "MEASUREMENT": filter.system.sensor.size,
+        "MEASUREMENT": filter.system.measurement_size,
         "MEMORY": filter.order,
         "TIMES": len(times),
         "NODES": max(counts),
     }
+    if filter.cycle:
+        macros["CYCLE"] = filter.cycle
     text = constants("@name_times", times)
     text += constants("@name_node_start", np.cumsum([0, *counts]), "int")
     return macros, text + constants("@name_node_times", nodes if len(nodes) else [0.0])
 
 
-def between(filter: FiniteOrderFilter) -> str:
+def between(filter: BetweenFilter) -> str:
     """C of the forecast at any time.
 
     Raises
@@ -97,18 +127,15 @@ def between(filter: FiniteOrderFilter) -> str:
             f"between: wanted one of {', '.join(FORECASTS)} for C, got {filter.between!r}; "
             'use filter.forecasting("interpolated")'
         )
-    text = BETWEEN.replace("@SHARE", _SHARES[filter.between])
-    for mark, value in (("@SLACK", filter.clock.tolerance), ("@SAME", SAME), ("@ROUND", ROUNDING)):
-        text = text.replace(mark, repr(value))
-    return text
+    return BETWEEN.replace("@SHARE", _SHARES[filter.between])
 
 
-def push(filter: FiniteOrderFilter) -> str:
+def push(filter: DesignedFilter) -> str:
     """C that puts the newest estimate and measurement on the memory."""
     lines, place = [], 0
     for count, size, source in (
         (filter.memory.estimates, filter.components, "mean"),
-        (filter.memory.measurements, filter.system.sensor.size, "shown"),
+        (filter.memory.measurements, filter.system.measurement_size, "shown"),
     ):
         start = f"s->memory + {place}" if place else "s->memory"
         if count > 1:

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.extra.c.tape import literal
+from seedslib.models.kinds import switches
 from seedslib.models.words import model_text
 
 WIDTH = 100
@@ -89,7 +90,7 @@ def model_lines(system: object) -> str:
     """The model in words."""
     parts = {**model_text(system), "initial mean": system.mean0.tolist()}
     parts["initial covariance"] = system.cov0.tolist()
-    noise = system.sensor.noise
+    noise = system.sensor_noise if switches(system) else system.sensor.noise
     if noise.size:
         names = noise.size if noise.symbols is None else ", ".join(map(str, noise.symbols))
         parts["sensor noise"] = f"{names}: mean {noise.mean.tolist()}, cov {noise.cov.tolist()}"

@@ -28,7 +28,7 @@ _RELATIONS = {
     "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=", "equal": "==",
     "not_equal": "!=",
 }  # fmt: skip
-_CALLS = {
+CALLS = {
     "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "log": "log",
     "log2": "log2", "log10": "log10", "log1p": "log1p", "sin": "sin", "cos": "cos", "tan": "tan",
     "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2", "sinh": "sinh",
@@ -50,9 +50,11 @@ def literal(value: float) -> str:
     Raises
     ------
     ValueError
-        A number that is not finite.
+        A number that is neither finite nor minus infinity, the logarithm of zero.
     """
     value = float(value)
+    if value == -math.inf:
+        return "-HUGE_VAL"
     if not math.isfinite(value):
         raise ValueError(f"constant: wanted a finite number for C, got {value}")
     return repr(value)
@@ -153,9 +155,9 @@ class Scalar:
             return self * self
         if name == "reciprocal":
             return 1.0 / self
-        if name in _CALLS:
+        if name in CALLS:
             places = ", ".join(f"{{{k}}}" for k in range(len(inputs)))
-            return self.tape.node(f"{_CALLS[name]}({places})", *inputs)
+            return self.tape.node(f"{CALLS[name]}({places})", *inputs)
         if name in _TEMPLATES:
             return self.tape.node(_TEMPLATES[name], *inputs)
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
@@ -203,6 +205,10 @@ class Tape:
             prefix = "x" if kind == "double" else "q"
             self._lines[text] = (f"{prefix}{len(self._lines)}", kind, used)
         return Scalar(self, self._lines[text][0])
+
+    def macro(self, name: str) -> Scalar:
+        """A number that a macro stands for."""
+        return Scalar(self, f"@NAME_{name}")
 
     def infix(self, first: Number, sign: str, second: Number) -> Scalar:
         """Two numbers joined by a sign of C; comparisons give truths."""

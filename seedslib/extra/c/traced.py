@@ -11,22 +11,55 @@ import numpy as np
 
 from seedslib.base.circle import Periods
 from seedslib.base.correction import eliminate
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI
 from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
-from seedslib.linearization.moments import Linearization
+from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.linearization.points import PointRule
 from seedslib.models.maps import StochasticMap
 
 
 def check_formulas(linearization: Linearization, system: object) -> None:
-    """Raise TypeError or ValueError where moments are no formulas."""
-    if not hasattr(linearization, "formulas"):
+    """Raise TypeError or ValueError where moments are no formulas, of a law or of a point."""
+    if not (hasattr(linearization, "formulas") or isinstance(linearization, PointRule)):
         raise TypeError(
-            f"linearization: wanted one with formulas, Taylor or ExactGaussian, got "
-            f"{linearization!r}; a rule with points has none to write in C"
+            f"linearization: wanted formulas or a rule with points to write in C, got "
+            f"{linearization!r}"
         )
     if not system.sensor.symbolic:
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+
+
+def moments_source(
+    tape: Tape, linearization: Linearization, map: StochasticMap, label: str,
+    mean: Sequence[Any], lower: Sequence[Any], spread: bool = True,
+) -> tuple[str, list[str], tuple[Any, ...]]:  # fmt: skip
+    """Moments of a map on a tape that has the time ``t``, by formulas or by points.
+
+    Returns
+    -------
+    text : str
+        C that must stand before the function that is recorded.
+    lines : list of str
+        C that this function begins with; it wants the law as arrays ``mean`` and ``lower``.
+    moments : tuple
+        E y, cov(x, y), cov y; the last None without `spread`.
+    """
+    if not isinstance(linearization, PointRule):
+        evaluate = map_moments(linearization, map, spread)
+        return "", [], evaluate(tape.inputs("t")[()], mean, lower)
+    from seedslib.extra.c.points import point_moments
+    from seedslib.extra.c.unrolled import few_points, unrolled_moments
+
+    n, m = map.state_size, map.size
+    if few_points(linearization, map):
+        return "", [], unrolled_moments(tape, linearization, map, mean, lower, spread)
+    size = m * (1 + n) + m * (m + 1) // 2
+    found = tape.inputs("found[{}]", size)
+    h, cross, cov = np.split(found, [m, m + n * m])
+    moments = h, cross.reshape(n, m), symmetric(cov, m) if spread else None
+    lines = [f"    double found[{size}];", f"    {label}_(t, mean, lower, found);"]
+    return point_moments(linearization, map, label, spread), lines, moments
 
 
 def map_moments(
@@ -111,15 +144,16 @@ def record_correction(
         for i in range(m)
     ]
     regular = []
+    relative, absolute, indefinite = map(tape.macro, ("RELATIVE", "ABSOLUTE", "INDEFINITE"))
 
     def reciprocal(pivot: Number, variance: Number) -> tuple[Number, Number]:
         if not isinstance(pivot, Scalar):
             regular.append(pivot > ABSOLUTE)
             return (1.0 / pivot, pivot) if regular[-1] else (0.0, 1.0)
-        least = ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE
+        least = absolute if pivot is variance else relative * variance + absolute
         regular.append(tape.infix(pivot, ">", least))
         redundant = tape.node(
-            "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(INDEFINITE * variance + ABSOLUTE)
+            "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(indefinite * variance + absolute)
         )  # fmt: skip
         inverse = tape.choose(regular[-1], 1.0 / pivot, redundant)
         return inverse, tape.choose(regular[-1], pivot, 1.0)

@@ -1,0 +1,183 @@
+"""C around an exported filter: what another program calls, one step or whole records."""
+
+from __future__ import annotations
+
+import re
+
+_ONE = """
+#include <stddef.h>
+
+/* Size of the state, and where its parts are; -1 where it has no such part. */
+int api_layout(int i);
+int api_layout(int i)
+{
+    static const int layout[] = { @LAYOUT };
+    return layout[i];
+}
+
+void api_init(int count, f_state *s);
+void api_init(int count, f_state *s)
+{
+    int i;
+    for (i = 0; i < count; i++) f_init(&s[i]);
+}
+
+/* One measurement of each of some records, y component by component. */
+int api_step(int count, const f_state *s, f_state *out, double t, const double *y,
+             const long long *told);
+int api_step(int count, const f_state *s, f_state *out, double t, const double *y,
+             const long long *told)
+{
+    int i, j, code;
+    double shown[F_MEASUREMENT];
+    (void)t; (void)told;
+    for (i = 0; i < count; i++) {
+        out[i] = s[i];@CHECK
+        for (j = 0; j < F_MEASUREMENT; j++) shown[j] = y[j * count + i];
+        code = f_step(&out[i], @TIMEshown@TOLD1);
+        if (code != F_OK) return code;
+    }
+    return F_OK;
+}
+
+/* Whole records: `wide` of them lie side by side in the arrays, `count` are run here. */
+int api_fill(int count, long long wide, int times, const double *t, const long long *index,
+             const double *y, const long long *told, double *mean, double *cov, double *loglik,
+             double *prob, long long *mode);
+int api_fill(int count, long long wide, int times, const double *t, const long long *index,
+             const double *y, const long long *told, double *mean, double *cov, double *loglik,
+             double *prob, long long *mode)
+{
+    f_state tile[@TILE]; /* some at a time, that lie side by side */
+    double shown[F_MEASUREMENT];
+    int first, i, j, k, code;
+    (void)t; (void)told; (void)prob; (void)mode; (void)index;
+    for (first = 0; first < count; first += @TILE) {
+        const int last = first + @TILE < count ? first + @TILE : count;
+        for (i = first; i < last; i++) f_init(&tile[i - first]);
+        for (k = 0; k < times; k++) for (i = first; i < last; i++) {
+            f_state *s = &tile[i - first];
+            const long long at = k * wide + i;
+@BETWEEN            for (j = 0; j < F_MEASUREMENT; j++) {
+                shown[j] = y[(k * (long long)F_MEASUREMENT + j) * wide + i];
+            }
+            code = f_step(s, @RECORDshown@TOLD2);
+            if (code != F_OK) return code;
+            for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = s->mean[j];
+            for (j = 0; cov && j < F_OUT * F_OUT; j++) {
+                cov[(k * (long long)(F_OUT * F_OUT) + j) * wide + i] = s->cov[j / F_OUT][j % F_OUT];
+            }
+            if (loglik) loglik[at] = s->loglik;
+@MODES            (void)at;
+        }
+    }
+    return F_OK;
+}
+"""
+
+_BETWEEN = """\
+            if (index[k] < 0) {
+                double ahead[F_OUT];
+                code = f_forecast(s, t[k], ahead);
+                if (code != F_OK) return code;
+                for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = ahead[j];
+                for (j = 0; cov && j < F_OUT * F_OUT; j++) {
+                    cov[(k * (long long)(F_OUT * F_OUT) + j) * wide + i] = (double)NAN;
+                }
+                if (loglik) loglik[at] = 0.0;
+                continue;
+            }
+"""
+
+_PROB = """\
+            for (j = 0; prob && j < F_MODES; j++) {
+                prob[(k * (long long)F_MODES + j) * wide + i] = s->prob[j];
+            }
+"""
+
+_MODE = "            if (mode) mode[at] = s->mode;\n"
+
+_HALVES = """
+int api_predict(int count, const f_state *s, f_state *out, double t);
+int api_predict(int count, const f_state *s, f_state *out, double t)
+{
+    int i, code;
+    for (i = 0; i < count; i++) {
+        out[i] = s[i];
+        code = f_predict(&out[i], t);
+        if (code != F_OK) return code;
+    }
+    return F_OK;
+}
+
+int api_correct(int count, const f_state *s, f_state *out, const double *y);
+int api_correct(int count, const f_state *s, f_state *out, const double *y)
+{
+    int i, j, code;
+    double shown[F_MEASUREMENT];
+    for (i = 0; i < count; i++) {
+        out[i] = s[i];
+        for (j = 0; j < F_MEASUREMENT; j++) shown[j] = y[j * count + i];
+        code = f_correct(&out[i], shown);
+        if (code != F_OK) return code;
+    }
+    return F_OK;
+}
+"""
+
+_FORECAST = """
+int api_forecast(int count, const f_state *s, double t, double *out);
+int api_forecast(int count, const f_state *s, double t, double *out)
+{
+    double ahead[F_OUT];
+    int i, j, code;
+    for (i = 0; i < count; i++) {
+        code = f_forecast(&s[i], t, ahead);
+        if (code != F_OK) return code;
+        for (j = 0; j < F_OUT; j++) out[j * count + i] = ahead[j];
+    }
+    return F_OK;
+}
+"""
+
+FIELDS = ("mean", "cov", "loglik", "prob", "mode", "t", "k", "started")
+"""Parts of a state whose places a driver tells, behind the size of the whole."""
+
+
+TILE = 64
+"""Records that are run together, so that what lies side by side is read together."""
+
+
+def driver(text: str, later: str, slack: str) -> str:
+    """The header with the functions that `seedslib.extra.compilation` calls; its prefix is ``f``.
+
+    Parameters
+    ----------
+    text : str
+        From `to_c`, with the name ``f``.
+    later, slack : str
+        C of what is to be added to the time of a step of the design, and how far another time
+        may be from it; empty for filters without a design.
+    """
+    state = text[: text.index("} f_state;")].rpartition("typedef struct {")[2]
+    known = {field: bool(re.search(rf"\b{field}(\[|;)", state)) for field in FIELDS}
+    layout = [f"(int)offsetof(f_state, {field})" if known[field] else "-1" for field in FIELDS]
+    timed = "double t, const double *y" in text
+    told = "int indicator" in text
+    between = " f_forecast(" in text
+    check = "" if timed or not slack else (
+        "\n        if (s[i].k < F_TIMES && !(fabs(t - (f_times[s[i].k]@LATER)) <= @SLACK)) {\n"
+        "            return F_TIME;\n        }"
+    )  # fmt: skip
+    more = _ONE + _HALVES * (" f_predict(" in text) + _FORECAST * between
+    for mark, part in (
+        ("@LAYOUT", ", ".join(["(int)sizeof(f_state)", *layout])), ("@CHECK", check),
+        ("@TIME", "t, " * timed), ("@RECORD", "t[k], " * timed),
+        ("@TOLD1", ", told ? (int)told[i] : -1" * told),
+        ("@TOLD2", ", told ? (int)told[k * wide + i] : -1" * told),
+        ("@BETWEEN", _BETWEEN * between), ("@MODES", _PROB * known["prob"] + _MODE * known["mode"]),
+        ("@LATER", later), ("@SLACK", slack), ("@TILE", str(TILE)),
+    ):  # fmt: skip
+        more = more.replace(mark, part)
+    size = "F_ESTIMATE" if "#define F_ESTIMATE " in text else "F_STATE"
+    return f"{text}\n#define F_OUT {size}\n{more}"

@@ -1,0 +1,378 @@
+"""A filter whose steps are compiled C, behind the verbs of the filter."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import struct
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.blocks import BLOCK, in_blocks
+from seedslib.base.checks import as_real, outside, unmasked
+from seedslib.base.clock import ROUNDING, SAME, when
+from seedslib.designed.runs import DesignedFilter
+from seedslib.extra.c.build import library
+from seedslib.extra.c.driver import FIELDS, driver
+from seedslib.extra.c.header import to_c
+from seedslib.filters.covariance import CovarianceFilter
+from seedslib.filters.estimates import Estimates, as_indicators
+from seedslib.filters.verbs import Filter
+
+_DOUBLE = np.dtype(np.float64)
+
+_REFUSED = {
+    1: "t: wanted at most the last measurement time",
+    2: "y: wanted finite numbers or NaN, got an infinite one",
+    3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
+    4: "t: wanted the next measurement time, or one after that of the state",
+    5: "indicator: wanted one of the system, or -1 for a missing one",
+}
+
+
+def compiled(filter: Any) -> Any:
+    """The same filter, its steps compiled: a single one takes a microsecond or two from Python.
+
+    The C that `to_c` writes is built once with the C compiler of the machine (``CC``, cc, gcc or
+    clang, or the one in the package ziglang) and kept by content in the user's cache. The numbers
+    are those of the filter but for rounding.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+        One that `to_c` can write.
+
+    Returns
+    -------
+    CompiledFilter
+        Or, without a compiler, the filter itself.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `to_c`.
+    RuntimeError
+        The compiler refuses what was written.
+
+    Warns
+    -----
+    UserWarning
+        There is no C compiler.
+
+    Examples
+    --------
+    >>> from seedslib.extra import compiled
+    >>> from seedslib.filters import unscented_kalman
+    >>> from seedslib import zoo
+    >>> quick = compiled(unscented_kalman(zoo.van_der_pol()))
+    >>> state = quick.step(quick.initial(), 0.0, [1.0, 0.5])
+    >>> state.mean.shape
+    (2,)
+    """
+    later = slack = ""
+    if getattr(filter, "memory", None) is not None and isinstance(filter, DesignedFilter):
+        last, cycle, steps = filter.times[-1], filter.cycle, np.diff(filter.times)
+        if cycle:
+            later = f" + s[i].laps * {float(last - filter.times[-1 - cycle])!r}"
+        gap = float(steps.min()) if len(steps) else 1.0
+        near = f"fmax({SAME * gap!r}, {ROUNDING!r} * fabs(t))"
+        slack = f"fmin(fmax({filter.clock.tolerance!r}, {near}), {0.25 * gap!r})"
+    path = library(driver(to_c(filter, name="f"), later, slack))
+    if path is None:
+        warnings.warn(
+            "compiled: wanted a C compiler (cc, or pip install ziglang), found none; the filter "
+            "runs in Python",
+            stacklevel=outside(),
+        )
+        return filter
+    return CompiledFilter(filter, path)
+
+
+class CompiledState:
+    """What a compiled filter remembers, as bytes.
+
+    Attributes
+    ----------
+    raw : bytes
+        The states of C, one for each record.
+    batch : tuple of int
+    """
+
+    __slots__ = ("_form", "batch", "raw")
+
+    def __init__(self, raw: bytes, batch: tuple[int, ...], form: np.dtype) -> None:
+        self.raw, self.batch, self._form = raw, batch, form
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return CompiledState, (self.raw, self.batch, self._form)
+
+    def part(self, name: str) -> Any:
+        """A part of the state, components first; None where there is no such part."""
+        if name not in self._form.names:
+            return None
+        found = np.frombuffer(self.raw, self._form)[name]
+        return np.moveaxis(found, 0, -1).reshape((*found.shape[1:], *self.batch))
+
+    @property
+    def time(self) -> float | None:
+        """Time of the state, of a filter that carries its law; None before the first."""
+        if self.part("started") is None or not self.part("started").all():
+            return None
+        return float(np.ravel(self.part("t"))[0])
+
+    @property
+    def mean(self) -> np.ndarray:
+        """Estimate, (n', *batch)."""
+        return self.part("mean")
+
+    @property
+    def cov(self) -> np.ndarray:
+        """Its covariance, (n', n', *batch)."""
+        return self.part("cov")
+
+    @property
+    def loglik(self) -> np.ndarray:
+        """Log-density of the last measurement, (*batch)."""
+        return self.part("loglik")
+
+    @property
+    def mode(self) -> Any:
+        """Decided mode, (*batch)."""
+        return self.part("mode")
+
+    @property
+    def mode_prob(self) -> Any:
+        """Probabilities of the modes, (L, *batch)."""
+        return self.part("prob")
+
+
+class CompiledFilter(Filter):
+    """A filter whose steps are C; `compiled` makes it. It has the verbs of the filter.
+
+    Those of one measurement are `initial` and `step`, `forecast` where the filter forecasts
+    between measurements, `predict` and `correct` where it carries mean and covariance.
+
+    Attributes
+    ----------
+    filter : Filter
+        The one that was compiled.
+    """
+
+    def __init__(self, filter: Any, path: Any) -> None:
+        self.filter, self.system = filter, filter.system
+        self.takes = filter.takes
+        if getattr(filter, "times", None) is not None:
+            self.times = filter.times
+        # a step holds the interpreter, which is quicker; whole records let others run
+        self._c, self._whole = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path)).api_fill
+        self._whole.argtypes = [
+            ctypes.c_int, ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 9
+        ]  # fmt: skip
+        self._one = self._c.api_step  # without declared arguments, which would cost more than C
+        self._form = self._layout()
+        self._size = self._form.itemsize
+        self._first = bytes(self._size)  # as in `step`
+        self._c.api_init(1, self._first)
+        self._width = self.system.measurement_size
+        self._pack = struct.Struct(f"{self._width}d").pack
+        # runs as the filter does, but for its loop
+        self._twin = object.__new__(type(filter))
+        vars(self._twin).update(vars(filter), fill=self._fill)
+        self._told = bool(getattr(self.system, "indicators", 0))
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return compiled, (self.filter,)
+
+    def _layout(self) -> np.dtype:
+        size, *places = [self._c.api_layout(i) for i in range(len(FIELDS) + 1)]
+        n = getattr(self.filter, "components", None) or self.system.state_size
+        modes = getattr(self.system, "modes", 0)
+        kinds = [("f8", n), ("f8", (n, n)), "f8", ("f8", modes), "i4", "f8", "i4", "i4"]
+        known = [(f, k, p) for f, k, p in zip(FIELDS, kinds, places, strict=True) if p >= 0]
+        names, formats, offsets = map(list, zip(*known, strict=True))
+        return np.dtype(
+            {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
+        )  # fmt: skip
+
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> CompiledState:
+        """State before any measurement; nothing is drawn from `seed`."""
+        many = self._first * math.prod(batch) if batch else self._first
+        return CompiledState(many, tuple(batch), self._form)
+
+    def step(
+        self, state: CompiledState, t: float, y: ArrayLike, indicator: ArrayLike | None = None
+    ) -> CompiledState:
+        """Forecast to time t and correct there; see `Filter.step`.
+
+        Raises
+        ------
+        ValueError
+            What the filter refuses.
+        """
+        if state.batch:
+            return self._many(state, t, y, indicator)
+        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.ndim == 1 and len(y) == self._width:
+            shown = y.tobytes()
+        else:
+            try:
+                shown = self._pack(*y)  # type: ignore[misc]
+            except (struct.error, TypeError):
+                shown = self._shown(y, ()).tobytes()
+        told = None
+        if indicator is not None or self._told:
+            told = self._seen(indicator, ()).tobytes()
+        out = bytes(self._size)  # nobody has seen it, so that C may write it
+        code = self._one(1, state.raw, out, ctypes.c_double(t), shown, told)
+        if code:
+            raise ValueError(_REFUSED[code])
+        return CompiledState(out, (), self._form)
+
+    def _many(self, state, t, y, indicator):
+        """A step of several records, or with an indicator."""
+        shown, told = self._shown(y, state.batch), None
+        if indicator is not None or self._told:
+            told = ctypes.c_void_p(self._seen(indicator, state.batch).ctypes.data)
+        place = ctypes.c_void_p(shown.ctypes.data)
+        return self._made(state, self._one, ctypes.c_double(t), place, told)
+
+    def _seen(self, indicator, batch):
+        if type(indicator) is int and not batch and -1 <= indicator < self.system.indicators:
+            return np.array(indicator)
+        if indicator is not None:
+            indicator = unmasked("indicator", indicator, missing=-1)
+        seen = as_indicators(indicator, self.system, batch, "indicator")
+        return np.ascontiguousarray(seen, dtype=np.int64)
+
+    def _shown(self, y, batch):
+        shown = np.ascontiguousarray(as_real("y", unmasked("y", y, missing=np.nan), nan=True))
+        wanted = (self.system.measurement_size, *batch)
+        if shown.shape != wanted:
+            raise ValueError(f"y: wanted shape {wanted}, got {shown.shape}")
+        return shown
+
+    def _made(self, state, work, *given):
+        """The states that a function of C makes of some."""
+        out = bytes(len(state.raw))  # nobody has seen it, so that C may write it
+        code = work(len(out) // self._size, state.raw, out, *given)
+        if code:
+            raise ValueError(_REFUSED[code])
+        return CompiledState(out, state.batch, self._form)
+
+    def predict(self, state: CompiledState, t: float, *told: ArrayLike) -> CompiledState:
+        """Forecast to time t, of a filter that carries mean and covariance.
+
+        Raises
+        ------
+        ValueError
+            A time before that of the state, another kind of filter.
+        """
+        return self._made(state, self._half("predict"), ctypes.c_double(t))
+
+    def correct(self, state: CompiledState, y: ArrayLike) -> CompiledState:
+        """Correct by a measurement, of a filter that carries mean and covariance.
+
+        Raises
+        ------
+        ValueError
+            A state without a time, a wrong shape, another kind of filter.
+        """
+        shown = self._shown(y, state.batch)
+        return self._made(state, self._half("correct"), ctypes.c_void_p(shown.ctypes.data))
+
+    def _half(self, name):
+        if not isinstance(self.filter, CovarianceFilter):
+            raise ValueError(f"{name}: wanted a filter that carries mean and covariance; call step")
+        return getattr(self._c, f"api_{name}")
+
+    def forecast(self, state: CompiledState, t: float, **told: Any) -> Estimates:
+        """What the filter expects at a later time, without a measurement.
+
+        Raises
+        ------
+        ValueError
+            A time out of reach, a filter of modes.
+        """
+        if isinstance(self.filter, CovarianceFilter):
+            return self.report(self.predict(state, t))._replace(loglik=None)
+        if not hasattr(self.filter, "between") or hasattr(self.system, "modes"):
+            raise ValueError("forecast: wanted a filter without modes")
+        out = np.empty((len(state.mean), len(state.raw) // self._size))
+        code = self._c.api_forecast(
+            out.shape[1], state.raw, ctypes.c_double(t), ctypes.c_void_p(out.ctypes.data)
+        )
+        if code:
+            raise ValueError(f"t: wanted a time up to the next measurement, got {when(t)}")
+        return Estimates(out.reshape(-1, *state.batch))
+
+    def run(
+        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
+        covariances: bool = False, workers: int = 1,
+    ) -> Estimates:  # fmt: skip
+        """Filter a record, or many at once; arguments, results and errors as of the filter."""
+        if isinstance(self.filter, DesignedFilter):
+            return self._twin.run(
+                times, measurements, indicators=indicators, covariances=covariances,
+                workers=workers,
+            )  # fmt: skip
+        times, y = self.filter.record(times, measurements)
+        as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
+        batch, n = y.shape[2:], self.filter.n
+        y = y.reshape(*y.shape[:2], -1)
+        paths = y.shape[2]
+        shapes = (n,), (n, n), None, ()
+        found = Estimates(*(s if s is None else np.empty((len(times), *s, paths)) for s in shapes))
+
+        def work(a, b, _):
+            rows = (None if part is None else part[..., a:b] for part in found)
+            self._fill(Estimates(*rows), times, np.zeros(len(times), int), y[..., a:b], None)
+
+        in_blocks(work, paths, 0, workers=workers, block=4 * BLOCK)
+        finite = np.isfinite(found.mean[-1]).all(axis=0) & np.isfinite(found.cov[-1]).all((0, 1))
+        with np.errstate(invalid="ignore"):
+            lost = ~finite | (np.abs(found.mean) > self.filter.bound).any(axis=(0, 1))
+        return Estimates(
+            *(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in found)
+        )._replace(diverged=lost.reshape(batch))
+
+    def _fill(self, rows: Estimates, times: Any, index: Any, y: Any, indicators: Any) -> int:
+        """Run over a block of records, see `DesignedFilter.fill`."""
+        alone = y.ndim == 2
+        count, wide = (1, 1) if alone else (y.shape[2], rows.mean.strides[1] // 8)
+        y = _beside(y, wide, alone)
+        told = indicators
+        if told is not None:
+            told = _beside(told if told.dtype == np.int64 else told.astype(np.int64), wide, alone)
+        times, index = np.ascontiguousarray(times), np.ascontiguousarray(index, dtype=np.int64)
+        given = (
+            times,
+            index,
+            y,
+            told,
+            rows.mean,
+            rows.cov,
+            rows.loglik,
+            rows.mode_prob,
+            rows.modes,
+        )
+        if rows.modes is not None and rows.modes.dtype != np.int64:
+            raise TypeError("modes: wanted 64-bit integers")
+        places = [None if part is None else part.ctypes.data for part in given]
+        code = self._whole(count, wide, len(times), *places)
+        if code:
+            raise ValueError(_REFUSED[code])
+        return 0
+
+
+def _beside(part: np.ndarray, wide: int, alone: bool) -> np.ndarray:
+    """The same numbers, of which `wide` records lie side by side in memory."""
+    if alone:
+        return np.ascontiguousarray(part)
+    steps = 8 * wide * np.cumprod((1, *part.shape[-2:0:-1]))[::-1]
+    if part.strides == (*steps, 8):
+        return part
+    held = np.empty((*part.shape[:-1], wide), part.dtype)[..., : part.shape[-1]]
+    held[...] = part
+    return held

@@ -1,0 +1,1 @@
+"""Shelf: the same filters as one ECMAScript module, translated from their C."""
