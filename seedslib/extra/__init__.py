@@ -1,8 +1,8 @@
 """What wants another package or another language: C, JavaScript, a cluster, pictures.
 
 `to_c` and `to_js` write a filter as a C header and as a JavaScript module, `compiled` runs that C
-behind the filter's own verbs, `learn` wants scikit-learn, `cluster` wants Dask, and what plots wants
-matplotlib. Nothing uses this room.
+behind the filter's own verbs, `learn` wants scikit-learn, `cluster` wants Dask, and what draws
+wants matplotlib. Nothing uses this room.
 
 May import: base, models, linearization, filters, designed, design, evaluation.
 """

@@ -16,8 +16,9 @@ from seedslib.base.checks import as_real, outside, unmasked
 from seedslib.base.clock import ROUNDING, SAME, when
 from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.build import library
-from seedslib.extra.c.driver import FIELDS, driver
+from seedslib.extra.c.driver import FIELDS, driver, side_by_side
 from seedslib.extra.c.header import to_c
+from seedslib.extra.compiled_state import CompiledState
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.estimates import Estimates, as_indicators
 from seedslib.filters.verbs import Filter
@@ -89,64 +90,6 @@ def compiled(filter: Any) -> Any:
         )
         return filter
     return CompiledFilter(filter, path)
-
-
-class CompiledState:
-    """What a compiled filter remembers, as bytes.
-
-    Attributes
-    ----------
-    raw : bytes
-        The states of C, one for each record.
-    batch : tuple of int
-    """
-
-    __slots__ = ("_form", "batch", "raw")
-
-    def __init__(self, raw: bytes, batch: tuple[int, ...], form: np.dtype) -> None:
-        self.raw, self.batch, self._form = raw, batch, form
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return CompiledState, (self.raw, self.batch, self._form)
-
-    def part(self, name: str) -> Any:
-        """A part of the state, components first; None where there is no such part."""
-        if name not in self._form.names:
-            return None
-        found = np.frombuffer(self.raw, self._form)[name]
-        return np.moveaxis(found, 0, -1).reshape((*found.shape[1:], *self.batch))
-
-    @property
-    def time(self) -> float | None:
-        """Time of the state, of a filter that carries its law; None before the first."""
-        if self.part("started") is None or not self.part("started").all():
-            return None
-        return float(np.ravel(self.part("t"))[0])
-
-    @property
-    def mean(self) -> np.ndarray:
-        """Estimate, (n', *batch)."""
-        return self.part("mean")
-
-    @property
-    def cov(self) -> np.ndarray:
-        """Its covariance, (n', n', *batch)."""
-        return self.part("cov")
-
-    @property
-    def loglik(self) -> np.ndarray:
-        """Log-density of the last measurement, (*batch)."""
-        return self.part("loglik")
-
-    @property
-    def mode(self) -> Any:
-        """Decided mode, (*batch)."""
-        return self.part("mode")
-
-    @property
-    def mode_prob(self) -> Any:
-        """Probabilities of the modes, (L, *batch)."""
-        return self.part("prob")
 
 
 class CompiledFilter(Filter):
@@ -321,58 +264,37 @@ class CompiledFilter(Filter):
         as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
         batch, n = y.shape[2:], self.filter.n
         y = y.reshape(*y.shape[:2], -1)
-        paths = y.shape[2]
-        shapes = (n,), (n, n), None, ()
-        found = Estimates(*(s if s is None else np.empty((len(times), *s, paths)) for s in shapes))
+        parts = [np.empty((len(times), *size, y.shape[2])) for size in ((n,), (n, n), ())]
+        found = Estimates(*parts[:2], loglik=parts[2])
 
         def work(a, b, _):
             rows = (None if part is None else part[..., a:b] for part in found)
             self._fill(Estimates(*rows), times, np.zeros(len(times), int), y[..., a:b], None)
 
-        in_blocks(work, paths, 0, workers=workers, block=4 * BLOCK)
+        in_blocks(work, y.shape[2], 0, workers=workers, block=4 * BLOCK)
         finite = np.isfinite(found.mean[-1]).all(axis=0) & np.isfinite(found.cov[-1]).all((0, 1))
         with np.errstate(invalid="ignore"):
             lost = ~finite | (np.abs(found.mean) > self.filter.bound).any(axis=(0, 1))
-        return Estimates(
-            *(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in found)
-        )._replace(diverged=lost.reshape(batch))
+        parts = (p if p is None else p.reshape(*p.shape[:-1], *batch) for p in found)
+        return Estimates(*parts)._replace(diverged=lost.reshape(batch))
 
-    def _fill(self, rows: Estimates, times: Any, index: Any, y: Any, indicators: Any) -> int:
+    def _fill(
+        self, rows: Estimates, times: Any, index: Any, y: Any, indicators: Any, held: object = None
+    ) -> int:  # fmt: skip
         """Run over a block of records, see `DesignedFilter.fill`."""
         alone = y.ndim == 2
         count, wide = (1, 1) if alone else (y.shape[2], rows.mean.strides[1] // 8)
-        y = _beside(y, wide, alone)
+        y = side_by_side(y, wide, alone)
         told = indicators
         if told is not None:
-            told = _beside(told if told.dtype == np.int64 else told.astype(np.int64), wide, alone)
+            told = side_by_side(told.astype(np.int64, copy=False), wide, alone)
         times, index = np.ascontiguousarray(times), np.ascontiguousarray(index, dtype=np.int64)
         given = (
-            times,
-            index,
-            y,
-            told,
-            rows.mean,
-            rows.cov,
-            rows.loglik,
-            rows.mode_prob,
-            rows.modes,
-        )
+            times, index, y, told, rows.mean, rows.cov, rows.loglik, rows.mode_prob, rows.modes
+        )  # fmt: skip
         if rows.modes is not None and rows.modes.dtype != np.int64:
             raise TypeError("modes: wanted 64-bit integers")
         places = [None if part is None else part.ctypes.data for part in given]
-        code = self._whole(count, wide, len(times), *places)
-        if code:
+        if code := self._whole(count, wide, len(times), *places):
             raise ValueError(_REFUSED[code])
         return 0
-
-
-def _beside(part: np.ndarray, wide: int, alone: bool) -> np.ndarray:
-    """The same numbers, of which `wide` records lie side by side in memory."""
-    if alone:
-        return np.ascontiguousarray(part)
-    steps = 8 * wide * np.cumprod((1, *part.shape[-2:0:-1]))[::-1]
-    if part.strides == (*steps, 8):
-        return part
-    held = np.empty((*part.shape[:-1], wide), part.dtype)[..., : part.shape[-1]]
-    held[...] = part
-    return held

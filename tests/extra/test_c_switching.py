@@ -166,6 +166,15 @@ def test_refused(compiled):
     printed = SwitchingFilter(tells(), ExactGaussian(), normalisation="printed")
     with pytest.raises(ValueError, match="normalisation: wanted 'consistent'"):
         to_c(printed)
+    x, v, w = sympy.symbols("x v w", real=True)
+    law = [(0.5, [0.0], [[1.0]])] * 2
+    moved = [[x + v], [x / 2 + v]]
+    chain, seen = [[0.9, 0.1], [0.1, 0.9]], [[x + w], [x + w]]
+    textbook = SwitchingSystem(
+        [x], moved, Noise([v]), chain, seen, Noise([w]), law, drives="new"
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="drives: wanted 'old' for C, got 'new'"):
+        to_c(SwitchingFilter(textbook, ExactGaussian()))
 
 
 TABLES = {

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 
+import numpy as np
+
 _ONE = """
 #include <stddef.h>
 
@@ -181,3 +183,15 @@ def driver(text: str, later: str, slack: str) -> str:
         more = more.replace(mark, part)
     size = "F_ESTIMATE" if "#define F_ESTIMATE " in text else "F_STATE"
     return f"{text}\n#define F_OUT {size}\n{more}"
+
+
+def side_by_side(part: np.ndarray, wide: int, alone: bool) -> np.ndarray:
+    """The same numbers, of which `wide` records lie side by side in memory."""
+    if alone:
+        return np.ascontiguousarray(part)
+    steps = 8 * wide * np.cumprod((1, *part.shape[-2:0:-1]))[::-1]
+    if part.strides == (*steps, 8):
+        return part
+    held = np.empty((*part.shape[:-1], wide), part.dtype)[..., : part.shape[-1]]
+    held[...] = part
+    return held
