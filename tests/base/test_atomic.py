@@ -145,7 +145,8 @@ FULL = """
 import resource, sys
 import numpy as np
 from seedslib import zoo
-from seedslib.commands.records import write_estimates
+from seedslib.commands.estimates import write_estimates
+from seedslib.commands.records import Record
 from seedslib.design import synthesize
 from seedslib.designed import Memory, save
 from seedslib.extra import to_c
@@ -153,10 +154,11 @@ from seedslib.filters import Estimates, extended_kalman
 from seedslib.linearization import Taylor
 
 system = zoo.linear_gaussian()
+record = Record(np.arange(900.0), np.ones((900, 1)), cells=["0"] * 900)
 large = synthesize(system, Memory(9), Taylor(), np.arange(11.0), exact_moments=True, nodes=0)
 works = {
     "f.npz": lambda: save(large, "f.npz"),
-    "x.csv": lambda: write_estimates("x.csv", np.arange(900.), Estimates(np.ones((900, 2)))),
+    "x.csv": lambda: write_estimates("x.csv", record, Estimates(np.ones((900, 2)))),
     "f.h": lambda: to_c(extended_kalman(system), "f.h"),
 }
 resource.setrlimit(resource.RLIMIT_FSIZE, (2048, 2048))
