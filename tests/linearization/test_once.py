@@ -61,6 +61,17 @@ def test_another_map_has_moments_of_its_own(derived, change):
     assert derived[-1].state[0].name == change.get("name", "x")
 
 
+def test_the_order_of_the_state_and_the_weight_are_told_apart():
+    x, y = sympy.symbols("x y", real=True)
+    mean, cov = np.array([1.0, 5.0]), np.eye(2)
+    for state, wanted in (((x, y), 3.0), ((y, x), 15.0)):
+        found = Taylor().moments(StochasticMap(state, [3 * x]))(0.0, mean, cov)
+        np.testing.assert_allclose(found.mean, [wanted])
+    for weight in (0.25, 0.75):
+        (found,) = ExactGaussian().row([square(weight=weight)])(0.0, MEAN, COV)
+        np.testing.assert_allclose(found.mass, weight)
+
+
 def test_rules_and_parameters_are_told_apart():
     exact, linear = (r.moments(square())(0.0, MEAN, COV).mean for r in (ExactGaussian(), Taylor()))
     np.testing.assert_allclose(exact - linear, 2.0 * 0.3, rtol=1e-13)
