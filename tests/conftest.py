@@ -1,6 +1,7 @@
 """What the tests of several rooms share: files and designs, command lines."""
 
 import csv
+import gc
 import json
 import os
 import re
@@ -42,6 +43,11 @@ def pytest_collection_modifyitems(items):
         return notebooks if item.path.suffix == ".ipynb" else order.get(item.path, notebooks + 1)
 
     items.sort(key=place)
+
+
+def pytest_collection_finish():
+    """What was imported stays: to look through it again and again takes time."""
+    gc.freeze()
 
 
 @pytest.fixture

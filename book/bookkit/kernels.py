@@ -9,6 +9,7 @@ package is imported before its notebook does it. The process runs this file as a
 from __future__ import annotations
 
 import atexit
+import gc
 import importlib
 import json
 import os
@@ -22,8 +23,8 @@ from typing import Any
 
 _IMPORTED = (
     "ipykernel_launcher", "ipykernel.kernelapp", "IPython.core.completerlib",
-    "IPython.extensions.storemagic", "matplotlib.pyplot", "numpy.random", "scipy.integrate",
-    "scipy.optimize", "scipy.stats", "sympy",
+    "IPython.extensions.storemagic", "matplotlib.pyplot", "numpy.random", "pydantic",
+    "scipy.integrate", "scipy.optimize", "scipy.stats", "sympy", "yaml",
 )  # fmt: skip
 _INLINE = "module://matplotlib_inline.backend_inline"  # what a kernel sets before it imports
 
@@ -145,4 +146,5 @@ if __name__ == "__main__":
     del sys.path[0]  # the folder of this file
     for name in _IMPORTED:
         importlib.import_module(name)
+    gc.freeze()  # kernels need not look through what is here, least of all when they end
     _become(_serve())

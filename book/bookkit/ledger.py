@@ -9,6 +9,7 @@ from __future__ import annotations
 import ast
 import json
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 from bookkit.claims import LEDGER, Claim, read_ledger
@@ -91,13 +92,21 @@ def _test_exists(root: Path, node: str) -> bool:
     file = root / path
     if not file.is_file() or not file.name.startswith("test_"):
         return False
+    return "::".join(names) in _tests(file.read_text(encoding="utf-8"))
+
+
+@cache
+def _tests(text: str) -> frozenset[str]:
+    """Names of the tests in the text of a file, of which many claims may name one."""
     try:
-        body: list[ast.stmt] = ast.parse(file.read_text(encoding="utf-8")).body
+        return frozenset(_collected(ast.parse(text).body))
     except SyntaxError:
-        return False
-    for name in names[:-1]:
-        classes = [n for n in body if isinstance(n, ast.ClassDef) and n.name == name]
-        body = classes[0].body if classes and name.startswith("Test") else []
-    return names[-1].startswith("test") and any(
-        isinstance(n, ast.FunctionDef) and n.name == names[-1] for n in body
-    )
+        return frozenset()
+
+
+def _collected(body: Iterable[ast.stmt], within: str = "") -> Iterable[str]:
+    for node in body:
+        if isinstance(node, ast.FunctionDef) and node.name.startswith("test"):
+            yield within + node.name
+        elif isinstance(node, ast.ClassDef) and node.name.startswith("Test"):
+            yield from _collected(node.body, f"{within}{node.name}::")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -66,6 +67,10 @@ class Formulas(Linearization):
             The map is given by array functions, or a mean has no closed form.
         """
         refuse_weight(map)
+        return _once(self, Formulas._moments, [map], spread)
+
+    def _moments(self, maps: list[StochasticMap], spread: bool) -> Callable[..., Moments]:
+        (map,) = maps
         arguments, mean, cov = _arguments(map, type(self).__name__)
         parts = self.formulas(map, mean, cov, spread)
         evaluate = _compiled(arguments, parts if spread else parts[:2])
@@ -112,7 +117,9 @@ class Formulas(Linearization):
         ValueError
             Maps of different states.
         """
-        maps = list(maps)
+        return _once(self, Formulas._row, list(maps))
+
+    def _row(self, maps: list[StochasticMap]) -> Callable[..., list[Weighted]]:
         arguments, mean, cov = _arguments(maps[0], type(self).__name__)
         if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
             raise ValueError("maps: wanted maps of the same state and time")
@@ -151,6 +158,10 @@ class Formulas(Linearization):
     def transition(self, map: StochasticMap) -> Callable[..., Gaussian]:
         """See `Linearization.transition`."""
         refuse_weight(map)
+        return _once(self, Formulas._transition, [map])
+
+    def _transition(self, maps: list[StochasticMap]) -> Callable[..., Gaussian]:
+        (map,) = maps
         arguments, mean, cov = _arguments(map, type(self).__name__)
         y, _, spread = self.formulas(map, mean, cov)
         evaluate, m = _compiled(arguments, [y, spread]), map.size
@@ -169,6 +180,38 @@ class Formulas(Linearization):
         rows, columns = lower_triangle(len(mean))
         rates = [*velocity, *(change[int(i), int(j)] for i, j in zip(rows, columns, strict=True))]
         return compile_components((time, (*mean, *lower)), rates)
+
+
+class _Written:
+    """A map in formulas, equal to any other that is written in the same way."""
+
+    def __init__(self, map: StochasticMap) -> None:
+        self.map = map
+        law = (*map.expressions, map.weight_expression, map.noise)
+        self._content = (map.state, map.time, map.period, *law)
+        self._hash = hash(self._content)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Written) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return self._hash
+
+
+def _once(rule: Formulas, derive: Callable[..., Any], maps: list[Any], *options: bool) -> Any:
+    """What `derive` makes of the maps, made once for equal ones: a system is often made again.
+
+    Rules that may change, being no frozen dataclasses, derive it whenever they are asked.
+    """
+    settled = vars(type(rule)).get("__dataclass_params__")
+    if settled is None or not settled.frozen or not all(map.symbolic for map in maps):
+        return derive(rule, maps, *options)
+    return _derived(rule, derive, tuple(_Written(map) for map in maps), *options)
+
+
+@lru_cache(maxsize=256)
+def _derived(rule: Formulas, derive: Callable[..., Any], maps: tuple, *options: bool) -> Any:
+    return derive(rule, [written.map for written in maps], *options)
 
 
 def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:

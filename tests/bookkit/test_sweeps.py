@@ -33,7 +33,7 @@ def grid(project):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """Address of a scheduler that was started by hand, and a worker too."""
+    """Address of a scheduler that was started by hand, and a worker too, which forks kernels."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -44,9 +44,8 @@ def served(tmp_path_factory):
     scheduler = subprocess.Popen(
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
     )
-    worker = subprocess.Popen(
-        [*dask, "worker", address, "--nthreads", "1", "--no-dashboard"], **common
-    )
+    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", "forked_kernels"]
+    worker = subprocess.Popen([*dask, "worker", address, *alone], **common)
     yield address
     for process in (worker, scheduler):
         process.terminate()
@@ -236,7 +235,7 @@ def test_another_sweep_on_this_machine_is_no_hindrance(project, grid, recwarn):
     assert [str(w.message) for w in recwarn if "already in use" in str(w.message)] == []
 
 
-def test_data_files_travel_with_the_notebook(project, grid):
+def test_data_files_travel_with_the_notebook(project, grid, served):
     """Named in the front matter, they are where the notebook looks for them, on any worker."""
     source = project / "notebooks" / "tiny.md"
     (project / "data").mkdir()
@@ -246,11 +245,11 @@ def test_data_files_travel_with_the_notebook(project, grid):
     source.write_text(text + "\n```{code-cell} ipython3\n" + code + "```\n")
     assert [o.problem for o in execution.execute(project)] == [""]
     grid.write_text("grid: {gain: [1.0]}\n")
-    report = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    report = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
     assert (report.total, report.failed) == (1, 0)
     assert float(rows(report.table)[0]["told"]) == 2.5
     (project / "data" / "terms.csv").write_text("3.5\n")
-    again = run_sweep(notebook(project), grid, project / "out", quiet=True)
+    again = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
     assert again.already == 0
     assert float(rows(again.table)[0]["told"]) == 3.5
     (project / "data" / "terms.csv").unlink()

@@ -332,6 +332,19 @@ def test_bad_arguments_are_refused_by_name(call, message):
         call(zoo.manoeuvring_target(), np.arange(3.0))
 
 
+@pytest.fixture(scope="module")
+def short_target():
+    """A designed filter of the target for three instants."""
+    return synthesize(
+        zoo.manoeuvring_target(),
+        large_order(1),
+        ExactGaussian(),
+        np.arange(3.0),
+        paths=4000,
+        seed=1,
+    )
+
+
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
@@ -345,11 +358,7 @@ def test_bad_arguments_are_refused_by_name(call, message):
         ({"times": [0.0, 1.0, 3.0]}, "t: wanted the next measurement time 2, got 3"),
     ],
 )
-def test_bad_records_are_refused_by_name(changes, message):
-    system = zoo.manoeuvring_target()
-    designed = synthesize(
-        system, large_order(1), ExactGaussian(), np.arange(3.0), paths=4000, seed=1
-    )
+def test_bad_records_are_refused_by_name(short_target, changes, message):
     given = {
         "times": np.arange(3.0),
         "measurements": np.zeros((3, 1, 4)),
@@ -357,7 +366,7 @@ def test_bad_records_are_refused_by_name(changes, message):
     }
     given.update(changes)
     with pytest.raises((ValueError, TypeError), match=message):
-        designed.run(**given)
+        short_target.run(**given)
 
 
 def test_a_design_that_has_settled_serves_later_steps():
