@@ -51,6 +51,11 @@ def moved(x, k):
     return x / 2 + 25 * x / (1 + x**2) + 8 * np.cos(1.2 * k)
 
 
+def shown_by(x):
+    """The measurement of a state, without its noise."""
+    return x**2 / 20
+
+
 def growth(mean, cov):
     """The system with a law of the state at its first time."""
     step = X / 2 + 25 * X / (1 + X**2) + 8 * sympy.cos(sympy.Rational(6, 5) * T) + U
@@ -72,7 +77,7 @@ def dense(count, reach):
 
 
 def by_phase(design, steps):
-    """The filter of many steps whose tables are the nearest in phase of those after the transient."""
+    """The filter of many steps, each with the table nearest in phase after the transient."""
     turn = np.arange(TRANSIENT, TRANSIENT + TURN)
     nearest = [int(turn[np.argmax(np.cos(1.2 * (turn - k)))]) for k in range(TRANSIENT, steps)]
     return design.taking([*range(TRANSIENT), *nearest])
@@ -89,7 +94,7 @@ def augmented(y, alpha, beta, kappa):
     mean, cov, found = np.full(y.shape[1], 0.1), np.ones(y.shape[1]), []
     for k, shown in enumerate(y):
         x = moved(mean + np.sqrt(cov) * points[0][:, None], k) + points[1][:, None]
-        seen = x**2 / 20 + points[2][:, None]
+        seen = shown_by(x) + points[2][:, None]
         ahead, expected = (weights * x).sum(axis=0), (weights * seen).sum(axis=0)
         spread = (centred * (seen - expected) ** 2).sum(axis=0)
         gain = (centred * (x - ahead) * (seen - expected)).sum(axis=0) / spread
@@ -101,7 +106,7 @@ def augmented(y, alpha, beta, kappa):
 
 def basic(x, y, several):
     """Basic corrections of the conditionally minimax filter, and a constant."""
-    rest = y - x**2 / 20
+    rest = y - shown_by(x)
     more = [x * rest, np.sign(x) * np.sqrt(20 * np.maximum(y, 0.0)), np.tanh(x)] if several else []
     return np.array([np.ones_like(x), rest, *more])
 
