@@ -1,6 +1,6 @@
 """Errors and costs of filters of the univariate growth model, by the published protocol.
 
-Run by hand, ``python benchmarks/field_growth.py``, about 6 minutes on one core; writes
+Run by hand, ``python benchmarks/field_growth.py``, about 4 minutes on one core; writes
 ``benchmarks/field_growth.csv`` beside itself. The protocol is that of Table 3.2 of the manual of
 the EKF/UKF toolbox (Hartikainen, Solin, Särkkä 2011); all equations are written anew here.
 

@@ -1,6 +1,6 @@
 """Errors of filters of a stochastic volatility against the exact mean, by the published protocol.
 
-Run by hand, ``python benchmarks/field_volatility.py``, about 3 minutes on one core; writes
+Run by hand, ``python benchmarks/field_volatility.py``, about 2 minutes on one core; writes
 ``benchmarks/field_volatility.csv`` beside itself. The model and the two measures are those of the
 package PyDPF (its notebook on a fully specified model), but for the reference, which is the mean
 on a grid in place of 10 000 particles; all equations are written anew here.
