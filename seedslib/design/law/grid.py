@@ -11,7 +11,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.tables import AxesLike, AxisLike, Labels
+from seedslib.base.nodes import NodesLike
+from seedslib.base.tables import AxesLike, Labels
 from seedslib.base.values import Inputs
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.law.recursion import conditional, seen
@@ -24,7 +25,7 @@ METHOD = "density recursion"
 
 
 def grid_synthesis(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
+    system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
     y: AxesLike | None = None, nodes: Count = 4, probabilities: bool = False,
     inputs: Inputs | None = None,
 ) -> TableFilter:  # fmt: skip
@@ -49,8 +50,9 @@ def grid_synthesis(
         where the system has one and they are to be remembered.
     times : array_like, shape (K+1,)
         Times of the measurements; the first is that of the initial law.
-    x : Axis or (low, high, count)
-        Nodes of the state; the range should hold all but a millionth of the probability.
+    x : Axis, (low, high, count) or Nodes
+        Nodes of the state; the range should hold all but a millionth of the probability. For
+        a `DiscreteSystem` they may be `Nodes`, which can be dense where the dynamics are steep.
     z : Axis or (low, high, count), optional
         Nodes of the remembered estimates; by default the range of `x` with twice its nodes.
     y : Axis or (low, high, count), or a sequence of them, optional
@@ -189,7 +191,7 @@ def _tables(law, k, optimal, probabilities) -> Step:
 
 
 def optimal_risk(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, x: AxisLike, z: AxesLike | None = None,
+    system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
     y: AxesLike | None = None, inputs: Inputs | None = None,
 ) -> GridRisk:  # fmt: skip
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.

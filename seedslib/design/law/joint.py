@@ -12,8 +12,9 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.base.nodes import NodesLike, as_grids
 from seedslib.base.progress import followed
-from seedslib.base.tables import AxesLike, Axis, AxisLike, Labels, as_axes, mesh
+from seedslib.base.tables import AxesLike, Axis, Labels, as_axes, mesh
 from seedslib.base.values import Course, Inputs
 from seedslib.design.law.recursion import (
     GridRisk,
@@ -84,13 +85,13 @@ class JointLaw:
     """
 
     def __init__(
-        self, system: AnySystem, memory: Memory, times: ArrayLike, x: AxisLike, z: AxesLike | None,
+        self, system: AnySystem, memory: Memory, times: ArrayLike, x: NodesLike, z: AxesLike | None,
         y: AxesLike | None, inputs: Inputs | None = None,
     ) -> None:  # fmt: skip
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
-        x = Axis.of("x", x)
+        (x,) = as_grids("x", x, 1)
         self.chain: Any = chain_of(system, x)
         require_letters(memory, self.chain.indicators, " for a grid")
         self.system: AnySystem = system

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -176,8 +177,8 @@ class SwitchingChain(Shown):
         warn_at_ends(mass.reshape(self.modes, -1).sum(axis=0))
 
 
-def chain_of(system: object, axis: AxisLike) -> DiscreteChain | FellerChain | SwitchingChain:
-    """The chain of a scalar system of any kind."""
+def chain_of(system: object, axis: Any) -> DiscreteChain | FellerChain | SwitchingChain:
+    """The chain of a scalar system of any kind; only that of a `DiscreteSystem` takes `Nodes`."""
     want_scalar(system)
     if switches(system):
         return SwitchingChain(system, axis)
