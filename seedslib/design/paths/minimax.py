@@ -86,9 +86,11 @@ def minimax_synthesis(
     as_system("system", system, "DiscreteSystem")
     if not (prediction is None or callable(prediction)):
         raise TypeError(f"prediction: wanted a function or None, got {prediction!r}")
-    if not (callable(correction) or isinstance(correction, Residual | BoundedPolynomial)):
+    if not (
+        correction is None or isinstance(correction, BoundedPolynomial) or callable(correction)
+    ):
         raise TypeError(
-            f"correction: wanted a function, a Residual or a BoundedPolynomial, got {correction!r}"
+            f"correction: wanted a function, a BoundedPolynomial or None, got {correction!r}"
         )
     carriers = Carriers(system, memory, times, None, paths, sets, 0, seed, workers)
     method, fits = Minimax(prediction, correction), []
