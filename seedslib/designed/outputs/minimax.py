@@ -102,8 +102,8 @@ class MinimaxFit(NamedTuple):
     correction: AffineFit
     bounded: BoundedFit | None = None
 
-    def check(self, name: str, n: int, m: int, method: Minimax) -> None:
-        """Refuse parts that do not fit together.
+    def check(self, name: str, n: int, m: int, memory: int, method: Minimax) -> None:
+        """Refuse parts that do not fit together, for so many remembered numbers.
 
         Raises
         ------
@@ -111,6 +111,8 @@ class MinimaxFit(NamedTuple):
             Arrays of another shape or kind, numbers that are not finite.
         """
         sizes = [fit.gain.shape[-1] for fit in self[:2]]
+        if method.prediction is None or not memory:
+            sizes[0] = memory
         bounded = isinstance(method.correction, BoundedPolynomial)
         if method.correction is None:
             sizes[1] = m
@@ -225,8 +227,10 @@ class MinimaxFilter(OutputFilter):
     def check_parts(self) -> None:
         """The regressions."""
         super().check_parts()
+        n, m = self.components, self.system.measurement_size
         for k, fit in enumerate(self.fits):
-            fit.check(f"fits[{k}]", self.components, self.system.measurement_size, self.method)
+            remembered = self.memory.dimension(k - 1, n, m)
+            fit.check(f"fits[{k}]", n, m, remembered, self.method)
         check_covariances("fits", [part.cov for fit in self.fits for part in fit[:2]])
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
