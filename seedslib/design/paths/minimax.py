@@ -116,22 +116,24 @@ def _fitted(basics: Basics, lesson: Lesson) -> MinimaxFit:
     ahead, bounded = forecast.mean(xi), None
     rest = x - ahead
     if isinstance(basics.method.correction, BoundedPolynomial):
-        bounded = _bounded(basics.method.correction, rest, np.concatenate([ahead, y]), xi, y)
+        bounded = _bounded(basics.method.correction, x, ahead, xi, y)
     zeta = basics.correction(ahead, xi, y, bounded)
     return MinimaxFit(forecast, fit_affine(_over(rest, zeta), n, np.zeros(len(zeta))), bounded)
 
 
-def _bounded(chosen, rest, given, xi, y) -> BoundedFit:
-    """The polynomial of what an affine map leaves, and its range."""
-    n, points = len(rest), np.concatenate([xi, y])
-    line = fit_affine(_over(rest, given), n, np.zeros(len(given)))
+def _bounded(chosen, x, ahead, xi, y) -> BoundedFit:
+    """The polynomial of what an affine map leaves, and the ranges."""
+    given, points = np.concatenate([ahead, y]), np.concatenate([xi, y])
+    n, count = x.shape
+    line = fit_affine(_over(x - ahead, given), n, np.zeros(len(given)))
+    rest = x - ahead - line.mean(given)
     powers = fit_forecast(
-        Polynomial(chosen.degree, 0), _over(rest - line.mean(given), points), n,
-        np.zeros(len(points)),
-    )  # fmt: skip
-    found = [powers.mean(part) for part in np.split(points, range(BLOCK, rest.shape[1], BLOCK), 1)]
-    ends = [part(axis=1) for values in found for part in (values.min, values.max)]
-    return BoundedFit(powers, np.min(ends, axis=0), np.max(ends, axis=0))
+        Polynomial(chosen.degree, 0), _over(rest, points), n, np.zeros(len(points))
+    )
+    values = np.concatenate(
+        [powers.mean(points[:, a : a + BLOCK]) for a in range(0, count, BLOCK)], axis=1
+    )
+    return BoundedFit(powers, *(np.stack([v.min(axis=1), v.max(axis=1)]) for v in (values, x)))
 
 
 def _over(x: np.ndarray, u: np.ndarray) -> Callable[[Callable[..., Any]], Scatter]:

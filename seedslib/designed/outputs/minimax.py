@@ -28,8 +28,8 @@ class BoundedPolynomial:
 
     What the best affine map of predicted state and measurement leaves of the state is regressed
     on all products of up to `degree` components of basic prediction and measurement,
-    standardised and clipped to 3.5 deviations. The polynomial is then kept within what it has
-    been on the design's paths: an estimate is an affine map and a bounded correction.
+    standardised and clipped to 3.5 deviations. The polynomial is kept within what it has been on
+    the design's paths, and the estimate within the range of their states.
 
     Parameters
     ----------
@@ -72,18 +72,22 @@ class BoundedFit(NamedTuple):
     Attributes
     ----------
     powers : PolynomialFit
-    low, high : ndarray, shape (n,)
-        What it has been on the design's paths.
+    values, states : ndarray, shape (2, n)
+        Least and largest values of the polynomial, and states, on the design's paths.
     """
 
     powers: PolynomialFit
-    low: np.ndarray
-    high: np.ndarray
+    values: np.ndarray
+    states: np.ndarray
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Value (n, *batch) at basic prediction and measurement (p + m, *batch)."""
-        wide = (..., *(None,) * (points.ndim - 1))
-        return np.clip(self.powers.mean(points), self.low[wide], self.high[wide])
+        return within(self.values, self.powers.mean(points))
+
+
+def within(ends: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Components (n, *batch) cut to their ranges, (2, n)."""
+    return np.clip(x, *ends.reshape(*ends.shape, *(1,) * (x.ndim - 1)))
 
 
 class MinimaxFit(NamedTuple):
@@ -124,7 +128,7 @@ class MinimaxFit(NamedTuple):
             raise ValueError(f"{name}.bounded: wanted with bounded polynomials, and only there")
         if self.bounded is not None:
             self.bounded.powers.check(f"{name}.bounded.powers", n, sizes[0] + m)
-            check_fields(f"{name}.bounded", self.bounded, low=(n,), high=(n,))
+            check_fields(f"{name}.bounded", self.bounded, values=(2, n), states=(2, n))
 
 
 class Basics(NamedTuple):
@@ -191,7 +195,8 @@ def _shown(basics: Basics, fit: MinimaxFit, points: Any) -> Output:
     y, xi = points[:m], basics.prediction(points[m:])
     forecast = fit.forecast.mean(xi)
     zeta = basics.correction(forecast, xi, y, fit.bounded)
-    return Output(forecast + fit.correction.mean(zeta))
+    mean = forecast + fit.correction.mean(zeta)
+    return Output(mean if fit.bounded is None else within(fit.bounded.states, mean))
 
 
 def output_functions(basics: Basics, fit: MinimaxFit) -> Step:
