@@ -56,15 +56,15 @@ def test_a_row_of_the_table(program, table):
 def test_bounds_keep_it_from_running_away(program):
     """The same polynomial on the same paths, with its bounds and without."""
     made = minimax_synthesis(
-        program.lorenz(), Memory(1), 0.25 * np.arange(20), paths=4000, seed=1,
+        program.lorenz(), Memory(1), 0.25 * np.arange(28), paths=5000, seed=1,
         correction=BoundedPolynomial(4),
     )  # fmt: skip
     frozen, last = replace(made, cycle=1), made.fits[-1]
     wide = 1e300 * np.array([[-1.0] * 3, [1.0] * 3])
     free = last._replace(bounded=last.bounded._replace(values=wide, states=wide))
     wild = replace(frozen, fits=(*made.fits[:-1], free))
-    kept = errors(program, frozen, 200, 250, 5)
-    assert kept.mean() < 0.75
+    kept = errors(program, frozen, 200, 200, 5)
+    assert kept.mean() < 0.62
     assert kept.max() < 50
     with np.errstate(all="ignore"):
-        assert not np.isfinite(errors(program, wild, 200, 250, 5)).all()
+        assert not np.isfinite(errors(program, wild, 200, 200, 5)).all()

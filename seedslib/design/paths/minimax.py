@@ -84,16 +84,8 @@ def minimax_synthesis(
         As `binned_synthesis`; paths that diverged and were left out.
     """
     as_system("system", system, "DiscreteSystem")
-    if not (prediction is None or callable(prediction)):
-        raise TypeError(f"prediction: wanted a function or None, got {prediction!r}")
-    if not (
-        correction is None or isinstance(correction, BoundedPolynomial) or callable(correction)
-    ):
-        raise TypeError(
-            f"correction: wanted a function, a BoundedPolynomial or None, got {correction!r}"
-        )
-    carriers = Carriers(system, memory, times, None, paths, sets, 0, seed, workers)
     method, fits = Minimax(prediction, correction), []
+    carriers = Carriers(system, memory, times, None, paths, sets, 0, seed, workers)
     for k in followed(range(len(carriers.times)), "regressions"):
         basics = basics_of(system, memory, method, carriers.times, k)
         fits.append(_fitted(basics, carriers.lesson()))

@@ -58,6 +58,15 @@ class Minimax:
     prediction: Basic | None
     correction: Basic | BoundedPolynomial | None
 
+    def __post_init__(self) -> None:
+        first, second = self.prediction, self.correction
+        if not (first is None or callable(first)):
+            raise TypeError(f"prediction: wanted a function or None, got {first!r}")
+        if not (second is None or callable(second) or type(second) is BoundedPolynomial):
+            raise TypeError(
+                f"correction: wanted a function, a BoundedPolynomial or None, got {second!r}"
+            )
+
     def __str__(self) -> str:
         first = "the mean of the dynamics" if self.prediction is None else "a given function"
         second = (
@@ -209,6 +218,9 @@ def output_functions(basics: Basics, fit: MinimaxFit) -> Step:
 @dataclass(frozen=True, eq=False, repr=False)
 class MinimaxFilter(OutputFilter):
     """Conditionally minimax filter; `minimax_synthesis` makes it.
+
+    With functions of one's own it is not written to files, since they are programs; `tabulated`
+    makes a filter of it that is, where there is one component.
 
     Attributes
     ----------
