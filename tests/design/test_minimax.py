@@ -148,6 +148,27 @@ def test_older_estimates_come_to_the_present():
     np.testing.assert_allclose(made.basics(1).prediction(u[1:])[:, 0], [3 * 0.75, 7.0])
 
 
+def test_basic_functions_are_told_the_time(cubic):
+    """The prediction the time that it leaves, the correction the one of the measurement."""
+    left, met = [], []
+
+    def prediction(t, u):
+        left.append(t)
+        return u
+
+    def correction(t, forecast, y):
+        met.append(t)
+        return y - forecast
+
+    filter = minimax_synthesis(
+        cubic, Memory(1), [0, 2, 4], paths=100, seed=1, prediction=prediction, correction=correction
+    )
+    assert (sorted(set(left)), sorted(set(met))) == ([0, 2], [0, 2, 4])
+    left.clear(), met.clear()
+    filter.run([0, 2, 4], np.ones((3, 1)))
+    assert (left, met) == ([0, 2], [0, 2, 4])
+
+
 def test_bounded_polynomials_beat_the_residual(cubic, data, bounded):
     residual = minimax_synthesis(cubic, Memory(1), TIMES, paths=20_000, seed=1)
     result = compare({"residual": residual, "bounded": bounded}, cubic, TIMES, 4000, 4)

@@ -34,7 +34,7 @@ from seedslib.models.kinds import as_system
 def minimax_synthesis(
     system: DiscreteSystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
     prediction: Basic | None = None,
-    correction: Basic | BoundedPolynomial | None = None, sets: Count = 2,
+    correction: Basic | BoundedPolynomial | None = None, sets: int = 2,
     workers: int = 1,
 ) -> MinimaxFilter:  # fmt: skip
     """Conditionally minimax filter, with chosen functions of the memory and of the measurement.
@@ -119,7 +119,7 @@ def _bounded(chosen, x, ahead, xi, y) -> BoundedFit:
     n, count = x.shape
     line = fit_affine(_over(x - ahead, given), n, np.zeros(len(given)))
     rest = x - ahead - line.mean(given)
-    powers = fit_forecast(
+    powers: Any = fit_forecast(
         Polynomial(chosen.degree, 0), _over(rest, points), n, np.zeros(len(points))
     )
     values = np.concatenate(

@@ -177,7 +177,8 @@ class Basics(NamedTuple):
         self, forecast: np.ndarray, xi: np.ndarray, y: np.ndarray, bounded: BoundedFit | None
     ) -> np.ndarray:
         """Basic correction (q, *batch) from predicted state, basic prediction and measurement."""
-        chosen, t = self.method.correction, self.times[-1]
+        chosen: Any = self.method.correction
+        t = self.times[-1]
         if bounded is not None:
             return np.concatenate([forecast, y, bounded(np.concatenate([xi, y]))])
         if chosen is None:
@@ -228,7 +229,9 @@ class MinimaxFilter(OutputFilter):
         What the regressions found; `steps` are made of them.
     """
 
+    system: Any
     steps: tuple[Step, ...] = field(init=False)
+    method: Minimax
     fits: tuple[MinimaxFit, ...] = field(kw_only=True)
 
     def __post_init__(self) -> None:
