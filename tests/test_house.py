@@ -112,6 +112,7 @@ def test_a_public_name_has_one_address_and_lies_there():
     for name, home, room in public:
         assert home.split(".")[1] == room or (room, name) in {
             ("design", "Affine"), ("design", "Polynomial"), ("design", "Continuous"),
+            ("design", "BoundedPolynomial"),
         }, f"{name} of {room} lies in {home}"  # fmt: skip
         value = getattr(importlib.import_module(f"seedslib.{room}"), name)
         assert getattr(value, "__module__", home) == home or isinstance(value, type(ast))

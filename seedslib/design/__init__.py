@@ -23,12 +23,14 @@ if TYPE_CHECKING:
     from seedslib.design.law.plane import plane_steps as plane_steps
     from seedslib.design.law.recursion import GridRisk as GridRisk
     from seedslib.design.law.risk import grid_risk as grid_risk
+    from seedslib.design.paths.minimax import minimax_synthesis as minimax_synthesis
     from seedslib.design.paths.simulated import synthesize as synthesize
     from seedslib.design.paths.stationary import stationary as stationary
     from seedslib.design.paths.walk import Crew as Crew
     from seedslib.design.tables.binned import binned_synthesis as binned_synthesis
     from seedslib.design.tables.simulated import simulated_synthesis as simulated_synthesis
     from seedslib.design.tables.tabulation import tabulated as tabulated
+    from seedslib.designed.outputs.minimax import BoundedPolynomial as BoundedPolynomial
     from seedslib.designed.predictors import Affine as Affine
     from seedslib.designed.predictors import Continuous as Continuous
     from seedslib.designed.predictors import Polynomial as Polynomial

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import finite_memory as finite_memory
     from seedslib.designed.memory import large_order as large_order
     from seedslib.designed.memory import small_order as small_order
+    from seedslib.designed.outputs.minimax import MinimaxFilter as MinimaxFilter
     from seedslib.designed.outputs.table import TableFilter as TableFilter
     from seedslib.designed.switching import lemmas as lemmas
     from seedslib.designed.switching.filter import SwitchingFilter as SwitchingFilter

@@ -18,6 +18,13 @@ from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Step, Table
+from seedslib.designed.outputs.minimax import (
+    BoundedFit,
+    BoundedPolynomial,
+    Minimax,
+    MinimaxFilter,
+    MinimaxFit,
+)
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
@@ -27,12 +34,13 @@ from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import UnknownModel
 
 LINEARIZATIONS = ("Taylor", "ExactGaussian", "Unscented", "Cubature", "GaussHermite")
-FILTERS = (FiniteOrderFilter, TableFilter, SwitchingFilter)
+FILTERS = (FiniteOrderFilter, TableFilter, SwitchingFilter, MinimaxFilter)
 KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
         PolynomialFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
+        Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
     )
 }  # fmt: skip
 
@@ -76,7 +84,9 @@ def _packed(thing, place, leave, known, arrays):
     if kind in (tuple, list):
         parts = dict(enumerate(thing))
     elif known_class(name, known) is kind:
-        fields = getattr(kind, "_fields", None) or [f.name for f in dataclasses.fields(kind)]
+        fields = getattr(kind, "_fields", None) or [
+            f.name for f in dataclasses.fields(kind) if f.init
+        ]
         parts = {field: getattr(thing, field) for field in fields if field not in leave}
     else:
         raise TypeError(f"{place or 'filter'}: wanted a description or numbers, got {name}")

@@ -15,6 +15,7 @@ import numpy as np
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import FILTERS, KNOWN, LINEARIZATIONS, known_class, packed, unpacked
 from seedslib.designed.identity import difference, probe, probe_arrays, probe_points, probe_values
+from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
@@ -108,7 +109,7 @@ def load(
         given["linearization"] = _linearization(path, given["linearization"], sizes.state_size)
     if system is not None and (reason := _other(system, sizes, known, points, **given)):
         raise ValueError(f"{path.name}: designed for another model{reason}")
-    if not tables:
+    if not issubclass(KNOWN[kind], OutputFilter):
         given["rules"] = None
     try:
         given["system"] = sizes.bounded() if system is None else system
