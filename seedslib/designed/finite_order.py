@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
 from seedslib.base.values import Course
@@ -55,6 +56,7 @@ class FiniteOrderFilter(BetweenFilter):
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     held_out : HeldOut, optional
     cycle : int
+    measured : ndarray of bool, shape (K+1, m), optional
         See `DesignedFilter`.
     rules : Rules
         The compiled steps; made from the other fields.
@@ -81,6 +83,7 @@ class FiniteOrderFilter(BetweenFilter):
     between: str = "interpolated"
     held_out: HeldOut | None = None
     cycle: int = 0
+    measured: MaybeArray = None
     rules: Rules | None = None
 
     def __post_init__(self) -> None:
@@ -92,7 +95,8 @@ class FiniteOrderFilter(BetweenFilter):
             )  # fmt: skip
             object.__setattr__(self, "rules", rules)
         known_kind("between", self.between)
-        freeze((self.times, self.node_times, self.start, self.predicted, self.held_out))
+        freeze((self.times, self.node_times, self.measured, self.start))
+        freeze((self.predicted, self.held_out))
         freeze((self.fits, self.node_fits))
         end = None if self.cycle else self.horizon
         object.__setattr__(self, "clock", Clock(self.times, end))
@@ -186,7 +190,7 @@ class FiniteOrderFilter(BetweenFilter):
         TypeError, ValueError
             A state without a forecast, a wrong shape, an infinite measurement.
         """
-        y, _, gap = self.measured(y, None, state.mean.shape[1:])
+        y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
         return step_unclaimed(self._correct(state, y, True), state, gap)
 
     def _correct(self, state, y, spread):

@@ -1,8 +1,8 @@
 """What a design does not say of its filter: covariances after a missing measurement.
 
-Covariances of a designed filter hold under the law that it was designed for, of paths without
-gaps. A memory of estimates never forgets a gap, so from a missing measurement to the end of a
-record they are NaN; means go on.
+Covariances of a designed filter hold under the law that it was designed for: of paths without
+gaps, or with those of the schedule that the design was given. A memory of estimates never forgets
+another gap, so from such a one to the end of a record they are NaN; means go on.
 """
 
 from __future__ import annotations
@@ -23,8 +23,9 @@ if TYPE_CHECKING:
 
 
 def dropouts(
-    y: np.ndarray, measured: np.ndarray, indicators: np.ndarray | None
-) -> np.ndarray | None:
+    y: np.ndarray, measured: np.ndarray, indicators: np.ndarray | None,
+    expected: np.ndarray | None = None,
+) -> np.ndarray | None:  # fmt: skip
     """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
 
     None where nothing was.
@@ -36,14 +37,53 @@ def dropouts(
         Times at which the design has a measurement.
     indicators : ndarray of int, shape (J+1, *batch), or None
         -1 is a missing one.
+    expected : ndarray of bool, shape (J+1, m'), or None
+        The schedule of the design, if any.
     """
-    if not np.isnan(y).any() and (indicators is None or not (indicators < 0).any()):
+    none = not np.isnan(y).any() and (indicators is None or not (indicators < 0).any())
+    if none and expected is None:
         return None
-    lost = np.isnan(y).any(axis=1)
+    lost = missing("measurements", y[measured], _of(indicators, measured), _of(expected, measured))
+    whole = np.zeros((len(y), *y.shape[2:]), dtype=bool)
+    whole[measured] = lost
+    return np.logical_or.accumulate(whole)
+
+
+def _of(rows, chosen):
+    return None if rows is None else rows[chosen]
+
+
+def missing(
+    name: str, y: np.ndarray, indicators: np.ndarray | None, expected: np.ndarray | None
+) -> np.ndarray:
+    """Whether something is missing in each measurement that the design expects, (J, *batch).
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    y, indicators, expected : ndarray or None
+        See `dropouts`.
+
+    Raises
+    ------
+    ValueError
+        A component that the schedule of the design leaves out.
+    """
+    absent = np.isnan(y)
     if indicators is not None:
-        lost |= indicators < 0
-    lost[~measured] = False
-    return np.logical_or.accumulate(lost)
+        absent = np.concatenate([absent, (indicators < 0)[:, None]], axis=1)
+    if expected is None:
+        return absent.any(axis=1)
+    wanted = expected.reshape(*expected.shape, *(1,) * (absent.ndim - 2))
+    stray = ~(absent | wanted)
+    if stray.any():
+        row, component = np.argwhere(stray.any(axis=tuple(range(2, stray.ndim))))[0]
+        raise ValueError(
+            f"{name}: wanted what the schedule of the design has, got component {component} of a "
+            f"measurement without it{f' in row {row}' if len(y) > 1 else ''}"
+        )
+    return (absent & wanted).any(axis=1)
 
 
 def step_unclaimed(

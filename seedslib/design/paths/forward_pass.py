@@ -57,10 +57,12 @@ class ForwardPass:
     walk : Walk
     rules : Rules
     predictor : Affine, Polynomial or Continuous
+    measured : ndarray of bool, shape (K+1, m)
+        Components that are measured at each time.
     """
 
-    def __init__(self, walk: Any, rules: Any, predictor: Any) -> None:
-        self.walk, self.predictor = walk, predictor
+    def __init__(self, walk: Any, rules: Any, predictor: Any, measured: np.ndarray) -> None:
+        self.walk, self.predictor, self.measured = walk, predictor, measured
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
         self.extra: bool = rules.measured_nodes and not rules.memory.measurements
@@ -129,14 +131,15 @@ class ForwardPass:
         mean, cov = found.mean, found.cov
         moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
         self.start = start = Start(mean[:n], cov[:n, :n], moments)
+        there = self.measured[0]
 
         def first(rules, y):
             here = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
             state = FiniteOrderState(0, here, start.cov, Past(), None, 0.0, None, False)
-            return rules.first(state, t, y, start, spread=False)
+            return rules.first(state, t, as_read(there, y), start, spread=False)
 
         self.states = walk.kept(first, self.rules, y, array=_estimate)
-        self._score(t, walk.each(_estimate, self.states), corrected=True)
+        self._score(t, walk.each(_estimate, self.states), corrected=there.any())
 
     def _fit(self, predictor, u, targets, size):
         """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
@@ -179,16 +182,17 @@ class ForwardPass:
             self._taken(k, t, u, fit)
 
     def _taken(self, k, t, u, fit):
-        walk = self.walk
+        walk, there = self.walk, self.measured[k]
         y = walk.measure(t)
 
         def step(rules, state, u, y):
             mean, cov = fit.forecast(u)
             state = state._replace(index=k, mean=mean, cov=cov, corrected=False)
-            return rules.correct(state, t, y, spread=False)
+            return rules.correct(state, t, as_read(there, y), spread=False)
 
         self.states = walk.kept(step, self.rules, self.states, u, y, array=_estimate)
-        self._score(t, walk.each(_estimate, self.states), corrected=True)
+        told = self.measured[: k + 1].any()
+        self._score(t, walk.each(_estimate, self.states), corrected=told)
         self.fits.append(fit)
 
     def _sizes(self, k, extra=False):
@@ -225,6 +229,11 @@ class ForwardPass:
                     stacklevel=2,
                 )
         self.scores.append((t, rms, error))
+
+
+def as_read(there: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Measurements (m, paths) without the components that are not there, (m,)."""
+    return y if there.all() else np.where(there[:, None], y, np.nan)
 
 
 def _remembered(state):

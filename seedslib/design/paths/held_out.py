@@ -176,11 +176,13 @@ def _block(filter, stream, count, stops, at, options, bound, reach, course):
         system = filter.system
         mixed = getattr(system, "hybrid", system)
         states, y, good = _paths(mixed, stream, count, stops, at, options, bound, course)
+        for k, shown in enumerate(y):
+            filter.schedule.leave_out(k, shown, stream)
         told, modes = {"inputs": course.values or None}, None
         if mixed is not system:
             modes = states[:, -1].astype(int)
             if system.indicators:
-                y, told["indicators"] = y[:, :-1], y[:, -1].astype(int)
+                y, told["indicators"] = y[:, :-1], np.nan_to_num(y[:, -1], nan=-1.0).astype(int)
         found = filter.run(filter.times, y, **told)
         fine = (np.abs(found.mean) <= LARGEST).all(axis=1)
         kept = good & np.logical_and.accumulate(fine)
