@@ -19,6 +19,7 @@ from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Step, Table
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
@@ -32,7 +33,7 @@ KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
+        PolynomialFit, PatternFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
     )
 }  # fmt: skip
 

@@ -1,8 +1,9 @@
 """What a design does not say of its filter: covariances after a missing measurement.
 
 Covariances of a designed filter hold under the law that it was designed for: of paths without
-gaps, or with those of the schedule that the design was given. A memory of estimates never forgets
-another gap, so from such a one to the end of a record they are NaN; means go on.
+gaps, or with those of the schedule or the availability that the design was given. A memory of
+estimates never forgets another gap, so from such a one to the end of a record they are NaN; means
+go on.
 """
 
 from __future__ import annotations
@@ -37,20 +38,18 @@ def dropouts(
         Times at which the design has a measurement.
     indicators : ndarray of int, shape (J+1, *batch), or None
         -1 is a missing one.
-    expected : ndarray of bool, shape (J+1, m'), or None
-        The schedule of the design, if any.
+    expected : ndarray of bool, shape (2, J+1, m'), or None
+        Components that may be there, and those that must, where the design says so.
     """
     none = not np.isnan(y).any() and (indicators is None or not (indicators < 0).any())
     if none and expected is None:
         return None
-    lost = missing("measurements", y[measured], _of(indicators, measured), _of(expected, measured))
+    indicators = None if indicators is None else indicators[measured]
+    expected = None if expected is None else expected[:, measured]
+    lost = missing("measurements", y[measured], indicators, expected)
     whole = np.zeros((len(y), *y.shape[2:]), dtype=bool)
     whole[measured] = lost
     return np.logical_or.accumulate(whole)
-
-
-def _of(rows, chosen):
-    return None if rows is None else rows[chosen]
 
 
 def missing(
@@ -75,15 +74,15 @@ def missing(
         absent = np.concatenate([absent, (indicators < 0)[:, None]], axis=1)
     if expected is None:
         return absent.any(axis=1)
-    wanted = expected.reshape(*expected.shape, *(1,) * (absent.ndim - 2))
-    stray = ~(absent | wanted)
+    may, must = expected.reshape(*expected.shape, *(1,) * (absent.ndim - 2))
+    stray = ~(absent | may)
     if stray.any():
         row, component = np.argwhere(stray.any(axis=tuple(range(2, stray.ndim))))[0]
         raise ValueError(
             f"{name}: wanted what the schedule of the design has, got component {component} of a "
             f"measurement without it{f' in row {row}' if len(y) > 1 else ''}"
         )
-    return (absent & wanted).any(axis=1)
+    return (absent & must).any(axis=1)
 
 
 def step_unclaimed(

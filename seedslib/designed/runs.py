@@ -46,9 +46,12 @@ class DesignedFilter(Filter):
     measured : ndarray of bool, shape (K+1, m), or None
         Components that the schedule of the design has at each time; None for all. An indicator
         counts as the last one.
+    availability : ndarray, shape (m,), or None
+        Probabilities with which they arrive, where the design knows what to make of that.
     """
 
     measured: MaybeArray = None
+    availability: MaybeArray = None
     takes = ("indicators", "covariances")
     memory: Memory | None
     cycle: int
@@ -68,15 +71,18 @@ class DesignedFilter(Filter):
         return k if k <= last else last - self.cycle + 1 + (k - last - 1) % self.cycle
 
     def expected(self, index: np.ndarray) -> MaybeArray:
-        """Components that are expected of measurements by their numbers, None for all."""
-        rows = self.measured
-        return None if rows is None else rows[[self.served(int(k)) for k in index]]
+        """Components that may be, and must be, in measurements by their numbers; None for all."""
+        if self.measured is self.availability is None:
+            return None
+        mask, arriving = self.schedule
+        sure = True if arriving is None else arriving == 1.0
+        return np.stack([mask, mask & sure])[:, [self.served(int(k)) for k in index]]
 
     @property
     def schedule(self) -> Schedule:
         """What the design has at its times, as a simulation takes it."""
         size = self.system.measurement_size + (self.system.indicators > 0)
-        return Schedule.of(self.measured, None, len(self.times), size)
+        return Schedule.of(self.measured, self.availability, len(self.times), size)
 
     def taking(self, chosen: list[int]) -> Self:
         """The filter of some steps of the design, by their numbers, which are then the only ones.
@@ -86,7 +92,9 @@ class DesignedFilter(Filter):
         """
         times, room = np.asarray(self.times), self.clock.tolerance
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
-        kept: dict[str, Any] = {} if self.measured is None else {"measured": self.expected(chosen)}
+        kept: dict[str, Any] = {}
+        if self.measured is not None:
+            kept["measured"] = self.measured[chosen]
         stamps = self.times if self.predicted is None else self.predicted.times
         rows = [
             np.flatnonzero((stamps <= times[k] + room) & (k == 0 or stamps > times[k - 1] + room))

@@ -37,6 +37,21 @@ def check_kinds(memory: Memory, predictor: Any, measured_nodes: bool, exact_mome
         raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
 
 
+def check_available(predictor: Any, exact_moments: bool, checkpoint: object) -> None:
+    """Refuse what a design for what arrives cannot take.
+
+    Raises
+    ------
+    ValueError
+        Which.
+    """
+    if isinstance(predictor, Continuous) or exact_moments or checkpoint is not None:
+        raise ValueError(
+            "availability: wanted Affine or Polynomial forecasts on simulated paths, and no "
+            "checkpoint"
+        )
+
+
 def check_paths(
     paths: int, memory: Memory, predictor: Any, components: int, measured: int,
     measured_nodes: bool,

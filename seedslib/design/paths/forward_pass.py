@@ -70,6 +70,7 @@ class ForwardPass:
         self.states: list[Any] = []
         self.start, self.fits, self.node_fits = None, [], []
         self.scores, self.size = [], np.zeros(self.components)
+        self.weights: Any = (1.0,)
 
     def design(
         self, times: ArrayLike, grid: Any, keep: Any = None, held: Course | None = None
@@ -130,8 +131,11 @@ class ForwardPass:
         found = walk.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = found.mean, found.cov
         moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
-        self.start = start = Start(mean[:n], cov[:n, :n], moments)
-        there = self.measured[0]
+        self.start = Start(mean[:n], cov[:n, :n], moments)
+        self._first(t, y)
+
+    def _first(self, t, y):
+        walk, start, n, there = self.walk, self.start, self.walk.n, self.measured[0]
 
         def first(rules, y):
             here = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
@@ -158,7 +162,7 @@ class ForwardPass:
             t = node
             fits.append(self._fit(Affine(), u, n, size))
             self._score(t, walk.kept(fits[-1].mean, u))
-        return fits, walk.each(_remembered, self.states)
+        return fits, walk.each(remembered, self.states)
 
     def _moves(self, t, stops, last):
         """Fits of the continuous forecast at each integration step, and where it leads."""
@@ -202,14 +206,15 @@ class ForwardPass:
         total = self.memory.dimension(k, self.components, measured) + measured * extra
         return np.concatenate([known, np.zeros(total - len(known))])
 
-    def _score(self, t, estimates, corrected=False):
+    def _score(self, t, *estimates, corrected=False):
         """Note the error of the estimates, and how large state and estimate are."""
-        n = self.components
+        n, weights = self.components, self.weights
 
-        def rows(x, z):
-            return np.concatenate([(x[:n] - z) ** 2, x[:n] ** 2, x[:n], z])
+        def rows(x, *several):
+            square = sum(w * (x[:n] - z) ** 2 for w, z in zip(weights, several, strict=True))
+            return np.concatenate([square, x[:n] ** 2, x[:n], several[0]])
 
-        found = self.walk.gather(rows, estimates)
+        found = self.walk.gather(rows, *estimates)
         (rms, error, spread), self.size = (
             root_mean_squares(found, n),
             np.sqrt(found.mean[n : 2 * n]),
@@ -236,7 +241,8 @@ def as_read(there: np.ndarray, y: np.ndarray) -> np.ndarray:
     return y if there.all() else np.where(there[:, None], y, np.nan)
 
 
-def _remembered(state):
+def remembered(state: FiniteOrderState) -> np.ndarray:
+    """The memory as a vector."""
     return state.past.vector
 
 

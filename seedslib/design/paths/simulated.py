@@ -16,9 +16,15 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.values import Inputs
-from seedslib.design.paths.arguments import check_kinds, check_paths, node_times
+from seedslib.design.paths.arguments import (
+    check_available,
+    check_kinds,
+    check_paths,
+    node_times,
+)
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
+from seedslib.design.paths.patterns import PatternPass
 from seedslib.design.paths.walk import Walk, crew
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Rules
@@ -64,7 +70,7 @@ def synthesize(
     paths: Any = None, seed: Any = None, workers: Any = 1, horizon: Any = None,
     measured_nodes: Any = False, exact_moments: Any = False, step: Any = None,
     scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None, inputs: Any = None,
-    measured: Any = None,
+    measured: Any = None, availability: Any = None,
 ) -> FiniteOrderFilter: ...  # fmt: skip
 
 
@@ -76,6 +82,7 @@ def synthesize(
     step: float | None = None, scheme: str = "euler", bound: float = np.inf,
     checkpoint: str | PathLike[str] | None = None, normalisation: str = "consistent",
     split: bool = True, inputs: Inputs | None = None, measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
 ) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -138,6 +145,11 @@ def synthesize(
         (K+1,) of the times that are measured, or (K+1, m) of the components that are read at
         each. The filter expects just those, and knows its errors with them; a further gap is one
         that it does not know of.
+    availability : float or array_like, shape (m,), optional
+        Probabilities with which the components that are read arrive. The forecasts are then those
+        of what has arrived, by classes of histories, see `seedslib.design.paths.patterns`: errors,
+        likelihoods and what is expected are known after gaps too, likely or not. The work is that
+        of a design for each class, and up to 64 of them.
 
     Returns
     -------
@@ -176,6 +188,8 @@ def synthesize(
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     if switching:
+        if availability is not None:
+            raise ValueError("availability: wanted for a system without modes, got one with modes")
         from seedslib.design.paths.switching import synthesize_switching
 
         return synthesize_switching(
@@ -184,7 +198,9 @@ def synthesize(
         )  # fmt: skip
     times = as_grid("times", times, system)
     held = course_of(system, inputs, len(times))
-    there = Schedule.of(measured, None, len(times), system.sensor.size).mask
+    there, arriving = Schedule.of(measured, availability, len(times), system.sensor.size)
+    if arriving is not None:
+        check_available(predictor, exact_moments, checkpoint)
     n = system.state_size
     check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
@@ -210,6 +226,7 @@ def synthesize(
             node_fits=node_fits, predicted=predicted, design=design,
             measured_nodes=measured_nodes, rules=rules,
             measured=None if there.all() else there.copy(),
+            availability=None if arriving is None else arriving.copy(),
         )  # fmt: skip
 
     if exact_moments:
@@ -228,15 +245,17 @@ def synthesize(
         ))  # fmt: skip
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
-        forward = ForwardPass(
-            Walk(system, paths, root, len(stops), each, options, bound), rules, predictor, there
-        )
+        walk = Walk(system, paths, root, len(stops), each, options, bound)
+        if arriving is None:
+            forward = ForwardPass(walk, rules, predictor, there)
+        else:
+            forward = PatternPass(walk, rules, predictor, there, arriving)
         if file is not None:
             file.restore(forward)
         found = forward.design(times, grid, file and file.write, held)
         lost = forward.walk.warn_of_lost()
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), lost))
-        del forward  # its paths are not wanted any more
+        del forward, walk  # its paths are not wanted any more
         return examined(
             designed, root, paths, each, np.unique(stops), options=options, bound=bound,
             forecasts=forecast_errors(designed), course=held,

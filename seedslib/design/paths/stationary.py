@@ -77,11 +77,13 @@ def stationary(
         )
     made = replace(filter, cycle=cycle)
     times = np.array([made.clock.moment(k, cycle) for k in range(2 * last + 1)])
-    pattern = made.expected(np.arange(2 * last + 1))
+    pattern = _schedule(made, 2 * last + 1)
     turn = slice(last + 1 - span, None)
-    if pattern is not None and (pattern[turn] != pattern[turn.start - cycle : -cycle]).any():
+    if (pattern[turn] != pattern[turn.start - cycle : -cycle]).any():
         raise ValueError(f"cycle: wanted the period of the schedule of the design, got {cycle}")
-    data = filter.system.simulate(times, paths, seed, measured=pattern, **options)
+    data = filter.system.simulate(
+        times, paths, seed, measured=pattern, availability=filter.availability, **options
+    )
     found = _on(made, data)
     early = _on(replace(filter.taking([*range(last + 1 - span)]), cycle=cycle), data)
     settled = slice(last + 1 - span, last + 1)
@@ -101,7 +103,7 @@ def stationary(
         transient = as_count("transient", transient, depth, last - cycle)
         kept = [*range(transient), *range(last + 1 - cycle, last + 1)]
         made = replace(filter.taking(kept), cycle=cycle)
-        if pattern is not None and (made.expected(np.arange(2 * last + 1)) != pattern).any():
+        if (_schedule(made, 2 * last + 1) != pattern).any():
             raise ValueError(
                 f"transient: wanted {(last + 1) % cycle} and a multiple of the cycle of {cycle}, "
                 f"since the schedule goes on in turn, got {transient}"
@@ -119,6 +121,11 @@ def stationary(
             f"{grown[worst]:.3g} ± {doubt[worst]:.2g} of itself over {last} steps after the design"
         )
     return made
+
+
+def _schedule(filter, count):
+    """Components that may be measured, (count, m)."""
+    return filter.schedule.mask[[filter.served(k) for k in range(count)]]
 
 
 def _on(filter: Any, data: Simulation) -> Estimates:
