@@ -98,8 +98,7 @@ class FiniteOrderFilter(BetweenFilter):
             object.__setattr__(self, "rules", rules)
         known_kind("between", self.between)
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
-        freeze((self.predicted, self.held_out))
-        freeze((self.fits, self.node_fits))
+        freeze((self.predicted, self.held_out, self.fits, self.node_fits))
         end = None if self.cycle else self.horizon
         object.__setattr__(self, "clock", Clock(self.times, end))
         object.__setattr__(self, "ways", ways(self.fits, self.cycle))

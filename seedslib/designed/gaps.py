@@ -9,18 +9,51 @@ go on.
 from __future__ import annotations
 
 import warnings
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.designed.patterns import PatternFit, loose
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
     from seedslib.designed.finite_order_rules import FiniteOrderState
     from seedslib.designed.switching.rules import SwitchingState
     from seedslib.linearization.moments import Moments
+
+
+def check_schedule(filter: Any) -> None:
+    """Refuse a schedule, probabilities or classes of another shape than the measurements.
+
+    Raises
+    ------
+    TypeError, ValueError
+        What does not fit.
+    """
+    mask, arriving = filter.schedule  # which refuses most
+    if filter.measured is not None and filter.measured.shape != mask.shape:
+        raise ValueError(f"measured: wanted a mask of shape {mask.shape}")
+    if arriving is None:
+        return
+    patterns = 2 ** len(loose(arriving))
+    for fit in filter.fits:
+        if not isinstance(fit, PatternFit) or fit.table.shape[1:] != (patterns,):
+            raise ValueError(f"fits: wanted classes of {patterns} patterns for the availability")
+
+
+def expected(filter: Any, index: np.ndarray) -> MaybeArray:
+    """Components that may be, and that must be, in measurements, by their numbers (J,).
+
+    Shape (2, J, m'); None where the design expects all of them.
+    """
+    if filter.measured is filter.availability is None:
+        return None
+    mask, arriving = filter.schedule
+    sure = True if arriving is None else arriving == 1.0
+    return np.stack([mask, mask & sure])[:, [filter.served(int(k)) for k in index]]
 
 
 def dropouts(

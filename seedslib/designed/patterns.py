@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.designed.predictors import AffineFit, Fit, PolynomialFit
-from seedslib.designed.shapes import check_array
+from seedslib.designed.shapes import check_array, check_covariances
 
 
 class PatternFit(NamedTuple):
@@ -81,6 +81,7 @@ class PatternFit(NamedTuple):
             raise ValueError(f"{name}.table: wanted classes for {rows}, got shape {table.shape}")
         if table.size and not (table.min() >= 0 and table.max() < len(self.prob)):
             raise ValueError(f"{name}.table: wanted classes below {len(self.prob)}")
+        check_covariances(name, self.covs)
         for c in range(len(self.prob)):
             self.one(c).check(f"{name}[{c}]", targets, dimension)
 

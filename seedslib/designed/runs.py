@@ -14,7 +14,7 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, is_whole, unmasked
 from seedslib.base.clock import Clock
 from seedslib.base.values import Course, Inputs, on_paths
-from seedslib.designed.gaps import dropouts, missing, unclaimed
+from seedslib.designed.gaps import check_schedule, dropouts, expected, missing, unclaimed
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
@@ -70,14 +70,6 @@ class DesignedFilter(Filter):
         last = len(self.times) - 1
         return k if k <= last else last - self.cycle + 1 + (k - last - 1) % self.cycle
 
-    def expected(self, index: np.ndarray) -> MaybeArray:
-        """Components that may be, and must be, in measurements by their numbers; None for all."""
-        if self.measured is self.availability is None:
-            return None
-        mask, arriving = self.schedule
-        sure = True if arriving is None else arriving == 1.0
-        return np.stack([mask, mask & sure])[:, [self.served(int(k)) for k in index]]
-
     @property
     def schedule(self) -> Schedule:
         """What the design has at its times, as a simulation takes it."""
@@ -132,7 +124,7 @@ class DesignedFilter(Filter):
             raise ValueError(
                 f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
             )
-        _ = self.schedule  # which refuses another mask
+        check_schedule(self)
         self.check_parts()
         components = getattr(self, "components", None)  # all of them with modes
         check_errors(self.predicted, self.held_out, self.times, components)
@@ -214,7 +206,7 @@ class DesignedFilter(Filter):
             if indicator is not None:
                 indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
             indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
-        rows = self.expected(np.array([k]))
+        rows = expected(self, np.array([k]))
         if whole and indicator is rows is None:
             return y, None, False
         gap = missing("y", y[None], indicator, rows)[0]
@@ -276,7 +268,7 @@ class DesignedFilter(Filter):
         course = course_of(self.system, inputs, len(times), batch)
         index = self.placed(times, y)
         known = self.memory is not None
-        lost = dropouts(y, index >= 0, told, self.expected(index)) if known else None
+        lost = dropouts(y, index >= 0, told, expected(self, index)) if known else None
         tail = (y[0, 0].size,) if batch or not self.alone else ()
         y = y.reshape(*y.shape[:2], *tail)
         told = None if told is None else told.reshape(len(times), *tail)

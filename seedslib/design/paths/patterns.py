@@ -29,11 +29,14 @@ from seedslib.linearization.moments import symmetric
 ALIKE = 0.04
 """Histories are of one class where the variances of their errors differ by less than this part."""
 
+STRICT = 10.0
+"""By so much less where a silence lasted longer in one than in the other."""
+
 MOST = 64
-"""Most classes at a step; with more, the least probable go to the nearest."""
+"""Most classes at a step; with more, what differs by more than `ALIKE` is of one class."""
 
 FAR = 0.2
-"""So far from its class a history is worth a warning: its deviations are off by half of that."""
+"""A difference that is worth a warning: of deviations it is half as large."""
 
 LOOSE = 4
 """Most components that may be missing: each doubles the number of patterns."""
@@ -52,18 +55,19 @@ class Classes(NamedTuple):
     prob : ndarray, shape (classes,)
     recent : ndarray, shape (classes, depth, n', n')
         Error covariances of the representatives, newest first.
-    drift : ndarray, shape (classes,)
-        How far other histories of the class may be from its representative.
-    worst : float
-        The largest distance at which a history had to be taken in.
+    changes, run : ndarray of int, shape (classes,)
+        How often the representative's pattern has changed, and how long the last one has lasted.
+    tolerance : float
+        How far histories may be from the representative.
     """
 
     table: np.ndarray
     kept: tuple[tuple[int, int], ...]
     prob: np.ndarray
     recent: np.ndarray
-    drift: np.ndarray
-    worst: float
+    changes: np.ndarray
+    run: np.ndarray
+    tolerance: float
 
 
 class PatternPass(ForwardPass):
@@ -89,6 +93,7 @@ class PatternPass(ForwardPass):
                 f"{2**LOOSE} patterns, got {len(self.loose)}"
             )
         self.depth = max(1, rules.memory.depth)
+        self.farthest = 0.0
         self.classes, self.before = None, np.empty((0, walk.n, walk.n))
 
     def _patterns(self, k):
@@ -165,12 +170,14 @@ class PatternPass(ForwardPass):
                 recent[cell] = np.stack(newest)
                 prob[cell] = chance * (1.0 if old is None else old.prob[c])
         self.classes = merged(self.classes, recent, prob, len(forks), 2 ** len(self.loose))
-        if self.classes.worst > FAR:
+        if self.classes.tolerance > FAR >= self.farthest:
             warnings.warn(
-                f"availability: {MOST} classes of histories are few at time {when(t)}; after the "
-                f"least probable ones deviations are off by up to {self.classes.worst / 2:.0%}",
+                f"availability: {MOST} classes of histories are few from time {when(t)} on; "
+                "deviations that are claimed after rare ones are off by "
+                f"{self.classes.tolerance / 2:.0%} or more",
                 stacklevel=outside(),
             )
+        self.farthest = max(self.farthest, self.classes.tolerance)
         self.states = [cells[cell] for cell in self.classes.kept]
         self.weights = self.classes.prob
         self._score(t, *(walk.each(_estimate, fork) for fork in self.states))
@@ -190,54 +197,44 @@ class PatternPass(ForwardPass):
 def merged(old: Classes | None, recent: dict, prob: dict, before: int, patterns: int) -> Classes:
     """Classes of the cells (class before, pattern), the most probable first.
 
-    A cell holds the histories of its class before; how far they are from its own shrinks as the
-    distance between neighbouring classes does, when both see the same pattern. A cell goes into a
-    class where what this leaves of the distance, with its own, is small; so histories that differ
-    a little more at each step do not end up in one class.
+    A net over the covariances: one cell after another goes into the nearest class that is near
+    enough, or is the representative of a new one. Those come first that changed their pattern
+    least often, for silence that lasts should be known best; where there would be too many
+    classes the others make do with less. A silence that goes on changes a little at each step: it
+    must not end in the class that it was in, unless that hardly matters.
     """
-    cells = sorted(prob, key=lambda cell: -prob[cell])
+    changes, run = {}, {}
+    for c, number in prob:
+        last = patterns - 1 if old is None else old.kept[c][1]
+        same = number == last
+        changes[c, number] = (0 if old is None else int(old.changes[c])) + (not same)
+        # everything has arrived: errors come from the noise, not from the time that it took
+        lasts = 1 + (int(old.run[c]) if old is not None and same else 0)
+        run[c, number] = number + patterns * lasts * (number != patterns - 1)
+    cells = sorted(prob, key=lambda cell: (changes[cell], -prob[cell]))
     stack = np.stack([recent[cell] for cell in cells])
-    place = {cell: i for i, cell in enumerate(cells)}
     apart = np.max([distances(part, part) for part in np.moveaxis(stack, 1, 0)], axis=0)
-    drift = np.array([_inherited(old, cell, place, apart) for cell in cells])
-    kept, home, reach = [], np.zeros(len(cells), dtype=int), np.array(drift)
-    worst = 0.0
-    for i in range(len(cells)):
-        near = apart[i, kept] + drift[i] if kept else np.empty(0)
-        if len(kept) < MOST and not (near <= ALIKE).any():
-            home[i] = len(kept)
-            kept.append(i)
-            continue
-        home[i] = int(np.argmin(near))
-        worst = max(worst, float(near[home[i]]))
-        reach[kept[home[i]]] = max(reach[kept[home[i]]], near[home[i]])
+    label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
+    apart[label[:, None] != label] *= STRICT
+    tolerance, kept, home = ALIKE, [], []
+    while not kept or len(kept) > MOST:
+        limit = np.where(several <= 1, np.maximum(ALIKE, tolerance / STRICT), tolerance)
+        kept, home = [], []
+        for i, near in enumerate(apart):
+            if not kept or near[kept].min() > limit[i]:
+                kept.append(i)
+            home.append(int(np.argmin(near[kept])))
+        tolerance *= 1.25
+    place = dict(zip(cells, home, strict=True))
     table = np.zeros((before, patterns), dtype=int)
     for c in range(before):
         for number in range(patterns):
-            # a component that is not read at this time does not count
-            table[c, number] = home[place[min(
-                (cell for cell in cells if cell[0] == c and cell[1] & number == cell[1]),
-                key=lambda cell: -cell[1],
-            )]]  # fmt: skip
-    chance = np.bincount(home, weights=[prob[cell] for cell in cells], minlength=len(kept))
+            # a component that is not read now does not count
+            table[c, number] = place[max(x for x in cells if x[0] == c and x[1] & ~number == 0)]
+    chance = np.bincount(home, weights=[prob[cell] for cell in cells])
     order = np.argsort(-chance, kind="stable")
-    rank = np.argsort(order, kind="stable")
     chosen = [kept[j] for j in order]
     return Classes(
-        rank[table], tuple(cells[i] for i in chosen), chance[order], stack[chosen],
-        reach[chosen], worst,
+        np.argsort(order)[table], tuple(cells[i] for i in chosen), chance[order], stack[chosen],
+        several[chosen], label[chosen] // patterns, tolerance / 1.25,
     )  # fmt: skip
-
-
-def _inherited(old, cell, place, apart):
-    """How far the histories of a cell may be from the one that was run."""
-    c, number = cell
-    if old is None or not old.drift[c]:
-        return 0.0
-    if len(old.prob) == 1:
-        return old.drift[c]
-    was = np.max([distances(p[[c]], p)[0] for p in np.moveaxis(old.recent, 1, 0)], axis=0)
-    was[c] = np.inf
-    other = int(np.argmin(was))
-    now = apart[place[cell], place[other, number]]
-    return old.drift[c] * min(1.0, now / was[other])
