@@ -10,6 +10,7 @@ almost one covariance become one class again, whose representative is the most p
 from __future__ import annotations
 
 import warnings
+from functools import partial
 from itertools import product
 from operator import attrgetter
 from typing import Any, NamedTuple
@@ -25,6 +26,7 @@ from seedslib.designed.memory import Past
 from seedslib.designed.patterns import PatternFit, distances, loose
 from seedslib.designed.predictors import Affine
 from seedslib.linearization.moments import symmetric
+from seedslib.models.simulation import ARRIVALS
 
 ALIKE = 0.04
 """Histories are of one class where the variances of their errors differ by less than this part."""
@@ -50,11 +52,9 @@ class Classes(NamedTuple):
     Attributes
     ----------
     table : ndarray of int, shape (classes before, patterns)
-    kept : tuple of (class before, pattern)
-        What each class's representative is.
+    members : tuple of tuple of (class before, pattern)
+        What each class is made of; the first is its representative.
     prob : ndarray, shape (classes,)
-    recent : ndarray, shape (classes, depth, n', n')
-        Error covariances of the representatives, newest first.
     changes, run : ndarray of int, shape (classes,)
         How often the representative's pattern has changed, and how long the last one has lasted.
     tolerance : float
@@ -62,9 +62,8 @@ class Classes(NamedTuple):
     """
 
     table: np.ndarray
-    kept: tuple[tuple[int, int], ...]
+    members: tuple[tuple[tuple[int, int], ...], ...]
     prob: np.ndarray
-    recent: np.ndarray
     changes: np.ndarray
     run: np.ndarray
     tolerance: float
@@ -92,7 +91,6 @@ class PatternPass(ForwardPass):
                 f"availability: wanted at most {LOOSE} components that may be missing, for "
                 f"{2**LOOSE} patterns, got {len(self.loose)}"
             )
-        self.depth = max(1, rules.memory.depth)
         self.farthest = 0.0
         self.classes, self.before = None, np.empty((0, walk.n, walk.n))
 
@@ -154,7 +152,7 @@ class PatternPass(ForwardPass):
 
     def _branched(self, k, t, y, forks, corrections):
         """Correct each class with each pattern, and find the classes that this makes."""
-        walk, cells, recent, prob = self.walk, {}, {}, {}
+        walk, cells, moments, prob = self.walk, {}, {}, {}
         for c, (states, correct) in enumerate(zip(forks, corrections, strict=True)):
             for number, there, chance in self._patterns(k):
 
@@ -163,13 +161,10 @@ class PatternPass(ForwardPass):
 
                 cell = c, number
                 cells[cell] = walk.kept(corrected, self.rules, states, y, array=_estimate)
-                newest = [self._errors(cells[cell])]
+                moments[cell] = self._errors(cells[cell])
                 old = self.classes
-                if old is not None:
-                    newest += [*old.recent[c]][: self.depth - 1]
-                recent[cell] = np.stack(newest)
                 prob[cell] = chance * (1.0 if old is None else old.prob[c])
-        self.classes = merged(self.classes, recent, prob, len(forks), 2 ** len(self.loose))
+        self.classes = merged(self.classes, moments, prob, len(forks), 2 ** len(self.loose))
         if self.classes.tolerance > FAR >= self.farthest:
             warnings.warn(
                 f"availability: {MOST} classes of histories are few from time {when(t)} on; "
@@ -178,12 +173,17 @@ class PatternPass(ForwardPass):
                 stacklevel=outside(),
             )
         self.farthest = max(self.farthest, self.classes.tolerance)
-        self.states = [cells[cell] for cell in self.classes.kept]
+        number = walk.uniform(ARRIVALS)
+        self.states = []
+        for members in self.classes.members:
+            share = np.array([prob[cell] for cell in members])
+            mix = partial(_mixed, share / share.sum())
+            self.states.append(walk.each(mix, number, *(cells[cell] for cell in members)))
         self.weights = self.classes.prob
         self._score(t, *(walk.each(_estimate, fork) for fork in self.states))
 
     def _errors(self, states):
-        """Mean product of the errors of the estimates, (n', n')."""
+        """Second moments of the errors of the estimates, (n', n')."""
         n = self.components
         rows, columns = lower_triangle(n)
 
@@ -194,7 +194,24 @@ class PatternPass(ForwardPass):
         return symmetric(self.walk.gather(products, states).mean, n)
 
 
-def merged(old: Classes | None, recent: dict, prob: dict, before: int, patterns: int) -> Classes:
+def _mixed(members, number, *states):
+    """State whose paths are those of several, by uniform numbers and shares that sum to one."""
+    found, ends = states[0], np.cumsum(members)
+    for share, other in zip(ends, states[1:], strict=False):
+        late = number >= share
+
+        def one(a, b, late=late):
+            return np.where(late, b, a)
+
+        past = (tuple(map(one, *blocks)) for blocks in zip(found.past, other.past, strict=True))
+        found = found._replace(
+            mean=one(found.mean, other.mean), past=Past(*past),
+            measurement=one(found.measurement, other.measurement),
+        )  # fmt: skip
+    return found
+
+
+def merged(old: Classes | None, moments: dict, prob: dict, before: int, patterns: int) -> Classes:
     """Classes of the cells (class before, pattern), the most probable first.
 
     A net over the covariances: one cell after another goes into the nearest class that is near
@@ -205,15 +222,15 @@ def merged(old: Classes | None, recent: dict, prob: dict, before: int, patterns:
     """
     changes, run = {}, {}
     for c, number in prob:
-        last = patterns - 1 if old is None else old.kept[c][1]
+        last = patterns - 1 if old is None else old.members[c][0][1]
         same = number == last
         changes[c, number] = (0 if old is None else int(old.changes[c])) + (not same)
         # everything has arrived: errors come from the noise, not from the time that it took
         lasts = 1 + (int(old.run[c]) if old is not None and same else 0)
         run[c, number] = number + patterns * lasts * (number != patterns - 1)
-    cells = sorted(prob, key=lambda cell: (changes[cell], -prob[cell]))
-    stack = np.stack([recent[cell] for cell in cells])
-    apart = np.max([distances(part, part) for part in np.moveaxis(stack, 1, 0)], axis=0)
+    cells = sorted(prob, key=lambda cell: (changes[cell] > 1, -prob[cell]))
+    stack = np.stack([moments[cell] for cell in cells])
+    apart = distances(stack, stack)
     label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
     apart[label[:, None] != label] *= STRICT
     tolerance, kept, home = ALIKE, [], []
@@ -234,7 +251,8 @@ def merged(old: Classes | None, recent: dict, prob: dict, before: int, patterns:
     chance = np.bincount(home, weights=[prob[cell] for cell in cells])
     order = np.argsort(-chance, kind="stable")
     chosen = [kept[j] for j in order]
+    members = tuple(tuple(x for x in cells if place[x] == j) for j in order)
     return Classes(
-        np.argsort(order)[table], tuple(cells[i] for i in chosen), chance[order], stack[chosen],
+        np.argsort(order)[table], members, chance[order],
         several[chosen], label[chosen] // patterns, tolerance / 1.25,
     )  # fmt: skip
