@@ -52,8 +52,9 @@ def expected(filter: Any, index: np.ndarray) -> MaybeArray:
     if filter.measured is filter.availability is None:
         return None
     mask, arriving = filter.schedule
-    sure = True if arriving is None else arriving == 1.0
-    return np.stack([mask, mask & sure])[:, [filter.served(int(k)) for k in index]]
+    rate = 1.0 if arriving is None else arriving
+    rows = [filter.served(int(k)) for k in index]
+    return np.stack([mask & (rate > 0.0), mask & (rate == 1.0)])[:, rows]
 
 
 def dropouts(
@@ -191,7 +192,8 @@ def unclaimed(found: Estimates, lost: np.ndarray | None, times: np.ndarray) -> E
         warnings.warn(
             f"measurements: {np.count_nonzero(lost[-1])} of {records} records have gaps, from "
             f"{when(times[lost.reshape(len(lost), -1).any(axis=1).argmax()])} on, which the design "
-            "does not know of: covariances are NaN from a gap on, likelihoods after it",
+            "does not know of: covariances are NaN from a gap on, likelihoods after it; a design "
+            "knows of them by `measured` or `availability`",
             stacklevel=outside(),
         )
     return found._replace(cov=cov, loglik=loglik)

@@ -224,8 +224,9 @@ class DesignedFilter(Filter):
             The measurement times of the design up to some of them, evenly on beyond them where
             the filter is stationary; without modes also any times between.
         measurements : array_like, shape (J+1, m, *batch)
-            NaN marks a missing component; between measurement times all must be NaN. Functions of
-            the measurement, and tables, take one as a whole or not at all.
+            NaN marks a missing component; between measurement times all must be NaN, and what
+            the schedule of the design leaves out. Functions of the measurement, and tables, take
+            one as a whole or not at all.
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         inputs : mapping of Input to array_like, shape (J+1,) or (J+1, *batch), optional
@@ -245,9 +246,8 @@ class DesignedFilter(Filter):
             ``mode_prob`` (J+1, L, *batch). Filters of moments have ``loglik`` (J+1, *batch), zero
             between measurements, and ``cov`` (J+1, n', n', *batch); filters of output functions
             have no likelihoods, and the unconditional ``cov`` that the design found,
-            (J+1, n', n') where no record has a gap. NaN is what a design does not know:
-            ``cov`` between measurement times and from a gap to the end of its record, ``loglik``
-            after it.
+            (J+1, n', n') where no record has a gap. NaN is what a design does not know: ``cov``
+            between measurement times, and from a gap that it was not told of, `loglik` after it.
 
         Raises
         ------

@@ -208,10 +208,9 @@ class _Joint:
         state, old, rest, one = np.split(base, [n, n + d, n + d + m])
         shown = matrix @ state + rest + np.outer(offset, one)
         expected = forecast @ old + np.outer(forecast_offset, one)
-        expected_shown = matrix @ expected + np.outer(offset, one)
-        # a missing measurement is remembered as what was expected, and its gain is zero
-        shown = np.where(there[:, None], shown, expected_shown)
-        innovation = shown - expected_shown
+        innovation = shown - matrix @ expected - np.outer(offset, one)
+        if not there.all():  # what is missing has no gain, and is remembered as what was expected
+            shown = np.where(there[:, None], shown, shown - innovation)
         components = self.rules.components
         estimate = expected[:components] + gain @ innovation
         cut = np.cumsum([len(b) for b in self.past.estimates + self.past.measurements])[:-1]

@@ -1,10 +1,13 @@
 """A forward pass for a sensor whose components arrive with probabilities.
 
-Given what has arrived, the filter is one with that history for a schedule: whatever the
-probabilities are, its law is that of a design for the schedule. So no pattern is drawn. Each class
-of histories has one of them as its representative, for which the filter runs on all the design
-paths at once; each goes on with every pattern of the next measurement, and those whose errors have
-almost one covariance become one class again, whose representative is the most probable.
+What arrives is independent of state and noise: given the history of what arrived, the law of state
+and filter is that of a design with this history for a schedule, whatever the probabilities are. So
+none is waited for. After a measurement each class of histories goes on with every pattern of the
+next one, on all the design paths at once; patterns after which the errors have almost one
+covariance are put into one class, where each path draws one of them in their proportions. A class
+is then a letter of the memory as a decided mode is, the paths of a class have the law of state and
+memory given the letter, and forecasts fitted to them are the best that class and memory allow,
+however coarse the classes are.
 """
 
 from __future__ import annotations
@@ -33,6 +36,9 @@ ALIKE = 0.04
 
 STRICT = 10.0
 """By so much less where a silence lasted longer in one than in the other."""
+
+BURST = 2
+"""Changes of the pattern in a silence and its end: such histories have the best classes."""
 
 MOST = 64
 """Most classes at a step; with more, what differs by more than `ALIKE` is of one class."""
@@ -167,9 +173,8 @@ class PatternPass(ForwardPass):
         self.classes = merged(self.classes, moments, prob, len(forks), 2 ** len(self.loose))
         if self.classes.tolerance > FAR >= self.farthest:
             warnings.warn(
-                f"availability: {MOST} classes of histories are few from time {when(t)} on; "
-                "deviations that are claimed after rare ones are off by "
-                f"{self.classes.tolerance / 2:.0%} or more",
+                f"availability: {MOST} classes of histories are few at time {when(t)}, and some "
+                f"hold histories whose deviations differ by {self.classes.tolerance / 2:.0%}",
                 stacklevel=outside(),
             )
         self.farthest = max(self.farthest, self.classes.tolerance)
@@ -215,10 +220,10 @@ def merged(old: Classes | None, moments: dict, prob: dict, before: int, patterns
     """Classes of the cells (class before, pattern), the most probable first.
 
     A net over the covariances: one cell after another goes into the nearest class that is near
-    enough, or is the representative of a new one. Those come first that changed their pattern
-    least often, for silence that lasts should be known best; where there would be too many
-    classes the others make do with less. A silence that goes on changes a little at each step: it
-    must not end in the class that it was in, unless that hardly matters.
+    enough, or begins a new one. Those of a single silence come first, for long ones should be
+    known well though they are rare, then the more probable ones, which make do with less where
+    there would be too many classes. A silence that goes on changes a little at each step: it must
+    not end in the class that it was in, unless that hardly matters.
     """
     changes, run = {}, {}
     for c, number in prob:
@@ -228,14 +233,14 @@ def merged(old: Classes | None, moments: dict, prob: dict, before: int, patterns
         # everything has arrived: errors come from the noise, not from the time that it took
         lasts = 1 + (int(old.run[c]) if old is not None and same else 0)
         run[c, number] = number + patterns * lasts * (number != patterns - 1)
-    cells = sorted(prob, key=lambda cell: (changes[cell] > 1, -prob[cell]))
+    cells = sorted(prob, key=lambda cell: (changes[cell] > BURST, -prob[cell]))
     stack = np.stack([moments[cell] for cell in cells])
     apart = distances(stack, stack)
     label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
     apart[label[:, None] != label] *= STRICT
     tolerance, kept, home = ALIKE, [], []
     while not kept or len(kept) > MOST:
-        limit = np.where(several <= 1, np.maximum(ALIKE, tolerance / STRICT), tolerance)
+        limit = np.where(several <= BURST, np.maximum(ALIKE, tolerance / STRICT), tolerance)
         kept, home = [], []
         for i, near in enumerate(apart):
             if not kept or near[kept].min() > limit[i]:
