@@ -81,6 +81,36 @@ def test_claims_after_any_history_are_near_the_kalman_filters(walk, filter):
     assert np.sqrt((error**2).mean()) < 0.02
 
 
+def test_few_classes_still_predict_their_errors(walk, monkeypatch):
+    """Each class holds its histories in their proportions, so errors are true."""
+    monkeypatch.setattr("seedslib.design.paths.patterns.MOST", 3)
+    with pytest.warns(UserWarning, match="3 classes of histories are few at time 1, and some hold"):
+        made = synthesize(walk, Memory(1), Taylor(), TIMES, paths=8000, seed=1, availability=0.4)
+    assert max(len(fit.prob) for fit in made.fits) == 3
+    data = walk.simulate(TIMES, 20_000, 6, availability=0.4)
+    error = made.run(TIMES, data.measurements).mean - data.states
+    rms = np.sqrt((error**2).mean(axis=2))
+    np.testing.assert_allclose(made.predicted.rms, rms, rtol=0.04)
+
+
+@pytest.mark.filterwarnings("ignore:availability")
+def test_silences_have_the_best_classes_where_there_are_too_many():
+    """Two components, one sensor: more than 64 kinds of histories, and long gaps are rare."""
+    moved = [0.95 * p + 0.3 * q + e[0], -0.3 * p + 0.92 * q + e[1]]
+    turning = DiscreteSystem(
+        StochasticMap([p, q], moved, Noise(e, cov=np.diag([0.05, 0.5]))),
+        StochasticMap([p, q], [p + v], Noise([v], cov=[[0.5]])), [0.0, 0.0], np.eye(2),
+    )  # fmt: skip
+    times = TIMES[:24]
+    made = synthesize(turning, Memory(1), Taylor(), times, paths=5000, seed=1, availability=0.9)
+    y = np.repeat(turning.simulate(times, 1, 3).measurements, 15, axis=2)
+    for count in range(15):
+        y[8 : 9 + count, :, count] = np.nan
+    claims = deviations(made.run(times, y, covariances=True), 2, 15)
+    right = deviations(extended_kalman(turning).run(times, y), 2, 15)
+    assert np.abs(claims / right - 1)[4:].max() < 0.04
+
+
 def test_it_is_consistent_where_measurements_drop_out(walk, filter):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
