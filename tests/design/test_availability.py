@@ -131,6 +131,7 @@ def test_steps_are_the_run_and_files_keep_it(walk, filter, tmp_path):
     y = walk.simulate(TIMES, 4, 4, availability=0.6).measurements
     save(filter, tmp_path / "f.npz")
     again = load(tmp_path / "f.npz", walk)
+    assert "availability 0.9; up to" in str(again)
     found = again.run(TIMES, y, covariances=True)
     state, single = filter.initial((4,)), filter.initial()
     for k, t in enumerate(TIMES):

@@ -116,6 +116,7 @@ def test_the_schedule_goes_through_files_and_checkpoints(system, filter, tmp_pat
     save(filter, tmp_path / "f.npz")
     again = load(tmp_path / "f.npz", system)
     assert np.array_equal(again.measured, RATES)
+    assert "schedule     18 of 50 components are read" in str(again)
     y = system.simulate(TIMES, 4, 5, measured=RATES).measurements
     assert np.array_equal(again.run(TIMES, y).mean, filter.run(TIMES, y).mean)
     file = tmp_path / "c.npz"

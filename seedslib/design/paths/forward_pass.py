@@ -70,7 +70,7 @@ class ForwardPass:
         self.states: list[Any] = []
         self.start, self.fits, self.node_fits = None, [], []
         self.scores, self.size = [], np.zeros(self.components)
-        self.weights: Any = (1.0,)
+        self.weights: Any = None
 
     def design(
         self, times: ArrayLike, grid: Any, keep: Any = None, held: Course | None = None
@@ -210,9 +210,13 @@ class ForwardPass:
         """Note the error of the estimates, and how large state and estimate are."""
         n, weights = self.components, self.weights
 
-        def rows(x, *several):
-            square = sum(w * (x[:n] - z) ** 2 for w, z in zip(weights, several, strict=True))
-            return np.concatenate([square, x[:n] ** 2, x[:n], several[0]])
+        def rows(x, z, *others):
+            square = (x[:n] - z) ** 2
+            if others:
+                square *= weights[0]
+                for weight, other in zip(weights[1:], others, strict=True):
+                    square += weight * (x[:n] - other) ** 2
+            return np.concatenate([square, x[:n] ** 2, x[:n], z])
 
         found = self.walk.gather(rows, *estimates)
         (rms, error, spread), self.size = (

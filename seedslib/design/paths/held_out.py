@@ -173,11 +173,11 @@ def _block(filter, stream, count, stops, at, options, bound, reach, course):
     Of a stray path it is the largest error in units of the reach, where that is beyond 1.
     """
     with np.errstate(all="ignore"):
-        system = filter.system
+        system, schedule = filter.system, filter.schedule
         mixed = getattr(system, "hybrid", system)
         states, y, good = _paths(mixed, stream, count, stops, at, options, bound, course)
         for k, shown in enumerate(y):
-            filter.schedule.leave_out(k, shown, stream)
+            schedule.leave_out(k, shown, stream)
         told, modes = {"inputs": course.values or None}, None
         if mixed is not system:
             modes = states[:, -1].astype(int)
