@@ -26,6 +26,7 @@ from seedslib.designed.outputs.minimax import (
     MinimaxFit,
 )
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
@@ -39,7 +40,7 @@ KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
+        PolynomialFit, PatternFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
         Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
     )
 }  # fmt: skip

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
 from seedslib.base.values import Course
@@ -16,6 +17,7 @@ from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start,
 from seedslib.designed.gaps import step_unclaimed, unexpected
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.patterns import PatternFit, chosen, regrouped, ways
 from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.designed.shapes import check_array, check_covariances, check_fields, check_nodes
@@ -55,6 +57,7 @@ class FiniteOrderFilter(BetweenFilter):
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     held_out : HeldOut, optional
     cycle : int
+    measured, availability : ndarray, optional
         See `DesignedFilter`.
     rules : Rules
         The compiled steps; made from the other fields.
@@ -81,6 +84,8 @@ class FiniteOrderFilter(BetweenFilter):
     between: str = "interpolated"
     held_out: HeldOut | None = None
     cycle: int = 0
+    measured: MaybeArray = None
+    availability: MaybeArray = None
     rules: Rules | None = None
 
     def __post_init__(self) -> None:
@@ -92,10 +97,11 @@ class FiniteOrderFilter(BetweenFilter):
             )  # fmt: skip
             object.__setattr__(self, "rules", rules)
         known_kind("between", self.between)
-        freeze((self.times, self.node_times, self.start, self.predicted, self.held_out))
-        freeze((self.fits, self.node_fits))
+        freeze((self.times, self.node_times, self.measured, self.availability, self.start))
+        freeze((self.predicted, self.held_out, self.fits, self.node_fits))
         end = None if self.cycle else self.horizon
         object.__setattr__(self, "clock", Clock(self.times, end))
+        object.__setattr__(self, "ways", ways(self.fits, self.cycle))
 
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""
@@ -125,7 +131,8 @@ class FiniteOrderFilter(BetweenFilter):
             regressions += [
                 (f"node_fits[{k}][{i}]", fit, targets, size) for i, fit in enumerate(fits)
             ]
-        known = [row for row in regressions if isinstance(row[1], AffineFit | PolynomialFit)]
+        kinds = AffineFit | PolynomialFit if self.availability is None else PatternFit
+        known = [row for row in regressions if isinstance(row[1], kinds)]
         for name, fit, *wanted in known:
             fit.check(name, *wanted)
         check_covariances("fits", [fit.cov for _, fit, *_ in known])
@@ -174,9 +181,11 @@ class FiniteOrderFilter(BetweenFilter):
             u = state.past.vector
         else:  # the estimate has moved on
             u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
-        mean, cov = self.fits[self.served(k) - 1].forecast(u)
+        mean, cov = chosen(self.fits[self.served(k) - 1], state.group).forecast(u)
         before, seen = state._replace(before=None), state.measurement
-        return FiniteOrderState(k, mean, cov, state.past, seen, 0.0, before, False, state.gap)
+        return FiniteOrderState(
+            k, mean, cov, state.past, seen, 0.0, before, False, state.gap, state.group
+        )
 
     def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
         """Correct the forecast by y, (m, *batch); of NaN components see `run`.
@@ -186,15 +195,17 @@ class FiniteOrderFilter(BetweenFilter):
         TypeError, ValueError
             A state without a forecast, a wrong shape, an infinite measurement.
         """
-        y, _, gap = self.measured(y, None, state.mean.shape[1:])
+        y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
         return step_unclaimed(self._correct(state, y, True), state, gap)
 
     def _correct(self, state, y, spread):
         want_forecast(state)
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            return self.rules.first(state, t, y, self.start, spread)
-        return self.rules.correct(state, t, y, spread)
+            found = self.rules.first(state, t, y, self.start, spread)
+        else:
+            found = self.rules.correct(state, t, y, spread)
+        return found if self.ways is None else regrouped(self, found, y)
 
     def expect(self, state: FiniteOrderState) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
@@ -223,7 +234,7 @@ class FiniteOrderFilter(BetweenFilter):
         if not end or row >= len(self.fits):
             return grid, values, None
         if last is None:
-            last = self.fits[row].mean(state.past.vector)[: self.components]
+            last = chosen(self.fits[row], state.group).mean(state.past.vector)[: self.components]
         return grid, values, (self.clock.moment(k + 1, self.cycle), last)
 
     def _row(self, k: int) -> int:

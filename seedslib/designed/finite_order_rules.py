@@ -13,6 +13,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.correction import correct
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.patterns import chosen
 from seedslib.designed.predictors import AffineFit, Continuous
 from seedslib.designed.traced import TracedCorrection, mean_velocity, traced_correction
 from seedslib.linearization.moments import Linearization, Moments
@@ -58,7 +59,9 @@ class FiniteOrderState(NamedTuple):
     corrected : bool
         Whether the measurement at `index` was taken in.
     gap : ndarray of bool, shape (*batch), or False
-        Whether something has been missing so far.
+        Whether something that the design does not know of has been missing so far.
+    group : ndarray of int, shape (*batch), or 0
+        Class of what has arrived so far, see `seedslib.designed.patterns`.
     """
 
     index: int
@@ -70,6 +73,7 @@ class FiniteOrderState(NamedTuple):
     before: object
     corrected: bool
     gap: np.ndarray | bool = False
+    group: np.ndarray | int = 0
 
 
 def initial_moments(moments: Moments, depth: int) -> Moments:
@@ -136,7 +140,7 @@ class Rules:
     def _remembered(self, state, shown, mean, cov, loglik):
         past = self.memory.push(state.past, estimate=mean, measurement=shown)
         return FiniteOrderState(
-            state.index, mean, cov, past, shown, loglik, state.before, True, state.gap
+            state.index, mean, cov, past, shown, loglik, state.before, True, state.gap, state.group
         )
 
     def node_memory(self, state: FiniteOrderState) -> np.ndarray:
@@ -161,7 +165,7 @@ class Rules:
         """
         if self.velocity is None:
             u = self.node_memory(state)
-            return [fit.mean(u) for fit in fits], None
+            return [chosen(fit, state.group).mean(u) for fit in fits], None
         moved, z = [], state.mean
         for fit, t, after in zip(fits, stops, stops[1:], strict=False):
             z = self.move(fit, t, after - t, z)

@@ -126,6 +126,7 @@ def finite_order_page(designed: FiniteOrderFilter) -> str:
         f"  estimates    {designed.components} of {len(designed.start.mean)} state components",
         f"  measurements {len(times)}, from {first} to {last}; {nodes} nodes between",
         f"  forecasts    {designed.between}",
+        *sensor_lines(designed),
         *([later_times(designed)] if designed.cycle else []),
         f"  designed on  {design.source()}{design.left_out}",
         "  predicted root-mean-square errors"
@@ -181,6 +182,19 @@ def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
         other = _errors(held, k, True, "modes ")
         beside = len(row) + len(other) + 3 <= WIDTH
         lines += [f"{row} | {other}"] if beside else [row, f"{'|':>17} {other}"]
+    return lines
+
+
+def sensor_lines(filter: Any) -> list[str]:
+    """Lines of a page: what the design knows of missing measurements."""
+    lines = []
+    if filter.measured is not None:
+        read, whole = np.count_nonzero(filter.measured), filter.measured.size
+        lines.append(f"  schedule     {read} of {whole} components are read")
+    if filter.availability is not None:
+        most = max((len(fit.prob) for fit in filter.fits), default=1)
+        rates = ", ".join(f"{rate:g}" for rate in filter.availability)
+        lines.append(f"  availability {rates}; up to {most} classes of histories")
     return lines
 
 

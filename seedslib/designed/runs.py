@@ -9,17 +9,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, is_whole, unmasked
 from seedslib.base.clock import Clock
 from seedslib.base.values import Course, Inputs, on_paths
-from seedslib.designed.gaps import dropouts, unclaimed
+from seedslib.designed.gaps import check_schedule, dropouts, expected, missing, unclaimed
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
 from seedslib.models.kinds import course_of
+from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
     from typing import Self
@@ -41,8 +43,15 @@ class DesignedFilter(Filter):
     cycle : int
         So many of the last steps of the design serve all later ones in turn; 0 where the filter
         ends with its design.
+    measured : ndarray of bool, shape (K+1, m), or None
+        Components that the schedule of the design has at each time; None for all. An indicator
+        counts as the last one.
+    availability : ndarray, shape (m,), or None
+        Probabilities with which they arrive, where the design knows what to make of that.
     """
 
+    measured: MaybeArray = None
+    availability: MaybeArray = None
     takes = ("indicators", "covariances")
     memory: Memory | None
     cycle: int
@@ -61,6 +70,12 @@ class DesignedFilter(Filter):
         last = len(self.times) - 1
         return k if k <= last else last - self.cycle + 1 + (k - last - 1) % self.cycle
 
+    @property
+    def schedule(self) -> Schedule:
+        """What the design has at its times, as a simulation takes it."""
+        size = self.system.measurement_size + (self.system.indicators > 0)
+        return Schedule.of(self.measured, self.availability, len(self.times), size)
+
     def taking(self, chosen: list[int]) -> Self:
         """The filter of some steps of the design, by their numbers, which are then the only ones.
 
@@ -70,6 +85,8 @@ class DesignedFilter(Filter):
         times, room = np.asarray(self.times), self.clock.tolerance
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
         kept: dict[str, Any] = {}
+        if self.measured is not None:
+            kept["measured"] = self.measured[chosen]
         stamps = self.times if self.predicted is None else self.predicted.times
         rows = [
             np.flatnonzero((stamps <= times[k] + room) & (k == 0 or stamps > times[k - 1] + room))
@@ -107,6 +124,7 @@ class DesignedFilter(Filter):
             raise ValueError(
                 f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
             )
+        check_schedule(self)
         self.check_parts()
         components = getattr(self, "components", None)  # all of them with modes
         check_errors(self.predicted, self.held_out, self.times, components)
@@ -168,31 +186,31 @@ class DesignedFilter(Filter):
         clock = self.clock.prolonged(times[-1], self.cycle) if self.cycle else self.clock
         return positions(times, y, clock, self.horizon)
 
-    def measured(
-        self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...]
+    def admitted(
+        self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...], k: int
     ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | bool]:
-        """Measurement (m, *batch), indicator (*batch), and where one of them has a gap, checked.
+        """Measurement k (m, *batch), its indicator (*batch), and where it has a gap, checked.
 
         Raises
         ------
         TypeError, ValueError
-            A wrong shape, an infinite measurement, an indicator out of range.
+            A wrong shape, an infinite measurement, an indicator out of range; a component that
+            the schedule leaves out.
         """
-        gap: np.ndarray | bool = False
-        if type(y) is np.ndarray and y.dtype == np.float64 and np.isfinite(y).all():
-            y = y.copy()  # it may be remembered
-        else:
-            y = as_real("y", y, nan=True)
-            gap = np.isnan(y).any(axis=0)
+        whole = type(y) is np.ndarray and y.dtype == np.float64 and np.isfinite(y).all()
+        y = y.copy() if whole else as_real("y", y, nan=True)  # it may be remembered
         wanted = (self.system.measurement_size, *batch)
         if y.shape != wanted:
             raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
-        if indicator is None and not self.system.indicators:
-            return y, None, gap
-        if indicator is not None:
-            indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
-        indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
-        return y, indicator[0], gap | (indicator[0] < 0)
+        if indicator is not None or self.system.indicators:
+            if indicator is not None:
+                indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
+            indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
+        rows = expected(self, np.array([k]))
+        if whole and indicator is rows is None:
+            return y, None, False
+        gap = missing("y", y[None], indicator, rows)[0]
+        return y, None if indicator is None else indicator[0], gap
 
     def run(
         self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
@@ -206,8 +224,9 @@ class DesignedFilter(Filter):
             The measurement times of the design up to some of them, evenly on beyond them where
             the filter is stationary; without modes also any times between.
         measurements : array_like, shape (J+1, m, *batch)
-            NaN marks a missing component; between measurement times all must be NaN. Functions of
-            the measurement, and tables, take one as a whole or not at all.
+            NaN marks a missing component; between measurement times all must be NaN, and what
+            the schedule of the design leaves out. Functions of the measurement, and tables, take
+            one as a whole or not at all.
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         inputs : mapping of Input to array_like, shape (J+1,) or (J+1, *batch), optional
@@ -227,9 +246,8 @@ class DesignedFilter(Filter):
             ``mode_prob`` (J+1, L, *batch). Filters of moments have ``loglik`` (J+1, *batch), zero
             between measurements, and ``cov`` (J+1, n', n', *batch); filters of output functions
             have no likelihoods, and the unconditional ``cov`` that the design found,
-            (J+1, n', n') where no record has a gap. NaN is what a design does not know:
-            ``cov`` between measurement times and from a gap to the end of its record, ``loglik``
-            after it.
+            (J+1, n', n') where no record has a gap. NaN is what a design does not know: ``cov``
+            between measurement times, and from a gap that it was not told of, `loglik` after it.
 
         Raises
         ------
@@ -249,14 +267,14 @@ class DesignedFilter(Filter):
         told = as_indicators(indicators, self.system, (len(times), *batch))
         course = course_of(self.system, inputs, len(times), batch)
         index = self.placed(times, y)
-        lost = None if self.memory is None else dropouts(y, index >= 0, told)
+        known = self.memory is not None
+        lost = dropouts(y, index >= 0, told, expected(self, index)) if known else None
         tail = (y[0, 0].size,) if batch or not self.alone else ()
         y = y.reshape(*y.shape[:2], *tail)
         told = None if told is None else told.reshape(len(times), *tail)
-        sizes = self.sizes(covariances)
         whole = Estimates(*[
             None if size is None else np.empty((len(times), *size, *tail), kind)
-            for size, kind in zip(sizes, DTYPES, strict=True)
+            for size, kind in zip(self.sizes(covariances), DTYPES, strict=True)
         ])  # fmt: skip
 
         def work(a, b, _):

@@ -134,10 +134,12 @@ def _innovations(filter, data, rows, held):
     periods = getattr(getattr(getattr(filter, "system", None), "sensor", None), "period", ())
     squares = np.full((len(y), y.shape[2]), np.nan)
     state = filter.initial(y.shape[2:])
-    designed = getattr(filter, "times", None) is not None  # it stands at its own times only
+    stops = np.ones(len(y), dtype=bool)
+    if getattr(filter, "times", None) is not None:  # it stands at its own times only
+        stops = filter.placed(data.times, y) >= 0 if hasattr(filter, "placed") else rows
     last = 0
     for j, t in enumerate(data.times):
-        if designed and not rows[j]:
+        if not stops[j]:
             continue
         with held.at(last):
             state = filter.predict(state, t)

@@ -131,7 +131,7 @@ class Checkpoint:
 
 def identity(
     system: Any, rules: Any, linearization: Any, predictor: Any, times: Any, grid: Any, paths: Any,
-    root: Any, options: Any, bound: Any, held: Any,
+    root: Any, options: Any, bound: Any, held: Any, measured: Any,
 ) -> Any:  # fmt: skip
     """What a design depends on, by name and in a form that JSON takes.
 
@@ -163,6 +163,7 @@ def identity(
         "spawn_key": list(spawn_key),
         "options": options,
         "bound": bound,
+        "measured": measured.tolist(),
         "version of seedslib": seedslib.__version__,
         "version of NumPy": np.__version__,
         **{f"input {u}": _digest(values) for u, values in held.values.items()},

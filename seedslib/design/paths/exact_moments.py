@@ -22,7 +22,9 @@ from seedslib.models.kinds import AnySystem
 from seedslib.models.propagation import integrated, van_loan
 
 
-def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course) -> Any:
+def linear_design(
+    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course, measured: np.ndarray
+) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance
@@ -38,6 +40,8 @@ def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, he
         Node times.
     held : Course
         Inputs at the times.
+    measured : ndarray of bool, shape (K+1, m)
+        Components that are measured at each time.
 
     Returns
     -------
@@ -51,7 +55,7 @@ def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, he
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
     with held.at(0):
-        start = joint.first(*linear.sensor(times[0]))
+        start = joint.first(measured[0], *linear.sensor(times[0]))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
@@ -67,7 +71,7 @@ def linear_design(system: AnySystem, rules: Any, times: ArrayLike, grid: Any, he
             with held.at(k):
                 joint.move(*linear.transition(t, times[k + 1]))
             with held.at(k + 1):
-                fits.append(joint.correct(*linear.sensor(times[k + 1])))
+                fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
             scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))
@@ -149,15 +153,16 @@ class _Joint:
         self.cov[n:, :n] = self.cov[:n, n:].T
         self.cov[:n, :n] = matrix @ self.cov[:n, :n] @ matrix.T + noise
 
-    def first(self, matrix, offset, noise):
+    def first(self, there, matrix, offset, noise):
         """First estimate, affine in the measurement."""
         mean, cov = self.mean.copy(), self.cov.copy()
         moments = _sensed(matrix, offset, noise, mean, cov)
         constant = np.zeros((self.n, 0))
-        self._take(matrix, offset, noise, constant, mean, _gain(moments, self.rules.components))
+        gain = _gain(moments, self.rules.components, there)
+        self._take(there, matrix, offset, noise, constant, mean, gain)
         return Start(mean, cov, moments)
 
-    def correct(self, matrix, offset, noise):
+    def correct(self, there, matrix, offset, noise):
         """Fit the forecast, correct it, remember; returns the fit."""
         fit = self._regressed(self.n, self.dimension)
         wide, left = (np.diagonal(cov)[: len(self.error)] for cov in (self.cov, fit.cov))
@@ -169,8 +174,8 @@ class _Joint:
                 stacklevel=outside(),
             )
         moments = _sensed(matrix, offset, noise, fit.mean(self.mean[self._memory]), fit.cov)
-        gain = _gain(moments, self.rules.components)
-        self._take(matrix, offset, noise, fit.gain, fit.offset, gain)
+        gain = _gain(moments, self.rules.components, there)
+        self._take(there, matrix, offset, noise, fit.gain, fit.offset, gain)
         return fit
 
     def node_fit(self):
@@ -196,7 +201,7 @@ class _Joint:
         fit = regress(np.zeros(len(index)), self.cov[np.ix_(index, index)], targets, size)
         return fit._replace(offset=mean[:targets] - fit.gain @ mean[targets:])
 
-    def _take(self, matrix, offset, noise, forecast, forecast_offset, gain):
+    def _take(self, there, matrix, offset, noise, forecast, forecast_offset, gain):
         """Put estimate and measurement in the memory, as rows over (X, U, noise, 1)."""
         n, d, m = self.n, self.dimension, len(matrix)
         base = np.eye(n + d + m + 1)
@@ -204,6 +209,8 @@ class _Joint:
         shown = matrix @ state + rest + np.outer(offset, one)
         expected = forecast @ old + np.outer(forecast_offset, one)
         innovation = shown - matrix @ expected - np.outer(offset, one)
+        if not there.all():  # what is missing has no gain, and is remembered as what was expected
+            shown = np.where(there[:, None], shown, shown - innovation)
         components = self.rules.components
         estimate = expected[:components] + gain @ innovation
         cut = np.cumsum([len(b) for b in self.past.estimates + self.past.measurements])[:-1]
@@ -232,8 +239,13 @@ def _sensed(matrix, offset, noise, mean, cov) -> Moments:
     return Moments(matrix @ mean + offset, cross, matrix @ cross + noise)
 
 
-def _gain(moments, rows):
+def _gain(moments, rows, there):
     """Gain of the correction, found by correcting zero with unit innovations."""
     m = len(moments.cov)
+    if not there.all():
+        part = Moments(moments.mean, moments.cross[:, there], moments.cov[np.ix_(there, there)])
+        gain = np.zeros((rows, m))
+        gain[:, there] = _gain(part, rows, there[there]) if there.any() else 0.0
+        return gain
     unit = Moments(np.zeros((m, 1)), moments.cross, moments.cov)
     return correct(np.zeros((len(moments.cross), m)), None, np.eye(m), unit, rows)[0]

@@ -57,10 +57,12 @@ class ForwardPass:
     walk : Walk
     rules : Rules
     predictor : Affine, Polynomial or Continuous
+    measured : ndarray of bool, shape (K+1, m)
+        Components that are measured at each time.
     """
 
-    def __init__(self, walk: Any, rules: Any, predictor: Any) -> None:
-        self.walk, self.predictor = walk, predictor
+    def __init__(self, walk: Any, rules: Any, predictor: Any, measured: np.ndarray) -> None:
+        self.walk, self.predictor, self.measured = walk, predictor, measured
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
         self.extra: bool = rules.measured_nodes and not rules.memory.measurements
@@ -68,6 +70,7 @@ class ForwardPass:
         self.states: list[Any] = []
         self.start, self.fits, self.node_fits = None, [], []
         self.scores, self.size = [], np.zeros(self.components)
+        self.weights: Any = None
 
     def design(
         self, times: ArrayLike, grid: Any, keep: Any = None, held: Course | None = None
@@ -128,15 +131,19 @@ class ForwardPass:
         found = walk.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = found.mean, found.cov
         moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
-        self.start = start = Start(mean[:n], cov[:n, :n], moments)
+        self.start = Start(mean[:n], cov[:n, :n], moments)
+        self._first(t, y)
+
+    def _first(self, t, y):
+        walk, start, n, there = self.walk, self.start, self.walk.n, self.measured[0]
 
         def first(rules, y):
             here = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
             state = FiniteOrderState(0, here, start.cov, Past(), None, 0.0, None, False)
-            return rules.first(state, t, y, start, spread=False)
+            return rules.first(state, t, as_read(there, y), start, spread=False)
 
         self.states = walk.kept(first, self.rules, y, array=_estimate)
-        self._score(t, walk.each(_estimate, self.states), corrected=True)
+        self._score(t, walk.each(_estimate, self.states), corrected=there.any())
 
     def _fit(self, predictor, u, targets, size):
         """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
@@ -155,7 +162,7 @@ class ForwardPass:
             t = node
             fits.append(self._fit(Affine(), u, n, size))
             self._score(t, walk.kept(fits[-1].mean, u))
-        return fits, walk.each(_remembered, self.states)
+        return fits, walk.each(remembered, self.states)
 
     def _moves(self, t, stops, last):
         """Fits of the continuous forecast at each integration step, and where it leads."""
@@ -179,16 +186,17 @@ class ForwardPass:
             self._taken(k, t, u, fit)
 
     def _taken(self, k, t, u, fit):
-        walk = self.walk
+        walk, there = self.walk, self.measured[k]
         y = walk.measure(t)
 
         def step(rules, state, u, y):
             mean, cov = fit.forecast(u)
             state = state._replace(index=k, mean=mean, cov=cov, corrected=False)
-            return rules.correct(state, t, y, spread=False)
+            return rules.correct(state, t, as_read(there, y), spread=False)
 
         self.states = walk.kept(step, self.rules, self.states, u, y, array=_estimate)
-        self._score(t, walk.each(_estimate, self.states), corrected=True)
+        told = self.measured[: k + 1].any()
+        self._score(t, walk.each(_estimate, self.states), corrected=told)
         self.fits.append(fit)
 
     def _sizes(self, k, extra=False):
@@ -198,14 +206,19 @@ class ForwardPass:
         total = self.memory.dimension(k, self.components, measured) + measured * extra
         return np.concatenate([known, np.zeros(total - len(known))])
 
-    def _score(self, t, estimates, corrected=False):
+    def _score(self, t, *estimates, corrected=False):
         """Note the error of the estimates, and how large state and estimate are."""
-        n = self.components
+        n, weights = self.components, self.weights
 
-        def rows(x, z):
-            return np.concatenate([(x[:n] - z) ** 2, x[:n] ** 2, x[:n], z])
+        def rows(x, z, *others):
+            square = (x[:n] - z) ** 2
+            if others:
+                square *= weights[0]
+                for weight, other in zip(weights[1:], others, strict=True):
+                    square += weight * (x[:n] - other) ** 2
+            return np.concatenate([square, x[:n] ** 2, x[:n], z])
 
-        found = self.walk.gather(rows, estimates)
+        found = self.walk.gather(rows, *estimates)
         (rms, error, spread), self.size = (
             root_mean_squares(found, n),
             np.sqrt(found.mean[n : 2 * n]),
@@ -227,7 +240,13 @@ class ForwardPass:
         self.scores.append((t, rms, error))
 
 
-def _remembered(state):
+def as_read(there: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Measurements (m, paths) without the components that are not there, (m,)."""
+    return y if there.all() else np.where(there[:, None], y, np.nan)
+
+
+def remembered(state: FiniteOrderState) -> np.ndarray:
+    """The memory as a vector."""
     return state.past.vector
 
 

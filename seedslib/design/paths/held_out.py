@@ -173,14 +173,16 @@ def _block(filter, stream, count, stops, at, options, bound, reach, course):
     Of a stray path it is the largest error in units of the reach, where that is beyond 1.
     """
     with np.errstate(all="ignore"):
-        system = filter.system
+        system, schedule = filter.system, filter.schedule
         mixed = getattr(system, "hybrid", system)
         states, y, good = _paths(mixed, stream, count, stops, at, options, bound, course)
+        for k, shown in enumerate(y):
+            schedule.leave_out(k, shown, stream)
         told, modes = {"inputs": course.values or None}, None
         if mixed is not system:
             modes = states[:, -1].astype(int)
             if system.indicators:
-                y, told["indicators"] = y[:, :-1], y[:, -1].astype(int)
+                y, told["indicators"] = y[:, :-1], np.nan_to_num(y[:, -1], nan=-1.0).astype(int)
         found = filter.run(filter.times, y, **told)
         fine = (np.abs(found.mean) <= LARGEST).all(axis=1)
         kept = good & np.logical_and.accumulate(fine)

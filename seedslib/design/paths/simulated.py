@@ -6,7 +6,6 @@ online; before each step the forecast it needs is fitted to the paths. Paths are
 
 from __future__ import annotations
 
-import warnings
 from os import PathLike
 from typing import TYPE_CHECKING, Any, overload
 
@@ -15,20 +14,26 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
-from seedslib.base.checks import as_count, as_times, is_whole
-from seedslib.base.clock import step_count, when
+from seedslib.base.checks import as_count
 from seedslib.base.values import Inputs
-from seedslib.design.fitting import coefficients_of
+from seedslib.design.paths.arguments import (
+    check_available,
+    check_kinds,
+    check_paths,
+    node_times,
+)
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
+from seedslib.design.paths.patterns import PatternPass
 from seedslib.design.paths.walk import Walk, crew
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
-from seedslib.designed.predictors import Affine, Continuous, Polynomial
+from seedslib.designed.predictors import Affine, Continuous
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
+from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
     from seedslib.designed.switching.filter import SwitchingFilter
@@ -36,9 +41,6 @@ if TYPE_CHECKING:
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.kinds import AnySystem
     from seedslib.models.switching import SwitchingSystem
-
-PATHS_PER_COEFFICIENT = 50
-"""Fewer design paths than this for each dimension of the memory are worth a warning."""
 
 _AFFINE = Affine()
 
@@ -57,7 +59,7 @@ OF_MODES = ("normalisation", "split")
 def synthesize(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
-    inputs: Any = None,
+    inputs: Any = None, measured: Any = None,
 ) -> SwitchingFilter: ...  # fmt: skip
 
 
@@ -68,6 +70,7 @@ def synthesize(
     paths: Any = None, seed: Any = None, workers: Any = 1, horizon: Any = None,
     measured_nodes: Any = False, exact_moments: Any = False, step: Any = None,
     scheme: Any = "euler", bound: Any = np.inf, checkpoint: Any = None, inputs: Any = None,
+    measured: Any = None, availability: Any = None,
 ) -> FiniteOrderFilter: ...  # fmt: skip
 
 
@@ -78,7 +81,8 @@ def synthesize(
     horizon: float | None = None, measured_nodes: bool = False, exact_moments: bool = False,
     step: float | None = None, scheme: str = "euler", bound: float = np.inf,
     checkpoint: str | PathLike[str] | None = None, normalisation: str = "consistent",
-    split: bool = True, inputs: Inputs | None = None,
+    split: bool = True, inputs: Inputs | None = None, measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
 ) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -89,8 +93,9 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `inputs`, `normalisation` and `split`
-        and gives a `SwitchingFilter`; see `seedslib.design.paths.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers`, `inputs`, `measured`, `normalisation`
+        and `split` and gives a `SwitchingFilter`; see
+        `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -135,6 +140,16 @@ def synthesize(
     inputs : mapping of Input to array_like, shape (K+1,), optional
         Values of the inputs that the system mentions. A run is told them again; an input of which
         only a law is known is a component of the state.
+    measured : array_like, optional
+        The schedule of the sensor, where it is known in advance: as `simulate` takes it, a mask
+        (K+1,) of the times that are measured, or (K+1, m) of the components that are read at
+        each. The filter expects just those, and knows its errors with them; a further gap is one
+        that it does not know of.
+    availability : float or array_like, shape (m,), optional
+        Probabilities with which the components that are read arrive. The forecasts are then those
+        of what has arrived, by classes of histories, see `seedslib.design.paths.patterns`: errors,
+        likelihoods and what is expected are known after gaps too, likely or not. The work is that
+        of a design for each class, and up to 64 of them.
 
     Returns
     -------
@@ -173,16 +188,21 @@ def synthesize(
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     if switching:
+        if availability is not None:
+            raise ValueError("availability: wanted for a system without modes, got one with modes")
         from seedslib.design.paths.switching import synthesize_switching
 
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            normalisation=normalisation, split=split, inputs=inputs,
+            normalisation=normalisation, split=split, inputs=inputs, measured=measured,
         )  # fmt: skip
     times = as_grid("times", times, system)
     held = course_of(system, inputs, len(times))
+    there, arriving = Schedule.of(measured, availability, len(times), system.sensor.size)
+    if arriving is not None:
+        check_available(predictor, exact_moments, checkpoint)
     n = system.state_size
-    _check_kinds(memory, predictor, measured_nodes, exact_moments)
+    check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
     if in_steps(system):
@@ -196,7 +216,7 @@ def synthesize(
         if not 0 < size < np.inf:
             raise ValueError(f"step: wanted a positive number, got {step}")
         options = {"step": size, "scheme": scheme}
-    grid = _nodes(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
+    grid = node_times(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
     rules = Rules.of(system, memory, predictor, linearization, components, measured_nodes)
 
     def made(start, fits, node_fits, predicted, design):
@@ -205,96 +225,38 @@ def synthesize(
             times=times, node_times=grid, components=components, start=start, fits=fits,
             node_fits=node_fits, predicted=predicted, design=design,
             measured_nodes=measured_nodes, rules=rules,
+            measured=None if there.all() else there.copy(),
+            availability=None if arriving is None else arriving.copy(),
         )  # fmt: skip
 
     if exact_moments:
         from seedslib.design.paths.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid, held))
+        return made(*linear_design(system, rules, times, grid, held, there))
     paths = as_count("paths", paths)
-    _check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
+    check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
     root, bound, file = as_seed_sequence(seed), float(bound), None
     if checkpoint is not None:
         from seedslib.design.paths.checkpoint import Checkpoint, identity
 
         file = Checkpoint(checkpoint, identity(
-            system, rules, linearization, predictor, times, grid, paths, root, options, bound, held
+            system, rules, linearization, predictor, times, grid, paths, root, options, bound,
+            held, there,
         ))  # fmt: skip
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
-        forward = ForwardPass(
-            Walk(system, paths, root, len(stops), each, options, bound), rules, predictor
-        )
+        walk = Walk(system, paths, root, len(stops), each, options, bound)
+        if arriving is None:
+            forward = ForwardPass(walk, rules, predictor, there)
+        else:
+            forward = PatternPass(walk, rules, predictor, there, arriving)
         if file is not None:
             file.restore(forward)
         found = forward.design(times, grid, file and file.write, held)
         lost = forward.walk.warn_of_lost()
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), lost))
-        del forward  # its paths are not wanted any more
+        del forward, walk  # its paths are not wanted any more
         return examined(
             designed, root, paths, each, np.unique(stops), options=options, bound=bound,
             forecasts=forecast_errors(designed), course=held,
         )  # fmt: skip
-
-
-def _check_kinds(memory, predictor, measured_nodes, exact_moments):
-    if memory.indicators or memory.log_odds:
-        raise ValueError(
-            f"memory: wanted estimates and measurements, there are no modes here, got {memory}"
-        )
-    if not isinstance(predictor, Affine | Polynomial | Continuous):
-        raise TypeError(f"predictor: wanted Affine, Polynomial or Continuous, got {predictor!r}")
-    if isinstance(predictor, Continuous) and (memory != Memory(1) or measured_nodes):
-        raise ValueError(f"predictor: Continuous wants the memory of one estimate, got {memory}")
-    if exact_moments and not isinstance(predictor, Affine):
-        raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
-
-
-def _check_paths(paths, memory, predictor, components, measured, measured_nodes):
-    order = memory.order(components, measured)
-    coefficients = max(coefficients_of(predictor, order), order + measured * measured_nodes)
-    if paths <= coefficients + 1:
-        raise ValueError(
-            f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
-            f"got {paths}"
-        )
-    if paths < PATHS_PER_COEFFICIENT * coefficients:
-        warnings.warn(
-            f"paths: {paths} are few for {coefficients} coefficients; "
-            f"{PATHS_PER_COEFFICIENT * coefficients} or more are advised",
-            stacklevel=3,
-        )
-
-
-def _nodes(times, nodes, horizon, step) -> tuple:
-    """Node times within each interval; with a horizon also after the last measurement."""
-    ends = list(times[1:])
-    if horizon is not None:
-        if not times[-1] < horizon < np.inf:
-            raise ValueError(
-                f"horizon: wanted a time after the last measurement at {when(times[-1])}, "
-                f"got {horizon}"
-            )
-        ends.append(float(horizon))
-    whole = is_whole(nodes)
-    if whole:
-        as_count("nodes", nodes, 0)
-    if not whole and step is None:
-        nodes = list(nodes)
-        if len(nodes) != len(ends):
-            raise ValueError(f"nodes: wanted {len(ends)} lists of times, got {len(nodes)}")
-    found = []
-    for k, (start, end) in enumerate(zip(times, ends, strict=False)):
-        inside = k < len(times) - 1
-        if step is not None or whole:
-            parts = nodes + 1 if step is None else step_count(start, end, step)
-            grid = start + (end - start) * np.arange(1, parts) / parts
-        else:
-            grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
-            if len(grid) and not (start < grid[0] and grid[-1] < end):
-                raise ValueError(
-                    f"nodes: wanted times between {when(start)} and {when(end)}, "
-                    f"got {grid[0]:g} to {grid[-1]:g}"
-                )
-        found.append(grid if inside else np.append(grid, end))
-    return tuple(found)

@@ -39,7 +39,7 @@ def stationary(
         Largest change (1) of the estimates in units of their root-mean-square errors, and of the
         decided modes as a probability; largest growth (2) of the error, in units of itself.
     cycle : int
-        So many steps in turn, for a system or times with a period.
+        So many steps in turn, for a system, times or a schedule with a period.
     transient : int, optional
         Keep only so many steps of the design before those that go on for ever; by default all.
         A small filter uses the functions of the end before the law of the start is forgotten.
@@ -77,7 +77,13 @@ def stationary(
         )
     made = replace(filter, cycle=cycle)
     times = np.array([made.clock.moment(k, cycle) for k in range(2 * last + 1)])
-    data = filter.system.simulate(times, paths, seed, **options)
+    pattern = _schedule(made, 2 * last + 1)
+    turn = slice(last + 1 - span, None)
+    if (pattern[turn] != pattern[turn.start - cycle : -cycle]).any():
+        raise ValueError(f"cycle: wanted the period of the schedule of the design, got {cycle}")
+    data = filter.system.simulate(
+        times, paths, seed, measured=pattern, availability=filter.availability, **options
+    )
     found = _on(made, data)
     early = _on(replace(filter.taking([*range(last + 1 - span)]), cycle=cycle), data)
     settled = slice(last + 1 - span, last + 1)
@@ -97,6 +103,11 @@ def stationary(
         transient = as_count("transient", transient, depth, last - cycle)
         kept = [*range(transient), *range(last + 1 - cycle, last + 1)]
         made = replace(filter.taking(kept), cycle=cycle)
+        if (_schedule(made, 2 * last + 1) != pattern).any():
+            raise ValueError(
+                f"transient: wanted {(last + 1) % cycle} and a multiple of the cycle of {cycle}, "
+                f"since the schedule goes on in turn, got {transient}"
+            )
         found = _on(made, data)
         made = replace(made, held_out=_held_out(made, found, data))
     square = _errors(found, data) ** 2
@@ -110,6 +121,11 @@ def stationary(
             f"{grown[worst]:.3g} ± {doubt[worst]:.2g} of itself over {last} steps after the design"
         )
     return made
+
+
+def _schedule(filter, count):
+    """Components that may be measured, (count, m)."""
+    return filter.schedule.mask[[filter.served(k) for k in range(count)]]
 
 
 def _on(filter: Any, data: Simulation) -> Estimates:

@@ -7,6 +7,7 @@ from __future__ import annotations
 import math
 import warnings
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +17,7 @@ from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
 from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
+from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
 from seedslib.design.regression import combine, root_mean_squares, scatter
@@ -27,6 +29,7 @@ from seedslib.designed.switching.fits import cell_count, cell_number, require_me
 from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid, course_of, elapsed
+from seedslib.models.simulation import Schedule
 from seedslib.models.switching import SwitchingSystem
 
 OFTEN = 0.05
@@ -36,7 +39,7 @@ OFTEN = 0.05
 def synthesize_switching(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
-    split: bool = True, inputs: Inputs | None = None,
+    split: bool = True, inputs: Inputs | None = None, measured: Any = None,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -59,6 +62,8 @@ def synthesize_switching(
         it, bit by bit.
     normalisation, split
         As `SwitchingFilter`.
+    measured : array_like, optional
+        As `seedslib.models.simulate`; of a memory of indicators they are all measured.
 
     Returns
     -------
@@ -86,10 +91,13 @@ def synthesize_switching(
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
     rules = compiled_rules(system, linearization, normalisation, split)
+    there = Schedule.of(measured, None, len(times), system.hybrid.sensor.size).mask
+    if memory.indicators and not there[:, -1].all():
+        raise ValueError("measured: wanted every indicator that the memory keeps")
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
-        found = _pass(walk, system, memory, rules, times, held)
+        found = _pass(walk, system, memory, rules, times, held, there)
         fits, scores, forecasts, thin, pairs, raised = found
         if thin > OFTEN * pairs:
             warnings.warn(
@@ -104,7 +112,7 @@ def synthesize_switching(
             Design(
                 paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, raised
             ),
-            rules=rules,
+            rules=rules, measured=None if there.all() else there.copy(),
         )  # fmt: skip
         del walk  # its paths are not wanted any more
         return examined(
@@ -112,7 +120,7 @@ def synthesize_switching(
         )
 
 
-def _pass(walk, system, memory, rules, times, held):
+def _pass(walk, system, memory, rules, times, held, there):
     """Run the filter on the paths, and fit it before each step."""
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, raised = [], [], [], 0, 0, 0
@@ -136,7 +144,8 @@ def _pass(walk, system, memory, rules, times, held):
             forecasts.append(np.sqrt(found.mean))
 
         def correct(state, y, k=k, t=t):
-            seen = y[m].astype(int) if system.indicators else None
+            y = as_read(there[k], y)
+            seen = np.nan_to_num(y[m], nan=-1.0).astype(int) if system.indicators else None
             return rules.correct(state._replace(index=k, time=t), y[:m], seen, memory)
 
         with held.at(k):

@@ -174,6 +174,18 @@ class Walk:
 
         return self.kept(shown, self._shared, self._streams(1), self.counts, self.states)
 
+    def uniform(self, purpose: int) -> list[Any]:
+        """A number from 0 to 1 for each path of a bundle at this stop, for a purpose of its own."""
+        stop = self.stop
+
+        def drawn(roots, counts):
+            pairs = zip(roots, counts, strict=True)
+            return np.concatenate(
+                [np.random.default_rng(child(root, purpose, stop)).random(c) for root, c in pairs]
+            )
+
+        return self.each(drawn, self._roots, self.counts)
+
     def kept(self, work: Callable[..., Any], *lists: Any, array: Any = None) -> list[Any]:
         """Map over bundles; paths whose column of the result is not finite are left out.
 

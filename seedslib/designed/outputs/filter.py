@@ -192,7 +192,7 @@ class OutputFilter(BetweenFilter):
             of range; a missing measurement or indicator that is to be remembered.
         """
         want_forecast(state)
-        y, indicator, _ = self.measured(y, indicator, state.mean.shape[1:])
+        y, indicator, _ = self.admitted(y, indicator, state.mean.shape[1:], state.index)
         return after(self, state, y, indicator)
 
     def nodes(self, state: OutputState, end: bool = True) -> tuple[list, list, tuple | None]:

@@ -61,6 +61,8 @@ class SwitchingFilter(DesignedFilter):
     cycle : int
         See `DesignedFilter`.
     held_out : HeldOut, optional
+    measured : ndarray of bool, shape (K+1, m), optional
+        See `DesignedFilter`.
 
     Raises
     ------
@@ -81,6 +83,7 @@ class SwitchingFilter(DesignedFilter):
     design: Design | None = None
     cycle: int = 0
     held_out: HeldOut | None = None
+    measured: MaybeArray = None
     rules: SwitchingRules | None = None
 
     def __post_init__(self) -> None:
@@ -93,7 +96,7 @@ class SwitchingFilter(DesignedFilter):
             rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        freeze((self.held_out, *self.fits))
+        freeze((self.held_out, self.measured, *self.fits))
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
@@ -182,7 +185,7 @@ class SwitchingFilter(DesignedFilter):
             of range.
         """
         want_forecast(state)
-        y, seen, gap = self.measured(y, indicator, state.law.log_prob.shape[2:])
+        y, seen, gap = self.admitted(y, indicator, state.law.log_prob.shape[2:], state.index)
         found = self.rules.correct(state, y, seen, self.memory)
         return found if self.memory is None else law_unclaimed(found, state, gap)
 

@@ -128,6 +128,8 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         Forecasts or moments that have no C, see `seedslib.extra.to_c`.
     """
     check_formulas(filter.linearization, filter.system)
+    if filter.measured is not None or filter.availability is not None:
+        raise ValueError("filter: wanted one without a schedule of its sensor, C has none yet")
     kinds = {type(fit) for fit in filter.fits}
     if not kinds or not kinds <= {AffineFit, PolynomialFit}:
         raise TypeError(

@@ -1,0 +1,181 @@
+"""Forecasts that know which measurements have arrived: a class of histories, and a fit of each.
+
+What arrives is independent of state and noise: given the history of what arrived, a filter is one
+with that history for a schedule. Histories after which its errors have almost one covariance are a
+class. The class of a path is a letter that its patterns alone decide, by a table at each step.
+"""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from seedslib.designed.predictors import AffineFit, Fit, PolynomialFit
+from seedslib.designed.shapes import check_array, check_covariances
+
+
+class PatternFit(NamedTuple):
+    """A forecast for each class of histories.
+
+    Attributes
+    ----------
+    table : ndarray of int, shape (classes before, patterns)
+        Class after a measurement, by the one before it and the number of the pattern: the sum of
+        2^i over the components that have arrived, counted among those that may be missing.
+    before : ndarray, shape (classes before, n, n)
+        Forecast covariances of the classes before.
+    prob : ndarray, shape (classes,)
+        Probabilities of the classes; the most probable is the first.
+    fits : AffineFit or PolynomialFit
+        Arrays with a leading axis of classes.
+    """
+
+    table: np.ndarray
+    before: np.ndarray
+    prob: np.ndarray
+    fits: Any
+
+    @classmethod
+    def of(
+        cls, table: np.ndarray, before: np.ndarray, prob: np.ndarray, fits: list[Fit]
+    ) -> PatternFit:
+        """From the fits of the classes, one by one."""
+        columns = zip(*fits, strict=True)
+        parts = (c[0] if isinstance(c[0], int) else np.stack(c) for c in columns)
+        return cls(table, before, prob, type(fits[0])(*parts))
+
+    def one(self, c: int) -> Any:
+        """Fit of a class."""
+        return type(self.fits)(*(p if isinstance(p, int) else p[c] for p in self.fits))
+
+    @property
+    def covs(self) -> np.ndarray:
+        """Forecast covariances of the classes, (classes, n, n)."""
+        return self.fits.cov
+
+    @property
+    def cov(self) -> np.ndarray:
+        """Their mean, (n, n)."""
+        return np.tensordot(self.prob, self.covs, 1)
+
+    def check(self, name: str, targets: int, dimension: int) -> None:
+        """As `AffineFit.check`, class by class.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Classes that there are not, arrays that do not fit.
+        """
+        if not isinstance(self.fits, AffineFit | PolynomialFit):
+            raise TypeError(f"{name}: wanted fits of classes, got {type(self.fits).__name__}")
+        check_array(f"{name}.prob", self.prob, None)
+        check_array(f"{name}.before", self.before, None, targets, targets)
+        for part in self.fits:
+            if not isinstance(part, int) and len(part) != len(self.prob):
+                raise ValueError(f"{name}: wanted {len(self.prob)} classes, got {len(part)}")
+        rows = max(1, len(self.before))
+        table = self.table
+        if table.ndim != 2 or len(table) != rows or table.dtype.kind not in "iu":
+            raise ValueError(f"{name}.table: wanted classes for {rows}, got shape {table.shape}")
+        if table.size and not (table.min() >= 0 and table.max() < len(self.prob)):
+            raise ValueError(f"{name}.table: wanted classes below {len(self.prob)}")
+        check_covariances(name, self.covs)
+        for c in range(len(self.prob)):
+            self.one(c).check(f"{name}[{c}]", targets, dimension)
+
+
+class Chosen(NamedTuple):
+    """The forecast for paths whose classes are known."""
+
+    fit: PatternFit
+    group: Any
+
+    def mean(self, u: np.ndarray) -> np.ndarray:
+        """Forecast (n, *batch) from the memory (d, *batch)."""
+        if np.ndim(self.group) == 0:
+            return self.fit.one(int(self.group)).mean(u)
+        flat, group = u.reshape(len(u), -1), self.group.ravel()
+        found = np.empty((self.fit.covs.shape[-1], group.size))
+        for c in np.unique(group):
+            here = group == c
+            found[:, here] = self.fit.one(int(c)).mean(flat[:, here])
+        return found.reshape(-1, *u.shape[1:])
+
+    def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Forecast (n, *batch) and its covariance (n, n, *batch) from the memory (d, *batch)."""
+        if np.ndim(self.group) == 0:
+            return self.fit.one(int(self.group)).forecast(u)
+        flat, group, n = u.reshape(len(u), -1), self.group.ravel(), self.fit.covs.shape[-1]
+        mean, cov = np.empty((n, group.size)), np.empty((n, n, group.size))
+        for c in np.unique(group):
+            here = group == c
+            mean[:, here], spread = self.fit.one(int(c)).forecast(flat[:, here])
+            cov[..., here] = spread.reshape(n, n, -1)
+        return mean.reshape(-1, *u.shape[1:]), cov.reshape(n, n, *u.shape[1:])
+
+
+def chosen(fit: Any, group: Any) -> Any:
+    """The fit of a class, where there are such; any other fit is itself."""
+    return Chosen(fit, group) if type(fit) is PatternFit else fit
+
+
+def loose(availability: np.ndarray) -> np.ndarray:
+    """Numbers of the components that may be missing."""
+    return np.flatnonzero((availability > 0.0) & (availability < 1.0))
+
+
+def regrouped(filter: Any, state: Any, y: np.ndarray) -> Any:
+    """A state after the measurement y (m, *batch), in its new class for the next forecast."""
+    k, last = state.index, len(filter.times) - 1
+    if k >= last and not filter.cycle:
+        return state
+    turn = k >= last and (k - last) % filter.cycle == 0
+    table = filter.ways[-1 if turn else filter.served(k + 1) - 1]
+    there = ~np.isnan(y[loose(filter.availability)])
+    number = np.tensordot(2 ** np.arange(len(there)), there, 1)
+    return state._replace(group=table[state.group, number])
+
+
+def ways(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
+    """Table into the classes of each fit from those of the fit before it, then those in a cycle.
+
+    Steps that did not follow each other in the design are joined by the nearest covariances. The
+    last table leads from the last fit to the first of the cycle. None without classes.
+    """
+    if not fits or not isinstance(fits[0], PatternFit):
+        return None
+    found = [fits[0].table[:1]]  # from the most probable class
+    found += [_joined(one, other) for one, other in pairwise(fits)]
+    if cycle:
+        found.append(_joined(fits[-1], fits[len(fits) - cycle]))
+    return tuple(found)
+
+
+def _joined(one, other):
+    if one.covs.shape == other.before.shape and (one.covs == other.before).all():
+        return other.table
+    if not len(other.before):
+        return np.repeat(other.table, len(one.prob), axis=0)
+    return other.table[np.argmin(distances(one.covs, other.before), axis=1)]
+
+
+def distances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far covariances (a, n, n) are from others (b, n, n), shape (a, b).
+
+    The largest |log r| of the ratios r of the variances of any linear function under the two: it
+    does not depend on the basis. What is below 1e-9 of their mean covariance is not compared.
+    """
+    mean = np.concatenate([one, other]).mean(axis=0)
+    scale = np.sqrt(np.diagonal(mean))
+    scale = np.outer(scale, scale)
+    scale[scale == 0.0] = 1.0
+    floor = 1e-9 * np.eye(len(mean))
+    one, other = one / scale + floor, other / scale + floor
+    root = np.linalg.cholesky(other)
+    half = np.linalg.solve(root[None], one[:, None])
+    ratio = np.linalg.solve(root[None], np.swapaxes(half, -1, -2))
+    ratio = (ratio + np.swapaxes(ratio, -1, -2)) / 2.0
+    values = np.linalg.eigvalsh(ratio)
+    return np.abs(np.log(np.maximum(values, 1e-12))).max(axis=-1)
