@@ -31,13 +31,14 @@ def save(filter: Any, path: str | PathLike[str]) -> None:
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, SwitchingFilter or TableFilter
+    filter : FiniteOrderFilter, SwitchingFilter, TableFilter or MinimaxFilter
     path : path-like
 
     Raises
     ------
     TypeError
-        Something that is no designed filter, or a learned one, which is tabulated first.
+        Something that is no designed filter, or one of learned functions or of functions of
+        one's own, which is tabulated first.
     ValueError
         A filter that was itself loaded without its model.
     """
