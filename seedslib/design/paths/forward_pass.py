@@ -68,7 +68,8 @@ class ForwardPass:
         self.extra: bool = rules.measured_nodes and not rules.memory.measurements
         self.rules: Any = walk.each.share(rules)
         self.states: list[Any] = []
-        self.start, self.fits, self.node_fits = None, [], []
+        self.start: Any = None
+        self.fits, self.node_fits = [], []
         self.scores, self.size = [], np.zeros(self.components)
         self.weights: Any = None
 

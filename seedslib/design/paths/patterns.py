@@ -98,7 +98,8 @@ class PatternPass(ForwardPass):
                 f"{2**LOOSE} patterns, got {len(self.loose)}"
             )
         self.farthest = 0.0
-        self.classes, self.before = None, np.empty((0, walk.n, walk.n))
+        self.classes: Any = None
+        self.before: np.ndarray = np.empty((0, walk.n, walk.n))
 
     def _patterns(self, k):
         """Numbers, components and probabilities of what may arrive at a time."""
@@ -216,7 +217,10 @@ def _mixed(members, number, *states):
     return found
 
 
-def merged(old: Classes | None, moments: dict, prob: dict, before: int, patterns: int) -> Classes:
+def merged(
+    old: Classes | None, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: int,
+    patterns: int,
+) -> Classes:  # fmt: skip
     """Classes of the cells (class before, pattern), the most probable first.
 
     A net over the covariances: one cell after another goes into the nearest class that is near
