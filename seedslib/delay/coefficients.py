@@ -7,13 +7,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg.lapack import dpotrf, dpotrs
+from scipy.linalg import get_lapack_funcs
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
 from seedslib.models.kinds import as_steps
 
 MOST_DELAY = 10**7
+# LAPACK itself: SciPy's doors to it take six times as long for small matrices
+_POTRF, _POTRS = get_lapack_funcs(("potrf", "potrs"))
 
 Coefficient = ArrayLike | Callable[[int], ArrayLike]
 
@@ -90,11 +92,10 @@ def divided(cross: np.ndarray, cov: np.ndarray, refusal: str) -> np.ndarray:
     ValueError
         `refusal`, where `cov` is not positive definite.
     """
-    # LAPACK itself: SciPy's doors to it take five times as long for small matrices
-    root, failed = dpotrf(cov, lower=1, clean=0)
+    root, failed = _POTRF(cov, lower=1, clean=0)
     if failed:
         raise ValueError(refusal)
-    return dpotrs(root, cross.T, lower=1)[0].T
+    return _POTRS(root, cross.T, lower=1)[0].T
 
 
 def as_delays(dynamics: object) -> list[int]:

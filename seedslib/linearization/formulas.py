@@ -210,7 +210,9 @@ def _once(rule: Formulas, derive: Callable[..., Any], maps: list[Any], *options:
 
 
 @lru_cache(maxsize=256)
-def _derived(rule: Formulas, derive: Callable[..., Any], maps: tuple, *options: bool) -> Any:
+def _derived(
+    rule: Formulas, derive: Callable[..., Any], maps: tuple[_Written, ...], *options: bool
+) -> Any:
     return derive(rule, [written.map for written in maps], *options)
 
 

@@ -33,7 +33,7 @@ def grid(project):
 
 @pytest.fixture(scope="module")
 def served(tmp_path_factory):
-    """Address of a scheduler that was started by hand, and a worker too, which forks kernels."""
+    """Address of a scheduler that was started by hand, and a worker too."""
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
@@ -44,7 +44,7 @@ def served(tmp_path_factory):
     scheduler = subprocess.Popen(
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
     )
-    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", "forked_kernels"]
+    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
     worker = subprocess.Popen([*dask, "worker", address, *alone], **common)
     yield address
     for process in (worker, scheduler):
