@@ -82,7 +82,7 @@ class FiniteOrderFilter(BetweenFilter):
     design: Design
     measured_nodes: bool = False
     between: str = "interpolated"
-    held_out: HeldOut | None = None
+    held_out: HeldOut | Any = None
     cycle: int = 0
     measured: MaybeArray = None
     availability: MaybeArray = None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -192,7 +192,7 @@ def _tables(law, k, optimal, probabilities) -> Step:
 
 def optimal_risk(
     system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
-    y: AxesLike | None = None, inputs: Inputs | None = None,
+    y: AxesLike | None = None, inputs: Any = None,
 ) -> GridRisk:  # fmt: skip
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.
 

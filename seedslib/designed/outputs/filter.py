@@ -78,7 +78,7 @@ class OutputFilter(BetweenFilter):
     changes: MaybeArray = None
     between: str = "interpolated"
     cycle: int = 0
-    held_out: HeldOut | None = None
+    held_out: HeldOut | Any = None
 
     def __post_init__(self) -> None:
         self.check_shapes()

@@ -82,7 +82,7 @@ class SwitchingFilter(DesignedFilter):
     predicted: Prediction | None = None
     design: Design | None = None
     cycle: int = 0
-    held_out: HeldOut | None = None
+    held_out: HeldOut | Any = None
     measured: MaybeArray = None
     rules: SwitchingRules | None = None
 
