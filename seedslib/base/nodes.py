@@ -82,7 +82,7 @@ Grid = NodesLike | Sequence[NodesLike]
 
 def as_grids(name: str, given: object, size: int) -> tuple[Axis | Nodes, ...]:
     """Tuple of nodes for each component from one or several of them; errors as `as_axes`."""
-    parts = [given] if isinstance(given, Nodes) else given
+    parts = [given] if isinstance(given, Nodes) or np.isscalar(given) else given
     if isinstance(parts, Axis) or not any(isinstance(part, Nodes) for part in parts):
         return as_axes(name, parts, size)
     if len(parts) != size:
