@@ -64,9 +64,7 @@ def plot_estimates(
     count, n = mean.shape[:2]
     if len(times) != count:
         raise ValueError(f"times: wanted {count}, got {len(times)}")
-    names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
-    if len(names) != n:
-        raise ValueError(f"names: wanted {n}, got {len(names)}")
+    names = _named(names, n)
     record = as_count("record", record, 0, int(np.prod(mean.shape[2:])) - 1)
     shown = {} if measurements is None else dict(measurements)
     if not set(shown) <= set(range(n)):
@@ -122,9 +120,7 @@ def plot_comparison(
         Another number of names or axes.
     """
     n = next(iter(comparison.values())).rms.shape[1]
-    names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
-    if len(names) != n:
-        raise ValueError(f"names: wanted {n}, got {len(names)}")
+    names = _named(names, n)
     axes = _axes(axes, n)
     for k, (ax, name) in enumerate(zip(axes, names, strict=True)):
         for i, (label, row) in enumerate(comparison.items()):
@@ -195,6 +191,14 @@ _LEGEND: dict[str, Any] = {"frameon": False, "fontsize": "small"}
 def _line(number):
     """Colour and dash of one line among others."""
     return {"color": COLOURS[number % len(COLOURS)], "ls": DASHES[number % len(DASHES)], "lw": 1.6}
+
+
+def _named(names: Sequence[str] | None, count: int) -> list[str]:
+    """Names of components, which are numbered where they have none."""
+    names = [f"x{k + 1}" for k in range(count)] if names is None else list(names)
+    if len(names) != count:
+        raise ValueError(f"names: wanted {count}, got {len(names)}")
+    return names
 
 
 def _axes(given, count):

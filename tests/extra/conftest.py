@@ -210,3 +210,11 @@ def compiled(tmp_path_factory):
         return Compiled(libraries[key], filter, carried)
 
     return make
+
+
+@pytest.fixture(scope="module", autouse=True)
+def cache(tmp_path_factory):
+    """A cache of the tests' own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
+        yield

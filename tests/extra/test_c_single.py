@@ -27,14 +27,6 @@ MORE = ["-Wconversion", "-Wdouble-promotion", "-Wfloat-conversion", "-Wshadow"]
 a, b, v, w = sympy.symbols("a b v w", real=True)
 
 
-@pytest.fixture(scope="module", autouse=True)
-def cache(tmp_path_factory):
-    """A cache of the tests' own."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("XDG_CACHE_HOME", str(tmp_path_factory.mktemp("cache")))
-        yield
-
-
 def walk():
     return DiscreteSystem(
         StochasticMap((a, b), [0.9 * a + b, 0.7 * b + v], Noise((v,), cov=[[0.1]])),

@@ -85,6 +85,16 @@ def near(found, wanted, part=1e-9):
     np.testing.assert_allclose(found[~lost], wanted[~lost], rtol=part, atol=part * size)
 
 
+def agree(found, wanted):
+    """What C gives of records, and the estimates of Python."""
+    mean, cov, loglik, prob, modes = found
+    near(mean, wanted.mean)
+    near(cov, wanted.cov)
+    near(loglik, wanted.loglik)
+    near(prob, wanted.mode_prob)
+    assert np.array_equal(modes, wanted.modes)
+
+
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 @pytest.mark.filterwarnings("ignore:covariances:UserWarning")
@@ -93,12 +103,7 @@ def test_switching_filters(name, compiled):
     times, y, told = data(filter)
     options = {} if told is None else {"indicators": told}
     wanted = filter.run(times, y, covariances=True, **options)
-    mean, cov, loglik, prob, modes = compiled(filter).run(times, y, told)
-    near(mean, wanted.mean)
-    near(cov, wanted.cov)
-    near(loglik, wanted.loglik)
-    near(prob, wanted.mode_prob)
-    assert np.array_equal(modes, wanted.modes)
+    agree(compiled(filter).run(times, y, told), wanted)
 
 
 def test_one_mode_that_never_changes_is_the_bayes_factor(compiled):
@@ -130,12 +135,7 @@ def test_a_design_without_an_end(compiled):
     times = np.arange(2000.0)
     y = filter.system.simulate(times, 2, 5).measurements
     wanted = filter.run(times, y, covariances=True)
-    mean, cov, loglik, prob, modes = compiled(filter).run(times, y)
-    near(mean, wanted.mean)
-    near(cov, wanted.cov)
-    near(loglik, wanted.loglik)
-    near(prob, wanted.mode_prob)
-    assert np.array_equal(modes, wanted.modes)
+    agree(compiled(filter).run(times, y), wanted)
 
 
 def test_what_no_mode_can_show(compiled):

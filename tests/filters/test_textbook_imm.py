@@ -10,6 +10,7 @@ import pytest
 import sympy
 from scipy.stats import norm
 
+from oracles.wave import BUMP, wave
 from seedslib.design import synthesize
 from seedslib.designed import SwitchingFilter, small_order
 from seedslib.filters import (
@@ -149,18 +150,7 @@ def test_mode_that_cannot_be_reached_or_cannot_be_left():
 
 # Probabilities that depend on the state
 
-BUMP = sympy.exp(-(x**2) / 8)
-CHAIN = [[sympy.Rational(1, 5) + 3 * BUMP / 5, sympy.Rational(4, 5) - 3 * BUMP / 5],
-         [BUMP / 2, 1 - BUMP / 2]]  # fmt: skip
 NODES = np.linspace(-12.0, 12.0, 4801)
-
-
-def wave(drives="new", indicator=None):
-    return SwitchingSystem(
-        (x,), [[x + 1.8 * sympy.sin(x) + v / 2], [0.6 * x + v / 2]], Noise((v,)), CHAIN,
-        [[x + w], [x + 2 + w]], Noise((w,)), [(0.6, [0], [[1]]), (0.4, [0.5], [[0.5]])],
-        indicator=indicator, drives=drives,
-    )  # fmt: skip
 
 
 def chance(i, l, place):
