@@ -17,6 +17,7 @@ from seedslib.base.tables import Axis, Labels
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
+from seedslib.designed.outputs.arrivals import Arrivals, ByPattern
 from seedslib.designed.outputs.lookup import Step, Table
 from seedslib.designed.outputs.minimax import (
     BoundedFit,
@@ -40,8 +41,8 @@ KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, PatternFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
-        Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
+        PolynomialFit, PatternFit, CellFit, Step, Table, ByPattern, Arrivals, Prediction, HeldOut,
+        Design, UnknownModel, Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
     )
 }  # fmt: skip
 

@@ -13,6 +13,7 @@ however coarse the classes are.
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator
 from functools import partial
 from itertools import product
 from operator import attrgetter
@@ -91,27 +92,10 @@ class PatternPass(ForwardPass):
     ) -> None:
         super().__init__(walk, rules, predictor, measured)
         self.availability = availability
-        self.loose = loose(availability)
-        if len(self.loose) > LOOSE:
-            raise ValueError(
-                f"availability: wanted at most {LOOSE} components that may be missing, for "
-                f"{2**LOOSE} patterns, got {len(self.loose)}"
-            )
+        self.loose = few_patterns(availability)
         self.farthest = 0.0
         self.classes: Any = None
         self.before: np.ndarray = np.empty((0, walk.n, walk.n))
-
-    def _patterns(self, k):
-        """Numbers, components and probabilities of what may arrive at a time."""
-        for bits in product((False, True), repeat=len(self.loose)):
-            there = self.measured[k] & (self.availability > 0.0)
-            bits = np.array(bits[::-1], dtype=bool)
-            if (bits & ~there[self.loose]).any():
-                continue
-            may, rate = there[self.loose], self.availability[self.loose]
-            chance = np.where(bits, rate, 1.0 - rate)
-            there[self.loose] = bits
-            yield int(bits @ 2 ** np.arange(len(bits))), there, float(np.prod(chance[may]))
 
     def _first(self, t, y):
         start, n = self.start, self.walk.n
@@ -161,7 +145,7 @@ class PatternPass(ForwardPass):
         """Correct each class with each pattern, and find the classes that this makes."""
         walk, cells, moments, prob = self.walk, {}, {}, {}
         for c, (states, correct) in enumerate(zip(forks, corrections, strict=True)):
-            for number, there, chance in self._patterns(k):
+            for number, there, chance in patterns(self.measured[k], self.availability):
 
                 def corrected(rules, state, y, correct=correct, there=there):
                     return correct(rules, state, as_read(there, y))
@@ -172,13 +156,7 @@ class PatternPass(ForwardPass):
                 old = self.classes
                 prob[cell] = chance * (1.0 if old is None else old.prob[c])
         self.classes = merged(self.classes, moments, prob, len(forks), 2 ** len(self.loose))
-        if self.classes.tolerance > FAR >= self.farthest:
-            warnings.warn(
-                f"availability: {MOST} classes of histories are few at time {when(t)}, and some "
-                f"hold histories whose deviations differ by {self.classes.tolerance / 2:.0%}",
-                stacklevel=outside(),
-            )
-        self.farthest = max(self.farthest, self.classes.tolerance)
+        self.farthest = coarseness(self.classes, t, self.farthest)
         number = walk.uniform(ARRIVALS)
         self.states = []
         for members in self.classes.members:
@@ -200,6 +178,48 @@ class PatternPass(ForwardPass):
         return symmetric(self.walk.gather(products, states).mean, n)
 
 
+def few_patterns(availability: np.ndarray) -> np.ndarray:
+    """Numbers of the components that may be missing, refused where they are many.
+
+    Raises
+    ------
+    ValueError
+        More than `LOOSE`.
+    """
+    found = loose(availability)
+    if len(found) > LOOSE:
+        raise ValueError(
+            f"availability: wanted at most {LOOSE} components that may be missing, for "
+            f"{2**LOOSE} patterns, got {len(found)}"
+        )
+    return found
+
+
+def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, Any, float]]:
+    """Numbers, components (m,) and probabilities of what may arrive of those that are read."""
+    may = loose(availability)
+    for bits in product((False, True), repeat=len(may)):
+        there = read & (availability > 0.0)
+        bits = np.array(bits[::-1], dtype=bool)
+        if (bits & ~there[may]).any():
+            continue
+        here, rate = there[may], availability[may]
+        chance = np.where(bits, rate, 1.0 - rate)
+        there[may] = bits
+        yield int(bits @ 2 ** np.arange(len(bits))), there, float(np.prod(chance[here]))
+
+
+def coarseness(classes: Classes, t: float, before: float) -> float:
+    """How far histories of a class have been apart, with a warning where that is far at last."""
+    if classes.tolerance > FAR >= before:
+        warnings.warn(
+            f"availability: {len(classes.prob)} classes of histories are few at time {when(t)}, "
+            f"and some hold histories whose deviations differ by {classes.tolerance / 2:.0%}",
+            stacklevel=outside(),
+        )
+    return max(before, classes.tolerance)
+
+
 def _mixed(members, number, *states):
     """State whose paths are those of several, by uniform numbers and shares that sum to one."""
     found, ends = states[0], np.cumsum(members)
@@ -219,7 +239,7 @@ def _mixed(members, number, *states):
 
 def merged(
     old: Classes | None, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: int,
-    patterns: int,
+    patterns: int, most: int | None = None,
 ) -> Classes:  # fmt: skip
     """Classes of the cells (class before, pattern), the most probable first.
 
@@ -242,8 +262,9 @@ def merged(
     apart = distances(stack, stack)
     label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
     apart[label[:, None] != label] *= STRICT
+    most = MOST if most is None else min(most, MOST)
     tolerance, kept, home = ALIKE, [], []
-    while not kept or len(kept) > MOST:
+    while not kept or len(kept) > most:
         limit = np.where(several <= BURST, np.maximum(ALIKE, tolerance / STRICT), tolerance)
         kept, home = [], []
         for i, near in enumerate(apart):
