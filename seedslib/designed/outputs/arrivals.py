@@ -33,6 +33,12 @@ class ByPattern(NamedTuple):
         """The table of all components that are read; None where none is."""
         return next((table for table in reversed(self.tables) if table is not None), None)
 
+    def __call__(self, points: Any) -> Output:
+        """Values where all that is read was seen, see `Table`."""
+        if self.fullest is None:
+            raise ValueError("y: wanted no measurement, the schedule has none")
+        return self.fullest(points)
+
     def check(self, name: str, axes: Any, told: int, *rest: Any) -> None:
         """As `Table.check`, of each table; `axes` are those with all components.
 
