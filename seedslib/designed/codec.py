@@ -14,10 +14,10 @@ import numpy as np
 
 from seedslib import linearization as linearizations
 from seedslib.base.tables import Axis, Labels
+from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.arrivals import Arrivals, ByPattern
 from seedslib.designed.outputs.lookup import Step, Table
 from seedslib.designed.outputs.minimax import (
     BoundedFit,
@@ -26,6 +26,7 @@ from seedslib.designed.outputs.minimax import (
     MinimaxFilter,
     MinimaxFit,
 )
+from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction

@@ -148,6 +148,7 @@ def switching_page(filter: SwitchingFilter) -> str:
             f"  mended       {design.thin} of {design.pairs} thin pairs of cell and mode, "
             f"{design.mended} covariances{design.left_out}"
         )
+    lines += sensor_lines(filter)
     if filter.cycle:
         lines.append(later_times(filter))
     if filter.predicted is not None:

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.tables import Labels, mesh
-from seedslib.designed.outputs.arrivals import ByPattern
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Table
+from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.predictors import Continuous, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit

@@ -193,7 +193,7 @@ def test_modes_and_an_indicator_that_may_be_missing(kept):
     system, times = zoo.dependent_switching(), np.arange(5.0)
     rates = [0.6, 1.0 if kept else 0.7]
     made = grid_synthesis(system, Memory(1, 0, int(kept)), times, x=(-7, 11, 46), z=(-4, 8, 37),
-                          y=(-9, 22, 47), availability=rates, probabilities=not kept)  # fmt: skip
+                          y=(-9, 22, 55), availability=rates, probabilities=not kept)  # fmt: skip
     data = system.simulate(times, 6000, 3, availability=rates)
     told = {"indicators": data.indicators}
     with warnings.catch_warnings():

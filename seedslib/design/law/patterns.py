@@ -18,8 +18,9 @@ from seedslib.base.tables import Labels
 from seedslib.design.law.joint import LARGEST, JointLaw
 from seedslib.design.law.recursion import NEGLIGIBLE, Seen, conditional, seen
 from seedslib.design.paths.patterns import coarseness, few_patterns, merged, patterns
-from seedslib.designed.outputs.arrivals import Arrivals, ByPattern, components
+from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.outputs.lookup import Output, Step, Table
+from seedslib.designed.outputs.patterns import ByPattern, components
 from seedslib.models.simulation import Schedule
 
 

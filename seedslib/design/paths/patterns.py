@@ -225,16 +225,19 @@ def _mixed(members, number, *states):
     found, ends = states[0], np.cumsum(members)
     for share, other in zip(ends, states[1:], strict=False):
         late = number >= share
-
-        def one(a, b, late=late):
-            return np.where(late, b, a)
-
-        past = (tuple(map(one, *blocks)) for blocks in zip(found.past, other.past, strict=True))
-        found = found._replace(
-            mean=one(found.mean, other.mean), past=Past(*past),
-            measurement=one(found.measurement, other.measurement),
-        )  # fmt: skip
+        measurement = np.where(late, other.measurement, found.measurement)
+        found = chosen(late, found, other)._replace(measurement=measurement)
     return found
+
+
+def chosen(late: np.ndarray, one: Any, other: Any) -> Any:
+    """A state with the estimates and memories of another one on the paths (N,) that are marked."""
+
+    def either(a, b):
+        return np.where(late, b, a)
+
+    past = (tuple(map(either, *blocks)) for blocks in zip(one.past, other.past, strict=True))
+    return one._replace(mean=either(one.mean, other.mean), past=Past(*past))
 
 
 def merged(

@@ -59,7 +59,7 @@ OF_MODES = ("normalisation", "split")
 def synthesize(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
-    inputs: Any = None, measured: Any = None,
+    inputs: Any = None, measured: Any = None, availability: Any = None,
 ) -> SwitchingFilter: ...  # fmt: skip
 
 
@@ -93,8 +93,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `inputs`, `measured`, `normalisation`
-        and `split` and gives a `SwitchingFilter`; see
+        A switching system takes `paths`, `seed`, `workers`, `inputs`, `measured`, `availability`,
+        `normalisation` and `split` and gives a `SwitchingFilter`; see
         `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
@@ -188,13 +188,12 @@ def synthesize(
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     if switching:
-        if availability is not None:
-            raise ValueError("availability: wanted for a system without modes, got one with modes")
         from seedslib.design.paths.switching import synthesize_switching
 
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
             normalisation=normalisation, split=split, inputs=inputs, measured=measured,
+            availability=availability,
         )  # fmt: skip
     times = as_grid("times", times, system)
     held = course_of(system, inputs, len(times))

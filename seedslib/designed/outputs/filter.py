@@ -11,11 +11,12 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course
+from seedslib.designed.arrivals import Arrivals, ways
 from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.guards import freeze, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.arrivals import Arrivals, check_patterns, classes_at, ways
 from seedslib.designed.outputs.lookup import Output, Step, Table, arguments, step_axes, summary
+from seedslib.designed.outputs.patterns import check_patterns, classes_at
 from seedslib.designed.outputs.steps import OutputState, after, arrived, found
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.shapes import check_array, check_nodes

@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.designed.arrivals import number_of
 from seedslib.designed.guards import moment
 from seedslib.designed.memory import Past
-from seedslib.designed.outputs.arrivals import ByPattern, by_pattern, number_of
 from seedslib.designed.outputs.lookup import Output, arguments
+from seedslib.designed.outputs.patterns import ByPattern, by_pattern
 
 
 class OutputState(NamedTuple):

@@ -77,11 +77,11 @@ class CellFit(NamedTuple):
                 slot += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
-    def check(self, name: str, memory: Memory, system: AnySystem, k: int) -> None:
+    def check(self, name: str, memory: Memory, system: AnySystem, k: int, classes: int = 1) -> None:
         """Refuse arrays that are not those of the memory after measurement k."""
         n, modes = system.state_size, system.modes
         d = memory.dimension(k, n, system.measurement_size, modes)
-        tail = modes, cell_count(memory, system, k)
+        tail = modes, classes * cell_count(memory, system, k)
         check_fields(
             name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail),
             centre=(d, *tail), white=(d, d, *tail),

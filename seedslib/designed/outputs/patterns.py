@@ -6,14 +6,12 @@ before is an argument of it, as a remembered mode is; see `seedslib.designed.pat
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.designed.arrivals import check_arrivals
 from seedslib.designed.outputs.lookup import Output, Table, step_axes
-from seedslib.designed.patterns import distances, loose
-from seedslib.designed.shapes import check_array, check_covariances
 
 
 class ByPattern(NamedTuple):
@@ -57,48 +55,6 @@ class ByPattern(NamedTuple):
                 table.check(f"{name}.tables[{i - 1}]", wanted, *rest)
 
 
-class Arrivals(NamedTuple):
-    """What a design knows of the classes of histories about one measurement.
-
-    Attributes
-    ----------
-    table : ndarray of int, shape (classes before, patterns)
-        Class after the measurement, by the one before it and the number of the pattern: the sum of
-        2^i over the components that have arrived, counted among those that may be missing.
-    covs : ndarray, shape (classes before, patterns, n', n')
-        Error covariances of the estimates.
-    before, after : ndarray, shape (classes, n', n')
-        Those of the classes before it, from the measurement before; and of those after it.
-    prob : ndarray, shape (classes after,)
-    """
-
-    table: np.ndarray
-    covs: np.ndarray
-    before: np.ndarray
-    after: np.ndarray
-    prob: np.ndarray
-
-    def check(self, name: str, size: int, patterns: int) -> None:
-        """Refuse arrays that do not fit together.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Other shapes, classes that there are not, covariances that are none.
-        """
-        check_array(f"{name}.prob", self.prob, None)
-        check_array(f"{name}.after", self.after, len(self.prob), size, size)
-        check_array(f"{name}.before", self.before, None, size, size)
-        shape = len(self.before), patterns
-        check_array(f"{name}.covs", self.covs, *shape, size, size)
-        table = self.table
-        if table.shape != shape or table.dtype.kind not in "iu":
-            raise ValueError(f"{name}.table: wanted classes of shape {shape}, got {table.shape}")
-        if table.size and not 0 <= table.min() <= table.max() < len(self.prob):
-            raise ValueError(f"{name}.table: wanted classes below {len(self.prob)}")
-        check_covariances(name, (self.covs, self.before, self.after))
-
-
 def components(number: int, size: int) -> list[int]:
     """The components of a pattern, from its number."""
     return [i for i in range(size) if number >> i & 1]
@@ -114,13 +70,7 @@ def check_patterns(filter: Any) -> None:
     """
     system, memory, n = filter.system, filter.memory, filter.components
     m, told = system.measurement_size, int(system.indicators > 0)
-    count, patterns = len(filter.steps), 1
-    if filter.availability is not None:
-        patterns = 2 ** len(loose(filter.availability))
-    if len(filter.arrivals) != (count if patterns > 1 else 0):
-        raise ValueError(f"arrivals: wanted those of {count} steps for the availability")
-    for k, part in enumerate(filter.arrivals):
-        part.check(f"arrivals[{k}]", n, patterns)
+    check_arrivals(filter, n)
     for k, step in enumerate(filter.steps):
         if isinstance(step.shown, ByPattern):
             if len(step.shown.tables) != 2**m - 1:
@@ -135,33 +85,6 @@ def classes_at(filter: Any, k: int) -> int:
     if not filter.arrivals:
         return 0
     return len(filter.arrivals[k].table if k < len(filter.steps) else filter.arrivals[-1].prob)
-
-
-def ways(arrivals: tuple[Arrivals, ...], cycle: int) -> tuple[np.ndarray, ...]:
-    """Table of each step into the classes before the next one, of the last into its cycle.
-
-    Steps that did not follow each other in the design are joined by the nearest covariances.
-    """
-    found = [_joined(one, other) for one, other in pairwise(arrivals)]
-    if arrivals:
-        last = arrivals[-1]
-        found.append(_joined(last, arrivals[len(arrivals) - cycle]) if cycle else last.table)
-    return tuple(found)
-
-
-def _joined(one, other):
-    if one.after.shape == other.before.shape and (one.after == other.before).all():
-        return one.table
-    return np.argmin(distances(one.after, other.before), axis=1)[one.table]
-
-
-def number_of(filter: Any, y: np.ndarray, indicator: Any) -> np.ndarray:
-    """Number of the pattern, among the components that may be missing, of y (m, *batch)."""
-    there = ~np.isnan(y)
-    if indicator is not None:
-        there = np.concatenate([there, (np.asarray(indicator) >= 0)[None]])
-    there = there[loose(filter.availability)]
-    return np.tensordot(2 ** np.arange(len(there)), there, 1)
 
 
 def by_pattern(step: Any, y: np.ndarray, call: Any) -> Output:
