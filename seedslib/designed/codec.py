@@ -32,7 +32,7 @@ from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.switching.fits import CellFit
+from seedslib.designed.switching.fits import CellFit, ClassFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import UnknownModel
 
@@ -42,8 +42,8 @@ KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, PatternFit, CellFit, Step, Table, ByPattern, Arrivals, Prediction, HeldOut,
-        Design, UnknownModel, Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
+        PolynomialFit, PatternFit, CellFit, ClassFit, Step, Table, ByPattern, Arrivals,
+        Prediction, HeldOut, Design, UnknownModel, Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
     )
 }  # fmt: skip
 

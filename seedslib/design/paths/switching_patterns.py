@@ -19,7 +19,7 @@ from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.patterns import chosen, coarseness, few_patterns, merged, patterns
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
 from seedslib.designed.arrivals import Arrivals
-from seedslib.designed.switching.fits import CellFit, cell_count
+from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
 from seedslib.linearization.moments import symmetric
 from seedslib.models.kinds import elapsed
 from seedslib.models.simulation import ARRIVALS
@@ -118,7 +118,8 @@ def pattern_pass(
             parts.append(part)
             thin, pairs, raised = thin + few, pairs + cells * system.modes, raised + bent
         columns = zip(*parts, strict=True)
-        fits.append(CellFit(*(np.concatenate(column, axis=-1) for column in columns)))
+        whole = CellFit(*(np.concatenate(column, axis=-1) for column in columns))
+        fits.append(ClassFit(whole))
     return fits, scores, forecasts, thin, pairs, raised, arrivals
 
 

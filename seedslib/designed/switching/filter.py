@@ -19,7 +19,13 @@ from seedslib.designed.guards import freeze, want_corrected, want_forecast, want
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
 from seedslib.designed.runs import DesignedFilter
-from seedslib.designed.switching.fits import CellFit, cell_count, cell_number, require_memory
+from seedslib.designed.switching.fits import (
+    CellFit,
+    ClassFit,
+    cell_count,
+    cell_number,
+    require_memory,
+)
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.estimates import Estimates, first_step
@@ -122,9 +128,12 @@ class SwitchingFilter(DesignedFilter):
         """Laws of mode and state in the cells of the memory."""
         check_arrivals(self, self.system.state_size)
         for k, fit in enumerate(self.fits):
-            if isinstance(fit, CellFit):
-                classes = len(self.arrivals[k + 1].table) if self.arrivals else 1
-                fit.check(f"fits[{k}]", self.memory, self.system, k, classes)
+            if isinstance(fit, ClassFit) != bool(self.arrivals):
+                raise ValueError(f"fits[{k}]: wanted laws of classes for an availability only")
+            classes = len(self.arrivals[k + 1].table) if self.arrivals else 1
+            known = fit.fit if self.arrivals else fit
+            if isinstance(known, CellFit):
+                known.check(f"fits[{k}]", self.memory, self.system, k, classes)
 
     @property
     def order(self) -> int:

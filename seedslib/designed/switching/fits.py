@@ -96,6 +96,22 @@ class CellFit(NamedTuple):
         return part[..., cell]
 
 
+class ClassFit(NamedTuple):
+    """Laws in the cells of the memory for each class of histories, one class after the other.
+
+    Attributes
+    ----------
+    fit : CellFit
+        With the cells of the first class, then those of the next.
+    """
+
+    fit: CellFit
+
+    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
+        """As `CellFit.forecast`; the cells of a class come after those of the one before it."""
+        return self.fit.forecast(cell, z)
+
+
 def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:
     """Number of the memory's cell, newest block first; zeros where no mode is remembered."""
     number = np.zeros(batch, dtype=np.intp)
