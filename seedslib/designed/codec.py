@@ -43,7 +43,8 @@ KNOWN = {
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
         PolynomialFit, PatternFit, CellFit, ClassFit, Step, Table, ByPattern, Arrivals,
-        Prediction, HeldOut, Design, UnknownModel, Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
+        Prediction, HeldOut, Design, UnknownModel, Minimax, MinimaxFit, BoundedFit,
+        BoundedPolynomial,
     )
 }  # fmt: skip
 

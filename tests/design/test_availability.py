@@ -83,7 +83,7 @@ def test_claims_after_any_history_are_near_the_kalman_filters(walk, filter):
 
 def test_few_classes_still_predict_their_errors(walk, monkeypatch):
     """Each class holds its histories in their proportions, so errors are true."""
-    monkeypatch.setattr("seedslib.design.paths.patterns.MOST", 3)
+    monkeypatch.setattr("seedslib.design.histories.MOST", 3)
     with pytest.warns(UserWarning, match="3 classes of histories are few at time 1, and some hold"):
         made = synthesize(walk, Memory(1), Taylor(), TIMES, paths=8000, seed=1, availability=0.4)
     assert max(len(fit.prob) for fit in made.fits) == 3

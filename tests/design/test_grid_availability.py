@@ -84,7 +84,7 @@ def test_claims_after_a_silence_are_those_of_the_kalman_filter_and_the_errors_to
 
 def test_the_mean_covariance_is_that_of_all_histories(system, monkeypatch):
     """Each history a class of its own: what is predicted is the mean over all, exactly."""
-    monkeypatch.setattr("seedslib.design.paths.patterns.ALIKE", 1e-12)
+    monkeypatch.setattr("seedslib.design.histories.ALIKE", 1e-12)
     times, rate, wanted = np.arange(4.0), 0.7, np.zeros(4)
     for history in product((False, True), repeat=4):
         cov = np.float64(1.0)

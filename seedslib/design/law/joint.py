@@ -33,14 +33,7 @@ from seedslib.designed.outputs.lookup import Output, Table, letter_labels, requi
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains.switching import chain_of
-from seedslib.models.kinds import (
-    AnySystem,
-    as_grid,
-    as_system,
-    course_of,
-    elapsed,
-    switches,
-)
+from seedslib.models.kinds import AnySystem, as_grid, as_system, course_of, elapsed, switches
 
 LOST = 1e-6
 """Probability of measurements beyond the axes that is worth a warning."""

@@ -2,7 +2,7 @@
 
 What arrives is independent of state and noise. So the law of state and memory splits by the
 pattern of what was seen, and is mixed again, by the probabilities of the patterns, in classes of
-histories after which the errors have almost one variance: see `seedslib.design.paths.patterns`. A
+histories after which the errors have almost one variance: see `seedslib.design.histories`. A
 class is a letter of the memory, and the law is normalised in each, so that rare ones are known as
 well as others.
 """
@@ -15,9 +15,15 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.tables import Labels
+from seedslib.design.histories import (
+    coarseness,
+    few_patterns,
+    keep_indicators,
+    merged,
+    patterns,
+)
 from seedslib.design.law.joint import LARGEST, JointLaw
 from seedslib.design.law.recursion import NEGLIGIBLE, Seen, conditional, seen
-from seedslib.design.paths.patterns import coarseness, few_patterns, merged, patterns
 from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.outputs.lookup import Output, Step, Table
 from seedslib.designed.outputs.patterns import ByPattern, components
@@ -57,10 +63,9 @@ class PatternLaw(JointLaw):
             )
         size = schedule.mask.shape[1]
         given = schedule.availability
+        keep_indicators(self.memory, schedule.mask, given)
         self.rates: np.ndarray = np.ones(size) if given is None else given
         self.mask: np.ndarray = schedule.mask & (self.rates > 0.0)
-        if self.memory.indicators and not (self.mask[:, -1].all() and self.rates[-1] == 1.0):
-            raise ValueError("measured, availability: wanted every indicator that the memory keeps")
         self.loose: np.ndarray = few_patterns(self.rates)
         self.prob: np.ndarray = np.ones(1)
         self.before: np.ndarray = np.empty((0, 1, 1))

@@ -147,7 +147,7 @@ def synthesize(
         that it does not know of.
     availability : float or array_like, shape (m,), optional
         Probabilities with which the components that are read arrive. The forecasts are then those
-        of what has arrived, by classes of histories, see `seedslib.design.paths.patterns`: errors,
+        of what has arrived, by classes of histories, see `seedslib.design.histories`: errors,
         likelihoods and what is expected are known after gaps too, likely or not. The work is that
         of a design for each class, and up to 64 of them.
 

@@ -17,9 +17,9 @@ from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
 from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
+from seedslib.design.histories import few_patterns, keep_indicators
 from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.held_out import examined
-from seedslib.design.paths.patterns import few_patterns
 from seedslib.design.paths.walk import Crew, Walk, crew
 from seedslib.design.regression import combine, root_mean_squares, scatter
 from seedslib.designed.guards import warn_of_mended
@@ -96,11 +96,10 @@ def synthesize_switching(
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
     rules = compiled_rules(system, linearization, normalisation, split)
     there, rates = Schedule.of(measured, availability, len(times), system.hybrid.sensor.size)
+    keep_indicators(memory, there, rates)
     if rates is not None:
         there = there & (rates > 0.0)
         rates = rates.copy() if len(few_patterns(rates)) else None
-    if memory.indicators and not (there[:, -1].all() and (rates is None or rates[-1] == 1.0)):
-        raise ValueError("measured, availability: wanted every indicator that the memory keeps")
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)

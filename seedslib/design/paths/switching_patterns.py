@@ -15,8 +15,9 @@ import numpy as np
 from seedslib.base.progress import followed
 from seedslib.base.triangles import lower_triangle
 from seedslib.design.cells import fit_cells
+from seedslib.design.histories import coarseness, few_patterns, merged, patterns
 from seedslib.design.paths.forward_pass import as_read
-from seedslib.design.paths.patterns import chosen, coarseness, few_patterns, merged, patterns
+from seedslib.design.paths.patterns import chosen
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
 from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
