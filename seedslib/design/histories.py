@@ -19,6 +19,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.patterns import distances, loose
 
 ALIKE = 0.04
@@ -169,3 +170,27 @@ def merged(
         np.argsort(order)[table], members, chance[order],
         several[chosen], label[chosen] // patterns, tolerance / 1.25,
     )  # fmt: skip
+
+
+def shares(members: Any, prob: dict[Any, float]) -> np.ndarray:
+    """Parts of a class that its members are; they sum to one."""
+    found = np.array([prob[cell] for cell in members])
+    return found / found.sum()
+
+
+def arrivals_of(
+    classes: Classes, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: np.ndarray
+) -> Arrivals:
+    """What a filter keeps of the classes about a measurement; arguments as `merged`.
+
+    `before` are the covariances of the classes before it, (classes before, n, n).
+    """
+    covs = np.empty((*classes.table.shape, *before.shape[1:]))
+    for c, number in np.ndindex(covs.shape[:2]):
+        # a component that is not read now does not count
+        covs[c, number] = moments[max(x for x in moments if x[0] == c and x[1] & ~number == 0)]
+    after = [
+        np.tensordot(shares(members, prob), [moments[cell] for cell in members], 1)
+        for members in classes.members
+    ]
+    return Arrivals(classes.table, covs, before, np.stack(after), classes.prob)

@@ -16,15 +16,16 @@ import numpy as np
 
 from seedslib.base.tables import Labels
 from seedslib.design.histories import (
+    arrivals_of,
     coarseness,
     few_patterns,
     keep_indicators,
     merged,
     patterns,
+    shares,
 )
 from seedslib.design.law.joint import LARGEST, JointLaw
 from seedslib.design.law.recursion import NEGLIGIBLE, Seen, conditional, seen
-from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.outputs.lookup import Output, Step, Table
 from seedslib.designed.outputs.patterns import ByPattern, components
 from seedslib.models.simulation import Schedule
@@ -68,7 +69,7 @@ class PatternLaw(JointLaw):
         self.mask: np.ndarray = schedule.mask & (self.rates > 0.0)
         self.loose: np.ndarray = few_patterns(self.rates)
         self.prob: np.ndarray = np.ones(1)
-        self.before: np.ndarray = np.empty((0, 1, 1))
+        self.before: np.ndarray = np.zeros((1, 1, 1))
         self.arrivals: list[Any] = []
         self.classes: Any = None
         self.farthest: float = 0.0
@@ -206,26 +207,16 @@ class PatternLaw(JointLaw):
         count, old = 2 ** len(self.loose), self.prob
         self.classes = merged(self.classes, moments, prob, len(old), count, self.most)
         self.farthest = coarseness(self.classes, t, self.farthest)
-        joint, after = [], []
+        joint = []
         for members in self.classes.members:
-            share = np.array([prob[cell] for cell in members])
-            share /= share.sum()
+            share = shares(members, prob)
             joint.append(sum(
                 part * self.remembered(blocks[cell[0]], *kept[cell])
                 for part, cell in zip(share, members, strict=True)
             ))  # fmt: skip
-            after.append(np.tensordot(share, [moments[cell] for cell in members], 1))
-        covs = np.empty((len(old), count, 1, 1))
-        for c, number in np.ndindex(covs.shape[:2]):
-            # a component that is not read now does not count
-            covs[c, number] = moments[max(x for x in moments if x[0] == c and x[1] & ~number == 0)]
         if len(self.loose):
-            before = self.before if k else np.zeros((1, 1, 1))
-            prob_after = self.classes.prob.copy()
-            self.before = np.stack(after)
-            self.arrivals.append(
-                Arrivals(self.classes.table, covs, before, self.before, prob_after)
-            )
+            self.arrivals.append(arrivals_of(self.classes, moments, prob, self.before))
+            self.before = self.arrivals[-1].after
         self.joint, self.prob = np.concatenate(joint), self.classes.prob
         weights = np.array([prob[cell] for cell in scores])
         columns = map(np.array, zip(*scores.values(), strict=True))

@@ -15,11 +15,17 @@ import numpy as np
 from seedslib.base.progress import followed
 from seedslib.base.triangles import lower_triangle
 from seedslib.design.cells import fit_cells
-from seedslib.design.histories import coarseness, few_patterns, merged, patterns
+from seedslib.design.histories import (
+    arrivals_of,
+    coarseness,
+    few_patterns,
+    merged,
+    patterns,
+    shares,
+)
 from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.patterns import chosen
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
-from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
 from seedslib.linearization.moments import symmetric
 from seedslib.models.kinds import elapsed
@@ -95,18 +101,11 @@ def pattern_pass(
         size = len(forks)
         classes = merged(classes, moments, prob, size, count)
         farthest = coarseness(classes, t, farthest)
-        uniform, forks, after = walk.uniform(ARRIVALS), [], []
+        uniform, forks = walk.uniform(ARRIVALS), []
         for members in classes.members:
-            share = np.array([prob[cell] for cell in members])
-            share /= share.sum()
-            several = (kept[cell] for cell in members)
-            forks.append(walk.each(partial(_mixed, share), uniform, *several))
-            after.append(np.tensordot(share, [moments[cell] for cell in members], 1))
-        covs = np.empty((size, count, n, n))
-        for c, number in np.ndindex(covs.shape[:2]):
-            # a component that is not read now does not count
-            covs[c, number] = moments[max(x for x in moments if x[0] == c and x[1] & ~number == 0)]
-        arrivals.append(Arrivals(classes.table, covs, before, np.stack(after), classes.prob))
+            mix = partial(_mixed, shares(members, prob))
+            forks.append(walk.each(mix, uniform, *(kept[cell] for cell in members)))
+        arrivals.append(arrivals_of(classes, moments, prob, before))
         before = arrivals[-1].after
         scores.append(score(walk, n, *forks, weights=classes.prob))
         if k + 1 == len(times):
