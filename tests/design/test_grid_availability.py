@@ -1,6 +1,7 @@
 """Exact designs that condition on what has arrived: claims after gaps, likely or not, are right."""
 
 import warnings
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
@@ -219,6 +220,8 @@ def test_steps_are_the_run_and_files_keep_it(system, filter, tmp_path):
     alone, again = load(tmp_path / "f.npz"), load(tmp_path / "f.npz", system)
     assert "availability 0.9; up to" in str(alone)
     assert diff(again, filter).equal
+    other = diff(filter, replace(filter, availability=np.array([0.8])))
+    assert [tuple(change) for change in other.changes] == [("availability", "0.9", "0.8")]
     found = alone.run(TIMES, y, covariances=True)
     state, single = filter.initial((4,)), filter.initial()
     for k, t in enumerate(TIMES):
@@ -260,6 +263,16 @@ def test_what_does_not_fit_is_refused(system, pair, filter):
     with pytest.raises(ValueError, match="wanted every indicator that the memory keeps"):
         grid_synthesis(zoo.dependent_switching(), Memory(1, 0, 1), [0.0, 1.0], x=(-5, 10, 31),
                        availability=0.5)  # fmt: skip
+    with pytest.raises(ValueError, match="arrivals: wanted those of 20 steps"):
+        replace(filter, arrivals=())
+    first, *rest = filter.arrivals
+    with pytest.raises(ValueError, match=r"arrivals\[0\].table: wanted classes below 2"):
+        replace(filter, arrivals=(first._replace(table=first.table + 9), *rest))
+    with pytest.raises(ValueError, match=r"arrivals\[0\]: wanted positive semidefinite"):
+        replace(filter, arrivals=(first._replace(after=-first.after), *rest))
+    steps = filter.steps[:1] * 2 + filter.steps[2:]
+    with pytest.raises(ValueError, match=r"steps\[1\].shown.tables\[0\] has other axes"):
+        replace(filter, steps=steps)
     with pytest.raises(ValueError, match="filter: wanted one whose sensor is always there"):
         grid_risk(filter, x=(-10, 10, 61))
     with pytest.raises(ValueError, match="filter: wanted one whose sensor is always there"):

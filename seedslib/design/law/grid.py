@@ -97,7 +97,7 @@ def grid_synthesis(
     """
     if nodes != 0:
         as_count("nodes", nodes)
-    law = law_of((system, memory, times, x, z, y, inputs), measured, availability)
+    law = _law_of((system, memory, times, x, z, y, inputs), measured, availability)
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
     nodes = 0 if in_steps(system) else nodes
@@ -113,7 +113,7 @@ def grid_synthesis(
     return _filter(law, steps, nodes, between, changes=np.array(changes).T)
 
 
-def law_of(arguments: tuple[Any, ...], measured: Any, availability: Any) -> JointLaw:
+def _law_of(arguments: tuple[Any, ...], measured: Any, availability: Any) -> JointLaw:
     """The law of a sensor, whose components are all there, or come by patterns.
 
     Raises
@@ -257,7 +257,7 @@ def optimal_risk(
     TypeError, ValueError
         As `grid_synthesis`.
     """
-    law = law_of((system, memory, times, x, z, y, inputs), measured, availability)
+    law = _law_of((system, memory, times, x, z, y, inputs), measured, availability)
     if isinstance(law, PatternLaw):
         for k, t, sight, _ in law.steps():
             with law.held.at(k):

@@ -35,7 +35,7 @@ class OutputFilter(BetweenFilter):
 
     A missing measurement or indicator is left out, exactly for that step given the memory, by
     functions of its own. What was found is remembered like any other estimate. A design that was
-    told of a schedule or an availability has functions for each pattern of what may arrive.
+    told of a schedule or an availability has functions, and covariances, for each pattern.
 
     Attributes
     ----------
