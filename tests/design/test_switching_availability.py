@@ -12,7 +12,7 @@ from seedslib.evaluation import diff
 from seedslib.extra import to_c
 from seedslib.linearization import ExactGaussian, Taylor
 
-TIMES = np.arange(11.0)
+TIMES = np.arange(10.0)
 
 
 @pytest.fixture(scope="module")
@@ -23,7 +23,7 @@ def target():
 
 @pytest.fixture(scope="module")
 def filter(target):
-    return synthesize(target, Memory(1), Taylor(), TIMES, paths=3000, seed=1, availability=0.8)
+    return synthesize(target, Memory(1), Taylor(), TIMES, paths=2000, seed=1, availability=0.8)
 
 
 def riccati(there):
@@ -47,7 +47,7 @@ def deviations(cov):
 def test_claims_after_a_silence_are_those_of_the_kalman_filter(target, filter, count):
     data = target.simulate(TIMES, 1500, 3)
     y = data.measurements.copy()
-    y[3 : 3 + count] = np.nan
+    y[2 : 2 + count] = np.nan
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = filter.run(TIMES, y, covariances=True)
@@ -59,8 +59,9 @@ def test_claims_after_a_silence_are_those_of_the_kalman_filter(target, filter, c
     assert np.isfinite(found.loglik).all()
 
 
-def test_indicators_may_be_missing_too():
-    """Predicted errors and wrong modes are those of other paths; claims know both gaps."""
+@pytest.mark.filterwarnings("ignore:paths")  # some cells are thin
+def test_two_modes_are_as_the_design_for_the_schedule_has_them():
+    """Predicted errors and wrong modes are those of other paths; so are claims after gaps."""
     system, times = zoo.scalar_switching("A1H"), TIMES[:5]
     made = synthesize(system, Memory(1), ExactGaussian(), times, paths=2500, seed=1,
                       availability=0.6)  # fmt: skip
@@ -75,6 +76,13 @@ def test_indicators_may_be_missing_too():
     lost = np.isnan(data.measurements[-2:, 0]).all(axis=0)
     ratio = square[-1, lost].mean() / found.cov[-1, 0, 0, lost].mean()
     assert abs(ratio - 1) < 4 * np.sqrt(2 / lost.sum())
+    mask = np.array([True, True, False, False, True])
+    other = synthesize(system, Memory(1), ExactGaussian(), times, paths=2500, seed=1, measured=mask)
+    y = system.simulate(times, 1000, 3, measured=mask).measurements
+    one, two = (f.run(times, y, covariances=True) for f in (made, other))
+    claims = [deviations(found.cov)[:, 0].mean(axis=1) for found in (one, two)]
+    np.testing.assert_allclose(*claims, rtol=0.02)
+    assert np.sqrt(((one.mean - two.mean) ** 2).mean()) < 0.05 * claims[1].mean()
 
 
 def test_steps_files_and_stationary_filters_keep_it(target, filter, tmp_path):
