@@ -57,6 +57,16 @@ def add_design(commands: Any) -> None:
     add("--workers", type=int, default=1, help="threads; the filter does not depend on it")
     add("--components", type=int, metavar="N", help="estimate the first N components (all)")
     add(
+        "--availability", metavar="P",
+        help="probability that a measurement arrives, or one for each component, of an indicator "
+        "the last, as in 0.9,1: the filter then knows its errors after gaps",
+    )  # fmt: skip
+    add(
+        "--measured", nargs="+", metavar="TIMES",
+        help="of the measurement times those at which the sensor is read, start:stop:step or "
+        "0,0.5,2, or of components that are read more rarely y2=0:10:5 (indicator=...)",
+    )  # fmt: skip
+    add(
         "--table", nargs="+", metavar="AXIS",
         help="write tables with nodes y=low:high:count z=low:high:count (measurement, estimate)",
     )  # fmt: skip
@@ -85,6 +95,7 @@ def run_design(options: argparse.Namespace) -> int:
     from seedslib.commands.models import load_model
     from seedslib.commands.outputs import as_output
     from seedslib.commands.records import times_of_column
+    from seedslib.commands.schedules import as_availability, as_schedule
     from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
@@ -108,6 +119,15 @@ def run_design(options: argparse.Namespace) -> int:
     if times is None:
         raise ValueError(f"times: wanted --times, or `times` in {options.model}; got neither")
     chosen = {"paths": options.paths, "seed": options.seed, "workers": options.workers}
+    if tables is not None and (options.availability or options.measured):
+        raise ValueError(
+            "table: wanted without availability and measured; tables for those come from "
+            "grid_synthesis in Python"
+        )
+    if options.availability is not None:
+        chosen["availability"] = as_availability(options.availability)
+    if options.measured is not None:
+        chosen["measured"] = as_schedule(options.measured, times, system)
     if switches(system):
         for name in ("predictor", "nodes", "components", "table"):
             if getattr(options, name) is not None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from seedslib import linearization as linearizations
 from seedslib.base.tables import Axis, Labels
+from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
@@ -25,12 +26,13 @@ from seedslib.designed.outputs.minimax import (
     MinimaxFilter,
     MinimaxFit,
 )
+from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.switching.fits import CellFit
+from seedslib.designed.switching.fits import CellFit, ClassFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import UnknownModel
 
@@ -40,8 +42,9 @@ KNOWN = {
     kind.__name__: kind
     for kind in (
         *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, PatternFit, CellFit, Step, Table, Prediction, HeldOut, Design, UnknownModel,
-        Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
+        PolynomialFit, PatternFit, CellFit, ClassFit, Step, Table, ByPattern, Arrivals,
+        Prediction, HeldOut, Design, UnknownModel, Minimax, MinimaxFit, BoundedFit,
+        BoundedPolynomial,
     )
 }  # fmt: skip
 

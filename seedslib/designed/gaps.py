@@ -39,7 +39,8 @@ def check_schedule(filter: Any) -> None:
     if arriving is None:
         return
     patterns = 2 ** len(loose(arriving))
-    for fit in filter.fits:
+    fits = () if hasattr(filter, "arrivals") else filter.fits  # where the classes are then
+    for fit in fits:
         if not isinstance(fit, PatternFit) or fit.table.shape[1:] != (patterns,):
             raise ValueError(f"fits: wanted classes of {patterns} patterns for the availability")
 

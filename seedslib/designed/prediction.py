@@ -148,6 +148,7 @@ def switching_page(filter: SwitchingFilter) -> str:
             f"  mended       {design.thin} of {design.pairs} thin pairs of cell and mode, "
             f"{design.mended} covariances{design.left_out}"
         )
+    lines += sensor_lines(filter)
     if filter.cycle:
         lines.append(later_times(filter))
     if filter.predicted is not None:
@@ -192,7 +193,8 @@ def sensor_lines(filter: Any) -> list[str]:
         read, whole = np.count_nonzero(filter.measured), filter.measured.size
         lines.append(f"  schedule     {read} of {whole} components are read")
     if filter.availability is not None:
-        most = max((len(fit.prob) for fit in filter.fits), default=1)
+        parts = getattr(filter, "arrivals", None) or filter.fits
+        most = max((len(part.prob) for part in parts), default=1)
         rates = ", ".join(f"{rate:g}" for rate in filter.availability)
         lines.append(f"  availability {rates}; up to {most} classes of histories")
     return lines

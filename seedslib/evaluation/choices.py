@@ -41,6 +41,10 @@ def choices(designed: Any) -> dict[str, str]:
     found["measurement times"] = _grid(designed.times)
     if hasattr(designed, "node_times"):
         found["nodes"] = _grid(np.concatenate([*designed.node_times, np.empty(0)]))
+    if designed.measured is not None:
+        found["schedule"] = _mask(designed.measured)
+    if designed.availability is not None:
+        found["availability"] = ", ".join(f"{rate:g}" for rate in designed.availability)
     found["designed on"] = _source(designed.design)
     return found
 
@@ -73,6 +77,14 @@ def _grid(times):
         by = f"by {steps[0]:.9g}" if even else f"unevenly, sum {times.sum():.12g}"
         return f"{len(times)} from {times[0]:.9g} to {times[-1]:.9g} {by}"
     return ", ".join(f"{t:.12g}" for t in times)
+
+
+def _mask(read):
+    """Components that are read, in words: row by row where the times are few."""
+    if len(read) <= ROWS:
+        return " ".join("".join(map(str, row)) for row in read.astype(int))
+    places = np.flatnonzero(read)
+    return f"{len(places)} of {read.size} components, sum of their places {places.sum()}"
 
 
 def model_changes(first: Any, second: Any) -> list[Change]:

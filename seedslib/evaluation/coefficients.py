@@ -11,6 +11,7 @@ import numpy as np
 from seedslib.base.tables import Labels, mesh
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Table
+from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.predictors import Continuous, PolynomialFit
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
@@ -81,7 +82,10 @@ def _coefficients(designed, k) -> dict[str, _Part]:
             _note(found, designed.fits[k], "", after)
         return found
     if isinstance(designed, OutputFilter):
-        _note(found, designed.steps[k].shown, "", before, "output")
+        shown = designed.steps[k].shown
+        for table in shown.tables if isinstance(shown, ByPattern) else (shown,):
+            if table is not None:
+                _note(found, table, "", before, "output")
         _note(found, designed.steps[k].blind, "", before)
     elif k == 0:
         start = designed.start

@@ -83,7 +83,7 @@ def test_claims_after_any_history_are_near_the_kalman_filters(walk, filter):
 
 def test_few_classes_still_predict_their_errors(walk, monkeypatch):
     """Each class holds its histories in their proportions, so errors are true."""
-    monkeypatch.setattr("seedslib.design.paths.patterns.MOST", 3)
+    monkeypatch.setattr("seedslib.design.histories.MOST", 3)
     with pytest.warns(UserWarning, match="3 classes of histories are few at time 1, and some hold"):
         made = synthesize(walk, Memory(1), Taylor(), TIMES, paths=8000, seed=1, availability=0.4)
     assert max(len(fit.prob) for fit in made.fits) == 3
@@ -245,8 +245,6 @@ def test_what_does_not_fit_is_refused(walk, pair):
         made(availability=1.5)
     with pytest.raises(ValueError, match="availability: wanted Affine or Polynomial"):
         made(checkpoint="x.npz")
-    with pytest.raises(ValueError, match="availability: wanted for a system without modes"):
-        made(zoo.steady_target())
     many = sympy.symbols("r1:6", real=True)
     wide = DiscreteSystem(walk.dynamics, StochasticMap([p], [p + s for s in many], Noise(many)),
                           [0.0], [[1.0]])  # fmt: skip

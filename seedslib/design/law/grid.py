@@ -15,11 +15,13 @@ from seedslib.base.nodes import NodesLike
 from seedslib.base.tables import AxesLike, Labels
 from seedslib.base.values import Inputs
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
+from seedslib.design.law.patterns import PatternLaw
 from seedslib.design.law.recursion import conditional, seen
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Step, Table, prior
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.models.kinds import AnySystem, in_steps
+from seedslib.models.simulation import Schedule
 
 METHOD = "density recursion"
 
@@ -27,7 +29,8 @@ METHOD = "density recursion"
 def grid_synthesis(
     system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
     y: AxesLike | None = None, nodes: Count = 4, probabilities: bool = False,
-    inputs: Inputs | None = None,
+    inputs: Inputs | None = None, measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
 ) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by the density recursion of theorem 1.
 
@@ -67,6 +70,14 @@ def grid_synthesis(
     inputs : mapping of Input to array_like, shape (K+1,), optional
         Values of the inputs that the system mentions: the tables are those for this course. An
         input of which a law is known is a component of the state.
+    measured : array_like, optional
+        The schedule of the sensor, as `seedslib.models.simulate` takes it; for a memory of
+        estimates. An indicator counts as the last component.
+    availability : float or array_like, optional
+        Probabilities with which the components that are read arrive. There is then a table for
+        each pattern of what was seen, over classes of histories of what arrived before, see
+        `seedslib.design.law.patterns`: errors are known after gaps too, likely or not, and
+        `predicted` is their average.
 
     Returns
     -------
@@ -77,19 +88,21 @@ def grid_synthesis(
     ------
     TypeError, ValueError
         A system with more components or without likelihood; a memory of another kind; axes that
-        are none.
+        are none; a schedule or probabilities that do not fit, or that leave too many patterns.
 
     Warns
     -----
     UserWarning
-        Probability at the ends of an axis.
+        Probability at the ends of an axis; classes of histories that are far apart.
     """
     if nodes != 0:
         as_count("nodes", nodes)
-    law = JointLaw(system, memory, times, x, z, y, inputs)
+    law = _law_of((system, memory, times, x, z, y, inputs), measured, availability)
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
     nodes = 0 if in_steps(system) else nodes
+    if isinstance(law, PatternLaw):
+        return _by_patterns(law, nodes, probabilities)
     steps, changes, between, before = [], [], [], None
     for k, found in enumerate(optimal_steps(law, nodes)):
         changes.append(_change(before, found))
@@ -97,11 +110,44 @@ def grid_synthesis(
             steps.append(_tables(law, k, found, probabilities))
         between.append(found.between)
         before = found
+    return _filter(law, steps, nodes, between, changes=np.array(changes).T)
+
+
+def _law_of(arguments: tuple[Any, ...], measured: Any, availability: Any) -> JointLaw:
+    """The law of a sensor, whose components are all there, or come by patterns.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `grid_synthesis`.
+    """
+    law = JointLaw(*arguments)
+    size = law.system.measurement_size + (law.chain.indicators > 0)
+    schedule = Schedule.of(measured, availability, len(law.times), size)
+    sure = schedule.availability is None or (schedule.availability == 1.0).all()
+    return law if sure and schedule.mask.all() else PatternLaw(arguments, schedule)
+
+
+def _by_patterns(law, nodes, probabilities) -> TableFilter:
+    """As `grid_synthesis`, by the law of patterns."""
+    steps, between = [], []
+    for k, t, sight, nodes_before in law.steps(nodes):
+        with law.held.at(k):
+            steps.append(law.decided(k, t, sight, probabilities))
+        between.append(nodes_before)
+    few = len(law.loose) > 0
+    return _filter(
+        law, steps, nodes, between, arrivals=tuple(law.arrivals),
+        measured=None if law.mask.all() else law.mask, availability=law.rates if few else None,
+    )  # fmt: skip
+
+
+def _filter(law, steps, nodes, between, **told) -> TableFilter:
     stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
     return TableFilter(
-        system=system, memory=memory, times=law.times, steps=tuple(steps), method=METHOD,
+        system=law.system, memory=law.memory, times=law.times, steps=tuple(steps), method=METHOD,
         predicted=law.prediction(), covariances=law.errors(), design=BY_GRID,
-        node_times=tuple(stops), node_fits=tuple(between[1:]), changes=np.array(changes).T,
+        node_times=tuple(stops), node_fits=tuple(between[1:]), **told,
     )  # fmt: skip
 
 
@@ -192,13 +238,14 @@ def _tables(law, k, optimal, probabilities) -> Step:
 
 def optimal_risk(
     system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
-    y: AxesLike | None = None, inputs: Any = None,
+    y: AxesLike | None = None, inputs: Any = None, measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
 ) -> GridRisk:  # fmt: skip
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.
 
     Parameters
     ----------
-    system, memory, times, x, z, y, inputs
+    system, memory, times, x, z, y, inputs, measured, availability
         As `grid_synthesis`.
 
     Returns
@@ -210,7 +257,12 @@ def optimal_risk(
     TypeError, ValueError
         As `grid_synthesis`.
     """
-    law = JointLaw(system, memory, times, x, z, y, inputs)
-    for _ in optimal_steps(law):
-        pass
+    law = _law_of((system, memory, times, x, z, y, inputs), measured, availability)
+    if isinstance(law, PatternLaw):
+        for k, t, sight, _ in law.steps():
+            with law.held.at(k):
+                law.decided(k, t, sight)
+    else:
+        for _ in optimal_steps(law):
+            pass
     return law.risk()

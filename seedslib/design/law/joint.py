@@ -20,6 +20,7 @@ from seedslib.design.law.recursion import (
     GridRisk,
     Seen,
     conditional,
+    default_axes,
     mode_masses,
     posterior_means,
     posterior_modes,
@@ -32,20 +33,7 @@ from seedslib.designed.outputs.lookup import Output, Table, letter_labels, requi
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains.switching import chain_of
-from seedslib.models.kinds import (
-    AnySystem,
-    as_grid,
-    as_system,
-    course_of,
-    elapsed,
-    switches,
-)
-
-SPREADS = 6.5
-"""Default axes of measurements reach this many deviations of the sensor beyond its means."""
-
-FINENESS = 0.25
-"""Default step of these axes, in the smallest deviation of the sensor."""
+from seedslib.models.kinds import AnySystem, as_grid, as_system, course_of, elapsed, switches
 
 LOST = 1e-6
 """Probability of measurements beyond the axes that is worth a warning."""
@@ -103,7 +91,7 @@ class JointLaw:
         self.switching: bool = switches(system)
         with self.held.at(0):
             reach = self.chain.reach(float(self.times[0]))
-            axes = self._default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
+            axes = default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes
         self.shown: np.ndarray = mesh(self.measurement_axes)
@@ -162,8 +150,8 @@ class JointLaw:
         """Likelihood of the measurements on the grid."""
         sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
         if self.chain.loses:  # given that it is on the axis still, whose ends are looked at
-            self.joint /= self.joint.sum()
-        law = self.joint.sum(axis=0)
+            self.renew()
+        law = self.marginal()
         self.chain.look_at_ends(law)
         missed = float(law @ sight.defect)
         if missed > LOST:
@@ -173,6 +161,14 @@ class JointLaw:
                 stacklevel=outside(),
             )
         return sight
+
+    def renew(self) -> None:
+        """Give the law its mass again."""
+        self.joint /= self.joint.sum()
+
+    def marginal(self) -> Any:
+        """Law of the state alone, (S,)."""
+        return self.joint.sum(axis=0)
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
         """Optimal estimates (1, Y, cells), decided modes (Y, cells) and probabilities.
@@ -207,38 +203,54 @@ class JointLaw:
         ndarray, shape (Y, cells)
             Probability of each measurement and memory.
         """
+        score, mass = self.judged(self.joint, means, sight, modes)
+        told = self.shown[0] if self.memory.indicators else None
+        self.joint = self.remembered(self.joint, means, sight, modes, mass, told)
+        self.noted(k, score)
+        return mass
+
+    def judged(self, joint: Any, means: Any, sight: Any, modes: Any = None) -> tuple[Any, Any]:
+        """What estimates cost, as a row of `found`, and the mass of measurement and memory."""
         estimate, x = means[0], self.values[0]
-        masses = mode_masses(self.joint, sight.mass, self.modes)
+        masses = mode_masses(joint, sight.mass, self.modes)
         mass = masses.sum(axis=0)
-        first = sight.mass @ (self.joint * x).T
-        law = self.joint.sum(axis=0)
+        first = sight.mass @ (joint * x).T
+        law = joint.sum(axis=0)
         mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
         bias = np.vdot(estimate, mass) - law @ x
         right = (part[modes == i].sum() for i, part in enumerate(masses))
         wrong = None if modes is None else 1.0 - sum(right)
         outside = 0.0
-        tail = self.letters if self.filled == self.depth else 1
         if self.memory.estimates:
             axis = self.letter_axes[-1]
-            lower, share = axis.place(estimate)
             outside = mass[(estimate < axis.low) | (estimate > axis.high)].sum()
-            if modes is not None:
-                label = modes.astype(np.intp)
-                if self.memory.indicators:
-                    told = self.shown[0].astype(np.intp)
-                    label = label * self.chain.indicators + told[:, None]
-                lower = lower + label * axis.count
-            self.joint = push_forward(
-                self.joint, sight.mass, lower, share, self.letters, tail,
-                least=UNSEEN if self.switching else 0.0, mass=mass,
-            )  # fmt: skip
-        else:
+        return (mse, bias, outside, wrong), mass
+
+    def remembered(
+        self, joint: Any, means: Any, sight: Any, modes: Any, mass: Any, told: Any = None
+    ) -> Any:
+        """Joint law with the new memory; `told` (Y,) are the indicators, where it has them."""
+        tail = self.letters if self.filled == self.depth else 1
+        if not self.memory.estimates:
             shown = sight.mass.reshape(-1, self.letters, sight.mass.shape[1]).sum(axis=0)
-            self.joint = remember(self.joint, shown, tail)
-        self.found.append((mse, bias, outside, wrong))
-        self.scores.append((self.times[k], mse))
+            return remember(joint, shown, tail)
+        axis = self.letter_axes[-1]
+        lower, share = axis.place(means[0])
+        if modes is not None:
+            label = modes.astype(np.intp)
+            if told is not None:
+                label = label * self.chain.indicators + told.astype(np.intp)[:, None]
+            lower = lower + label * axis.count
+        return push_forward(
+            joint, sight.mass, lower, share, self.letters, tail,
+            least=UNSEEN if self.switching else 0.0, mass=mass,
+        )  # fmt: skip
+
+    def noted(self, k: int, score: Any) -> None:
+        """Keep what was found at measurement k, which the memory has now."""
+        self.found.append(score)
+        self.scores.append((self.times[k], score[0]))
         self.filled = min(self.filled + 1, self.depth)
-        return mass
 
     def move(self, start: float, stop: float) -> Any:
         """Let the state move while the memory stays: (4.8)."""
@@ -281,9 +293,3 @@ class JointLaw:
                 "is remembered as the end",
                 stacklevel=outside(),
             )
-
-    def _default_axes(self, mean, deviation):
-        low = (mean - SPREADS * deviation).min(axis=1)
-        high = (mean + SPREADS * deviation).max(axis=1)
-        count = (high - low) / (FINENESS * deviation.min(axis=1))
-        return tuple(Axis(*part, int(n) + 2) for *part, n in zip(low, high, count, strict=True))

@@ -7,9 +7,16 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.tables import Axis
 
 NEGLIGIBLE = 1e-290
 """Probabilities below this are set to zero: they cannot be divided by."""
+
+SPREADS = 6.5
+"""Default axes of measurements reach this many deviations of the sensor beyond its means."""
+
+FINENESS = 0.25
+"""Default step of these axes, in the smallest deviation of the sensor."""
 
 CHUNK = 1 << 18
 """Numbers formed at a time in the push-forward: they stay in the processor's cache."""
@@ -72,6 +79,14 @@ def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:
     if not (total > NEGLIGIBLE).all():
         raise ValueError("y: wanted axes that hold the measurements of every state on the grid")
     return Seen(relative / total, mass / total, np.abs(total - 1.0))
+
+
+def default_axes(mean: np.ndarray, deviation: np.ndarray) -> tuple[Axis, ...]:
+    """Axes for measurements, from their means and deviations at the states, both (m, S)."""
+    low = (mean - SPREADS * deviation).min(axis=1)
+    high = (mean + SPREADS * deviation).max(axis=1)
+    count = (high - low) / (FINENESS * deviation.min(axis=1))
+    return tuple(Axis(*part, int(n) + 2) for *part, n in zip(low, high, count, strict=True))
 
 
 def conditional(joint: np.ndarray) -> np.ndarray:

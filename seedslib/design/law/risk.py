@@ -44,6 +44,11 @@ def grid_risk(
     """
     if filter.memory is None:
         raise ValueError("filter: wanted one with a memory, got one that carries whole laws")
+    if filter.measured is not None or filter.availability is not None:
+        raise ValueError(
+            "filter: wanted one whose sensor is always there; what a design by grid_synthesis "
+            "predicts for a schedule or an availability is its risk"
+        )
     law = JointLaw(filter.system, filter.memory, filter.times, x, z, y, inputs)
     for k, _, sight, _ in law.steps():
         found = _decided(filter, law, k)

@@ -59,7 +59,7 @@ OF_MODES = ("normalisation", "split")
 def synthesize(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: Any, seed: Any, workers: Any = 1, normalisation: Any = "consistent", split: Any = True,
-    inputs: Any = None, measured: Any = None,
+    inputs: Any = None, measured: Any = None, availability: Any = None,
 ) -> SwitchingFilter: ...  # fmt: skip
 
 
@@ -93,8 +93,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `inputs`, `measured`, `normalisation`
-        and `split` and gives a `SwitchingFilter`; see
+        A switching system takes `paths`, `seed`, `workers`, `inputs`, `measured`, `availability`,
+        `normalisation` and `split` and gives a `SwitchingFilter`; see
         `seedslib.design.paths.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
@@ -147,7 +147,7 @@ def synthesize(
         that it does not know of.
     availability : float or array_like, shape (m,), optional
         Probabilities with which the components that are read arrive. The forecasts are then those
-        of what has arrived, by classes of histories, see `seedslib.design.paths.patterns`: errors,
+        of what has arrived, by classes of histories, see `seedslib.design.histories`: errors,
         likelihoods and what is expected are known after gaps too, likely or not. The work is that
         of a design for each class, and up to 64 of them.
 
@@ -188,13 +188,12 @@ def synthesize(
     if not isinstance(linearization, Linearization):
         raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
     if switching:
-        if availability is not None:
-            raise ValueError("availability: wanted for a system without modes, got one with modes")
         from seedslib.design.paths.switching import synthesize_switching
 
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
             normalisation=normalisation, split=split, inputs=inputs, measured=measured,
+            availability=availability,
         )  # fmt: skip
     times = as_grid("times", times, system)
     held = course_of(system, inputs, len(times))

@@ -17,6 +17,7 @@ from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
 from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
+from seedslib.design.histories import few_patterns, keep_indicators
 from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import Crew, Walk, crew
@@ -40,6 +41,7 @@ def synthesize_switching(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
     split: bool = True, inputs: Inputs | None = None, measured: Any = None,
+    availability: Any = None,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -64,6 +66,8 @@ def synthesize_switching(
         As `SwitchingFilter`.
     measured : array_like, optional
         As `seedslib.models.simulate`; of a memory of indicators they are all measured.
+    availability : float or array_like, optional
+        Probabilities with which what is read arrives, of an indicator the last.
 
     Returns
     -------
@@ -91,13 +95,21 @@ def synthesize_switching(
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
     rules = compiled_rules(system, linearization, normalisation, split)
-    there = Schedule.of(measured, None, len(times), system.hybrid.sensor.size).mask
-    if memory.indicators and not there[:, -1].all():
-        raise ValueError("measured: wanted every indicator that the memory keeps")
+    there, rates = Schedule.of(measured, availability, len(times), system.hybrid.sensor.size)
+    keep_indicators(memory, there, rates)
+    if rates is not None:
+        there = there & (rates > 0.0)
+        rates = rates.copy() if len(few_patterns(rates)) else None
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {}, np.inf)
-        found = _pass(walk, system, memory, rules, times, held, there)
+        arrivals: Any = ()
+        if rates is None:
+            found = _pass(walk, system, memory, rules, times, held, there)
+        else:
+            from seedslib.design.paths.switching_patterns import pattern_pass
+
+            *found, arrivals = pattern_pass(walk, system, memory, rules, times, held, there, rates)
         fits, scores, forecasts, thin, pairs, raised = found
         if thin > OFTEN * pairs:
             warnings.warn(
@@ -112,7 +124,8 @@ def synthesize_switching(
             Design(
                 paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, raised
             ),
-            rules=rules, measured=None if there.all() else there.copy(),
+            rules=rules, measured=None if there.all() else there.copy(), availability=rates,
+            arrivals=tuple(arrivals),
         )  # fmt: skip
         del walk  # its paths are not wanted any more
         return examined(
@@ -133,14 +146,14 @@ def _pass(walk, system, memory, rules, times, held, there):
             fit, old = fits[-1], times[k - 1]
 
             def predict(state, fit=fit, old=old):
-                cell = _cell(system, state)
+                cell = cell_of(system, state)
                 law = rules.predict(old, fit.forecast(cell, state.past.vector))
                 return state._replace(law=law, corrected=False)
 
             with held.at(k - 1), elapsed(system, old, t):
                 walk.advance(old, t)
                 states = walk.each(predict, states)
-            found = walk.gather(lambda x, state: (x[:n] - _forecast(state.law)) ** 2, states)
+            found = walk.gather(lambda x, state: (x[:n] - forecast_mean(state.law)) ** 2, states)
             forecasts.append(np.sqrt(found.mean))
 
         def correct(state, y, k=k, t=t):
@@ -150,23 +163,11 @@ def _pass(walk, system, memory, rules, times, held, there):
 
         with held.at(k):
             states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
-        scores.append(_score(walk, n, states))
+        scores.append(score(walk, n, states))
         if k + 1 == len(times):
             continue
         cells = cell_count(memory, system, k)
-        groups = walk.each(
-            lambda x, alive, state, cells=cells: _groups(system, x, alive, state, cells),
-            walk.states, walk.alive, states,
-        )  # fmt: skip
-        scatters = [
-            [combine([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
-            for c in range(cells)
-        ]
-        left = sum(part.count for row in scatters for part in row)
-        if not left:
-            raise ValueError(
-                f"paths: wanted some that stay finite, all {sum(map(sum, walk.counts))} diverged"
-            )
+        scatters, left = moments_of_cells(walk, system, states, cells)
         fit, few, bent = fit_cells(scatters, n, left)
         fits.append(fit)
         thin, pairs, raised = thin + few, pairs + cells * system.modes, raised + bent
@@ -174,20 +175,45 @@ def _pass(walk, system, memory, rules, times, held, there):
     return fits, scores, forecasts, thin, pairs, raised
 
 
-def _forecast(law):
+def moments_of_cells(walk: Any, system: Any, states: Any, cells: int) -> tuple[list, int]:
+    """Moments of state and memory in each cell and mode, and how many paths they are of.
+
+    Raises
+    ------
+    ValueError
+        No path.
+    """
+    groups = walk.each(
+        lambda x, alive, state: _groups(system, x, alive, state, cells),
+        walk.states, walk.alive, states,
+    )  # fmt: skip
+    scatters = [
+        [combine([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
+        for c in range(cells)
+    ]
+    left = sum(part.count for row in scatters for part in row)
+    if not left:
+        raise ValueError(
+            f"paths: wanted some that stay finite, all {sum(map(sum, walk.counts))} diverged"
+        )
+    return scatters, left
+
+
+def forecast_mean(law: Any) -> Any:
     """Mean of the state, (n, paths), under a forecast law."""
     weight = law.prob / law.prob.sum(axis=(0, 1))
     return (weight * law.mean).sum(axis=(1, 2))
 
 
-def _cell(system, state):
+def cell_of(system: Any, state: Any) -> np.ndarray:
+    """Number of the cell of a state's memory."""
     return cell_number(state.past, system.modes, system.indicators, state.mode.shape)
 
 
 def _groups(system, x, alive, state, cells):
     """Moments of state and memory in each cell and mode of one bundle of paths."""
     rows = np.concatenate([x[:-1], state.past.vector])
-    group = _cell(system, state) * system.modes + x[-1].astype(int)
+    group = cell_of(system, state) * system.modes + x[-1].astype(int)
     if not alive.all():
         rows, group = rows[:, alive], group[alive]
     # equal groups side by side, in their order
@@ -198,13 +224,21 @@ def _groups(system, x, alive, state, cells):
     return [parts[c * system.modes : (c + 1) * system.modes] for c in range(cells)]
 
 
-def _score(walk, n, states):
-    """Root-mean-square errors, part of wrong modes, and their standard errors."""
+def score(walk: Any, n: int, *states: Any, weights: Any = (1.0,)) -> tuple[Any, ...]:
+    """Root-mean-square errors, part of wrong modes, and their standard errors.
 
-    def rows(x, state):
-        wrong = (state.mode != x[-1])[None]
-        return np.concatenate([(x[:-1] - state.mean) ** 2, wrong])
+    Of one state on the paths, or of several with weights that sum to one.
+    """
 
-    found = walk.gather(rows, states)
+    def rows(x, *several):
+        found = [
+            np.concatenate([(x[:-1] - state.mean) ** 2, (state.mode != x[-1])[None]])
+            for state in several
+        ]
+        if len(found) == 1:
+            return found[0]
+        return sum(weight * part for weight, part in zip(weights, found, strict=True))
+
+    found = walk.gather(rows, *states)
     rms, error, spread = root_mean_squares(found, n)
     return rms, error, found.mean[n], spread[n] / math.sqrt(found.count)

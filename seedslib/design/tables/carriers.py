@@ -52,10 +52,10 @@ class Lesson(NamedTuple):
             return past.vector
         return np.empty((0, self.states.shape[1]))
 
-    def points(self, system: AnySystem, blind: bool = False) -> list[Any]:
+    def points(self, system: AnySystem, blind: bool = False, group: Any = None) -> list[Any]:
         """Arguments of an output function, see `seedslib.designed.outputs.lookup.arguments`."""
         y = () if blind or self.measurements is None else self.measurements
-        return arguments(system, y, self.indicators, self.past)
+        return arguments(system, y, self.indicators, self.past, group)
 
 
 class _Paths(NamedTuple):
@@ -165,10 +165,14 @@ class Carriers:
         """What a forecast for a time up to the next measurement is fitted to."""
         return self._lesson(self.reached + 1, t)
 
+    def past(self, which: int) -> Past:
+        """Memory that a set has."""
+        return self.pasts[which]
+
     def _lesson(self, which, t=None):
         """Of one of the sets, counted on and on, at the next measurement or at a time before it."""
         which, k = which % len(self.sets), self.reached + 1
-        chosen, past = self.sets[which], self.pasts[which]
+        chosen, past = self.sets[which], self.past(which)
         if t is not None:
             return Lesson(chosen.states[float(t)], None, past)
         labels = (None if part is None else part[k] for part in (chosen.modes, chosen.indicators))

@@ -9,14 +9,17 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.progress import followed
-from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
+from seedslib.base.tables import AxesLike, Axis, as_axes
 from seedslib.design.tables.carriers import Carriers
-from seedslib.design.tables.regression import METHODS, histogram_table, likelihood_table
+from seedslib.design.tables.fitted import counted, likely, sensors_of
+from seedslib.design.tables.patterns import PatternCarriers
+from seedslib.design.tables.regression import METHODS
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.lookup import Step, Table, prior, step_axes
+from seedslib.designed.outputs.lookup import Step, prior, step_axes
+from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.outputs.table import TableFilter
-from seedslib.filters.weights import most_probable
-from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
+from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
+from seedslib.models.simulation import Schedule
 
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
@@ -29,7 +32,8 @@ def simulated_synthesis(
     system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
     z: AxesLike | None = None, y: AxesLike | None = None, method: str = "likelihood",
     components: int | None = None, sets: int = 2, kernel: float = 0.5, nodes: Count = 4,
-    workers: int = 1, probabilities: bool = False,
+    workers: int = 1, probabilities: bool = False, measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
 ) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
@@ -68,6 +72,9 @@ def simulated_synthesis(
         Threads of the simulation.
     probabilities : bool
         Whether tables of the probabilities of the modes are wanted too.
+    measured, availability : array_like, optional
+        As `seedslib.design.grid_synthesis`, for a memory of estimates: a table for each pattern of
+        what was seen. The work is that of a design for each class of histories.
 
     Returns
     -------
@@ -90,11 +97,20 @@ def simulated_synthesis(
     as_system("system", system, *KINDS)
     if probabilities and not switches(system):
         raise ValueError("probabilities: wanted False, the system has no modes")
-    if method == "likelihood" and not all(b is None or b.has_log_density for b in _sensors(system)):
+    if method == "likelihood" and not all(
+        b is None or b.has_log_density for b in sensors_of(system)
+    ):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
     if not 0 < kernel < np.inf:
         raise ValueError(f"kernel: wanted a positive number, got {kernel}")
-    carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
+    arguments = system, memory, times, components, paths, sets, nodes, seed, workers
+    schedule = _schedule(system, times, measured, availability)
+    if schedule is not None:
+        carriers = PatternCarriers(schedule, *arguments)
+        axes = _axes(carriers, y, z)
+        carriers.most = max(1, LARGEST_TABLE // refuse_large(system, memory, *axes))
+        return _by_patterns(carriers, *axes, method, kernel, probabilities)
+    carriers = Carriers(*arguments)
     axes_y, axes_z = _axes(carriers, y, z)
     refuse_large(system, memory, axes_y, axes_z)
     steps, between = [], []
@@ -102,18 +118,18 @@ def simulated_synthesis(
         shown, blind = step_axes(system, memory, axes_y, axes_z, k)
         lesson = carriers.lesson()
         if method == "likelihood":
-            output = _likely(carriers, float(t), lesson, shown, kernel)
+            output = likely(carriers, float(t), lesson, shown, kernel)
         else:
-            output = _counted(carriers, lesson, shown, kernel)
+            output = counted(carriers, lesson, shown, kernel)
         forecast = prior(system, carriers.components)
         if k or switches(system):
-            forecast = _counted(carriers, lesson, blind, kernel, blind=True)
+            forecast = counted(carriers, lesson, blind, kernel, blind=True)
         steps.append(Step(output, forecast))
         carriers.take(output)
         if k + 1 < len(carriers.times):
             axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
             for stop in carriers.stops[k][:-1]:
-                fits.append(_counted(carriers, carriers.forecast_lesson(stop), axes, kernel))
+                fits.append(counted(carriers, carriers.forecast_lesson(stop), axes, kernel))
                 carriers.score(stop, fits[-1])
             between.append(tuple(fits))
     if not probabilities:
@@ -127,78 +143,63 @@ def simulated_synthesis(
     ))  # fmt: skip
 
 
-def _counted(carriers, lesson, axes, kernel, blind=False) -> Table:
-    """Smoothed histogram over indicator, measurement unless blind, and memory."""
-    targets, points = _targets(carriers, lesson), _points(carriers, lesson, axes, blind)
-    pooled = carriers.system.indicators > 0
-    return _table(carriers, axes, histogram_table(targets, points, axes, kernel, pooled))
+def _schedule(system, times, measured, availability) -> Schedule | None:
+    """What is read and arrives; None where everything does."""
+    size = system.measurement_size + (system.indicators > 0)
+    found = Schedule.of(measured, availability, len(as_grid("times", times, system)), size)
+    sure = found.availability is None or (found.availability == 1.0).all()
+    return None if sure and found.mask.all() else found
 
 
-def _likely(carriers, t, lesson, axes, kernel) -> Table:
-    """Regression in the memory alone, weighted by the likelihoods of measurement and indicator."""
-    targets, told = _targets(carriers, lesson), carriers.system.indicators > 0
-    measured = told + len(lesson.measurements)
-    log_density = _log_density(carriers.system, t, lesson, axes[told:measured])
-    held = axes[measured:]
-    points = _points(carriers, lesson, held, blind=True)
-    found = likelihood_table(log_density, targets, points, axes[:measured], held, kernel)
-    return _table(carriers, axes, found)
+def _by_patterns(carriers, axes_y, axes_z, method, kernel, probabilities) -> TableFilter:
+    """As `simulated_synthesis`, with a table for each pattern."""
+    system, memory, steps, between = carriers.system, carriers.memory, [], []
+    told = int(system.indicators > 0)
+
+    def fit(lesson, rows):
+        k, t = carriers.reached + 1, float(carriers.times[carriers.reached + 1])
+        part = tuple(axes_y[i] for i in rows)
+        shown, blind = step_axes(system, memory, axes_y, axes_z, k)
+        axes = shown[:told] + part + blind[told:]
+        if rows and method == "likelihood":
+            return likely(carriers, t, lesson, axes, kernel, axes_y, rows)
+        lesson = lesson._replace(measurements=lesson.measurements[rows])
+        return counted(carriers, lesson, axes, kernel, blind=not rows)
+
+    for k in followed(range(len(carriers.times)), "design of tables"):
+        known = None if k or switches(system) else prior(system, carriers.components)
+        steps.append(carriers.decided(fit, known))
+        if k + 1 == len(carriers.times):
+            break
+        axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
+        for stop in carriers.stops[k][:-1]:
+
+            def ahead(stop=stop, axes=axes):
+                return counted(carriers, carriers.forecast_lesson(stop), axes, kernel)
+
+            fits.append(carriers.in_classes(ahead, told))
+            carriers.score(stop, fits[-1])
+        between.append(tuple(fits))
+    if not probabilities:
+        steps = [_without_prob(step) for step in steps]
+    return carriers.examined(TableFilter(
+        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
+        method=METHODS[method], predicted=carriers.prediction(),
+        covariances=carriers.covariances, design=carriers.design(),
+        node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
+        measured=None if carriers.mask.all() else carriers.mask,
+        availability=carriers.rates if len(carriers.loose) else None,
+        arrivals=tuple(carriers.arrivals),
+    ))  # fmt: skip
 
 
-def _points(carriers, lesson, axes, blind) -> np.ndarray:
-    """Arguments over the axes, the last ones of the function, (d, N)."""
-    points = lesson.points(carriers.system, blind)
-    points = np.array(points[len(points) - len(axes) :], dtype=float)
-    return points.reshape(len(axes), lesson.states.shape[1])
+def _without_prob(step: Step) -> Step:
+    tables = (table and table._replace(prob=None) for table in step.shown.tables)
+    return Step(ByPattern(tuple(tables)), step.blind._replace(prob=None))
 
 
-def _log_density(system, t, lesson, axes):
-    """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
-    grid, x = mesh(axes)[:, None, :], lesson.states
-    if not switches(system):
-        return lambda part: system.sensor.log_density(t, grid, x[:, part, None])
-    values = [*range(system.indicators), -1] if system.indicators else [0]
-
-    def log_density(part):
-        mode, state = lesson.modes[part], x[:, part, None]
-        found = np.full((len(mode), len(values), grid.shape[2]), -np.inf)
-        for i in range(system.modes):
-            here = np.flatnonzero(mode == i)
-            there = np.broadcast_to(state[:, here], (len(x), len(here), grid.shape[2]))
-            for place, j in enumerate(values):
-                reading = system.sensors[i] if j < 0 else system.readings[i][j]
-                if reading is not None and here.size:
-                    found[here, place] = reading.log_density(t, grid, there)
-        return found.reshape(len(mode), -1)
-
-    return log_density
-
-
-def _sensors(system) -> list:
-    """All that may be measured; None for a reading that never comes."""
-    if not switches(system):
-        return [system.sensor]
-    return [reading for row in system.readings for reading in row]
-
-
-def _targets(carriers, lesson) -> np.ndarray:
-    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
-    states = lesson.states[: carriers.components]
-    if lesson.modes is None:
-        return states
-    return np.concatenate([lesson.modes == np.arange(carriers.system.modes)[:, None], states])
-
-
-def _table(carriers, axes, found) -> Table:
-    """Table of what regression found: probabilities, where there are modes, then estimates."""
-    if not switches(carriers.system):
-        return Table(axes, found)
-    prob, means = np.split(found, [carriers.system.modes])
-    return Table(axes, means, most_probable(prob).astype(np.int8), prob)
-
-
-def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
-    """Refuse tables that would not fit.
+def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> int:
+    """Refuse tables that would not fit; entries of the largest.
 
     Raises
     ------
@@ -212,6 +213,7 @@ def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) ->
             f"memory: tables over {len(axes)} arguments would have {entries:.3g} entries; wanted "
             f"at most {LARGEST_TABLE}: fewer nodes, a shorter memory, or seedslib.extra.learned"
         )
+    return int(entries)
 
 
 def _axes(carriers, y, z):

@@ -73,12 +73,18 @@ def tabulated(filter: Any, *, y: Any, z: AxesLike | None = None) -> TableFilter:
     ------
     TypeError, ValueError
         Another filter, axes that are none, tables that would be too large, a filter whose
-        forecasts look at a measurement that is not remembered, more than one estimated component.
+        forecasts look at a measurement that is not remembered, more than one estimated component,
+        a design with a schedule or an availability.
     """
     if not isinstance(filter, FiniteOrderFilter | OutputFilter) or switches(filter.system):
         raise TypeError(
             f"filter: wanted a FiniteOrderFilter, got a {type(filter).__name__}; tables of a "
             "switching system come from simulated_synthesis or grid_synthesis"
+        )
+    if filter.measured is not None or filter.availability is not None:
+        raise ValueError(
+            "filter: wanted one whose sensor is always there; tables for a schedule or an "
+            "availability come from grid_synthesis"
         )
     system, memory, times = filter.system, filter.memory, filter.times
     axes_y = as_axes("y", y, system.measurement_size)

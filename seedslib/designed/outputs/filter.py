@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -11,10 +11,12 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course
+from seedslib.designed.arrivals import Arrivals, ways
 from seedslib.designed.between import BetweenFilter, at, known_kind
 from seedslib.designed.guards import freeze, want_corrected, want_forecast
 from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Step, Table, arguments, step_axes, summary
+from seedslib.designed.outputs.patterns import check_patterns, classes_at
 from seedslib.designed.outputs.steps import OutputState, after, arrived, found
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.shapes import check_array, check_nodes
@@ -32,7 +34,8 @@ class OutputFilter(BetweenFilter):
     found, NaN from a missing measurement on.
 
     A missing measurement or indicator is left out, exactly for that step given the memory, by
-    functions of its own. What was found is remembered like any other estimate.
+    functions of its own. What was found is remembered like any other estimate. A design that was
+    told of a schedule or an availability has functions, and covariances, for each pattern.
 
     Attributes
     ----------
@@ -63,6 +66,10 @@ class OutputFilter(BetweenFilter):
         See `DesignedFilter`.
     held_out : HeldOut, optional
         Errors on paths that the design has not seen; none where it took no paths.
+    measured, availability : ndarray, optional
+        See `DesignedFilter`.
+    arrivals : tuple of Arrivals, length K+1 or 0
+        Classes of histories, where something may be missing; `ways` leads from one to the next.
     """
 
     system: object
@@ -79,12 +86,18 @@ class OutputFilter(BetweenFilter):
     between: str = "interpolated"
     cycle: int = 0
     held_out: HeldOut | Any = None
+    measured: MaybeArray = None
+    availability: MaybeArray = None
+    arrivals: tuple[Arrivals, ...] = ()
+    ways: tuple[np.ndarray, ...] = field(init=False)
 
     def __post_init__(self) -> None:
         self.check_shapes()
         known_kind("between", self.between)
         object.__setattr__(self, "clock", Clock(self.times))
+        object.__setattr__(self, "ways", ways(self.arrivals, self.cycle))
         freeze((
+            self.measured, self.availability, self.arrivals,
             self.times, self.steps, self.node_times, self.node_fits, self.changes,
             self.covariances, self.predicted, self.held_out,
         ))  # fmt: skip
@@ -98,8 +111,9 @@ class OutputFilter(BetweenFilter):
         if self.changes is not None:
             check_array("changes", self.changes, 2, steps, finite=False)
         check_nodes(self, steps - 1)
+        check_patterns(self)
         axes = [
-            step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
+            step_axes(self.system, self.memory, (None,) * m, (None,) * n, k, classes_at(self, k))
             for k in range(steps + 1)
         ]
         tables = [
@@ -192,15 +206,16 @@ class OutputFilter(BetweenFilter):
             of range; a missing measurement or indicator that is to be remembered.
         """
         want_forecast(state)
-        y, indicator, _ = self.admitted(y, indicator, state.mean.shape[1:], state.index)
-        return after(self, state, y, indicator)
+        y, indicator, gap = self.admitted(y, indicator, state.mean.shape[1:], state.index)
+        return after(self, state, y, indicator, gap)
 
     def nodes(self, state: OutputState, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
         times, values = [state.time], [state.mean]
         k = self.served(state.index + 1) - 1 if self.cycle else state.index
         if 0 <= k < len(self.node_times):
-            points = arguments(self.system, (), None, state.past)
+            group = state.group if self.arrivals else None
+            points = arguments(self.system, (), None, state.past, group)
             # beyond the design the nodes lie as in its last interval
             times += (self.node_times[k] + (state.time - self.times[k])).tolist()
             values += [fit(points).mean for fit in self.node_fits[k]]
@@ -235,7 +250,8 @@ class OutputFilter(BetweenFilter):
         """Shapes of what is found at each time."""
         like = found(self, arrived(self, self.initial()), None, None)
         mean, modes, prob = (None if part is None else np.shape(part) for part in like)
-        return Estimates(mean, mode_prob=prob, modes=modes)
+        cov = (*mean, *mean) if covariances and self.arrivals else None
+        return Estimates(mean, cov, mode_prob=prob, modes=modes)
 
     def fill(
         self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
@@ -246,11 +262,15 @@ class OutputFilter(BetweenFilter):
         for j, k in enumerate(index):
             if k < 0:
                 known = self.interval(state) if known is None else known
+                if rows.cov is not None:
+                    rows.cov[j] = np.nan
                 rows.mean[j] = at(known, times[j], self.between)
                 continue
             shown = None if indicators is None else indicators[j]
             state, known = after(self, arrived(self, state), y[j], shown), None
             rows.mean[j] = state.mean
+            if rows.cov is not None:
+                rows.cov[j] = state.cov
             if rows.modes is not None:
                 rows.modes[j] = state.mode
             if rows.mode_prob is not None:
@@ -258,7 +278,9 @@ class OutputFilter(BetweenFilter):
         return 0
 
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
-        """With the covariances that the design found."""
+        """With the covariances that the design found, where they are those of all histories."""
+        if self.arrivals:
+            return found._replace(diverged=lost)
         cov = self.covariances[[self.served(k) for k in index]]
         cov[index < 0] = np.nan
         return found._replace(cov=cov, diverged=lost)
@@ -268,6 +290,7 @@ class OutputFilter(BetweenFilter):
         return {
             "steps": tuple(self.steps[k] for k in chosen),
             "covariances": self.covariances[chosen],
+            "arrivals": tuple(self.arrivals[k] for k in chosen) if self.arrivals else (),
             "changes": None if self.changes is None else self.changes[:, chosen],
         }
 

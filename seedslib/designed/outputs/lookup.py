@@ -12,7 +12,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import when
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import accuracy, later_times
+from seedslib.designed.prediction import accuracy, later_times, sensor_lines
 from seedslib.designed.shapes import check_array
 from seedslib.models.kinds import AnySystem, switches
 
@@ -117,7 +117,7 @@ def prior(system: AnySystem, components: int) -> Table:
 
 
 def step_axes(
-    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int
+    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int, classes: int = 0
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Axes of the tables of measurement k.
 
@@ -131,6 +131,8 @@ def step_axes(
     measured, estimated : tuple of Axis
         Of the components of a measurement, and of an estimate.
     k : int
+    classes : int
+        Classes of histories of what arrived, before the axes of the memory; 0 without such.
 
     Returns
     -------
@@ -139,7 +141,8 @@ def step_axes(
     values = system.indicators
     told = (Labels(values + 1),) if values else ()
     decided, kept = letter_labels(system, memory)
-    held = (decided + kept + estimated) * min(k, memory.estimates)
+    held = (Labels(classes),) * bool(classes)
+    held += (decided + kept + estimated) * min(k, memory.estimates)
     held += (kept + measured) * min(k, memory.measurements)
     return told + measured + held, told + held
 
@@ -191,7 +194,9 @@ def recalled(system: AnySystem, memory: Memory, components: int, k: int, points:
     return Past(**{name: tuple(blocks) for name, blocks in past.items()})
 
 
-def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past) -> list[Any]:
+def arguments(
+    system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past, group: Any = None
+) -> list[Any]:  # fmt: skip
     """Arguments of an output function, in the order of the axes of its table.
 
     Parameters
@@ -204,6 +209,8 @@ def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past
         -1 is a missing one, and so is None.
     past : Past
         The memory before the measurement.
+    group : ndarray of int, optional
+        Class of what arrived before it, where the functions have it for an argument.
     """
     points, values = [], system.indicators
     if values:
@@ -211,6 +218,8 @@ def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past
         indicator = np.asarray(-1 if indicator is None else indicator)
         points.append(np.where(indicator < 0, values, indicator))
     points += tuple(y)
+    if group is not None:
+        points.append(np.asarray(group))
     for number, block in enumerate(past.estimates + past.measurements):
         if past.modes:
             points.append(past.modes[number])
@@ -230,6 +239,7 @@ def summary(filter: OutputFilter) -> str:
         f"  estimates    {filter.components} of {filter.system.state_size} state components",
         f"  by           {filter.made}",
         f"  measurements {len(times)}, from {when(times[0])} to {when(times[-1])}",
+        *sensor_lines(filter),
         later_times(filter),
         f"  designed on  {made}",
         "  predicted root-mean-square errors"

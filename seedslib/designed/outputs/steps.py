@@ -5,15 +5,18 @@ Functions of a filter, which holds what does not change, and of its state, which
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.designed.arrivals import number_of
 from seedslib.designed.guards import moment
 from seedslib.designed.memory import Past
 from seedslib.designed.outputs.lookup import Output, arguments
+from seedslib.designed.outputs.patterns import ByPattern, by_pattern
 
 
 class OutputState(NamedTuple):
@@ -36,8 +39,10 @@ class OutputState(NamedTuple):
     before : OutputState or None
         The state after the measurement before the last, needed by linear forecasts.
     gap : ndarray of bool, shape (*batch), or False
-        Whether something has been missing so far.
+        Whether something that the design does not know of has been missing so far.
     corrected : bool
+    group : ndarray of int, shape (*batch), or 0
+        Class of what has arrived so far, see `seedslib.designed.patterns`.
     """
 
     index: int
@@ -50,13 +55,16 @@ class OutputState(NamedTuple):
     before: OutputState | None = None
     gap: np.ndarray | bool = False
     corrected: bool = False
+    group: np.ndarray | int = 0
 
 
 def arrived(filter: Any, state: OutputState) -> OutputState:
     """The state at the next measurement time, with the estimate that it had."""
     before = state._replace(before=None) if state.corrected else None
     k, time = state.index + 1, next_time(filter, state)
-    return OutputState(k, time, state.mean, past=state.past, before=before, gap=state.gap)
+    return OutputState(
+        k, time, state.mean, past=state.past, before=before, gap=state.gap, group=state.group
+    )
 
 
 def next_time(filter: Any, state: OutputState) -> float:
@@ -73,35 +81,49 @@ def next_time(filter: Any, state: OutputState) -> float:
 def found(filter: Any, state: OutputState, y: Any, indicator: ArrayLike | None) -> Output:
     """What the functions of a measurement find; y is None where it is missing."""
     step = filter.steps[filter.served(state.index)]
-    points = arguments(filter.system, () if y is None else y, indicator, state.past)
-    output = (step.blind if y is None else step.shown)(points)
-    return output.filling(state.mean.shape[1:])
+    return _read(filter, state, indicator, step.blind if y is None else step.shown, y)
 
 
-def after(filter, state: OutputState, y: np.ndarray, indicator) -> OutputState:
+def _read(filter, state, indicator, function, y) -> Output:
+    group = state.group if filter.arrivals else None
+    points = arguments(filter.system, () if y is None else y, indicator, state.past, group)
+    return function(points).filling(state.mean.shape[1:])
+
+
+def after(
+    filter: Any, state: OutputState, y: np.ndarray, indicator: Any, gap: Any = False
+) -> OutputState:
     """The state after a measurement, (m, *batch), and an indicator, (*batch) or None.
+
+    `gap` is where something is missing that the design does not know of, shape (*batch).
 
     Raises
     ------
     ValueError
         Only some components missing; a missing measurement or indicator that is to be remembered.
     """
-    memory, lost, gap = filter.memory, np.isnan(y), state.gap
-    if lost.any():
-        output, gap = _without(filter, state, y, indicator, lost), gap | lost.any(axis=0)
+    memory, lost = filter.memory, np.isnan(y)
+    step = filter.steps[served := filter.served(state.index)]
+    if isinstance(step.shown, ByPattern):
+        output = by_pattern(step, y, partial(_read, filter, state, indicator))
+    elif lost.any():
+        output = _without(filter, state, y, indicator, lost)
     else:
         output = found(filter, state, y, indicator)
-    if indicator is not None and (indicator < 0).any():
-        if memory.indicators:
-            raise ValueError("indicator: wanted by the memory, got a missing one")
-        gap = gap | (indicator < 0)
+    if memory.indicators and indicator is not None and (indicator < 0).any():
+        raise ValueError("indicator: wanted by the memory, got a missing one")
     mean, mode, prob = output
     past = memory.push(state.past, estimate=mean, measurement=y, mode=mode, indicator=indicator)
-    cov = filter.covariances[filter.served(state.index)]
-    if gap is not False:  # the design knows the error without gaps only
-        cov = np.where(gap, np.nan, cov[(..., *(None,) * np.ndim(gap))])
+    cov, group, gap = filter.covariances[served], state.group, state.gap | gap
+    if filter.arrivals:
+        number = number_of(filter, y, indicator)
+        cov = np.moveaxis(filter.arrivals[served].covs[group, number], (-2, -1), (0, 1))
+        group = filter.ways[served][group, number]
+    if np.any(gap):  # the design knows the error without other gaps only
+        cov = cov[(..., *(None,) * (np.ndim(gap) + 2 - cov.ndim))]
+        cov = np.where(gap, np.nan, cov)
     return OutputState(
-        state.index, state.time, mean, cov, mode, prob, past, state.before, gap, corrected=True
+        state.index, state.time, mean, cov, mode, prob, past, state.before, gap, True, group
     )
 
 

@@ -28,15 +28,19 @@ class TableFilter(OutputFilter):
     @property
     def bytes(self) -> int:
         """Memory of the tables."""
-        tables = [table for row in (*self.steps, *self.node_fits) for table in row]
-        return sum(part.nbytes for table in tables for part in table[1:] if part is not None)
+        functions = [function for row in (*self.steps, *self.node_fits) for function in row]
+        tables = [t for function in functions for t in getattr(function, "tables", [function])]
+        parts = [part for table in tables if table is not None for part in table[1:]]
+        return sum(part.nbytes for part in parts if part is not None)
 
     @property
     def made(self) -> str:
         """How the tables were made, and their axes."""
         step = self.steps[min(1, len(self.steps) - 1)]
-        told, m = bool(self.system.indicators), self.system.measurement_size
-        shown, memory = _listed(step.shown.axes[: told + m]), _listed(step.blind.axes[told:])
+        told, classes = bool(self.system.indicators), bool(self.arrivals)
+        full = getattr(step.shown, "fullest", step.shown)
+        axes = () if full is None else full.axes[: len(full.axes) - len(step.blind.axes) + told]
+        shown, memory = _listed(axes), _listed(step.blind.axes[told + classes :])
         return (
             f"tables ({self.method}) over {'indicator and ' * told}measurements ({shown})"
             + (f" and memory ({memory})" if memory else "")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,12 +13,19 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course
+from seedslib.designed.arrivals import Arrivals, check_arrivals, number_of, ways
 from seedslib.designed.gaps import law_unclaimed
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
 from seedslib.designed.runs import DesignedFilter
-from seedslib.designed.switching.fits import CellFit, cell_number, require_memory
+from seedslib.designed.switching.fits import (
+    CellFit,
+    ClassFit,
+    cell_count,
+    cell_number,
+    require_memory,
+)
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.estimates import Estimates, first_step
@@ -61,8 +68,11 @@ class SwitchingFilter(DesignedFilter):
     cycle : int
         See `DesignedFilter`.
     held_out : HeldOut, optional
-    measured : ndarray of bool, shape (K+1, m), optional
+    measured, availability : ndarray, optional
         See `DesignedFilter`.
+    arrivals : tuple of Arrivals, length K+1 or 0
+        Classes of histories, where something may be missing: cells of the memory are those of the
+        first class, then of the next.
 
     Raises
     ------
@@ -84,6 +94,9 @@ class SwitchingFilter(DesignedFilter):
     cycle: int = 0
     held_out: HeldOut | Any = None
     measured: MaybeArray = None
+    availability: MaybeArray = None
+    arrivals: tuple[Arrivals, ...] = ()
+    ways: tuple[np.ndarray, ...] = field(init=False)
     rules: SwitchingRules | None = None
 
     def __post_init__(self) -> None:
@@ -96,7 +109,8 @@ class SwitchingFilter(DesignedFilter):
             rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        freeze((self.held_out, self.measured, *self.fits))
+        object.__setattr__(self, "ways", ways(self.arrivals, self.cycle))
+        freeze((self.held_out, self.measured, self.availability, self.arrivals, *self.fits))
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
@@ -112,9 +126,14 @@ class SwitchingFilter(DesignedFilter):
 
     def check_parts(self) -> None:
         """Laws of mode and state in the cells of the memory."""
+        check_arrivals(self, self.system.state_size)
         for k, fit in enumerate(self.fits):
-            if isinstance(fit, CellFit):
-                fit.check(f"fits[{k}]", self.memory, self.system, k)
+            if isinstance(fit, ClassFit) != bool(self.arrivals):
+                raise ValueError(f"fits[{k}]: wanted laws of classes for an availability only")
+            classes = len(self.arrivals[k + 1].table) if self.arrivals else 1
+            known = fit.fit if self.arrivals else fit
+            if isinstance(known, CellFit):
+                known.check(f"fits[{k}]", self.memory, self.system, k, classes)
 
     @property
     def order(self) -> int:
@@ -163,6 +182,8 @@ class SwitchingFilter(DesignedFilter):
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
         row = self.served(state.index + 1) - 1
+        if self.arrivals:
+            cell = cell + state.group * cell_count(self.memory, system, state.index)
         return self.fits[row].forecast(cell, past.vector)
 
     def correct(
@@ -186,8 +207,14 @@ class SwitchingFilter(DesignedFilter):
         """
         want_forecast(state)
         y, seen, gap = self.admitted(y, indicator, state.law.log_prob.shape[2:], state.index)
-        found = self.rules.correct(state, y, seen, self.memory)
+        found = self._regrouped(self.rules.correct(state, y, seen, self.memory), y, seen)
         return found if self.memory is None else law_unclaimed(found, state, gap)
+
+    def _regrouped(self, state, y, indicator):
+        if not self.arrivals:
+            return state
+        way, number = self.ways[self.served(state.index)], number_of(self, y, indicator)
+        return state._replace(group=way[state.group, number])
 
     def report(self, state: SwitchingState) -> Estimates:
         """What is estimated after a correction."""
@@ -218,7 +245,8 @@ class SwitchingFilter(DesignedFilter):
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Fits of the chosen steps."""
-        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
+        arrivals = tuple(self.arrivals[k] for k in chosen) if self.arrivals else ()
+        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:]), "arrivals": arrivals}
 
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Number of the measurement at each time: there are none between."""
@@ -236,6 +264,7 @@ class SwitchingFilter(DesignedFilter):
                 state = self.predict(state, t)
             with held.at(k):
                 state = self.rules.correct(state, y[k], shown, self.memory)
+            state = self._regrouped(state, y[k], shown)
             rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
             rows.modes[k], rows.loglik[k] = state.mode, state.loglik
             if rows.cov is not None:

@@ -77,11 +77,11 @@ class CellFit(NamedTuple):
                 slot += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
-    def check(self, name: str, memory: Memory, system: AnySystem, k: int) -> None:
+    def check(self, name: str, memory: Memory, system: AnySystem, k: int, classes: int = 1) -> None:
         """Refuse arrays that are not those of the memory after measurement k."""
         n, modes = system.state_size, system.modes
         d = memory.dimension(k, n, system.measurement_size, modes)
-        tail = modes, cell_count(memory, system, k)
+        tail = modes, classes * cell_count(memory, system, k)
         check_fields(
             name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail),
             centre=(d, *tail), white=(d, d, *tail),
@@ -94,6 +94,22 @@ class CellFit(NamedTuple):
         if part.shape[-1] == 1:
             return part.reshape(*part.shape[:-1], *(1,) * (z.ndim - 1))
         return part[..., cell]
+
+
+class ClassFit(NamedTuple):
+    """Laws in the cells of the memory for each class of histories, one class after the other.
+
+    Attributes
+    ----------
+    fit : CellFit
+        With the cells of the first class, then those of the next.
+    """
+
+    fit: CellFit
+
+    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
+        """As `CellFit.forecast`; the cells of a class come after those of the one before it."""
+        return self.fit.forecast(cell, z)
 
 
 def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:

@@ -58,6 +58,8 @@ class SwitchingState(NamedTuple):
         know.
     interval : float or None
         Length of the first step.
+    group : ndarray of int, shape (*batch), or 0
+        Class of what has arrived so far, see `seedslib.designed.arrivals`.
     """
 
     index: int
@@ -71,6 +73,7 @@ class SwitchingState(NamedTuple):
     corrected: bool
     gap: np.ndarray | bool = False
     interval: float | None = None
+    group: np.ndarray | int = 0
 
 
 class SwitchingRules:
