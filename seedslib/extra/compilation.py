@@ -16,7 +16,7 @@ from seedslib.base.checks import as_real, outside, unmasked
 from seedslib.base.clock import ROUNDING, SAME, when
 from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.build import library
-from seedslib.extra.c.driver import FIELDS, driver, side_by_side
+from seedslib.extra.c.driver import FIELDS, REFUSED, driver, side_by_side
 from seedslib.extra.c.header import to_c
 from seedslib.extra.compiled_state import CompiledState
 from seedslib.filters.covariance import CovarianceFilter
@@ -24,14 +24,6 @@ from seedslib.filters.estimates import Estimates, as_indicators
 from seedslib.filters.verbs import Filter
 
 _DOUBLE = np.dtype(np.float64)
-
-_REFUSED = {
-    1: "t: wanted at most the last measurement time",
-    2: "y: wanted finite numbers or NaN, got an infinite one",
-    3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
-    4: "t: wanted the next measurement time, or one after that of the state",
-    5: "indicator: wanted one of the system, or -1 for a missing one",
-}
 
 
 def compiled(filter: Any) -> Any:
@@ -170,7 +162,7 @@ class CompiledFilter(Filter):
         out = bytes(self._size)  # nobody has seen it, so that C may write it
         code = self._one(1, state.raw, out, ctypes.c_double(t), shown, told)
         if code:
-            raise ValueError(_REFUSED[code])
+            raise ValueError(REFUSED[code])
         return CompiledState(out, (), self._form)
 
     def _many(self, state, t, y, indicator):
@@ -201,7 +193,7 @@ class CompiledFilter(Filter):
         out = bytes(len(state.raw))  # nobody has seen it, so that C may write it
         code = work(len(out) // self._size, state.raw, out, *given)
         if code:
-            raise ValueError(_REFUSED[code])
+            raise ValueError(REFUSED[code])
         return CompiledState(out, state.batch, self._form)
 
     def predict(self, state: CompiledState, t: float, *told: ArrayLike) -> CompiledState:
@@ -296,5 +288,5 @@ class CompiledFilter(Filter):
             raise TypeError("modes: wanted 64-bit integers")
         places = [None if part is None else part.ctypes.data for part in given]
         if code := self._whole(count, wide, len(times), *places):
-            raise ValueError(_REFUSED[code])
+            raise ValueError(REFUSED[code])
         return 0

@@ -146,6 +146,16 @@ FIELDS = ("mean", "cov", "loglik", "prob", "mode", "t", "k", "started")
 """Parts of a state whose places a driver tells, behind the size of the whole."""
 
 
+REFUSED = {
+    1: "t: wanted at most the last measurement time",
+    2: "y: wanted finite numbers or NaN, got an infinite one",
+    3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
+    4: "t: wanted the next measurement time, or one after that of the state",
+    5: "indicator: wanted one of the system, or -1 for a missing one",
+    6: "y: wanted what the schedule of the design has, got a component of a measurement without it",
+}
+"""What the codes of a step say, in words."""
+
 TILE = 64
 """Records that are run together, so that what lies side by side is read together."""
 

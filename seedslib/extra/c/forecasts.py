@@ -9,6 +9,7 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, range_roots
+from seedslib.extra.c.arrivals import by_class
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import moments_source
@@ -173,18 +174,20 @@ def _lower(cov: np.ndarray) -> np.ndarray:
 
 def ahead(filter: FiniteOrderFilter) -> tuple[str, dict[Any, Any]]:
     """C of the forecast for the next measurement, and macros that it wants."""
-    if isinstance(filter.fits[0], PolynomialFit):
-        return _polynomial(filter)
-    order, fits = filter.order, filter.fits
-    gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in enumerate(fits)]
+    order, fits = filter.order, by_class(filter.fits)
+    if isinstance(fits[0][1], PolynomialFit):
+        return _polynomial(filter, fits)
+    gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in fits]
     text = constants("@name_gain", gains)
-    text += constants("@name_offset", [fit.offset for fit in fits])
-    text += constants("@name_cov", [_lower(fit.cov) for fit in fits])
+    text += constants("@name_offset", [fit.offset for _, fit in fits])
+    text += constants("@name_cov", [_lower(fit.cov) for _, fit in fits])
     return text + _AFFINE, {}
 
 
-def _polynomial(filter: FiniteOrderFilter) -> tuple[str, dict]:
-    first, order, fits = filter.fits[0], filter.order, filter.fits
+def _polynomial(
+    filter: FiniteOrderFilter, fits: list[tuple[int, PolynomialFit]]
+) -> tuple[str, dict[Any, Any]]:
+    first, order = fits[0][1], filter.order
     degree = max(first.mean_degree, first.cov_degree)
     recipe, number = monomial_recipe(order, degree), _numbers(order, degree)
     low = {name: len(monomial_recipe(order, getattr(first, name)))
@@ -196,7 +199,7 @@ def _polynomial(filter: FiniteOrderFilter) -> tuple[str, dict]:
         tables.update({key: [] for key in ("cov_gain", "cov_offset", "root", "back")})
     else:
         tables["cov"] = []
-    for k, fit in enumerate(fits):
+    for k, fit in fits:
         there = held(filter, k)
         own = [number[tuple(there[list(powers)])] for powers in _numbers(len(there), degree)]
         mean_places, cov_places = own[: fit.gain.shape[1]], own[: fit.cov_gain.shape[1]]

@@ -31,6 +31,7 @@ _HEAD = """\
 #define @NAME_PARTLY 3   /* a measurement of which only some components are there */
 #define @NAME_TIME 4     /* a time that is not where it should be */
 #define @NAME_RANGE 5    /* an indicator that is none */
+#define @NAME_STRAY 6    /* a component that the schedule of the design leaves out */
 
 """
 
@@ -159,6 +160,11 @@ def to_c(
 
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
+    known = getattr(filter, "measured", None), getattr(filter, "availability", None)
+    if not isinstance(filter, FiniteOrderFilter) and known != (None, None):
+        raise ValueError(
+            f"filter: wanted a {type(filter).__name__} without a schedule of its sensor, C has none"
+        )
     if isinstance(filter, TableFilter):
         from seedslib.extra.c.tables import table_source
 

@@ -133,7 +133,7 @@ def compared(filter: Any, double: str, short: str) -> str:
     Both texts have the prefix ``f``.
     """
     times, words = _times(filter)
-    data = filter.system.simulate(times, 1, 0)
+    data = filter.system.simulate(times, 1, 0, **_sensor(filter, len(times)))
     y = np.ascontiguousarray(data.measurements[..., 0])
     told = None if data.indicators is None else data.indicators[:, 0].astype(np.intc)
     found = []
@@ -163,6 +163,14 @@ def compared(filter: Any, double: str, short: str) -> str:
         f"On {words} means differ from those in double by at most {np.nanmax(apart):.1e} of the "
         f"deviation that the filter claims, and deviations by {np.nanmax(wide):.1e} of themselves."
     )
+
+
+def _sensor(filter: Any, count: int) -> dict[str, Any]:
+    """What a design knows of missing measurements, as a simulation takes it."""
+    if getattr(filter, "measured", None) is getattr(filter, "availability", None) is None:
+        return {}
+    mask = filter.schedule.mask[[filter.served(k) for k in range(count)]]
+    return {"measured": mask, "availability": filter.availability}
 
 
 def _times(filter: Any) -> tuple[np.ndarray, str]:
