@@ -13,7 +13,7 @@ from seedslib.design import Polynomial, grid_synthesis, synthesize
 from seedslib.designed import Memory, SwitchingFilter, large_order
 from seedslib.extra import to_c
 from seedslib.extra.c import build
-from seedslib.extra.c.single import single
+from seedslib.extra.c.single import sensing, single
 from seedslib.filters import CovarianceFilter, extended_kalman, unscented_kalman
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -44,6 +44,7 @@ def designed(**options):
 FILTERS = {
     "designed": designed,
     "polynomial": lambda: designed(predictor=Polynomial(3, 2)),
+    "designed, with gaps": lambda: designed(availability=[0.6, 1.0], nodes=1),
     "table": lambda: grid_synthesis(
         zoo.flip_process(), large_order(1), TIMES[:4], x=(-3.5, 3.5, 41), z=(-2.5, 2.5, 7),
         y=(-8, 8, 17), nodes=1,
@@ -82,9 +83,13 @@ def run(folder, filter, real, flags):
     """Lines that a program with the filter prints of a record."""
     text = to_c(filter, folder / "made.h", name="made", real=real)
     times = filter.times if getattr(filter, "memory", None) else 0.5 * np.arange(40.0)
-    y = filter.system.simulate(times, 1, 3).measurements[..., 0]
+    y = filter.system.simulate(times, 1, 3, **sensing(filter, len(times))).measurements[..., 0]
     mark = "F" if real == "float" else ""
-    rows = ", ".join("{ " + ", ".join(f"{x:.9e}{mark}" for x in row) + " }" for row in y)
+
+    def number(x):
+        return f"({real})NAN" if np.isnan(x) else f"{x:.9e}{mark}"
+
+    rows = ", ".join("{ " + ", ".join(map(number, row)) + " }" for row in y)
     source = PROGRAM.replace("REAL", real).replace("ROWS", rows).replace("COUNT", str(len(y)))
     timed = re.search(r"made_step\(made_state \*s, \w+ t,", text)
     source = source.replace("TIME", f"({real})(0.5 * k)," if timed else "")

@@ -133,7 +133,7 @@ def compared(filter: Any, double: str, short: str) -> str:
     Both texts have the prefix ``f``.
     """
     times, words = _times(filter)
-    data = filter.system.simulate(times, 1, 0, **_sensor(filter, len(times)))
+    data = filter.system.simulate(times, 1, 0, **sensing(filter, len(times)))
     y = np.ascontiguousarray(data.measurements[..., 0])
     told = None if data.indicators is None else data.indicators[:, 0].astype(np.intc)
     found = []
@@ -165,7 +165,7 @@ def compared(filter: Any, double: str, short: str) -> str:
     )
 
 
-def _sensor(filter: Any, count: int) -> dict[str, Any]:
+def sensing(filter: Any, count: int) -> dict[str, Any]:
     """What a design knows of missing measurements, as a simulation takes it."""
     if getattr(filter, "measured", None) is getattr(filter, "availability", None) is None:
         return {}
