@@ -7,11 +7,13 @@ import subprocess
 import numpy as np
 import pytest
 import sympy
+from sklearn.ensemble import RandomForestRegressor
+from sklearn.neural_network import MLPRegressor
 
 from seedslib import zoo
 from seedslib.design import Polynomial, grid_synthesis, synthesize
 from seedslib.designed import Memory, SwitchingFilter, large_order
-from seedslib.extra import to_c
+from seedslib.extra import learn, to_c
 from seedslib.extra.c import build
 from seedslib.extra.c.single import sensing, single
 from seedslib.filters import CovarianceFilter, extended_kalman, unscented_kalman
@@ -41,6 +43,10 @@ def designed(**options):
     )
 
 
+def learned(regressor):
+    return learn(zoo.van_der_pol(), Memory(1), TIMES, paths=200, seed=1, regressor=regressor)
+
+
 FILTERS = {
     "designed": designed,
     "polynomial": lambda: designed(predictor=Polynomial(3, 2)),
@@ -49,6 +55,10 @@ FILTERS = {
         zoo.flip_process(), large_order(1), TIMES[:4], x=(-3.5, 3.5, 41), z=(-2.5, 2.5, 7),
         y=(-8, 8, 17), nodes=1,
     ),
+    "learned, network": lambda: learned(
+        MLPRegressor(hidden_layer_sizes=(7,), max_iter=4, tol=0.0, activation="tanh")
+    ),
+    "learned, trees": lambda: learned(RandomForestRegressor(3, max_depth=4)),
     "extended": lambda: extended_kalman(walk()),
     "extended, in continuous time": lambda: extended_kalman(zoo.van_der_pol(), step=0.05),
     "unscented": lambda: unscented_kalman(walk()),
@@ -112,6 +122,7 @@ def run(folder, filter, real, flags):
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.filterwarnings("ignore:paths:UserWarning")
+@pytest.mark.filterwarnings("ignore:Stochastic Optimizer:UserWarning", "ignore:held out")
 @pytest.mark.filterwarnings("ignore:y. the axes:UserWarning")
 @pytest.mark.filterwarnings("ignore:[xz]. the:UserWarning")
 def test_float_beside_double(name, tmp_path):

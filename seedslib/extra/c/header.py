@@ -7,6 +7,7 @@ from typing import Any
 
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.extra.c.single import compared, single, sizes, tolerances
@@ -58,6 +59,11 @@ _WHOLE = """\
 A measurement is missing as a whole or not at all; where the tables end their last values are \
 used. There is no likelihood; cov is the error covariance that the design found, NaN where the \
 measurement is missing."""
+
+_LEARNED = """\
+A measurement is missing as a whole or not at all; beyond the numbers that were learned from the \
+output functions are constant. There is no likelihood; cov is the error covariance that the \
+design found, NaN where the measurement is missing."""
 
 
 def to_c(
@@ -181,6 +187,12 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
         from seedslib.extra.c.finite_order import finite_order_source
 
         return *finite_order_source(filter), _REDUNDANT
+    if isinstance(filter, OutputFilter):
+        from seedslib.extra.c.learned.source import learned_source
+        from seedslib.extra.learned import LearnedFilter
+
+        if isinstance(filter, LearnedFilter):
+            return *learned_source(filter), _LEARNED
     hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
     raise TypeError(
         "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
