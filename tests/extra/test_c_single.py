@@ -18,7 +18,7 @@ from seedslib.extra.c import build
 from seedslib.extra.c.single import sensing, single
 from seedslib.filters import CovarianceFilter, extended_kalman, unscented_kalman
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
 
 if build.compiler() is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -34,6 +34,14 @@ def walk():
         StochasticMap((a, b), [0.9 * a + b, 0.7 * b + v], Noise((v,), cov=[[0.1]])),
         StochasticMap((a, b), [sympy.sin(a) + a + w], Noise((w,), cov=[[0.2]])),
         [0.0, 0.1], 0.5 * np.eye(2),
+    )  # fmt: skip
+
+
+def driven():
+    moved = [[0.9 * a + v], [0.5 * a + 2 + v]]
+    return SwitchingSystem(
+        (a,), moved, Noise((v,)), [[0.9, 0.1], [0.3, 0.7]], [[a + w], [a + 2 * w]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]])] * 2, drives="new",
     )  # fmt: skip
 
 
@@ -64,6 +72,7 @@ FILTERS = {
     "unscented": lambda: unscented_kalman(walk()),
     "Gauss-Hermite": lambda: CovarianceFilter(walk(), GaussHermite(11)),
     "IMM": lambda: SwitchingFilter(zoo.manoeuvring_target(), Taylor()),
+    "IMM, the new mode drives": lambda: SwitchingFilter(driven(), Taylor()),
     "switching, designed": lambda: synthesize(
         zoo.scalar_switching(), large_order(1), Taylor(), np.arange(6.0), paths=500, seed=1
     ),

@@ -26,8 +26,6 @@ def check_branches(rules: SwitchingRules, linearization: Any, system: Any) -> No
         )
     if rules.printed:
         raise ValueError("normalisation: wanted 'consistent' for C, got 'printed'")
-    if system.drives == "new":
-        raise ValueError("drives: wanted 'old' for C, got 'new'")
     if not system.symbolic:
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
 
@@ -39,7 +37,10 @@ def moves_source(system: Any, linearization: Any, split: bool) -> str:
     split, the mass, the mean and the covariance on and below the diagonal.
     """
     text, lines = "", []
-    for i, row in enumerate(system.branches):
+    for i in range(system.modes):
+        row = system.branches[i]
+        if system.drives == "new":  # the mode has switched before, and stays
+            row = [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]
         found, place = _Writer(system, linearization), 0
         common = not split and all(branch is None or branch.constant for branch in row)
         for branch, readings in zip(row, system.readings, strict=True):
@@ -56,6 +57,25 @@ def moves_source(system: Any, linearization: Any, split: bool) -> str:
         text += function(head, found.body())
         lines.append(f"    if (i == {i}) @name_move_{i}_(t, law, out);")
     head = "void @name_move_(int i, double t, const double *law, double *out)"
+    return text + function(head, lines)
+
+
+def switches_source(system: Any, linearization: Any) -> str:
+    """C of ``@name_switch_(i, t, law, out)``: as `moves_source`, of a state that stands still."""
+    text, lines, size = "", [], 1 + _law_size(system.state_size)
+    for i, row in enumerate(system.branches):
+        found, still = _Writer(system, linearization), [branch and branch.still for branch in row]
+        common = all(branch is None or branch.constant for branch in still)
+        for l, branch in enumerate(still):
+            if branch is None:
+                found.store([0.0], l * size)
+            else:
+                each = found.plain(branch) if common else found.branch(branch.map)
+                found.add(each, l * size, _moved)
+        head = f"void @name_switch_{i}_(double t, const double *law, double *out)"
+        text += function(head, found.body())
+        lines.append(f"    if (i == {i}) @name_switch_{i}_(t, law, out);")
+    head = "void @name_switch_(int i, double t, const double *law, double *out)"
     return text + function(head, lines)
 
 

@@ -101,6 +101,24 @@ static inline void @name_propagate_(double t, const double *score,
 }
 """
 
+SWITCHED = """\
+/* Law after the switch at time t and before the move, which the new mode drives. */
+""" + PROPAGATE[PROPAGATE.index("static") :].replace("@name_propagate_", "@name_switched_").replace(
+    "@name_move_", "@name_switch_"
+).replace("@NAME_PARTS", "@NAME_MODES")
+
+BOTH = """\
+/* Forecast of mode and state: a switch, then a move of the new mode. */
+static inline void @name_propagate_(double t, const double *score,
+                                    double law[@NAME_MODES][@NAME_LAW], double *ahead,
+                                    double later[@NAME_PARTS][@NAME_LAW])
+{
+    double turned[@NAME_MODES], stands[@NAME_MODES][@NAME_LAW];
+    @name_switched_(t, score, law, turned, stands);
+    @name_moved_(t, turned, stands, ahead, later);
+}
+"""
+
 SENSE = """\
 /* Law of mode, state and measurement given the indicator; whether any mode can have shown it. */
 static inline int @name_sense_(double t, int parts, const double *ahead,

@@ -10,7 +10,7 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
-from seedslib.extra.c.branches import check_branches, moves_source, readings_source
+from seedslib.extra.c.branches import check_branches, moves_source, readings_source, switches_source
 from seedslib.extra.c.records import going_on
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
@@ -47,8 +47,8 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     text += constants("@name_law0", first)
     moves = moves_source(system, filter.linearization, rules.split)
     shared = [
-        moves, readings_source(system, filter.linearization), _correction(filter), laws.PROPAGATE,
-        laws.SENSE,
+        moves, readings_source(system, filter.linearization), _correction(filter),
+        *_forecasts(filter), laws.SENSE,
     ]  # fmt: skip
     expect = ""
     if memory is None:
@@ -87,6 +87,15 @@ _CARRIED = """\
     double score[@NAME_MODES]; /* logarithms of the probabilities */
     double law[@NAME_MODES][@NAME_LAW]; /* mean and covariance in each mode */
 """
+
+
+def _forecasts(filter: SwitchingFilter) -> list[str]:
+    """C of the forecast of all modes."""
+    if filter.system.drives == "old":
+        return [laws.PROPAGATE]
+    moved = laws.PROPAGATE.replace("@name_propagate_", "@name_moved_")
+    switches = switches_source(filter.system, filter.linearization)
+    return [switches, laws.SWITCHED, moved, laws.BOTH]
 
 
 def _held(memory: Any) -> str:
