@@ -19,6 +19,7 @@ from seedslib.extra.c.traced import (
     corrected_outputs,
     moments_source,
     record_correction,
+    telling,
 )
 from seedslib.linearization.points import PointRule
 
@@ -151,7 +152,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
         between(filter),
     ])  # fmt: skip
-    return {**common, **macros, **known}, going_on(filter, knowing(filter, text))
+    return {**common, **macros, **known}, going_on(filter, knowing(filter, telling(text, ())))
 
 
 def _first(filter: FiniteOrderFilter) -> str:

@@ -9,9 +9,11 @@ from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.predictors import Continuous
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.extra.c.single import compared, single, sizes, tolerances
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
+from seedslib.extra.c.traced import told_of
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.models.kinds import mentioned
 
@@ -33,6 +35,7 @@ _HEAD = """\
 #define @NAME_TIME 4     /* a time that is not where it should be */
 #define @NAME_RANGE 5    /* an indicator that is none */
 #define @NAME_STRAY 6    /* a component that the schedule of the design leaves out */
+#define @NAME_UNTOLD 7   /* inputs that are not told */
 
 """
 
@@ -50,6 +53,11 @@ pivot. One that the components before it determine (its pivot is at most 1e-13 o
 1e-6 in float) gets the gain zero and is not counted in loglik; the Python library uses the \
 pseudo-inverse there, which is the same for measurements that do not contradict each other. A \
 covariance of the measurement that is clearly indefinite gives NaN."""
+
+_INPUTS = """ \
+u holds the inputs: @WHICH. @name_step takes them for the forecast and for the correction; where \
+they change at a measurement, call @name_predict with those that act until then, and @name_correct \
+with those at that time."""
 
 _MODES = """ \
 A covariance that the correction leaves indefinite by rounding is not mended. An indicator is -1 \
@@ -142,8 +150,7 @@ def to_c(
     True
     """
     name = checked_name(name)
-    if any(p.role != "parameter" for p in mentioned(getattr(filter, "system", None))):
-        raise ValueError("filter: wanted a model without inputs and elapsed time, C has none yet")
+    check_told(filter)
     if real not in ("double", "float"):
         raise ValueError(f"real: wanted double or float, got {real!r}")
     macros, text, rule = _parts(filter)
@@ -164,6 +171,28 @@ def to_c(
     return whole
 
 
+def check_told(filter: Any) -> None:
+    """Refuse a model that is told what this kind of filter in C is not.
+
+    Raises
+    ------
+    ValueError
+        Inputs of a filter with a design that evaluates them, inputs or elapsed time with modes.
+    """
+    system = getattr(filter, "system", None)
+    roles = {p.role for p in mentioned(system)} - {"parameter"}
+    if isinstance(filter, SwitchingFilter) and roles:
+        raise ValueError("filter: wanted modes without inputs and elapsed time, C has none there")
+    if isinstance(filter, FiniteOrderFilter) and "input" in roles:
+        maps = [system.sensor]
+        maps += [system.drift_map] if isinstance(filter.predictor, Continuous) else []
+        if any(p.role == "input" for map in maps for p in map.mentions):
+            raise ValueError(
+                "filter: wanted a design whose inputs are in its forecasts alone, got some in "
+                "what is evaluated: C has none there"
+            )
+
+
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
     known = getattr(filter, "measured", None), getattr(filter, "availability", None)
@@ -178,7 +207,7 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
     if isinstance(filter, CovarianceFilter):
         from seedslib.extra.c.covariance import covariance_source
 
-        return *covariance_source(filter), _REDUNDANT
+        return *covariance_source(filter), _REDUNDANT + _told(filter)
     if isinstance(filter, SwitchingFilter):
         from seedslib.extra.c.switching import switching_source
 
@@ -199,6 +228,12 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
         "CovarianceFilter, got "
         f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
     )
+
+
+def _told(filter: Any) -> str:
+    """What the inputs of a model are."""
+    names = [str(p) for p in told_of(filter.system) if p.role == "input"]
+    return _INPUTS.replace("@WHICH", ", ".join(names)) if names else ""
 
 
 def _described(filter: Any) -> str:

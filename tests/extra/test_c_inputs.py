@@ -1,0 +1,184 @@
+"""Filters of models that are told inputs, or how long a step is, in C."""
+
+import ctypes
+
+import numpy as np
+import pytest
+import sympy
+
+from seedslib.base.parameters import ELAPSED, Input
+from seedslib.base.values import assigned
+from seedslib.design import synthesize
+from seedslib.designed import Memory, SwitchingFilter
+from seedslib.extra import to_c, to_js
+from seedslib.filters import (
+    CovarianceFilter,
+    assumed_density,
+    cubature_kalman,
+    extended_kalman,
+    unscented_kalman,
+)
+from seedslib.linearization import GaussHermite, Taylor
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+
+a, b, v, w = sympy.symbols("a b v w", real=True)
+FORCE, BIAS = Input("force"), Input("bias")
+TIMES = np.array([0.0, 0.5, 0.7, 1.5, 2.5, 2.75])
+
+RUN = """
+#include "made.h"
+int record(int whole, int count, const double *t, const double *y, const double *u, double *mean,
+           double *cov, double *loglik)
+{
+    made_state s;
+    int k, code;
+    made_init(&s);
+    for (k = 0; k < count; k++) {
+        const double *now = u + k * MADE_INPUTS, *before = k > 0 ? now - MADE_INPUTS : now;
+        if (whole) {
+            code = made_step(&s, t[k], y + k * MADE_MEASUREMENT, now);
+        } else {
+            code = made_predict(&s, t[k], before);
+            if (code == MADE_OK) code = made_correct(&s, y + k * MADE_MEASUREMENT, now);
+        }
+        if (code != MADE_OK) return code;
+        memcpy(mean + k * MADE_STATE, s.mean, sizeof s.mean);
+        memcpy(cov + k * MADE_STATE * MADE_STATE, s.cov, sizeof s.cov);
+        loglik[k] = s.loglik;
+    }
+    return MADE_OK;
+}
+int untold(void);
+int untold(void)
+{
+    const double y[MADE_MEASUREMENT] = { 0.0 };
+    made_state s;
+    made_init(&s);
+    return made_step(&s, 0.0, y, NULL);
+}
+"""
+
+
+def steered(bent=False):
+    """A cart that is pushed by a known force, with a sensor whose bias is told."""
+    noise = FORCE * v + v**2 / 9 if bent else (1 + FORCE**2) * v / 5
+    moves = StochasticMap(
+        (a, b), [a + ELAPSED * b, 0.9 * b + ELAPSED * FORCE + noise], Noise((v,), cov=[[0.1]])
+    )
+    shows = StochasticMap(
+        (a, b), [a + a**2 / 9 + BIAS + w, sympy.sin(b) + w * BIAS / 2], Noise((w,))
+    )
+    return DiscreteSystem(moves, shows, [0.5, 1.0], 0.3 * np.eye(2))
+
+
+def pushed():
+    return JumpDiffusion(
+        (a, b), [b, FORCE - sympy.sin(a)], [[0], [0.3 + FORCE / 9]], [a + BIAS + w], Noise((w,)),
+        [0.5, 0.0], 0.2 * np.eye(2), step=0.1,
+    )  # fmt: skip
+
+
+FILTERS = {
+    "extended": lambda: extended_kalman(steered()),
+    "unscented": lambda: unscented_kalman(steered()),
+    "points that cover the noise": lambda: cubature_kalman(steered(bent=True)),
+    "in loops": lambda: CovarianceFilter(steered(), GaussHermite(7)),
+    "assumed density, in continuous time": lambda: assumed_density(pushed()),
+    "unscented, in continuous time": lambda: unscented_kalman(pushed(), integrator="euler"),
+}  # fmt: skip
+
+
+def made(build, folder, filter):
+    to_c(filter, folder / "made.h", name="made")
+    head, _, rest = RUN.partition("int record")
+    declared = "int record(int whole, int count, const double *t, const double *y, "
+    declared += "const double *u, double *mean,\n double *cov, double *loglik);\nint record"
+    return ctypes.CDLL(str(build(folder, head + declared + rest, more=["-Wshadow"])))
+
+
+def run(library, filter, times, y, u, whole=False):
+    """Code, means, covariances and likelihoods of one record."""
+    n = filter.n
+    given = [np.ascontiguousarray(part, dtype=float) for part in (times, y, u)]
+    found = [np.empty((len(y), *size)) for size in ((n,), (n, n), ())]
+    places = [part.ctypes.data_as(ctypes.c_void_p) for part in (*given, *found)]
+    return library.record(int(whole), len(y), *places), *found
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_they_are_the_filters_of_python(name, build, tmp_path):
+    filter = FILTERS[name]()
+    rng = np.random.default_rng(0)
+    u = rng.normal(size=(len(TIMES), 2))  # bias and force, in the order of their names
+    told = {BIAS: u[:, 0], FORCE: u[:, 1]}
+    y = rng.normal(size=(len(TIMES), filter.system.measurement_size))
+    y[2] = np.nan
+    y[4, 0] = np.nan
+    wanted = filter.run(TIMES, y, inputs=told)
+    library = made(build, tmp_path, filter)
+    code, *found = run(library, filter, TIMES, y, u)
+    assert code == 0
+    for one, other in zip(found, (wanted.mean, wanted.cov, wanted.loglik), strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
+    # one block around the whole step
+    state = filter.initial()
+    _, mean, *_ = run(library, filter, TIMES, y, u, whole=True)
+    for k, t in enumerate(TIMES):
+        with assigned({p: x[k] for p, x in told.items()}):
+            state = filter.step(state, t, y[k])
+        np.testing.assert_allclose(mean[k], state.mean, rtol=1e-11, atol=1e-12)
+    assert np.abs(mean - found[0])[1:].min() > 1e-6
+    assert library.untold() == 7
+
+
+def test_the_elapsed_time_alone(compiled):
+    """Steps of any length, without an argument for it; by the Kalman filter written out by hand."""
+    system = DiscreteSystem(
+        StochasticMap((a,), [sympy.exp(-ELAPSED) * a + sympy.sqrt(ELAPSED) * v], Noise((v,))),
+        StochasticMap((a,), [a + w], Noise((w,))), [1.0], [[2.0]],
+    )  # fmt: skip
+    times, y = TIMES, np.random.default_rng(1).normal(size=(6, 1, 1))
+    mean, cov, _, _ = compiled(extended_kalman(system)).run(times, y)
+    m, p = 1.0, 2.0
+    for k, t in enumerate(times):
+        if k:
+            fade = np.exp(times[k - 1] - t)
+            m, p = fade * m, fade**2 * p + t - times[k - 1]
+        m, p = m + p / (p + 1) * (y[k, 0, 0] - m), p / (p + 1)
+        np.testing.assert_allclose((mean[k, 0, 0], cov[k, 0, 0, 0]), (m, p), rtol=1e-12)
+
+
+def test_a_design_with_its_inputs_in_its_forecasts(compiled):
+    """Inputs of the design are in its numbers: nothing is told to the C."""
+    moves = StochasticMap((a,), [0.9 * a + FORCE + v], Noise((v,)))
+    times = np.arange(5.0)
+    forces = {FORCE: np.sin(times)}
+
+    def design(shown):
+        system = DiscreteSystem(moves, StochasticMap((a,), shown, Noise((w,))), [0.0], [[1.0]])
+        return synthesize(
+            system, Memory(1), Taylor(), times, paths=300, seed=1,
+            inputs=dict.fromkeys(system.mentions, forces[FORCE]),
+        )  # fmt: skip
+
+    filter = design([a + w])
+    y = np.random.default_rng(1).normal(size=(5, 1, 3))
+    wanted = filter.run(times, y, inputs=forces, covariances=True)
+    mean, *_ = compiled(filter).run(times, y)
+    np.testing.assert_allclose(mean, wanted.mean, rtol=1e-12, atol=1e-13)
+    with pytest.raises(ValueError, match="wanted a design whose inputs are in its forecasts alone"):
+        to_c(design([a + w + BIAS]))
+
+
+def test_float_and_what_is_refused():
+    text = to_c(unscented_kalman(pushed()), real="float").replace("\n * ", " ")
+    assert "u holds the inputs: bias, force." in text
+    assert "differ from those in double by at most" in text
+    with pytest.raises(ValueError, match="wanted"):
+        to_js(extended_kalman(steered()))
+    modes = SwitchingSystem(
+        (a,), [[a + FORCE + v], [a + v]], Noise((v,)), [[0.9, 0.1], [0.1, 0.9]],
+        [[a + w], [a + 2 * w]], Noise((w,)), [(0.5, [0.0], [[1.0]])] * 2,
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="filter: wanted modes without inputs and elapsed time"):
+        to_c(SwitchingFilter(modes, Taylor()))
