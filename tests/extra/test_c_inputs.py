@@ -10,7 +10,9 @@ from seedslib.base.parameters import ELAPSED, Input
 from seedslib.base.values import assigned
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
+from seedslib.extra import compiled as compiled_twin
 from seedslib.extra import to_c, to_js
+from seedslib.extra.c.build import compiler
 from seedslib.filters import (
     CovarianceFilter,
     assumed_density,
@@ -182,3 +184,50 @@ def test_float_and_what_is_refused():
     )  # fmt: skip
     with pytest.raises(ValueError, match="filter: wanted modes without inputs and elapsed time"):
         to_c(SwitchingFilter(modes, Taylor()))
+
+
+@pytest.mark.parametrize("name", ["extended", "unscented, in continuous time"])
+def test_behind_the_verbs(name):
+    if compiler() is None:
+        pytest.skip("no C compiler")
+    filter = FILTERS[name]()
+    twin = compiled_twin(filter)
+    rng = np.random.default_rng(3)
+    y = rng.normal(size=(len(TIMES), filter.system.measurement_size, 4))
+    u = {BIAS: rng.normal(size=(len(TIMES), 4)), FORCE: rng.normal(size=len(TIMES))}
+    wanted, found = filter.run(TIMES, y, inputs=u), twin.run(TIMES, y, inputs=u)
+    for one, other in zip(found[:2], wanted[:2], strict=True):
+        np.testing.assert_allclose(one, other, rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(found.loglik, wanted.loglik, rtol=1e-10)
+    alone = {BIAS: u[BIAS][:, 2], FORCE: u[FORCE]}
+    np.testing.assert_allclose(twin.run(TIMES, y[..., 2], inputs=alone).mean, found.mean[..., 2])
+    with assigned({FORCE: 0.3}):
+        some = {BIAS: u[BIAS]}
+        held = twin.run(TIMES, y, inputs=some).mean
+        right = filter.run(TIMES, y, inputs=some).mean
+    np.testing.assert_allclose(held, right, rtol=1e-11, atol=1e-12)
+    state, other, many = filter.initial(), twin.initial(), twin.initial((4,))
+    for k, t in enumerate(TIMES[:3]):
+        with assigned({BIAS: u[BIAS][max(k - 1, 0), 2], FORCE: u[FORCE][max(k - 1, 0)]}):
+            state, other = filter.predict(state, t), twin.predict(other, t)
+        with assigned({BIAS: u[BIAS][max(k - 1, 0)], FORCE: u[FORCE][max(k - 1, 0)]}):
+            many = twin.predict(many, t)
+        with assigned({BIAS: u[BIAS][k, 2], FORCE: u[FORCE][k]}):
+            state, other = filter.correct(state, y[k, :, 2]), twin.correct(other, y[k, :, 2])
+        with assigned({BIAS: u[BIAS][k], FORCE: u[FORCE][k]}):
+            many = twin.correct(many, y[k])
+        np.testing.assert_allclose(other.mean, state.mean, rtol=1e-11, atol=1e-12)
+        np.testing.assert_allclose(many.mean, found.mean[k], rtol=1e-11, atol=1e-12)
+    with assigned({BIAS: 0.1, FORCE: -0.4}):
+        state, other = (
+            filter.step(state, TIMES[3], y[3, :, 2]),
+            twin.step(other, TIMES[3], y[3, :, 2]),
+        )
+        ahead = [each.forecast(s, TIMES[4]).mean for each, s in ((filter, state), (twin, other))]
+    np.testing.assert_allclose(other.cov, state.cov, rtol=1e-10)
+    np.testing.assert_allclose(*ahead, rtol=1e-10)
+    untold = pytest.raises(ValueError, match="force: wanted a value of this input, got none")
+    with untold, assigned({BIAS: 0.1}):
+        twin.step(other, TIMES[4], y[4, :, 2])
+    with pytest.raises(ValueError, match="inputs: wanted values of bias, force, got none"):
+        twin.run(TIMES, y)
