@@ -75,7 +75,7 @@ design found, NaN where the measurement is missing."""
 
 
 def to_c(
-    filter: FiniteOrderFilter | TableFilter | SwitchingFilter | CovarianceFilter,
+    filter: FiniteOrderFilter | OutputFilter | SwitchingFilter | CovarianceFilter,
     path: str | os.PathLike[str] | None = None,
     name: str = "filter",
     real: str = "double",
@@ -86,21 +86,24 @@ def to_c(
     the library's own lines, recorded. All functions are ``static inline``. The header holds
     ``<name>_state``, ``<name>_init(state *)`` and
 
-    - for a filter of finite order or a table ``<name>_step(state *, const double *y)``, one
-      measurement, ``<name>_nodes(state *, double *out)``, the forecasts at the nodes up to the
-      next measurement, and ``<name>_forecast(state *, double t, double *out)``, the forecast at
-      any time up to then;
+    - for a filter of finite order, a table or a learned filter
+      ``<name>_step(state *, const double *y)``, one measurement, ``<name>_nodes(state *,
+      double *out)``, the forecasts at the nodes up to the next measurement, and
+      ``<name>_forecast(state *, double t, double *out)``, the forecast at any time up to then;
     - for a filter that carries a covariance ``<name>_step(state *, double t, const double *y)``,
       and its halves ``<name>_predict(state *, double t)`` and ``<name>_correct(state *,
-      const double *y)``.
+      const double *y)``; of a model with inputs each has them, in the order of their names, as a
+      last argument ``const double *u``. How long a step is the C finds by itself.
 
     All but the first return ``<NAME>_OK`` (zero) or why they refused, ``<name>_nodes`` a number.
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingFilter or CovarianceFilter
         Affine, polynomial or continuous forecasts; `Taylor`, `ExactGaussian`, or with one mode a
-        rule with points; the integrators with fixed steps. A design may go on for ever.
+        rule with points; the integrators with fixed steps. A design may go on for ever; one of
+        finite order may know of missing measurements. Learned functions are networks or trees of
+        scikit-learn: one tree, a forest, or boosted ones.
     path : path_like, optional
         Where to write the header as well.
     name : str
@@ -224,8 +227,8 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
             return *learned_source(filter), _LEARNED
     hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
     raise TypeError(
-        "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-        "CovarianceFilter, got "
+        "filter: wanted a FiniteOrderFilter, a TableFilter, a LearnedFilter, a SwitchingFilter or "
+        "a CovarianceFilter, got "
         f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
     )
 
