@@ -1,6 +1,8 @@
 """Filters of models that are told inputs, or how long a step is, in C."""
 
 import ctypes
+import shutil
+import subprocess
 
 import numpy as np
 import pytest
@@ -15,13 +17,21 @@ from seedslib.extra import to_c, to_js
 from seedslib.extra.c.build import compiler
 from seedslib.filters import (
     CovarianceFilter,
+    KalmanFilter,
     assumed_density,
     cubature_kalman,
     extended_kalman,
     unscented_kalman,
 )
 from seedslib.linearization import GaussHermite, Taylor
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+from seedslib.models import (
+    DiscreteSystem,
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    StochasticMap,
+    SwitchingSystem,
+)
 
 a, b, v, w = sympy.symbols("a b v w", real=True)
 FORCE, BIAS = Input("force"), Input("bias")
@@ -80,7 +90,16 @@ def pushed():
     )  # fmt: skip
 
 
+def matrices():
+    """By matrices: the inputs push the state and the measurement."""
+    return LinearSystem(
+        [[1.0, ELAPSED], [0.0, 0.9]], 0.1 * ELAPSED * np.eye(2), [[1.0, 0.2]], [[0.3]], [0.0, 1.0],
+        np.eye(2), B=[[0.0, 0.0], [0.0, 1.0]], D=[[1.0, 0.0]], inputs=(BIAS, FORCE),
+    )  # fmt: skip
+
+
 FILTERS = {
+    "Kalman": lambda: KalmanFilter(matrices()),
     "extended": lambda: extended_kalman(steered()),
     "unscented": lambda: unscented_kalman(steered()),
     "points that cover the noise": lambda: cubature_kalman(steered(bent=True)),
@@ -131,6 +150,31 @@ def test_they_are_the_filters_of_python(name, build, tmp_path):
         np.testing.assert_allclose(mean[k], state.mean, rtol=1e-11, atol=1e-12)
     assert np.abs(mean - found[0])[1:].min() > 1e-6
     assert library.untold() == 7
+
+
+def test_under_sanitizers(tmp_path):
+    """Points in loops, whose functions hand the inputs on."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler: wanted one called cc")
+    to_c(FILTERS["in loops"](), tmp_path / "made.h", name="made")
+    more = """
+#include <stdio.h>
+int main(void)
+{
+    const double t[3] = { 0.0, 0.4, 1.0 }, y[6] = { 0.1, 0.2, NAN, 0.3, 0.2, NAN };
+    const double u[6] = { 0.1, -0.2, 0.3, 0.0, 0.2, 0.1 };
+    double mean[6], cov[12], loglik[3];
+    const int code = record(0, 3, t, y, u, mean, cov, loglik);
+    printf("%d %d %d", code, untold(), isfinite(mean[4] + cov[8] + loglik[2]));
+    return 0;
+}
+"""
+    (tmp_path / "main.c").write_text(RUN + more)
+    flags = ["-std=c99", "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
+    line = ["cc", *flags, "main.c", "-o", "main", "-lm"]
+    subprocess.run(line, cwd=tmp_path, check=True, capture_output=True)
+    done = subprocess.run(["./main"], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.stdout, done.stderr) == ("0 7 1", "")
 
 
 def test_the_elapsed_time_alone(compiled):

@@ -58,7 +58,9 @@ def learned(regressor):
 FILTERS = {
     "designed": designed,
     "polynomial": lambda: designed(predictor=Polynomial(3, 2)),
-    "designed, with gaps": lambda: designed(availability=[0.6, 1.0], nodes=1),
+    "designed, with gaps": lambda: synthesize(
+        walk(), Memory(1), Taylor(), TIMES, paths=500, seed=1, availability=0.6
+    ),
     "table": lambda: grid_synthesis(
         zoo.flip_process(), large_order(1), TIMES[:4], x=(-3.5, 3.5, 41), z=(-2.5, 2.5, 7),
         y=(-8, 8, 17), nodes=1,
