@@ -13,8 +13,8 @@ static inline int @name_step(@name_state *s, const double *y@TOLD)
         if (isnan(y[i])) lost = 1;
     }
 @WATCH    if (s->k > 0) {
-        @name_known_(s, score, law);
-        @name_propagate_(@name_times[s->k - 1]@LATER, score, law, ahead, later);
+        @LENGTH@name_known_(s, score, law);
+        @name_propagate_(@name_times[s->k - 1]@LATER, score, law, ahead, later@WITH);
         parts = @NAME_EACH;
     } else {
         memcpy(ahead, @name_score0, sizeof @name_score0);

@@ -180,12 +180,12 @@ def check_told(filter: Any) -> None:
     Raises
     ------
     ValueError
-        Inputs of a filter with a design that evaluates them, inputs or elapsed time with modes.
+        Inputs of a filter with a design that evaluates them, inputs of one with modes.
     """
     system = getattr(filter, "system", None)
     roles = {p.role for p in mentioned(system)} - {"parameter"}
-    if isinstance(filter, SwitchingFilter) and roles:
-        raise ValueError("filter: wanted modes without inputs and elapsed time, C has none there")
+    if isinstance(filter, SwitchingFilter) and "input" in roles:
+        raise ValueError("filter: wanted a model without inputs, C has none with modes")
     if isinstance(filter, FiniteOrderFilter) and "input" in roles:
         maps = [system.sensor]
         maps += [system.drift_map] if isinstance(filter.predictor, Continuous) else []

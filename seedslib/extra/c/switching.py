@@ -14,7 +14,7 @@ from seedslib.extra.c.branches import check_branches, moves_source, readings_sou
 from seedslib.extra.c.records import going_on
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
-from seedslib.extra.c.traced import record_correction
+from seedslib.extra.c.traced import record_correction, telling, told_of
 from seedslib.filters.weights import TIE
 from seedslib.linearization.moments import symmetric
 
@@ -34,6 +34,7 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
         Moments without formulas, fits that are no laws in cells.
     """
     system, memory, rules = filter.system, filter.memory, filter.rules
+    told = told_of(system)
     check_branches(rules, filter.linearization, system)
     n, m, modes = system.state_size, system.measurement_size, system.modes
     each = system.indicators if rules.split else 1
@@ -71,11 +72,12 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
         "@HEADER": header, "@GAPS": gaps, "@AFTER": after, "@HELD": held, "@BEGIN": begin,
         "@TOLD": ", int indicator" if system.indicators else "", "@WATCH": watch,
         "@SEEN": "indicator" if system.indicators else "-1", "@MOST": str(modes),
+        "@LENGTH": _lasting(told, memory is None),
     }  # fmt: skip
     whole = "\n".join([text, laws.STATE, laws.MIX, *shared, take, own])
     for mark, part in marks.items():
         whole = whole.replace(mark, part)
-    return macros, going_on(filter, whole)
+    return macros, going_on(filter, telling(whole, told))
 
 
 _TIMED = """\
@@ -87,6 +89,16 @@ _CARRIED = """\
     double score[@NAME_MODES]; /* logarithms of the probabilities */
     double law[@NAME_MODES][@NAME_LAW]; /* mean and covariance in each mode */
 """
+
+
+def _lasting(told: list[Any], carried: bool) -> str:
+    """C of how long a step is, where the model is told that."""
+    if not told:
+        return ""
+    ends = "t", "s->t"
+    if not carried:
+        ends = "(@name_times[s->k]@LATER)", "(@name_times[s->k - 1]@LATER)"
+    return f"const double dt = {ends[0]} - {ends[1]};\n        "
 
 
 def _forecasts(filter: SwitchingFilter) -> list[str]:
