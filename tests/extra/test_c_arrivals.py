@@ -8,7 +8,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.design import Polynomial, stationary, synthesize
+from seedslib.design import Polynomial, grid_synthesis, stationary, synthesize
 from seedslib.designed import Memory
 from seedslib.extra import compiled as behind_its_verbs
 from seedslib.extra import to_c
@@ -188,6 +188,7 @@ def test_behind_the_verbs(name):
                 each.run(times, np.ones_like(y))
 
 
+@pytest.mark.filterwarnings("ignore:[xyz]. the:UserWarning")
 def test_refused(compiled):
     filter = made("schedule")
     y = record(filter, 1)[1][..., 0]
@@ -195,6 +196,13 @@ def test_refused(compiled):
     assert c.refused(y) == 0
     y[1, 1] = 0.0
     assert c.refused(y) == 6
+    table = grid_synthesis(
+        zoo.flip_process(), Memory(1), [0.0, 0.25], x=(-3.5, 3.5, 41), z=(-2.5, 2.5, 7),
+        y=(-8, 8, 17), nodes=0,
+    )  # fmt: skip
+    object.__setattr__(table, "measured", np.ones((2, 1), dtype=bool))
+    with pytest.raises(ValueError, match="filter: wanted a TableFilter without a schedule of its"):
+        to_c(table)
     tail = oscillator(availability=0.8, horizon=1.8)
     with pytest.raises(ValueError, match="horizon: wanted none for C of a design with `avail"):
         to_c(tail)

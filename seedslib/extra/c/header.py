@@ -198,8 +198,8 @@ def check_told(filter: Any) -> None:
 
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    known = getattr(filter, "measured", None), getattr(filter, "availability", None)
-    if not isinstance(filter, FiniteOrderFilter) and known != (None, None):
+    known = (getattr(filter, name, None) for name in ("measured", "availability"))
+    if not isinstance(filter, FiniteOrderFilter) and any(part is not None for part in known):
         raise ValueError(
             f"filter: wanted a {type(filter).__name__} without a schedule of its sensor, C has none"
         )
