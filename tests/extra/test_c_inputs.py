@@ -98,7 +98,18 @@ def matrices():
     )  # fmt: skip
 
 
+def entries():
+    """By matrices with expressions for entries: the elapsed time, the time, an input."""
+    return LinearSystem(
+        [[1.0, ELAPSED], [0.0, sympy.exp(-ELAPSED)]],
+        [[ELAPSED**3 / 3, ELAPSED**2 / 2], [ELAPSED**2 / 2, ELAPSED]],
+        [[1.0, sympy.sin(sympy.Symbol("t")) + BIAS]], [[0.3 + BIAS**2]], [0.0, 1.0], np.eye(2),
+        B=[[0.0], [ELAPSED]], inputs=(FORCE,),
+    )  # fmt: skip
+
+
 FILTERS = {
+    "Kalman, entries by formulas": lambda: KalmanFilter(entries()),
     "Kalman": lambda: KalmanFilter(matrices()),
     "extended": lambda: extended_kalman(steered()),
     "unscented": lambda: unscented_kalman(steered()),

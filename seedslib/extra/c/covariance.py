@@ -22,6 +22,7 @@ from seedslib.extra.c.traced import (
     telling,
     told_of,
     told_on,
+    written,
 )
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
@@ -125,7 +126,7 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     if getattr(system, "diffuse", ()):
         raise ValueError("system: wanted a first state with a law to write in C, got a diffuse one")
     check_formulas(_rule(filter), system)
-    if not filter.continuous and not system.dynamics.symbolic:
+    if not filter.continuous and not written(system.dynamics):
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
     n, m = filter.n, system.sensor.size
     _look_at_prior(filter)

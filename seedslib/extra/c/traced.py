@@ -29,8 +29,13 @@ def check_formulas(linearization: Linearization, system: object) -> None:
             f"linearization: wanted formulas or a rule with points to write in C, got "
             f"{linearization!r}"
         )
-    if not system.sensor.symbolic:
+    if not written(system.sensor):
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+
+
+def written(map: Any) -> bool:
+    """Whether a map is given by expressions, or by matrices of them."""
+    return map.symbolic or getattr(map, "formulas", None) is not None
 
 
 def moments_source(
@@ -50,6 +55,9 @@ def moments_source(
     moments : tuple
         E y, cov(x, y), cov y; the last None without `spread`.
     """
+    if not map.symbolic:
+        with told_on(tape, told):
+            return "", [], _linear_moments(tape, map, mean, lower)
     if not isinstance(linearization, PointRule):
         evaluate = map_moments(linearization, map, spread)
         with told_on(tape, told):
@@ -67,6 +75,23 @@ def moments_source(
     moments = h, cross.reshape(n, m), symmetric(cov, m) if spread else None
     lines = [f"    double found[{size}];", f"    {label}_(t, mean, lower, found@WITH);"]
     return point_moments(linearization, map, label, spread, told), lines, moments
+
+
+def _linear_moments(tape: Tape, map: Any, mean: Sequence[Any], lower: Sequence[Any]) -> Any:
+    """Moments of a map by its matrices, A m + B u, P A' and A P A' + S."""
+    import sympy
+
+    from seedslib.models.codegen import compile_components
+
+    slope, noise, push, inputs = map.formulas
+    push = np.zeros((map.size, 0)) if push is None else push
+    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
+    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
+    found = compile_components([sympy.Symbol("t")], entries)(tape.inputs("t")[()])
+    A, S, B, u = np.split(np.array(found, dtype=object), np.cumsum([p.size for p in parts]))
+    A, S, B = (part.reshape(p.shape) for part, p in zip((A, S, B), parts, strict=True))
+    cross = symmetric(np.array(lower, dtype=object), map.state_size) @ A.T
+    return A @ np.array(mean, dtype=object) + B @ u, cross, A @ cross + S
 
 
 def told_of(system: Any) -> list[Any]:
