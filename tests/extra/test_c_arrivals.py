@@ -201,11 +201,34 @@ def test_refused(compiled):
         y=(-8, 8, 17), nodes=0,
     )  # fmt: skip
     object.__setattr__(table, "measured", np.ones((2, 1), dtype=bool))
-    with pytest.raises(ValueError, match="filter: wanted a TableFilter without a schedule of its"):
+    with pytest.raises(ValueError, match="filter: wanted a TableFilter without `measured` for C"):
         to_c(table)
     tail = oscillator(availability=0.8, horizon=1.8)
     with pytest.raises(ValueError, match="horizon: wanted none for C of a design with `avail"):
         to_c(tail)
+
+
+@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
+def test_modes_with_a_schedule(compiled):
+    """The indicator is a component as any: here it is there at every second time only."""
+    system, times = zoo.manoeuvring_target(), np.arange(6.0)
+    read = np.ones((6, system.measurement_size + 1), dtype=bool)
+    read[1::2, -1] = read[2, 0] = False
+    filter = synthesize(system, Memory(1), Taylor(), times, paths=600, seed=1, measured=read)
+    data = system.simulate(times, 20, 2, measured=read)
+    y, told = data.measurements.copy(), data.indicators.copy()
+    y[3, 0, :5], told[4, 5:9] = np.nan, -1
+    wanted = filter.run(times, y, indicators=told, covariances=True)
+    c = compiled(filter)
+    mean, cov, loglik, prob, modes = c.run(times, y, told)
+    for one, other in (
+        (mean, wanted.mean), (cov, wanted.cov), (loglik, wanted.loglik), (prob, wanted.mode_prob)
+    ):  # fmt: skip
+        near(one, other, 1e-10)
+    assert np.array_equal(modes, wanted.modes)
+    assert np.isnan(cov[-1, 0, 0]).sum() == 9
+    told[1] = 0
+    assert c.run(times, y, told) == 6
 
 
 def test_one_class_is_a_design_without(compiled):

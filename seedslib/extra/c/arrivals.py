@@ -1,4 +1,4 @@
-"""C of what a finite-order filter knows of its sensor: a schedule, and classes of what arrived.
+"""C of what a filter knows of its sensor: a schedule, and classes of what arrived.
 
 A step looks up which components there may be and which there must, numbers the pattern of those
 that have arrived, and goes to the class of histories that a table of integers says. Each class has
@@ -41,7 +41,13 @@ _CLASS = """\
 """
 
 
-def knows(filter: FiniteOrderFilter) -> bool:
+_TOLD = """\
+    if (indicator >= 0 && @name_read[s->k][@NAME_MEASUREMENT] == 0) return @NAME_STRAY;
+    if (indicator < 0 && @name_read[s->k][@NAME_MEASUREMENT] == 2) lost = 1;
+"""
+
+
+def knows(filter: Any) -> bool:
     """Whether a design knows of missing measurements."""
     return filter.measured is not None or filter.availability is not None
 
@@ -69,6 +75,21 @@ def patterns(filter: FiniteOrderFilter) -> list[np.ndarray]:
     return found
 
 
+def schedule(filter: Any) -> str:
+    """C of which components there may be at each time, and which there must; 0, 1 and 2."""
+    if not knows(filter):
+        return ""
+    rows = expected(filter, np.arange(len(filter.times)))
+    return constants("@name_read", rows.sum(axis=0), "signed char")
+
+
+def losing(filter: Any) -> tuple[str, str]:
+    """C that sees a gap the design does not know of: in a component, and in the indicator."""
+    if knows(filter):
+        return _SCHEDULED, _TOLD
+    return _LOST, "    if (indicator < 0) lost = 1;\n"
+
+
 def arrivals(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
     """Macros and C of the tables of schedule and classes; empty of a design without.
 
@@ -77,11 +98,8 @@ def arrivals(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
     ValueError
         Classes after the last measurement.
     """
-    if not knows(filter):
-        return {}, ""
-    rows = expected(filter, np.arange(len(filter.times)))
-    text = constants("@name_read", rows.sum(axis=0), "signed char")
-    if filter.ways is None:
+    text = schedule(filter)
+    if not text or filter.ways is None:
         return {}, text
     if len(filter.node_times) > len(filter.fits) and not filter.cycle:
         raise ValueError("horizon: wanted none for C of a design with `availability`, got one")
@@ -105,7 +123,7 @@ def knowing(filter: FiniteOrderFilter, text: str) -> str:
     """C of a filter with what it knows of its sensor put in at the marks."""
     classes = filter.ways is not None
     marks = {
-        "@LOST": _SCHEDULED if knows(filter) else _LOST,
+        "@LOST": losing(filter)[0],
         "@GROUP": "    int group; /* class of what has arrived */\n" if classes else "",
         "@CLASS": _CLASS if classes else "",
         "@FIT": "@name_class[s->k - 1] + s->group" if classes else "s->k - 1",

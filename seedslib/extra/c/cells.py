@@ -10,7 +10,7 @@ static inline int @name_step(@name_state *s, const double *y@TOLD)
     int i, lost = gap, parts = 1;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
-        if (isnan(y[i])) lost = 1;
+@LOST
     }
 @WATCH    if (s->k > 0) {
         @LENGTH@name_known_(s, score, law);

@@ -198,11 +198,12 @@ def check_told(filter: Any) -> None:
 
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    known = (getattr(filter, name, None) for name in ("measured", "availability"))
-    if not isinstance(filter, FiniteOrderFilter) and any(part is not None for part in known):
-        raise ValueError(
-            f"filter: wanted a {type(filter).__name__} without a schedule of its sensor, C has none"
-        )
+    unknown = [] if isinstance(filter, FiniteOrderFilter) else ["availability"]
+    if isinstance(filter, OutputFilter):
+        unknown.append("measured")
+    for name in unknown:
+        if getattr(filter, name, None) is not None:
+            raise ValueError(f"filter: wanted a {type(filter).__name__} without `{name}` for C")
     if isinstance(filter, TableFilter):
         from seedslib.extra.c.tables import table_source
 

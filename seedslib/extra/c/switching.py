@@ -10,6 +10,7 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
+from seedslib.extra.c.arrivals import losing, schedule
 from seedslib.extra.c.branches import check_branches, moves_source, readings_source, switches_source
 from seedslib.extra.c.records import going_on
 from seedslib.extra.c.source import constants, function
@@ -58,6 +59,7 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     else:
         known = _designed(filter, macros)
         text, own = text + constants("@name_times", filter.times), cells.DESIGNED_STEP
+        text += schedule(filter)
         shared += [known, cells.PUSH.replace("@SOFT", literal(SOFTEST))]
         held, begin, header = _held(memory), "", "    int k; /* @COUNTED */\n@LAPS"
         gaps, after = ", NaN from a gap on", ", NaN after a gap"
@@ -65,14 +67,14 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     take = laws.TAKE.replace("@EXPECT", expect).replace("@TIE", literal(1.0 - TIE))
     watch = _WATCH if system.indicators else ""
     if system.indicators and memory is not None:
-        watch += "    if (indicator < 0) lost = 1;\n"
+        watch += losing(filter)[1]
     if memory is not None and memory.indicators:
         watch += _WANTED
     marks = {
         "@HEADER": header, "@GAPS": gaps, "@AFTER": after, "@HELD": held, "@BEGIN": begin,
         "@TOLD": ", int indicator" if system.indicators else "", "@WATCH": watch,
         "@SEEN": "indicator" if system.indicators else "-1", "@MOST": str(modes),
-        "@LENGTH": _lasting(told, memory is None),
+        "@LOST": losing(filter)[0], "@LENGTH": _lasting(told, memory is None),
     }  # fmt: skip
     whole = "\n".join([text, laws.STATE, laws.MIX, *shared, take, own])
     for mark, part in marks.items():
