@@ -212,28 +212,6 @@ def test_the_elapsed_time_alone(compiled):
         np.testing.assert_allclose((mean[k, 0, 0], cov[k, 0, 0, 0]), (m, p), rtol=1e-12)
 
 
-@pytest.mark.parametrize("drives", ["old", "new"])
-@pytest.mark.parametrize("memory", [None, Memory(1)])
-@pytest.mark.filterwarnings("ignore:paths:UserWarning")
-def test_modes_at_irregular_times(drives, memory, compiled):
-    """The longer a step, the farther the state goes, and the likelier is a switch."""
-    leave = 1 - sympy.exp(-ELAPSED / 4)
-    system = SwitchingSystem(
-        (a,), [[a + sympy.sqrt(ELAPSED) * v], [a - ELAPSED + sympy.sqrt(ELAPSED) * v]], Noise((v,)),
-        [[1 - leave, leave], [leave, 1 - leave]], [[a + w], [a + 2 * w]], Noise((w,)),
-        [(0.5, [0.0], [[1.0]])] * 2, drives=drives,
-    )  # fmt: skip
-    filter = SwitchingFilter(system, Taylor())
-    if memory is not None:
-        filter = synthesize(system, memory, Taylor(), TIMES, paths=400, seed=1)
-    y = np.random.default_rng(1).normal(size=(len(TIMES), 1, 5))
-    wanted = filter.run(TIMES, y)
-    mean, _, loglik, prob, _ = compiled(filter).run(TIMES, y)
-    for one, other in zip((mean, loglik, prob), (wanted.mean, wanted.loglik, wanted.mode_prob),
-                          strict=True):  # fmt: skip
-        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
-
-
 def test_a_design_with_its_inputs_in_its_forecasts(compiled):
     """Inputs of the design are in its numbers: nothing is told to the C."""
     moves = StochasticMap((a,), [0.9 * a + FORCE + v], Noise((v,)))

@@ -7,6 +7,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
+from seedslib.base.parameters import ELAPSED
 from seedslib.design import simulated_synthesis, stationary, synthesize
 from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_order
 from seedslib.extra import to_c
@@ -180,6 +181,28 @@ def test_the_new_mode_drives_as_in_the_textbook(compiled):
         np.testing.assert_allclose(mean[k, 0, 0], mu @ m, rtol=1e-10)
         whole = mu @ (p + (m - mu @ m) ** 2)
         np.testing.assert_allclose(cov[k, 0, 0, 0], whole, rtol=1e-10)
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+@pytest.mark.parametrize("memory", [None, Memory(1)])
+def test_modes_at_irregular_times(drives, memory, compiled):
+    """The longer a step, the farther the state goes, and the likelier is a switch."""
+    times = np.array([0.0, 0.5, 0.7, 1.5, 2.5, 2.75])
+    leave = 1 - sympy.exp(-ELAPSED / 4)
+    system = SwitchingSystem(
+        (x,), [[x + sympy.sqrt(ELAPSED) * v], [x - ELAPSED + sympy.sqrt(ELAPSED) * v]], Noise((v,)),
+        [[1 - leave, leave], [leave, 1 - leave]], [[x + w], [x + 2 * w]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]])] * 2, drives=drives,
+    )  # fmt: skip
+    filter = SwitchingFilter(system, Taylor())
+    if memory is not None:
+        filter = synthesize(system, memory, Taylor(), times, paths=400, seed=1)
+    y = np.random.default_rng(1).normal(size=(len(times), 1, 5))
+    wanted = filter.run(times, y)
+    mean, _, loglik, prob, _ = compiled(filter).run(times, y)
+    for one, other in zip((mean, loglik, prob), (wanted.mean, wanted.loglik, wanted.mode_prob),
+                          strict=True):  # fmt: skip
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
 
 
 def test_a_design_without_an_end(compiled):
