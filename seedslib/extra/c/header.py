@@ -157,6 +157,7 @@ def to_c(
     if real not in ("double", "float"):
         raise ValueError(f"real: wanted double or float, got {real!r}")
     macros, text, rule = _parts(filter)
+    check_sensed(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
     dimensions = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
 
@@ -172,6 +173,22 @@ def to_c(
     if path is not None:
         write_whole(path, whole.encode("ascii"))
     return whole
+
+
+def check_sensed(filter: Any) -> None:
+    """Refuse a design that knows more of missing measurements than its C does.
+
+    Raises
+    ------
+    ValueError
+        An availability of a filter of modes or of output functions, a schedule of the latter.
+    """
+    unknown = [] if isinstance(filter, FiniteOrderFilter) else ["availability"]
+    if isinstance(filter, OutputFilter):
+        unknown.append("measured")
+    for name in unknown:
+        if getattr(filter, name, None) is not None:
+            raise ValueError(f"filter: wanted a {type(filter).__name__} without `{name}` for C")
 
 
 def check_told(filter: Any) -> None:
@@ -198,12 +215,6 @@ def check_told(filter: Any) -> None:
 
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
-    unknown = [] if isinstance(filter, FiniteOrderFilter) else ["availability"]
-    if isinstance(filter, OutputFilter):
-        unknown.append("measured")
-    for name in unknown:
-        if getattr(filter, name, None) is not None:
-            raise ValueError(f"filter: wanted a {type(filter).__name__} without `{name}` for C")
     if isinstance(filter, TableFilter):
         from seedslib.extra.c.tables import table_source
 
