@@ -11,27 +11,20 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.checks import as_real, outside, unmasked
 from seedslib.base.clock import ROUNDING, SAME, when
+from seedslib.base.values import current
 from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.build import library
-from seedslib.extra.c.driver import FIELDS, driver, side_by_side
+from seedslib.extra.c.driver import FIELDS, REFUSED, driver
 from seedslib.extra.c.header import to_c
+from seedslib.extra.c.traced import told_of
+from seedslib.extra.compiled_records import CompiledRecords
 from seedslib.extra.compiled_state import CompiledState
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.estimates import Estimates, as_indicators
-from seedslib.filters.verbs import Filter
 
 _DOUBLE = np.dtype(np.float64)
-
-_REFUSED = {
-    1: "t: wanted at most the last measurement time",
-    2: "y: wanted finite numbers or NaN, got an infinite one",
-    3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
-    4: "t: wanted the next measurement time, or one after that of the state",
-    5: "indicator: wanted one of the system, or -1 for a missing one",
-}
 
 
 def compiled(filter: Any) -> Any:
@@ -43,7 +36,7 @@ def compiled(filter: Any) -> Any:
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingFilter or CovarianceFilter
         One that `to_c` can write.
 
     Returns
@@ -92,7 +85,7 @@ def compiled(filter: Any) -> Any:
     return CompiledFilter(filter, path)
 
 
-class CompiledFilter(Filter):
+class CompiledFilter(CompiledRecords):
     """A filter whose steps are C; `compiled` makes it. It has the verbs of the filter.
 
     Those of one measurement are `initial` and `step`, `forecast` where the filter forecasts
@@ -112,7 +105,7 @@ class CompiledFilter(Filter):
         # a step holds the interpreter, which is quicker; whole records let others run
         self._c, self._whole = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path)).api_fill
         self._whole.argtypes = [
-            ctypes.c_int, ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 9
+            ctypes.c_int, ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 10
         ]  # fmt: skip
         self._one = self._c.api_step  # without declared arguments, which would cost more than C
         self._form = self._layout()
@@ -121,6 +114,8 @@ class CompiledFilter(Filter):
         self._c.api_init(1, self._first)
         self._width = self.system.measurement_size
         self._pack = struct.Struct(f"{self._width}d").pack
+        carries = isinstance(filter, CovarianceFilter)
+        self._inputs = [p for p in told_of(self.system) if p.role == "input" and carries]
         # runs as the filter does, but for its loop
         self._twin = object.__new__(type(filter))
         vars(self._twin).update(vars(filter), fill=self._fill)
@@ -168,9 +163,10 @@ class CompiledFilter(Filter):
         if indicator is not None or self._told:
             told = self._seen(indicator, ()).tobytes()
         out = bytes(self._size)  # nobody has seen it, so that C may write it
-        code = self._one(1, state.raw, out, ctypes.c_double(t), shown, told)
+        more = self._given(()) if self._inputs else ()
+        code = self._one(1, state.raw, out, ctypes.c_double(t), shown, told, *more)
         if code:
-            raise ValueError(_REFUSED[code])
+            raise ValueError(REFUSED[code])
         return CompiledState(out, (), self._form)
 
     def _many(self, state, t, y, indicator):
@@ -178,8 +174,15 @@ class CompiledFilter(Filter):
         shown, told = self._shown(y, state.batch), None
         if indicator is not None or self._told:
             told = ctypes.c_void_p(self._seen(indicator, state.batch).ctypes.data)
-        place = ctypes.c_void_p(shown.ctypes.data)
-        return self._made(state, self._one, ctypes.c_double(t), place, told)
+        place, given = ctypes.c_void_p(shown.ctypes.data), self._given(state.batch)
+        return self._made(state, self._one, ctypes.c_double(t), place, told, *given)
+
+    def _given(self, batch):
+        """Present values of the inputs, one after the other, of a filter that C tells them."""
+        if not self._inputs:
+            return ()
+        values = [np.broadcast_to(value, batch) for value in current(self._inputs)]
+        return (np.array(values, dtype=float).tobytes(),)
 
     def _seen(self, indicator, batch):
         if type(indicator) is int and not batch and -1 <= indicator < self.system.indicators:
@@ -201,7 +204,7 @@ class CompiledFilter(Filter):
         out = bytes(len(state.raw))  # nobody has seen it, so that C may write it
         code = work(len(out) // self._size, state.raw, out, *given)
         if code:
-            raise ValueError(_REFUSED[code])
+            raise ValueError(REFUSED[code])
         return CompiledState(out, state.batch, self._form)
 
     def predict(self, state: CompiledState, t: float, *told: ArrayLike) -> CompiledState:
@@ -212,7 +215,8 @@ class CompiledFilter(Filter):
         ValueError
             A time before that of the state, another kind of filter.
         """
-        return self._made(state, self._half("predict"), ctypes.c_double(t))
+        given = self._given(state.batch)
+        return self._made(state, self._half("predict"), ctypes.c_double(t), *given)
 
     def correct(self, state: CompiledState, y: ArrayLike) -> CompiledState:
         """Correct by a measurement, of a filter that carries mean and covariance.
@@ -223,7 +227,8 @@ class CompiledFilter(Filter):
             A state without a time, a wrong shape, another kind of filter.
         """
         shown = self._shown(y, state.batch)
-        return self._made(state, self._half("correct"), ctypes.c_void_p(shown.ctypes.data))
+        place, given = ctypes.c_void_p(shown.ctypes.data), self._given(state.batch)
+        return self._made(state, self._half("correct"), place, *given)
 
     def _half(self, name):
         if not isinstance(self.filter, CovarianceFilter):
@@ -249,52 +254,3 @@ class CompiledFilter(Filter):
         if code:
             raise ValueError(f"t: wanted a time up to the next measurement, got {when(t)}")
         return Estimates(out.reshape(-1, *state.batch))
-
-    def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        covariances: bool = False, workers: int = 1,
-    ) -> Estimates:  # fmt: skip
-        """Filter a record, or many at once; arguments, results and errors as of the filter."""
-        if isinstance(self.filter, DesignedFilter):
-            return self._twin.run(
-                times, measurements, indicators=indicators, covariances=covariances,
-                workers=workers,
-            )  # fmt: skip
-        times, y = self.filter.record(times, measurements)
-        as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
-        batch, n = y.shape[2:], self.filter.n
-        y = y.reshape(*y.shape[:2], -1)
-        parts = [np.empty((len(times), *size, y.shape[2])) for size in ((n,), (n, n), ())]
-        found = Estimates(*parts[:2], loglik=parts[2])
-
-        def work(a, b, _):
-            rows = (None if part is None else part[..., a:b] for part in found)
-            self._fill(Estimates(*rows), times, np.zeros(len(times), int), y[..., a:b], None)
-
-        in_blocks(work, y.shape[2], 0, workers=workers, block=4 * BLOCK)
-        finite = np.isfinite(found.mean[-1]).all(axis=0) & np.isfinite(found.cov[-1]).all((0, 1))
-        with np.errstate(invalid="ignore"):
-            lost = ~finite | (np.abs(found.mean) > self.filter.bound).any(axis=(0, 1))
-        parts = (p if p is None else p.reshape(*p.shape[:-1], *batch) for p in found)
-        return Estimates(*parts)._replace(diverged=lost.reshape(batch))
-
-    def _fill(
-        self, rows: Estimates, times: Any, index: Any, y: Any, indicators: Any, held: object = None
-    ) -> int:  # fmt: skip
-        """Run over a block of records, see `DesignedFilter.fill`."""
-        alone = y.ndim == 2
-        count, wide = (1, 1) if alone else (y.shape[2], rows.mean.strides[1] // 8)
-        y = side_by_side(y, wide, alone)
-        told = indicators
-        if told is not None:
-            told = side_by_side(told.astype(np.int64, copy=False), wide, alone)
-        times, index = np.ascontiguousarray(times), np.ascontiguousarray(index, dtype=np.int64)
-        given = (
-            times, index, y, told, rows.mean, rows.cov, rows.loglik, rows.mode_prob, rows.modes
-        )  # fmt: skip
-        if rows.modes is not None and rows.modes.dtype != np.int64:
-            raise TypeError("modes: wanted 64-bit integers")
-        places = [None if part is None else part.ctypes.data for part in given]
-        if code := self._whole(count, wide, len(times), *places):
-            raise ValueError(_REFUSED[code])
-        return 0

@@ -67,6 +67,12 @@ class LinearMap(StochasticMap):
         ]
         super().__init__(state, value, Noise(noise, 0.0, self._cov))
 
+    @property
+    def formulas(self) -> tuple[Any, ...] | None:
+        """A, S and B (or None) as numbers or expressions in t, and u; None without such."""
+        parts = [getattr(M, "expressions", M) for M in (self._slope, self._cov, self._push)]
+        return None if any(map(callable, parts)) else (*parts, self._inputs)
+
     def slope_at(self, t: float) -> np.ndarray:
         """A at a time, shape (m, n); with axes of paths where parameters have them."""
         if not callable(self._slope):
@@ -274,6 +280,7 @@ class Entries:
         known = known_expressions(name, entries, entries.shape, {}, {time})
         self._function = compile_components([time], list(known.flat))
         self.mentions: tuple[Any, ...] = parameters_of(known.flat)
+        self.expressions: np.ndarray = known
 
     def __call__(self, t: float) -> np.ndarray:
         """The matrix at a time."""

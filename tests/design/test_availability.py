@@ -11,7 +11,6 @@ from seedslib.design import Polynomial, stationary, synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.designed.patterns import distances
 from seedslib.evaluation import compare
-from seedslib.extra import to_c
 from seedslib.filters import extended_kalman
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -143,8 +142,6 @@ def test_steps_are_the_run_and_files_keep_it(walk, filter, tmp_path):
         np.testing.assert_allclose(single.mean, found.mean[k, :, 0], rtol=1e-12)
         np.testing.assert_allclose(single.cov, found.cov[k, ..., 0], rtol=1e-12)
         np.testing.assert_allclose(state.loglik, found.loglik[k], rtol=1e-12)
-    with pytest.raises(ValueError, match="C has none yet"):
-        to_c(filter, name="f")
 
 
 def test_it_does_not_depend_on_threads(walk):

@@ -10,7 +10,6 @@ from seedslib import zoo
 from seedslib.design import Polynomial, stationary, synthesize
 from seedslib.designed import Memory, finite_memory, load, save
 from seedslib.evaluation import compare
-from seedslib.extra import to_c
 from seedslib.linearization import Cubature, ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
@@ -204,5 +203,3 @@ def test_a_switching_design_takes_a_schedule():
 def test_what_does_not_fit_is_refused(system, filter):
     with pytest.raises(ValueError, match=r"measured: wanted a mask of shape \(25,\) or \(25, 2\)"):
         synthesize(system, Memory(1), Taylor(), TIMES, paths=600, seed=1, measured=RATES[:, :1])
-    with pytest.raises(ValueError, match="C has none yet"):
-        to_c(filter, name="f")

@@ -7,16 +7,18 @@ import subprocess
 import numpy as np
 import pytest
 import sympy
+from sklearn.ensemble import RandomForestRegressor
+from sklearn.neural_network import MLPRegressor
 
 from seedslib import zoo
 from seedslib.design import Polynomial, grid_synthesis, synthesize
 from seedslib.designed import Memory, SwitchingFilter, large_order
-from seedslib.extra import to_c
+from seedslib.extra import learn, to_c
 from seedslib.extra.c import build
-from seedslib.extra.c.single import single
+from seedslib.extra.c.single import sensing, single
 from seedslib.filters import CovarianceFilter, extended_kalman, unscented_kalman
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
 
 if build.compiler() is None:
     pytest.skip("no C compiler", allow_module_level=True)
@@ -35,24 +37,44 @@ def walk():
     )  # fmt: skip
 
 
+def driven():
+    moved = [[0.9 * a + v], [0.5 * a + 2 + v]]
+    return SwitchingSystem(
+        (a,), moved, Noise((v,)), [[0.9, 0.1], [0.3, 0.7]], [[a + w], [a + 2 * w]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]])] * 2, drives="new",
+    )  # fmt: skip
+
+
 def designed(**options):
     return synthesize(
         zoo.van_der_pol(), Memory(1), ExactGaussian(), TIMES, paths=500, seed=1, **options
     )
 
 
+def learned(regressor):
+    return learn(zoo.van_der_pol(), Memory(1), TIMES, paths=200, seed=1, regressor=regressor)
+
+
 FILTERS = {
     "designed": designed,
     "polynomial": lambda: designed(predictor=Polynomial(3, 2)),
+    "designed, with gaps": lambda: synthesize(
+        walk(), Memory(1), Taylor(), TIMES, paths=500, seed=1, availability=0.6
+    ),
     "table": lambda: grid_synthesis(
         zoo.flip_process(), large_order(1), TIMES[:4], x=(-3.5, 3.5, 41), z=(-2.5, 2.5, 7),
         y=(-8, 8, 17), nodes=1,
     ),
+    "learned, network": lambda: learned(
+        MLPRegressor(hidden_layer_sizes=(7,), max_iter=4, tol=0.0, activation="tanh")
+    ),
+    "learned, trees": lambda: learned(RandomForestRegressor(3, max_depth=4)),
     "extended": lambda: extended_kalman(walk()),
     "extended, in continuous time": lambda: extended_kalman(zoo.van_der_pol(), step=0.05),
     "unscented": lambda: unscented_kalman(walk()),
     "Gauss-Hermite": lambda: CovarianceFilter(walk(), GaussHermite(11)),
     "IMM": lambda: SwitchingFilter(zoo.manoeuvring_target(), Taylor()),
+    "IMM, the new mode drives": lambda: SwitchingFilter(driven(), Taylor()),
     "switching, designed": lambda: synthesize(
         zoo.scalar_switching(), large_order(1), Taylor(), np.arange(6.0), paths=500, seed=1
     ),
@@ -82,9 +104,13 @@ def run(folder, filter, real, flags):
     """Lines that a program with the filter prints of a record."""
     text = to_c(filter, folder / "made.h", name="made", real=real)
     times = filter.times if getattr(filter, "memory", None) else 0.5 * np.arange(40.0)
-    y = filter.system.simulate(times, 1, 3).measurements[..., 0]
+    y = filter.system.simulate(times, 1, 3, **sensing(filter, len(times))).measurements[..., 0]
     mark = "F" if real == "float" else ""
-    rows = ", ".join("{ " + ", ".join(f"{x:.9e}{mark}" for x in row) + " }" for row in y)
+
+    def number(x):
+        return f"({real})NAN" if np.isnan(x) else f"{x:.9e}{mark}"
+
+    rows = ", ".join("{ " + ", ".join(map(number, row)) + " }" for row in y)
     source = PROGRAM.replace("REAL", real).replace("ROWS", rows).replace("COUNT", str(len(y)))
     timed = re.search(r"made_step\(made_state \*s, \w+ t,", text)
     source = source.replace("TIME", f"({real})(0.5 * k)," if timed else "")
@@ -107,6 +133,7 @@ def run(folder, filter, real, flags):
 
 @pytest.mark.parametrize("name", FILTERS)
 @pytest.mark.filterwarnings("ignore:paths:UserWarning")
+@pytest.mark.filterwarnings("ignore:Stochastic Optimizer:UserWarning", "ignore:held out")
 @pytest.mark.filterwarnings("ignore:y. the axes:UserWarning")
 @pytest.mark.filterwarnings("ignore:[xz]. the:UserWarning")
 def test_float_beside_double(name, tmp_path):

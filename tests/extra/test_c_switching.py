@@ -7,6 +7,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
+from seedslib.base.parameters import ELAPSED
 from seedslib.design import simulated_synthesis, stationary, synthesize
 from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_order
 from seedslib.extra import to_c
@@ -41,12 +42,37 @@ def tells():
     )  # fmt: skip
 
 
+@lru_cache
+def driven(told=False):
+    """The new mode drives the step, and the state moves the switch; perhaps an indicator of it."""
+    far = sympy.exp(-((x - 1) ** 2) / 4)
+    return SwitchingSystem(
+        (x,), [[0.9 * x + v], [0.3 * x + 1 + v / 2]], Noise((v,)),
+        [[1 - far / 2, far / 2], [0.4, 0.6]], [[x + w], [x / 2 + w]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]]), (0.5, [1.0], [[1.0]])], drives="new",
+        indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]] if told else None,
+    )  # fmt: skip
+
+
+def textbook():
+    """Three modes that last, one of them never left for another; the new one drives the step."""
+    stay = [[0.9, 0.05, 0.05], [0.1, 0.9, 0.0], [0.0, 0.2, 0.8]]
+    moves = [[0.9 * x + v / 2], [0.5 * x + 2 + v], [0.5 * x - 2 + v / 3]]
+    return SwitchingSystem(
+        (x,), moves, Noise((v,)), stay, [[x + w], [x + 2 * w], [x + w / 2]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]]), (0.3, [1.0], [[2.0]]), (0.2, [-1.0], [[2.0]])], drives="new",
+    )  # fmt: skip
+
+
 CASES = {
+    "the new mode drives": (textbook, ExactGaussian(), None),
+    "the new mode drives, moved by the state": (driven, Taylor(), None),
+    "the new mode drives, an indicator": (lambda: driven(True), ExactGaussian(), None),
+    "the new mode drives, designed": (driven, Taylor(), large_order(1)),
     "IMM, three modes": (three, ExactGaussian(), None),
     "indicator": (zoo.manoeuvring_target, Taylor(), None),
     "state moves the modes": (zoo.scalar_switching, ExactGaussian(), None),
     "state moves the modes, Taylor": (zoo.scalar_switching, Taylor(), None),
-
     "an indicator moved by the state": (tells, ExactGaussian(), None),
     "an indicator moved by the state, designed": (tells, ExactGaussian(), Memory(1)),
     "large order": (zoo.scalar_switching, ExactGaussian(), large_order(2)),
@@ -129,6 +155,56 @@ def test_one_mode_that_never_changes_is_the_bayes_factor(compiled):
         np.testing.assert_allclose(prob[-1, :, i], np.exp(total - wanted), rtol=1e-9)
 
 
+def test_the_new_mode_drives_as_in_the_textbook(compiled):
+    """The recursion of the interacting multiple model filter, written out by hand."""
+    system = textbook()
+    y = system.simulate(TIMES, 1, 4).measurements
+    mean, cov, loglik, prob, _ = compiled(SwitchingFilter(system, Taylor())).run(TIMES, y)
+    stay = np.array([[0.9, 0.05, 0.05], [0.1, 0.9, 0.0], [0.0, 0.2, 0.8]])
+    gain, shift = np.array([0.9, 0.5, 0.5]), np.array([0.0, 2.0, -2.0])
+    push, noise = np.array([0.25, 1.0, 1 / 9]), np.array([1.0, 4.0, 0.25])
+    mu, m, p = np.array([0.5, 0.3, 0.2]), np.array([0.0, 1.0, -1.0]), np.array([1.0, 2.0, 2.0])
+    for k, shown in enumerate(y[:, 0, 0]):
+        if k:
+            mix = mu[:, None] * stay
+            ahead = mix.sum(axis=0)
+            mix = mix / ahead
+            mixed = m @ mix
+            spread = ((p[:, None] + (m[:, None] - mixed) ** 2) * mix).sum(axis=0)
+            mu, m, p = ahead, gain * mixed + shift, gain**2 * spread + push
+        s = p + noise
+        e = shown - m
+        each = mu * np.exp(-0.5 * e**2 / s) / np.sqrt(2 * np.pi * s)
+        mu, m, p = each / each.sum(), m + p / s * e, p * noise / s
+        np.testing.assert_allclose(loglik[k, 0], np.log(each.sum()), rtol=1e-11)
+        np.testing.assert_allclose(prob[k, :, 0], mu, rtol=1e-10)
+        np.testing.assert_allclose(mean[k, 0, 0], mu @ m, rtol=1e-10)
+        whole = mu @ (p + (m - mu @ m) ** 2)
+        np.testing.assert_allclose(cov[k, 0, 0, 0], whole, rtol=1e-10)
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+@pytest.mark.parametrize("memory", [None, Memory(1)])
+def test_modes_at_irregular_times(drives, memory, compiled):
+    """The longer a step, the farther the state goes, and the likelier is a switch."""
+    times = np.array([0.0, 0.5, 0.7, 1.5, 2.5, 2.75])
+    leave = 1 - sympy.exp(-ELAPSED / 4)
+    system = SwitchingSystem(
+        (x,), [[x + sympy.sqrt(ELAPSED) * v], [x - ELAPSED + sympy.sqrt(ELAPSED) * v]], Noise((v,)),
+        [[1 - leave, leave], [leave, 1 - leave]], [[x + w], [x + 2 * w]], Noise((w,)),
+        [(0.5, [0.0], [[1.0]])] * 2, drives=drives,
+    )  # fmt: skip
+    filter = SwitchingFilter(system, Taylor())
+    if memory is not None:
+        filter = synthesize(system, memory, Taylor(), times, paths=400, seed=1)
+    y = np.random.default_rng(1).normal(size=(len(times), 1, 5))
+    wanted = filter.run(times, y)
+    mean, _, loglik, prob, _ = compiled(filter).run(times, y)
+    for one, other in zip((mean, loglik, prob), (wanted.mean, wanted.loglik, wanted.mode_prob),
+                          strict=True):  # fmt: skip
+        np.testing.assert_allclose(one, other, rtol=1e-10, atol=1e-12)
+
+
 def test_a_design_without_an_end(compiled):
     design = synthesize(three(), Memory(1), Taylor(), TIMES[:14], paths=600, seed=1)
     filter = stationary(design, tolerance=2.0, paths=100, cycle=2)
@@ -166,15 +242,6 @@ def test_refused(compiled):
     printed = SwitchingFilter(tells(), ExactGaussian(), normalisation="printed")
     with pytest.raises(ValueError, match="normalisation: wanted 'consistent'"):
         to_c(printed)
-    x, v, w = sympy.symbols("x v w", real=True)
-    law = [(0.5, [0.0], [[1.0]])] * 2
-    moved = [[x + v], [x / 2 + v]]
-    chain, seen = [[0.9, 0.1], [0.1, 0.9]], [[x + w], [x + w]]
-    textbook = SwitchingSystem(
-        [x], moved, Noise([v]), chain, seen, Noise([w]), law, drives="new"
-    )  # fmt: skip
-    with pytest.raises(ValueError, match="drives: wanted 'old' for C, got 'new'"):
-        to_c(SwitchingFilter(textbook, ExactGaussian()))
 
 
 TABLES = {

@@ -9,6 +9,7 @@ from seedslib.designed.switching.rules import SwitchingRules
 from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.source import function
 from seedslib.extra.c.tape import Scalar, Tape
+from seedslib.extra.c.traced import told_of, told_on
 from seedslib.linearization.formulas import BranchFormulas
 from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import TINY
@@ -26,8 +27,6 @@ def check_branches(rules: SwitchingRules, linearization: Any, system: Any) -> No
         )
     if rules.printed:
         raise ValueError("normalisation: wanted 'consistent' for C, got 'printed'")
-    if system.drives == "new":
-        raise ValueError("drives: wanted 'old' for C, got 'new'")
     if not system.symbolic:
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
 
@@ -39,7 +38,10 @@ def moves_source(system: Any, linearization: Any, split: bool) -> str:
     split, the mass, the mean and the covariance on and below the diagonal.
     """
     text, lines = "", []
-    for i, row in enumerate(system.branches):
+    for i in range(system.modes):
+        row = system.branches[i]
+        if system.drives == "new":  # the mode has switched before, and stays
+            row = [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]
         found, place = _Writer(system, linearization), 0
         common = not split and all(branch is None or branch.constant for branch in row)
         for branch, readings in zip(row, system.readings, strict=True):
@@ -52,10 +54,29 @@ def moves_source(system: Any, linearization: Any, split: bool) -> str:
                     map = _seen(branch.map, reading) if split else branch.map
                     found.add(found.branch(map), place, _moved)
                 place += 1 + _law_size(system.state_size)
-        head = f"void @name_move_{i}_(double t, const double *law, double *out)"
-        text += function(head, found.body())
-        lines.append(f"    if (i == {i}) @name_move_{i}_(t, law, out);")
-    head = "void @name_move_(int i, double t, const double *law, double *out)"
+        head = f"void @name_move_{i}_(double t, const double *law, double *out@ALSO)"
+        text += function(head, found.body("@UNUSED"))
+        lines.append(f"    if (i == {i}) @name_move_{i}_(t, law, out@WITH);")
+    head = "void @name_move_(int i, double t, const double *law, double *out@ALSO)"
+    return text + function(head, lines)
+
+
+def switches_source(system: Any, linearization: Any) -> str:
+    """C of ``@name_switch_(i, t, law, out)``: as `moves_source`, of a state that stands still."""
+    text, lines, size = "", [], 1 + _law_size(system.state_size)
+    for i, row in enumerate(system.branches):
+        found, still = _Writer(system, linearization), [branch and branch.still for branch in row]
+        common = all(branch is None or branch.constant for branch in still)
+        for l, branch in enumerate(still):
+            if branch is None:
+                found.store([0.0], l * size)
+            else:
+                each = found.plain(branch) if common else found.branch(branch.map)
+                found.add(each, l * size, _moved)
+        head = f"void @name_switch_{i}_(double t, const double *law, double *out@ALSO)"
+        text += function(head, found.body("@UNUSED"))
+        lines.append(f"    if (i == {i}) @name_switch_{i}_(t, law, out@WITH);")
+    head = "void @name_switch_(int i, double t, const double *law, double *out@ALSO)"
     return text + function(head, lines)
 
 
@@ -112,20 +133,21 @@ class _Writer:
         for k, expression in enumerate([moments.mass, *choose(moments)]):
             self.wanted.append((expression, varies and k == 0, place + k))
 
-    def body(self) -> list[str]:
-        """Lines of the function."""
+    def body(self, unused: str = "") -> list[str]:
+        """Lines of the function; a move is told how long it takes."""
         n, tape = self.system.state_size, Tape()
         law = tape.inputs("law[{}]", _law_size(n))
         evaluate = compile_components(
             (self.system.time, self.mean, self.lower), [e for e, _, _ in self.wanted],
             self.names.table,
         )  # fmt: skip
-        found = evaluate(tape.inputs("t")[()], list(law[:n]), list(law[n:]))
+        with told_on(tape, told_of(self.system)):
+            found = evaluate(tape.inputs("t")[()], list(law[:n]), list(law[n:]))
         for value, (_, varies, place) in zip(found, self.wanted, strict=True):
             if varies and isinstance(value, Scalar):  # rounding may make none negative
                 value = tape.node("{0} < {1} ? 0.0 : {0}", value, float(TINY))
             self.store([value], place)
-        return ["    (void)t; (void)law;", *tape.body(self.kept)]
+        return [f"    (void)t; (void)law;{unused}", *tape.body(self.kept)]
 
 
 def _moved(moments: Any) -> list[Any]:

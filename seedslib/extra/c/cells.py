@@ -10,11 +10,11 @@ static inline int @name_step(@name_state *s, const double *y@TOLD)
     int i, lost = gap, parts = 1;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
-        if (isnan(y[i])) lost = 1;
+@LOST
     }
 @WATCH    if (s->k > 0) {
-        @name_known_(s, score, law);
-        @name_propagate_(@name_times[s->k - 1]@LATER, score, law, ahead, later);
+        @LENGTH@name_known_(s, score, law);
+        @name_propagate_(@name_times[s->k - 1]@LATER, score, law, ahead, later@WITH);
         parts = @NAME_EACH;
     } else {
         memcpy(ahead, @name_score0, sizeof @name_score0);

@@ -9,6 +9,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
+from seedslib.base.values import looked_at
 from seedslib.extra.c.points import FACTOR, SETTLE, point_rates
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
@@ -18,6 +19,10 @@ from seedslib.extra.c.traced import (
     mean_rates,
     moments_source,
     record_correction,
+    telling,
+    told_of,
+    told_on,
+    written,
 )
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.integration import euler_step, rk4_step
@@ -25,6 +30,7 @@ from seedslib.linearization.matrices import Matrices
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.linearization.symbolic import Taylor
+from seedslib.models.kinds import mentioned
 
 _STEPS = {"rk4": rk4_step, "euler": euler_step}
 
@@ -50,12 +56,12 @@ static inline void @name_init(@name_state *s)
 
 _PREDICT = """\
 /* Forecast to a time; the first call only says when the initial law holds. */
-static inline int @name_predict(@name_state *s, double t)
+static inline int @name_predict(@name_state *s, double t@ALSO)
 {
     double z[@NAME_MOMENTS];
     int i, j, place = @NAME_STATE;
-    if (!isfinite(t) || (s->started && t < s->t)) return @NAME_TIME;
-    if (s->started && t > s->t) {
+@NONE    if (!isfinite(t) || (s->started && t < s->t)) return @NAME_TIME;
+    if (s->started && t > s->t) {@LENGTH
         memcpy(z, s->mean, sizeof s->mean);
         for (i = 0; i < @NAME_STATE; i++) for (j = 0; j <= i; j++) z[place++] = s->cov[i][j];
         @ADVANCE
@@ -76,26 +82,28 @@ _INTEGRATE = """\
             const double steps = fmax(1.0, ceil((t - s->t) / @STEP - @NAME_SAME));
             const double h = (t - s->t) / steps;
             double k;
-            for (k = 0.0; k < steps; k += 1.0) @name_advance_(s->t + k * h, h, z);
+            for (k = 0.0; k < steps; k += 1.0) @name_advance_(s->t + k * h, h, z@WITH);
         }"""
 
+_NONE = "    if (u == NULL) return @NAME_UNTOLD;\n"
+
 _STEP = """\
-static inline int @name_correct(@name_state *s, const double *y)
+static inline int @name_correct(@name_state *s, const double *y@ALSO)
 {
     int i;
-    if (!s->started) return @NAME_TIME;
+@NONE    if (!s->started) return @NAME_TIME;
     for (i = 0; i < @NAME_MEASUREMENT; i++) if (isinf(y[i])) return @NAME_INFINITE;
-    @name_correct_(s->t, s, y);
+    @name_correct_(s->t, s, y@WITH);
     return @NAME_OK;
 }
 
 /* One measurement: forecast to its time and correction. NaN: component missing. */
-static inline int @name_step(@name_state *s, double t, const double *y)
+static inline int @name_step(@name_state *s, double t, const double *y@ALSO)
 {
     int i, code;
     for (i = 0; i < @NAME_MEASUREMENT; i++) if (isinf(y[i])) return @NAME_INFINITE;
-    code = @name_predict(s, t);
-    if (code == @NAME_OK) @name_correct_(t, s, y);
+    code = @name_predict(s, t@WITH);
+    if (code == @NAME_OK) @name_correct_(t, s, y@WITH);
     return code;
 }
 """
@@ -118,22 +126,32 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     if getattr(system, "diffuse", ()):
         raise ValueError("system: wanted a first state with a law to write in C, got a diffuse one")
     check_formulas(_rule(filter), system)
-    if not filter.continuous and not system.dynamics.symbolic:
+    if not filter.continuous and not written(system.dynamics):
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
     n, m = filter.n, system.sensor.size
     _look_at_prior(filter)
     macros = {"STATE": n, "MEASUREMENT": m, "MOMENTS": n * (n + 3) // 2}
     text = constants("@name_mean0", np.asarray(system.mean0, dtype=float))
     text += constants("@name_cov0", np.asarray(system.cov0, dtype=float))
-    advance = "@name_advance_(s->t, z);  /* dynamics are those of the time they leave */"
+    advance = "@name_advance_(s->t, z@WITH);  /* dynamics are those of the time they leave */"
     if filter.continuous:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
+    told = told_of(system)
+    sensed = [p for p in told if p.role == "input"]
+    if sensed:
+        macros["INPUTS"] = len(sensed)
+    predict = _PREDICT.replace("@ADVANCE", advance)
+    # what is told from outside, and the length of a step, which is found inside
+    first, _, rest = predict.partition("@LENGTH")
+    length = "\n        const double dt = t - s->t;" if len(told) > len(sensed) else ""
+    predict = telling(first, sensed) + length + telling(rest, told)
     by_points = isinstance(_rule(filter), PointRule)
     parts = [
-        text, _STATE, FACTOR * by_points, SETTLE * by_points, _motion(filter),
-        _PREDICT.replace("@ADVANCE", advance), _correction(filter), _STEP,
+        text, _STATE, FACTOR * by_points, SETTLE * by_points,
+        telling(_motion(filter, told), told), predict,
+        telling(_correction(filter, sensed), sensed), telling(_STEP, sensed),
     ]  # fmt: skip
-    return macros, "\n".join(parts)
+    return macros, "\n".join(parts).replace("@NONE", _NONE if sensed else "")
 
 
 def _rule(filter: CovarianceFilter) -> Linearization:
@@ -145,9 +163,10 @@ def _rule(filter: CovarianceFilter) -> Linearization:
 def _look_at_prior(filter: CovarianceFilter) -> None:
     """Warn of a prior so wide that C, which has no noise apart, loses what is left of it."""
     state = filter.predict(filter.initial(), 0.0)
-    expected = filter.expect(state)
-    plain = correct(state.mean, state.cov, expected.mean, expected)[1]
-    right = np.diagonal(filter.correct(state, expected.mean).cov)
+    with looked_at(mentioned(filter.system)):
+        expected = filter.expect(state)
+        plain = correct(state.mean, state.cov, expected.mean, expected)[1]
+        right = np.diagonal(filter.correct(state, expected.mean).cov)
     lost = np.abs(np.diagonal(plain) - right) > ROUGH * right
     if lost.any():
         warnings.warn(
@@ -157,21 +176,21 @@ def _look_at_prior(filter: CovarianceFilter) -> None:
         )
 
 
-def _motion(filter: CovarianceFilter) -> str:
+def _motion(filter: CovarianceFilter, told: list[Any]) -> str:
     """C of one integration step, or of the step of a system in discrete time."""
     system, n, tape, rule = filter.system, filter.n, Tape(), _rule(filter)
     if not filter.continuous:
         mean = tape.inputs("z[{}]", n)
         lower = tape.inputs(f"z[{n} + {{}}]", n * (n + 1) // 2)
         text, lines, (mean, _, cov) = moments_source(
-            tape, rule, system.dynamics, "@name_dynamics", mean, lower
+            tape, rule, system.dynamics, "@name_dynamics", mean, lower, told=told
         )
         found = [*mean, *cov[np.tril_indices(n)]]
         stores = tape.body({f"z[{k}]": part for k, part in enumerate(found)})
         if lines:
             lines.insert(1, f"    const double *mean = z, *lower = z + {n};")
-        head = "void @name_advance_(double t, double *z)"
-        return text + function(head, [*lines, "    (void)t;", *stores])
+        head = "void @name_advance_(double t, double *z@ALSO)"
+        return text + function(head, [*lines, "    (void)t;@UNUSED", *stores])
     if filter.integrator not in _STEPS:
         raise ValueError(
             f"integrator: wanted rk4 or euler for C, whose steps are fixed, got "
@@ -180,12 +199,13 @@ def _motion(filter: CovarianceFilter) -> str:
     if not system.drift_map.symbolic:
         raise ValueError("system: wanted closed forms of its mean rates, got array functions")
     if isinstance(rule, PointRule):
-        return point_rates(rule, system, filter.integrator)
+        return point_rates(rule, system, filter.integrator, told)
     z, t = tape.inputs("z[{}]", n * (n + 3) // 2), tape.inputs("t")[()]
-    found = _STEPS[filter.integrator](mean_rates(rule, system), t, z, tape.inputs("h")[()])
+    with told_on(tape, told):
+        found = _STEPS[filter.integrator](mean_rates(rule, system), t, z, tape.inputs("h")[()])
     stores = tape.body({f"z[{k}]": part for k, part in enumerate(found)})
-    head = "void @name_advance_(double t, double h, double *z)"
-    return function(head, ["    (void)t; (void)h;", *stores])
+    head = "void @name_advance_(double t, double h, double *z@ALSO)"
+    return function(head, ["    (void)t; (void)h;@UNUSED", *stores])
 
 
 _BEFORE = """\
@@ -204,17 +224,17 @@ _PACKED = """\
     }"""
 
 
-def _correction(filter: CovarianceFilter) -> str:
+def _correction(filter: CovarianceFilter, told: list[Any]) -> str:
     tape, n, sensor = Tape(), filter.n, filter.system.sensor
     y = tape.inputs("y[{}]", sensor.size)
     mean, cov = tape.inputs("s->mean[{}]", n), tape.inputs("s->cov[{}][{}]", n, n)
     text, lines, moments = moments_source(
-        tape, _rule(filter), sensor, "@name_sensor", mean, cov[np.tril_indices(n)]
+        tape, _rule(filter), sensor, "@name_sensor", mean, cov[np.tril_indices(n)], told=told
     )
     found = record_correction(tape, mean, cov[np.tril_indices(n)], y, moments, n, sensor.period)
     stores, last = tape.body(corrected_outputs(found)), []
     if isinstance(_rule(filter), PointRule):
         lines = [*lines[:1], _PACK, _BEFORE, _PACKED, *lines[1:]] if lines else [_BEFORE]
         last = ["    @name_settle_(scale, s);"]
-    head = "void @name_correct_(double t, @name_state *s, const double *y)"
-    return text + function(head, [*lines, "    (void)t;", *stores, *last])
+    head = "void @name_correct_(double t, @name_state *s, const double *y@ALSO)"
+    return text + function(head, [*lines, "    (void)t;@UNUSED", *stores, *last])

@@ -26,17 +26,17 @@ void api_init(int count, f_state *s)
 
 /* One measurement of each of some records, y component by component. */
 int api_step(int count, const f_state *s, f_state *out, double t, const double *y,
-             const long long *told);
+             const long long *told@ALSO);
 int api_step(int count, const f_state *s, f_state *out, double t, const double *y,
-             const long long *told)
+             const long long *told@ALSO)
 {
     int i, j, code;
-    double shown[F_MEASUREMENT];
+    double shown[F_MEASUREMENT]@ROOM;
     (void)t; (void)told;
     for (i = 0; i < count; i++) {
         out[i] = s[i];@CHECK
         for (j = 0; j < F_MEASUREMENT; j++) shown[j] = y[j * count + i];
-        code = f_step(&out[i], @TIMEshown@TOLD1);
+@GIVEN        code = f_step(&out[i], @TIMEshown@TOLD1@WITH);
         if (code != F_OK) return code;
     }
     return F_OK;
@@ -45,15 +45,15 @@ int api_step(int count, const f_state *s, f_state *out, double t, const double *
 /* Whole records: `wide` of them lie side by side in the arrays, `count` are run here. */
 int api_fill(int count, long long wide, int times, const double *t, const long long *index,
              const double *y, const long long *told, double *mean, double *cov, double *loglik,
-             double *prob, long long *mode);
+             double *prob, long long *mode, const double *u);
 int api_fill(int count, long long wide, int times, const double *t, const long long *index,
              const double *y, const long long *told, double *mean, double *cov, double *loglik,
-             double *prob, long long *mode)
+             double *prob, long long *mode, const double *u)
 {
     f_state tile[@TILE]; /* some at a time, that lie side by side */
-    double shown[F_MEASUREMENT];
+    double shown[F_MEASUREMENT]@ROOM;
     int first, i, j, k, code;
-    (void)t; (void)told; (void)prob; (void)mode; (void)index;
+    (void)t; (void)told; (void)prob; (void)mode; (void)index; (void)u;
     for (first = 0; first < count; first += @TILE) {
         const int last = first + @TILE < count ? first + @TILE : count;
         for (i = first; i < last; i++) f_init(&tile[i - first]);
@@ -63,8 +63,7 @@ int api_fill(int count, long long wide, int times, const double *t, const long l
 @BETWEEN            for (j = 0; j < F_MEASUREMENT; j++) {
                 shown[j] = y[(k * (long long)F_MEASUREMENT + j) * wide + i];
             }
-            code = f_step(s, @RECORDshown@TOLD2);
-            if (code != F_OK) return code;
+@STEP            if (code != F_OK) return code;
             for (j = 0; j < F_OUT; j++) mean[(k * (long long)F_OUT + j) * wide + i] = s->mean[j];
             for (j = 0; cov && j < F_OUT * F_OUT; j++) {
                 cov[(k * (long long)(F_OUT * F_OUT) + j) * wide + i] = s->cov[j / F_OUT][j % F_OUT];
@@ -100,27 +99,27 @@ _PROB = """\
 _MODE = "            if (mode) mode[at] = s->mode;\n"
 
 _HALVES = """
-int api_predict(int count, const f_state *s, f_state *out, double t);
-int api_predict(int count, const f_state *s, f_state *out, double t)
-{
+int api_predict(int count, const f_state *s, f_state *out, double t@ALSO);
+int api_predict(int count, const f_state *s, f_state *out, double t@ALSO)
+{@ALONE
     int i, code;
     for (i = 0; i < count; i++) {
         out[i] = s[i];
-        code = f_predict(&out[i], t);
+@GIVEN        code = f_predict(&out[i], t@WITH);
         if (code != F_OK) return code;
     }
     return F_OK;
 }
 
-int api_correct(int count, const f_state *s, f_state *out, const double *y);
-int api_correct(int count, const f_state *s, f_state *out, const double *y)
+int api_correct(int count, const f_state *s, f_state *out, const double *y@ALSO);
+int api_correct(int count, const f_state *s, f_state *out, const double *y@ALSO)
 {
     int i, j, code;
-    double shown[F_MEASUREMENT];
+    double shown[F_MEASUREMENT]@ROOM;
     for (i = 0; i < count; i++) {
         out[i] = s[i];
         for (j = 0; j < F_MEASUREMENT; j++) shown[j] = y[j * count + i];
-        code = f_correct(&out[i], shown);
+@GIVEN        code = f_correct(&out[i], shown@WITH);
         if (code != F_OK) return code;
     }
     return F_OK;
@@ -142,9 +141,33 @@ int api_forecast(int count, const f_state *s, double t, double *out)
 }
 """
 
+_STEP = "            code = f_step(s, @RECORDshown@TOLD2);\n"
+
+_TOLD_STEP = """\
+            for (j = 0; j < F_INPUTS; j++) { /* what acts from the time before on */
+                given[j] = u[((k > 0 ? k - 1 : 0) * (long long)F_INPUTS + j) * wide + i];
+            }
+            code = f_predict(s, t[k], given);
+            for (j = 0; j < F_INPUTS; j++) given[j] = u[(k * (long long)F_INPUTS + j) * wide + i];
+            if (code == F_OK) code = f_correct(s, shown, given);
+"""
+
+_GIVEN = "        for (j = 0; j < F_INPUTS; j++) given[j] = u[j * count + i];\n"
+
 FIELDS = ("mean", "cov", "loglik", "prob", "mode", "t", "k", "started")
 """Parts of a state whose places a driver tells, behind the size of the whole."""
 
+
+REFUSED = {
+    1: "t: wanted at most the last measurement time",
+    2: "y: wanted finite numbers or NaN, got an infinite one",
+    3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
+    4: "t: wanted the next measurement time, or one after that of the state",
+    5: "indicator: wanted one of the system, or -1 for a missing one",
+    6: "y: wanted what the schedule of the design has, got a component of a measurement without it",
+    7: "inputs: wanted values of the inputs of the model, got none",
+}
+"""What the codes of a step say, in words."""
 
 TILE = 64
 """Records that are run together, so that what lies side by side is read together."""
@@ -167,12 +190,17 @@ def driver(text: str, later: str, slack: str) -> str:
     timed = "double t, const double *y" in text
     told = "int indicator" in text
     between = " f_forecast(" in text
+    inputs = "#define F_INPUTS " in text
     check = "" if timed or not slack else (
         "\n        if (s[i].k < F_TIMES && !(fabs(t - (f_times[s[i].k]@LATER)) <= @SLACK)) {\n"
         "            return F_TIME;\n        }"
     )  # fmt: skip
     more = _ONE + _HALVES * (" f_predict(" in text) + _FORECAST * between
     for mark, part in (
+        ("@STEP", _TOLD_STEP if inputs else _STEP), ("@ALSO", ", const double *u" * inputs),
+        ("@ROOM", ", given[F_INPUTS]" * inputs), ("@GIVEN", _GIVEN * inputs),
+        ("@WITH", ", given" * inputs),
+        ("@ALONE", "\n    int j;\n    double given[F_INPUTS];" * inputs),
         ("@LAYOUT", ", ".join(["(int)sizeof(f_state)", *layout])), ("@CHECK", check),
         ("@TIME", "t, " * timed), ("@RECORD", "t[k], " * timed),
         ("@TOLD1", ", told ? (int)told[i] : -1" * told),

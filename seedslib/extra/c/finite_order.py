@@ -8,6 +8,7 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
+from seedslib.extra.c.arrivals import arrivals, by_class, knowing, patterns
 from seedslib.extra.c.forecasts import ahead, course, held
 from seedslib.extra.c.points import FACTOR
 from seedslib.extra.c.records import STATE, between, frame, going_on, push
@@ -18,6 +19,7 @@ from seedslib.extra.c.traced import (
     corrected_outputs,
     moments_source,
     record_correction,
+    telling,
 )
 from seedslib.linearization.points import PointRule
 
@@ -30,13 +32,13 @@ static inline int @name_step(@name_state *s, const double *y)
     int i, lost = gap;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
-        if (isnan(y[i])) lost = 1;
+@LOST
     }
     if (s->k == 0) {
         @name_first_(s, y);
     } else {
         memcpy(u, s->memory, sizeof u);
-        @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
+        @ARRIVE@name_ahead_(@FIT, u, mean, cov);
         @name_correct_(@name_times[s->k]@LATER, mean, cov, s, y);
     }
     if (gap) s->loglik = (double)NAN;
@@ -44,7 +46,7 @@ static inline int @name_step(@name_state *s, const double *y)
         s->cov[(int)(i / @NAME_ESTIMATE)][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
-    s->k++;@LAP
+@CLASS    s->k++;@LAP
     return @NAME_OK;
 }
 """
@@ -56,11 +58,11 @@ static inline int @name_nodes(const @name_state *s, double *out)
 {
     int i, j, n;
     if (s->k == 0) return 0;
-    for (n = @name_node_start[s->k - 1]; n < @name_node_start[s->k]; n++) {
+    for (n = @name_node_start[s->k - 1]; n < @name_node_start[s->k]; n++) {@EACH
         for (i = 0; i < @NAME_ESTIMATE; i++) {
             double sum = 0.0;
-            for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[n][i][j] * s->memory[j];
-            @MEASURED*out++ = sum + @name_node_offset[n][i];
+            for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[@NODE][i][j] * s->memory[j];
+            @MEASURED*out++ = sum + @name_node_offset[@NODE][i];
         }
     }
     return @name_node_start[s->k] - @name_node_start[s->k - 1];
@@ -69,7 +71,7 @@ static inline int @name_nodes(const @name_state *s, double *out)
 
 _MEASURED = """\
 for (j = 0; j < @NAME_MEASUREMENT; j++) {
-                sum += @name_node_gain[n][i][@NAME_MEMORY + j] * s->shown[j];
+                sum += @name_node_gain[@NODE][i][@NAME_MEMORY + j] * s->shown[j];
             }
             """
 
@@ -96,7 +98,7 @@ static inline void @name_end_(const @name_state *s, double *out)
 {
     double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
     memcpy(u, s->memory, sizeof u);
-    @name_ahead_(s->k - 1, u, mean, cov);
+    @name_ahead_(@FIT, u, mean, cov);
     memcpy(out, mean, @NAME_ESTIMATE * sizeof *out);
 }
 """
@@ -128,9 +130,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         Forecasts or moments that have no C, see `seedslib.extra.to_c`.
     """
     check_formulas(filter.linearization, filter.system)
-    if filter.measured is not None or filter.availability is not None:
-        raise ValueError("filter: wanted one without a schedule of its sensor, C has none yet")
-    kinds = {type(fit) for fit in filter.fits}
+    kinds = {type(fit) for _, fit in by_class(filter.fits)}
     if not kinds or not kinds <= {AffineFit, PolynomialFit}:
         raise TypeError(
             "predictor: wanted affine or polynomial forecasts for at least two measurements, got "
@@ -144,13 +144,15 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""
     common, timing = frame(filter)
+    known, tables = arrivals(filter)
+    state = STATE.replace("} @name_state;", "@GROUP} @name_state;")
     text = "\n".join([
-        timing, text, STATE, _first(filter), _correction(filter), push(filter),
+        timing, tables, text, state, _first(filter), _correction(filter), push(filter),
         STEP.replace("@ARRIVE", arrive),
         COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
         between(filter),
     ])  # fmt: skip
-    return {**common, **macros}, going_on(filter, text)
+    return {**common, **macros, **known}, going_on(filter, knowing(filter, telling(text, ())))
 
 
 def _first(filter: FiniteOrderFilter) -> str:
@@ -165,15 +167,16 @@ def _first(filter: FiniteOrderFilter) -> str:
     )
     mean = tape.inputs("@name_first_mean[{}]", n)
     text = constants("@name_first_mean", start.mean)
-    # it depends on no measurement; where one is missing the design does not know it
+    # it depends on no number of a measurement, only on which the design knows to be missing
     first = filter.predict(filter.initial(), filter.times[0])
-    text += constants("@name_first_cov", filter.correct(first, np.zeros(m)).cov)
+    covs = [filter.correct(first, y).cov for y in patterns(filter)]
+    text += constants("@name_first_cov", covs[0] if filter.ways is None else covs)
     text += constants("@name_first_sensor", start.moments.mean)
     text += constants("@name_first_cross", start.moments.cross)
     text += constants("@name_first_spread", start.moments.cov)
     found = record_correction(tape, mean, None, y, moments, rows, filter.rules.periods)
     head = "void @name_first_(@name_state *s, const double *y)"
-    known = "    memcpy(s->cov, @name_first_cov, sizeof s->cov);"
+    known = "    memcpy(s->cov, @name_first_cov@SEEN, sizeof s->cov);"
     return text + function(head, [known, *tape.body(_stored(found))])
 
 
@@ -202,7 +205,7 @@ def _stored(found: tuple) -> dict:
 def _nodes(filter: FiniteOrderFilter) -> str:
     """C of the affine forecasts at the nodes."""
     order, rows = filter.order, [
-        (k, fit) for k, fits in enumerate(filter.node_fits) for fit in fits
+        (k, one) for k, fits in enumerate(filter.node_fits) for _, one in by_class(fits)
     ]  # fmt: skip
     measured = filter.measured_nodes and not filter.memory.measurements
     width = order + filter.system.sensor.size * measured

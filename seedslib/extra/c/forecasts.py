@@ -9,6 +9,7 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, range_roots
+from seedslib.extra.c.arrivals import by_class
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import moments_source
@@ -29,9 +30,7 @@ _AFFINE = (
 """
 )
 
-_POLYNOMIAL = (
-    _AHEAD
-    + """\
+POWERS = """\
     double point[@NAME_MEMORY], power[@NAME_POWERS + 1];
     int i, j;
     for (i = 0; i < @NAME_MEMORY; i++) {
@@ -42,13 +41,13 @@ _POLYNOMIAL = (
     for (j = 0; j < @NAME_POWERS; j++) {
         power[j + 1] = point[@name_factor[j]] * power[@name_lower[j]];
     }
-    for (i = 0; i < @NAME_STATE; i++) {
+    for (i = 0; i < @ROWS; i++) {
         double sum = 0.0;
         for (j = 0; j < @NAME_MEAN_POWERS; j++) sum += @name_gain[k][i][j] * power[j + 1];
         mean[i] = sum + @name_offset[k][i];
     }
-"""
-)
+""".replace("CLIP", literal(CLIP))
+"""Polynomials in the memory `u` by the fit `k`, to `mean`; with the tables of `polynomials`."""
 
 _CONSTANT_COV = """\
     memcpy(cov, @name_cov[k], sizeof @name_cov[k]);
@@ -152,9 +151,9 @@ static inline void @name_move_(int i, double later, double *z)
 """
 
 
-def held(filter: FiniteOrderFilter, step: int) -> np.ndarray:
+def held(filter: Any, step: int) -> np.ndarray:
     """Places in the full memory of the components that are there after step `step`."""
-    memory, n, m = filter.memory, filter.components, filter.system.sensor.size
+    memory, n, m = filter.memory, filter.components, filter.system.measurement_size
     estimates = np.arange(n * min(step + 1, memory.estimates))
     measured = n * memory.estimates + np.arange(m * min(step + 1, memory.measurements))
     return np.concatenate([estimates, measured])
@@ -173,53 +172,75 @@ def _lower(cov: np.ndarray) -> np.ndarray:
 
 def ahead(filter: FiniteOrderFilter) -> tuple[str, dict[Any, Any]]:
     """C of the forecast for the next measurement, and macros that it wants."""
-    if isinstance(filter.fits[0], PolynomialFit):
-        return _polynomial(filter)
-    order, fits = filter.order, filter.fits
-    gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in enumerate(fits)]
+    order, fits = filter.order, by_class(filter.fits)
+    if isinstance(fits[0][1], PolynomialFit):
+        return _polynomial(filter, fits)
+    gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in fits]
     text = constants("@name_gain", gains)
-    text += constants("@name_offset", [fit.offset for fit in fits])
-    text += constants("@name_cov", [_lower(fit.cov) for fit in fits])
+    text += constants("@name_offset", [fit.offset for _, fit in fits])
+    text += constants("@name_cov", [_lower(fit.cov) for _, fit in fits])
     return text + _AFFINE, {}
 
 
-def _polynomial(filter: FiniteOrderFilter) -> tuple[str, dict]:
-    first, order, fits = filter.fits[0], filter.order, filter.fits
-    degree = max(first.mean_degree, first.cov_degree)
+def polynomials(
+    filter: Any, fits: list[tuple[int, PolynomialFit]], degree: int
+) -> tuple[str, dict[Any, Any]]:
+    """Tables of polynomial means after steps, and macros that they want.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter or LearnedFilter
+    fits : list of (int, PolynomialFit)
+        With the number of the step after which each one forecasts.
+    degree : int
+        Of the monomials that are formed.
+    """
+    order, size = filter.order, fits[0][1].mean_degree
     recipe, number = monomial_recipe(order, degree), _numbers(order, degree)
-    low = {name: len(monomial_recipe(order, getattr(first, name)))
-           for name in ("mean_degree", "cov_degree")}  # fmt: skip
-    macros = {"POWERS": len(recipe), "MEAN_POWERS": low["mean_degree"]}
+    macros = {"POWERS": len(recipe), "MEAN_POWERS": len(monomial_recipe(order, size))}
     tables: dict[str, list] = {key: [] for key in ("centre", "scale", "gain", "offset")}
-    if first.cov_degree:
-        macros["COV_POWERS"] = low["cov_degree"]
-        tables.update({key: [] for key in ("cov_gain", "cov_offset", "root", "back")})
-    else:
-        tables["cov"] = []
-    for k, fit in enumerate(fits):
+    for k, fit in fits:
         there = held(filter, k)
-        own = [number[tuple(there[list(powers)])] for powers in _numbers(len(there), degree)]
-        mean_places, cov_places = own[: fit.gain.shape[1]], own[: fit.cov_gain.shape[1]]
+        places = _places(number, there, degree)[: fit.gain.shape[1]]
         # what is not yet remembered has the scale zero and the gains zero
         tables["centre"].append(_spread_out(fit.centre, there, order))
         tables["scale"].append(_spread_out(fit.scale, there, order))
-        tables["gain"].append(_spread_out(fit.gain, mean_places, low["mean_degree"]))
+        tables["gain"].append(_spread_out(fit.gain, places, macros["MEAN_POWERS"]))
         tables["offset"].append(fit.offset)
-        if first.cov_degree:
-            tables["cov_gain"].append(_spread_out(fit.cov_gain, cov_places, low["cov_degree"]))
-            tables["cov_offset"].append(fit.cov_offset)
-            root, back = (_square(part) for part in range_roots(fit.residual))
-            tables["root"].append(root)
-            tables["back"].append(back)
-        else:
-            tables["cov"].append(_lower(fit.residual))
     text = "".join(constants(f"@name_{key}", values) for key, values in tables.items())
     text += constants("@name_factor", [factor for factor, _ in recipe], "int")
     lower = [0 if lower is None else lower + 1 for _, lower in recipe]
-    text += constants("@name_lower", lower, "int")
-    body = _POLYNOMIAL + (_POLYNOMIAL_COV if first.cov_degree else _CONSTANT_COV)
-    body = (_FLOOR if first.cov_degree else "") + body
-    return text + body.replace("FLOOR", literal(FLOOR)).replace("CLIP", literal(CLIP)), macros
+    return text + constants("@name_lower", lower, "int"), macros
+
+
+def _polynomial(
+    filter: FiniteOrderFilter, fits: list[tuple[int, PolynomialFit]]
+) -> tuple[str, dict[Any, Any]]:
+    first, order = fits[0][1], filter.order
+    degree = max(first.mean_degree, first.cov_degree)
+    text, macros = polynomials(filter, fits, degree)
+    body = _AHEAD + POWERS.replace("@ROWS", "@NAME_STATE")
+    if not first.cov_degree:
+        text += constants("@name_cov", [_lower(fit.residual) for _, fit in fits])
+        return text + body + _CONSTANT_COV, macros
+    number = _numbers(order, degree)
+    macros["COV_POWERS"] = len(monomial_recipe(order, first.cov_degree))
+    tables: dict[str, list] = {key: [] for key in ("cov_gain", "cov_offset", "root", "back")}
+    for k, fit in fits:
+        places = _places(number, held(filter, k), degree)[: fit.cov_gain.shape[1]]
+        tables["cov_gain"].append(_spread_out(fit.cov_gain, places, macros["COV_POWERS"]))
+        tables["cov_offset"].append(fit.cov_offset)
+        root, back = (_square(part) for part in range_roots(fit.residual))
+        tables["root"].append(root)
+        tables["back"].append(back)
+    text += "".join(constants(f"@name_{key}", values) for key, values in tables.items())
+    body = _FLOOR.replace("FLOOR", literal(FLOOR)) + body
+    return text + body + _POLYNOMIAL_COV, macros
+
+
+def _places(number: dict[tuple, int], there: np.ndarray, degree: int) -> list[int]:
+    """Numbers, among all monomials, of those of the components that are there."""
+    return [number[tuple(there[list(powers)])] for powers in _numbers(len(there), degree)]
 
 
 def _numbers(size: int, degree: int) -> dict[tuple, int]:

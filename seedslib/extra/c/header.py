@@ -7,10 +7,13 @@ from typing import Any
 
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.predictors import Continuous
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.extra.c.single import compared, single, sizes, tolerances
 from seedslib.extra.c.source import checked_name, comment, model_lines, named
+from seedslib.extra.c.traced import told_of
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.models.kinds import mentioned
 
@@ -31,6 +34,8 @@ _HEAD = """\
 #define @NAME_PARTLY 3   /* a measurement of which only some components are there */
 #define @NAME_TIME 4     /* a time that is not where it should be */
 #define @NAME_RANGE 5    /* an indicator that is none */
+#define @NAME_STRAY 6    /* a component that the schedule of the design leaves out */
+#define @NAME_UNTOLD 7   /* inputs that are not told */
 
 """
 
@@ -49,6 +54,11 @@ pivot. One that the components before it determine (its pivot is at most 1e-13 o
 pseudo-inverse there, which is the same for measurements that do not contradict each other. A \
 covariance of the measurement that is clearly indefinite gives NaN."""
 
+_INPUTS = """ \
+u holds the inputs: @WHICH. @name_step takes them for the forecast and for the correction; where \
+they change at a measurement, call @name_predict with those that act until then, and @name_correct \
+with those at that time."""
+
 _MODES = """ \
 A covariance that the correction leaves indefinite by rounding is not mended. An indicator is -1 \
 where it is missing; what no mode can show says nothing, and loglik is minus infinity."""
@@ -58,9 +68,14 @@ A measurement is missing as a whole or not at all; where the tables end their la
 used. There is no likelihood; cov is the error covariance that the design found, NaN where the \
 measurement is missing."""
 
+_LEARNED = """\
+A measurement is missing as a whole or not at all; beyond the numbers that were learned from the \
+output functions are constant. There is no likelihood; cov is the error covariance that the \
+design found, NaN where the measurement is missing."""
+
 
 def to_c(
-    filter: FiniteOrderFilter | TableFilter | SwitchingFilter | CovarianceFilter,
+    filter: FiniteOrderFilter | OutputFilter | SwitchingFilter | CovarianceFilter,
     path: str | os.PathLike[str] | None = None,
     name: str = "filter",
     real: str = "double",
@@ -71,21 +86,24 @@ def to_c(
     the library's own lines, recorded. All functions are ``static inline``. The header holds
     ``<name>_state``, ``<name>_init(state *)`` and
 
-    - for a filter of finite order or a table ``<name>_step(state *, const double *y)``, one
-      measurement, ``<name>_nodes(state *, double *out)``, the forecasts at the nodes up to the
-      next measurement, and ``<name>_forecast(state *, double t, double *out)``, the forecast at
-      any time up to then;
+    - for a filter of finite order, a table or a learned filter
+      ``<name>_step(state *, const double *y)``, one measurement, ``<name>_nodes(state *,
+      double *out)``, the forecasts at the nodes up to the next measurement, and
+      ``<name>_forecast(state *, double t, double *out)``, the forecast at any time up to then;
     - for a filter that carries a covariance ``<name>_step(state *, double t, const double *y)``,
       and its halves ``<name>_predict(state *, double t)`` and ``<name>_correct(state *,
-      const double *y)``.
+      const double *y)``; of a model with inputs each has them, in the order of their names, as a
+      last argument ``const double *u``. How long a step is the C finds by itself.
 
     All but the first return ``<NAME>_OK`` (zero) or why they refused, ``<name>_nodes`` a number.
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingFilter or CovarianceFilter
         Affine, polynomial or continuous forecasts; `Taylor`, `ExactGaussian`, or with one mode a
-        rule with points; the integrators with fixed steps. A design may go on for ever.
+        rule with points; the integrators with fixed steps. A design may go on for ever; one of
+        finite order may know of missing measurements. Learned functions are networks or trees of
+        scikit-learn: one tree, a forest, or boosted ones.
     path : path_like, optional
         Where to write the header as well.
     name : str
@@ -135,11 +153,11 @@ def to_c(
     True
     """
     name = checked_name(name)
-    if any(p.role != "parameter" for p in mentioned(getattr(filter, "system", None))):
-        raise ValueError("filter: wanted a model without inputs and elapsed time, C has none yet")
+    check_told(filter)
     if real not in ("double", "float"):
         raise ValueError(f"real: wanted double or float, got {real!r}")
     macros, text, rule = _parts(filter)
+    check_sensed(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
     dimensions = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
 
@@ -157,6 +175,44 @@ def to_c(
     return whole
 
 
+def check_sensed(filter: Any) -> None:
+    """Refuse a design that knows more of missing measurements than its C does.
+
+    Raises
+    ------
+    ValueError
+        An availability of a filter of modes or of output functions, a schedule of the latter.
+    """
+    unknown = [] if isinstance(filter, FiniteOrderFilter) else ["availability"]
+    if isinstance(filter, OutputFilter):
+        unknown.append("measured")
+    for name in unknown:
+        if getattr(filter, name, None) is not None:
+            raise ValueError(f"filter: wanted a {type(filter).__name__} without `{name}` for C")
+
+
+def check_told(filter: Any) -> None:
+    """Refuse a model that is told what this kind of filter in C is not.
+
+    Raises
+    ------
+    ValueError
+        Inputs of a filter with a design that evaluates them, inputs of one with modes.
+    """
+    system = getattr(filter, "system", None)
+    roles = {p.role for p in mentioned(system)} - {"parameter"}
+    if isinstance(filter, SwitchingFilter) and "input" in roles:
+        raise ValueError("filter: wanted a model without inputs, C has none with modes")
+    if isinstance(filter, FiniteOrderFilter) and "input" in roles:
+        maps = [system.sensor]
+        maps += [system.drift_map] if isinstance(filter.predictor, Continuous) else []
+        if any(p.role == "input" for map in maps for p in map.mentions):
+            raise ValueError(
+                "filter: wanted a design whose inputs are in its forecasts alone, got some in "
+                "what is evaluated: C has none there"
+            )
+
+
 def _parts(filter: Any) -> tuple[dict, str, str]:
     """Macros, C, and what people should know about this kind of filter."""
     if isinstance(filter, TableFilter):
@@ -166,7 +222,7 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
     if isinstance(filter, CovarianceFilter):
         from seedslib.extra.c.covariance import covariance_source
 
-        return *covariance_source(filter), _REDUNDANT
+        return *covariance_source(filter), _REDUNDANT + _told(filter)
     if isinstance(filter, SwitchingFilter):
         from seedslib.extra.c.switching import switching_source
 
@@ -175,12 +231,24 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
         from seedslib.extra.c.finite_order import finite_order_source
 
         return *finite_order_source(filter), _REDUNDANT
+    if isinstance(filter, OutputFilter):
+        from seedslib.extra.c.learned.source import learned_source
+        from seedslib.extra.learned import LearnedFilter
+
+        if isinstance(filter, LearnedFilter):
+            return *learned_source(filter), _LEARNED
     hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
     raise TypeError(
-        "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-        "CovarianceFilter, got "
+        "filter: wanted a FiniteOrderFilter, a TableFilter, a LearnedFilter, a SwitchingFilter or "
+        "a CovarianceFilter, got "
         f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
     )
+
+
+def _told(filter: Any) -> str:
+    """What the inputs of a model are."""
+    names = [str(p) for p in told_of(filter.system) if p.role == "input"]
+    return _INPUTS.replace("@WHICH", ", ".join(names)) if names else ""
 
 
 def _described(filter: Any) -> str:

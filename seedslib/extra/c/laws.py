@@ -76,13 +76,13 @@ PROPAGATE = """\
 /* Forecast of mode and state from their law at time t. */
 static inline void @name_propagate_(double t, const double *score,
                                     double law[@NAME_MODES][@NAME_LAW], double *ahead,
-                                    double later[@NAME_PARTS][@NAME_LAW])
+                                    double later[@NAME_PARTS][@NAME_LAW]@ALSO)
 {
     double made[@NAME_MODES][@NAME_PARTS][1 + @NAME_LAW], heavy[@NAME_MODES], mass[@NAME_MODES];
     const double highest = @name_relative_(@NAME_MODES, score, heavy);
     const int stride = @NAME_PARTS * (1 + @NAME_LAW);
     int i, p;
-    for (i = 0; i < @NAME_MODES; i++) @name_move_(i, t, law[i], made[i][0]);
+    for (i = 0; i < @NAME_MODES; i++) @name_move_(i, t, law[i], made[i][0]@WITH);
     for (p = 0; p < @NAME_PARTS; p++) {
         double total;
         for (i = 0; i < @NAME_MODES; i++) mass[i] = heavy[i] * made[i][p][0];
@@ -98,6 +98,24 @@ static inline void @name_propagate_(double t, const double *score,
             ahead[p] = most + log(total);
         }
     }
+}
+"""
+
+SWITCHED = """\
+/* Law after the switch at time t and before the move, which the new mode drives. */
+""" + PROPAGATE[PROPAGATE.index("static") :].replace("@name_propagate_", "@name_switched_").replace(
+    "@name_move_", "@name_switch_"
+).replace("@NAME_PARTS", "@NAME_MODES")
+
+BOTH = """\
+/* Forecast of mode and state: a switch, then a move of the new mode. */
+static inline void @name_propagate_(double t, const double *score,
+                                    double law[@NAME_MODES][@NAME_LAW], double *ahead,
+                                    double later[@NAME_PARTS][@NAME_LAW]@ALSO)
+{
+    double turned[@NAME_MODES], stands[@NAME_MODES][@NAME_LAW];
+    @name_switched_(t, score, law, turned, stands@WITH);
+    @name_moved_(t, turned, stands, ahead, later@WITH);
 }
 """
 
@@ -188,7 +206,7 @@ static inline int @name_step(@name_state *s, double t, const double *y@TOLD)
     if (!isfinite(t) || (s->started && t <= s->t)) return @NAME_TIME;
     for (i = 0; i < @NAME_MEASUREMENT; i++) if (isinf(y[i])) return @NAME_INFINITE;
 @WATCH    if (s->started) {
-        @name_propagate_(s->t, s->score, s->law, ahead, later);
+        @LENGTH@name_propagate_(s->t, s->score, s->law, ahead, later@WITH);
         parts = @NAME_EACH;
     } else {
         memcpy(ahead, @name_score0, sizeof @name_score0);

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
+from seedslib.extra.c.traced import told_on
 from seedslib.extra.c.unrolled import point_space
 from seedslib.linearization.points import PointRule
 from seedslib.models.maps import StochasticMap
@@ -67,7 +69,7 @@ static inline void @name_settle_(const double *scale, @name_state *s)
 _AT = """\
 /* Points of the law N(mean, P), and the map at them. */
 static inline void @LABEL_at_(double t, const double *mean, const double *lower,
-                              double root[@NAME_STATE][@NAME_STATE], double y[@SPOTS][@WIDTH])
+                              double root[@NAME_STATE][@NAME_STATE], double y[@SPOTS][@WIDTH]@ALSO)
 {
     double scale[@NAME_STATE], x[@NAME_STATE];
     int i, j, p;
@@ -76,11 +78,11 @@ static inline void @LABEL_at_(double t, const double *mean, const double *lower,
     for (p = 0; p < @SPOTS; p++) {
         for (i = 0; i < @NAME_STATE; i++) x[i] = 0.0;
         for (j = 0; j < @NAME_STATE; j++) {
-            const double u = @LABEL_unit[p][j];
-            for (i = j; u != 0.0 && i < @NAME_STATE; i++) x[i] += root[i][j] * u;
+            const double w = @LABEL_unit[p][j];
+            for (i = j; w != 0.0 && i < @NAME_STATE; i++) x[i] += root[i][j] * w;
         }
         for (i = 0; i < @NAME_STATE; i++) x[i] += mean[i];
-        @LABEL_value_(t, x, @NOISE, y[p]);
+        @LABEL_value_(t, x, @NOISE, y[p]@WITH);
     }
 }
 """
@@ -89,8 +91,8 @@ _SLOPE = """\
     for (j = 0; j < @NAME_STATE; j++) {
         for (i = 0; i < @SIZE; i++) slope[j][i] = 0.0;
         for (p = 0; p < @SPOTS; p++) {
-            const double u = @LABEL_unit[p][j] * @LABEL_square[p];
-            for (i = 0; u != 0.0 && i < @SIZE; i++) slope[j][i] += u * y[p][i];
+            const double w = @LABEL_unit[p][j] * @LABEL_square[p];
+            for (i = 0; w != 0.0 && i < @SIZE; i++) slope[j][i] += w * y[p][i];
         }
     }
     for (k = 0; k < @NAME_STATE; k++) {
@@ -105,13 +107,13 @@ _SLOPE = """\
 _MOMENTS = (
     """\
 /* Mean of the map, its covariance with the state, its own on and below the diagonal. */
-static inline void @LABEL_(double t, const double *mean, const double *lower, double *found)
+static inline void @LABEL_(double t, const double *mean, const double *lower, double *found@ALSO)
 {
     double root[@NAME_STATE][@NAME_STATE], y[@SPOTS][@WIDTH], slope[@NAME_STATE][@SIZE];
     double *cross = found + @SIZE, *cov = cross + @NAME_STATE * @SIZE;
     int i, j, k, p;
-    @LABEL_at_(t, mean, lower, root, y);
-    @LABEL_fixed_(t, cov);
+    @LABEL_at_(t, mean, lower, root, y@WITH);
+    @LABEL_fixed_(t, cov@WITH);
     for (i = 0; i < @SIZE; i++) {
         const double start = y[0][i];
         double sum = 0.0;
@@ -124,8 +126,8 @@ static inline void @LABEL_(double t, const double *mean, const double *lower, do
     + """\
     for (p = 0; p < @SPOTS; p++) {
         for (i = 0, k = 0; i < @SIZE; i++) {
-            const double u = y[p][i] * @LABEL_square[p];
-            for (j = 0; j <= i; j++) cov[k++] += u * y[p][j];
+            const double w = y[p][i] * @LABEL_square[p];
+            for (j = 0; j <= i; j++) cov[k++] += w * y[p][j];
         }
     }
 @VARIED    (void)cross;
@@ -144,12 +146,12 @@ _VARIED = """\
 _RATE = (
     """\
 /* Rates of mean and covariance, z = (mean, covariance on and below the diagonal). */
-static inline void @name_rate_(double t, const double *z, double *dz)
+static inline void @name_rate_(double t, const double *z, double *dz@ALSO)
 {
     double root[@NAME_STATE][@NAME_STATE], y[@SPOTS][@WIDTH], cross[@NAME_STATE * @NAME_STATE];
     double slope[@NAME_STATE][@NAME_STATE];
     int i, j, k, p, place = @NAME_STATE;
-    @LABEL_at_(t, z, z + @NAME_STATE, root, y);
+    @LABEL_at_(t, z, z + @NAME_STATE, root, y@WITH);
     for (i = 0; i < @WIDTH; i++) {
         double sum = 0.0;
         for (p = 0; p < @SPOTS; p++) sum += y[p][i] * @LABEL_weight[p];
@@ -170,27 +172,27 @@ static inline void @name_rate_(double t, const double *z, double *dz)
 
 _ADVANCE = {
     "euler": """\
-static inline void @name_advance_(double t, double h, double *z)
+static inline void @name_advance_(double t, double h, double *z@ALSO)
 {
     double rate[@NAME_MOMENTS];
     int i;
-    @name_rate_(t, z, rate);
+    @name_rate_(t, z, rate@WITH);
     for (i = 0; i < @NAME_MOMENTS; i++) z[i] += h * rate[i];
 }
 """,
     "rk4": """\
-static inline void @name_advance_(double t, double h, double *z)
+static inline void @name_advance_(double t, double h, double *z@ALSO)
 {
     double a[@NAME_MOMENTS], b[@NAME_MOMENTS], c[@NAME_MOMENTS], d[@NAME_MOMENTS];
     double moved[@NAME_MOMENTS];
     int i;
-    @name_rate_(t, z, a);
+    @name_rate_(t, z, a@WITH);
     for (i = 0; i < @NAME_MOMENTS; i++) moved[i] = z[i] + 0.5 * h * a[i];
-    @name_rate_(t + 0.5 * h, moved, b);
+    @name_rate_(t + 0.5 * h, moved, b@WITH);
     for (i = 0; i < @NAME_MOMENTS; i++) moved[i] = z[i] + 0.5 * h * b[i];
-    @name_rate_(t + 0.5 * h, moved, c);
+    @name_rate_(t + 0.5 * h, moved, c@WITH);
     for (i = 0; i < @NAME_MOMENTS; i++) moved[i] = z[i] + h * c[i];
-    @name_rate_(t + h, moved, d);
+    @name_rate_(t + h, moved, d@WITH);
     for (i = 0; i < @NAME_MOMENTS; i++) {
         z[i] = z[i] + h / 6.0 * (a[i] + 2.0 * (b[i] + c[i]) + d[i]);
     }
@@ -199,7 +201,9 @@ static inline void @name_advance_(double t, double h, double *z)
 }
 
 
-def point_moments(rule: PointRule, map: StochasticMap, label: str, spread: bool = True) -> str:
+def point_moments(
+    rule: PointRule, map: StochasticMap, label: str, spread: bool = True, told: Sequence[Any] = ()
+) -> str:
     """C of ``<label>_(t, mean, lower, found)``: E y, cov(x, y) and cov y of a symbolic map.
 
     Without `spread` nothing random is added to y, and its covariance has no meaning.
@@ -212,14 +216,14 @@ def point_moments(rule: PointRule, map: StochasticMap, label: str, spread: bool 
     fixed = [0 if k in varied else e for k, e in enumerate(lower)] if spread else [0] * len(lower)
     varied = varied if spread else []
     text = _tables(label, unit[:n], weight, square)
-    text += _map_source(label, map, [*mean, *(lower[k] for k in varied)], noise)
+    text += _map_source(label, map, [*mean, *(lower[k] for k in varied)], noise, told)
     if noise is not None:
         text += constants(f"{label}_noise", (noise.mean[:, None] + noise.root @ unit[n:]).T)
     tape = Tape()
-    t = tape.inputs("t")[()]
-    stores = {f"cov[{k}]": e for k, e in enumerate(_evaluated((map.time,), fixed, t))}
-    lines = ["    (void)t;", *tape.body(stores)]
-    text += function(f"void {label}_fixed_(double t, double *cov)", lines)
+    with told_on(tape, told):
+        found = _evaluated((map.time,), fixed, tape.inputs("t")[()])
+    lines = ["    (void)t;@UNUSED", *tape.body({f"cov[{k}]": e for k, e in enumerate(found)})]
+    text += function(f"void {label}_fixed_(double t, double *cov@ALSO)", lines)
     if varied:
         text += constants(f"{label}_varied", varied, "int")
     text += _AT + _MOMENTS.replace("@VARIED", _VARIED if varied else "").replace(
@@ -229,13 +233,13 @@ def point_moments(rule: PointRule, map: StochasticMap, label: str, spread: bool 
     return _filled(text, label, unit.shape[1], m, m + len(varied), held)
 
 
-def point_rates(rule: PointRule, system: Any, integrator: str) -> str:
+def point_rates(rule: PointRule, system: Any, integrator: str, told: Sequence[Any]) -> str:
     """C of one integration step of mean and covariance of a jump-diffusion."""
     label, n = "@name_flow", system.state_size
     drift, spread = system.drift_map, system.spread_map
     unit, weight, square = rule.rule(n)
     text = _tables(label, unit, weight, square)
-    text += _map_source(label, drift, [*drift.expressions, *spread.expressions], None)
+    text += _map_source(label, drift, [*drift.expressions, *spread.expressions], None, told)
     text += _AT + _RATE + _ADVANCE[integrator]
     return _filled(text, label, unit.shape[1], n, n + len(spread.expressions), "x")
 
@@ -262,7 +266,9 @@ def _circles(map: StochasticMap) -> list[str]:
     return [line.format(k, literal(period)) for k, period in map.period]
 
 
-def _map_source(label: str, map: StochasticMap, expressions: list[Any], noise: Any) -> str:
+def _map_source(
+    label: str, map: StochasticMap, expressions: list[Any], noise: Any, told: Sequence[Any]
+) -> str:
     """C of a map at one point."""
     tape = Tape()
     t, x = tape.inputs("t")[()], tape.inputs("x[{}]", map.state_size)
@@ -270,10 +276,11 @@ def _map_source(label: str, map: StochasticMap, expressions: list[Any], noise: A
     if noise is not None:
         given += (tuple(noise.symbols),)
         values.append(list(tape.inputs("v[{}]", noise.size)))
-    found = _evaluated(given, expressions, *values)
-    head = f"void {label}_value_(double t, const double *x, const double *v, double *y)"
+    with told_on(tape, told):
+        found = _evaluated(given, expressions, *values)
+    head = f"void {label}_value_(double t, const double *x, const double *v, double *y@ALSO)"
     lines = tape.body({f"y[{k}]": part for k, part in enumerate(found)})
-    return function(head, ["    (void)t; (void)x; (void)v;", *lines])
+    return function(head, ["    (void)t; (void)x; (void)v;@UNUSED", *lines])
 
 
 def _evaluated(given: tuple[Any, ...], expressions: list[Any], *values: Any) -> list[Any]:

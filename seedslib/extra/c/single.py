@@ -14,10 +14,13 @@ import numpy as np
 
 from seedslib.base.clock import ROUNDING, SAME, slack
 from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
+from seedslib.base.values import looked_at
 from seedslib.designed.runs import DesignedFilter
 from seedslib.designed.switching.lemmas import FAINT
 from seedslib.extra.c.build import library
 from seedslib.extra.c.tape import CALLS, literal
+from seedslib.extra.c.traced import told_of
+from seedslib.models.kinds import mentioned
 
 TOLERANCES = {
     "RELATIVE": (RELATIVE, 1e-6), "ABSOLUTE": (ABSOLUTE, 1e-30), "INDEFINITE": (INDEFINITE, 1e-4),
@@ -33,14 +36,14 @@ _RECORD = """
 int record(int count, const double *t, const double *y, const int *told, double *out);
 int record(int count, const double *t, const double *y, const int *told, double *out)
 {
-    @REAL shown[F_MEASUREMENT];
+    @REAL shown[F_MEASUREMENT]@ROOM;
     f_state s;
     int i, k, code;
     (void)t; (void)told;
     f_init(&s);
     for (k = 0; k < count; k++) {
         for (i = 0; i < F_MEASUREMENT; i++) shown[i] = (@REAL)y[k * F_MEASUREMENT + i];
-        code = f_step(&s, @TIMEshown@TOLD);
+        code = f_step(&s, @TIMEshown@TOLD@WITH);
         if (code != F_OK) return code;
         for (i = 0; i < @OUT; i++) *out++ = s.mean[i];
         for (i = 0; i < @OUT; i++) *out++ = s.cov[i][i];
@@ -133,16 +136,23 @@ def compared(filter: Any, double: str, short: str) -> str:
     Both texts have the prefix ``f``.
     """
     times, words = _times(filter)
-    data = filter.system.simulate(times, 1, 0)
+    with looked_at(mentioned(filter.system)):
+        data = filter.system.simulate(times, 1, 0, **sensing(filter, len(times)))
     y = np.ascontiguousarray(data.measurements[..., 0])
     told = None if data.indicators is None else data.indicators[:, 0].astype(np.intc)
+    # an input is what it is where a model is only looked at
+    values = [f"(@REAL){p.value!r}" for p in told_of(filter.system) if p.role == "input"]
     found = []
     for real, text in (("double", double), ("float", short)):
         out = "F_ESTIMATE" if "#define F_ESTIMATE " in text else "F_STATE"
         timed = f"({real})t[k], " if re.search(r"_step\(f_state \*s, \w+ t,", text) else ""
-        source = text + _RECORD.replace("@REAL", real).replace("@OUT", out)
-        source = source.replace("@TIME", timed)
-        path = library(source.replace("@TOLD", ", told[k]" if "int indicator" in text else ""))
+        source = text + _RECORD.replace("@OUT", out).replace("@TIME", timed)
+        for mark, part in (
+            ("@WITH", ", told_"), ("@ROOM", f", told_[{len(values)}] = {{ {', '.join(values)} }}")
+        ):  # fmt: skip
+            source = source.replace(mark, part * ("#define F_INPUTS " in text))
+        source = source.replace("@TOLD", ", told[k]" if "int indicator" in text else "")
+        path = library(source.replace("@REAL", real))
         if path is None:
             return "The difference of float from double was not measured: there was no C compiler."
         n = getattr(filter, "components", None) or filter.system.state_size
@@ -163,6 +173,14 @@ def compared(filter: Any, double: str, short: str) -> str:
         f"On {words} means differ from those in double by at most {np.nanmax(apart):.1e} of the "
         f"deviation that the filter claims, and deviations by {np.nanmax(wide):.1e} of themselves."
     )
+
+
+def sensing(filter: Any, count: int) -> dict[str, Any]:
+    """What a design knows of missing measurements, as a simulation takes it."""
+    if getattr(filter, "measured", None) is getattr(filter, "availability", None) is None:
+        return {}
+    mask = filter.schedule.mask[[filter.served(k) for k in range(count)]]
+    return {"measured": mask, "availability": filter.availability}
 
 
 def _times(filter: Any) -> tuple[np.ndarray, str]:

@@ -10,11 +10,12 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
-from seedslib.extra.c.branches import check_branches, moves_source, readings_source
+from seedslib.extra.c.arrivals import losing, schedule
+from seedslib.extra.c.branches import check_branches, moves_source, readings_source, switches_source
 from seedslib.extra.c.records import going_on
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
-from seedslib.extra.c.traced import record_correction
+from seedslib.extra.c.traced import record_correction, telling, told_of
 from seedslib.filters.weights import TIE
 from seedslib.linearization.moments import symmetric
 
@@ -34,6 +35,7 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
         Moments without formulas, fits that are no laws in cells.
     """
     system, memory, rules = filter.system, filter.memory, filter.rules
+    told = told_of(system)
     check_branches(rules, filter.linearization, system)
     n, m, modes = system.state_size, system.measurement_size, system.modes
     each = system.indicators if rules.split else 1
@@ -47,8 +49,8 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     text += constants("@name_law0", first)
     moves = moves_source(system, filter.linearization, rules.split)
     shared = [
-        moves, readings_source(system, filter.linearization), _correction(filter), laws.PROPAGATE,
-        laws.SENSE,
+        moves, readings_source(system, filter.linearization), _correction(filter),
+        *_forecasts(filter), laws.SENSE,
     ]  # fmt: skip
     expect = ""
     if memory is None:
@@ -57,6 +59,7 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     else:
         known = _designed(filter, macros)
         text, own = text + constants("@name_times", filter.times), cells.DESIGNED_STEP
+        text += schedule(filter)
         shared += [known, cells.PUSH.replace("@SOFT", literal(SOFTEST))]
         held, begin, header = _held(memory), "", "    int k; /* @COUNTED */\n@LAPS"
         gaps, after = ", NaN from a gap on", ", NaN after a gap"
@@ -64,18 +67,19 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     take = laws.TAKE.replace("@EXPECT", expect).replace("@TIE", literal(1.0 - TIE))
     watch = _WATCH if system.indicators else ""
     if system.indicators and memory is not None:
-        watch += "    if (indicator < 0) lost = 1;\n"
+        watch += losing(filter)[1]
     if memory is not None and memory.indicators:
         watch += _WANTED
     marks = {
         "@HEADER": header, "@GAPS": gaps, "@AFTER": after, "@HELD": held, "@BEGIN": begin,
         "@TOLD": ", int indicator" if system.indicators else "", "@WATCH": watch,
         "@SEEN": "indicator" if system.indicators else "-1", "@MOST": str(modes),
+        "@LOST": losing(filter)[0], "@LENGTH": _lasting(told, memory is None),
     }  # fmt: skip
     whole = "\n".join([text, laws.STATE, laws.MIX, *shared, take, own])
     for mark, part in marks.items():
         whole = whole.replace(mark, part)
-    return macros, going_on(filter, whole)
+    return macros, going_on(filter, telling(whole, told))
 
 
 _TIMED = """\
@@ -87,6 +91,25 @@ _CARRIED = """\
     double score[@NAME_MODES]; /* logarithms of the probabilities */
     double law[@NAME_MODES][@NAME_LAW]; /* mean and covariance in each mode */
 """
+
+
+def _lasting(told: list[Any], carried: bool) -> str:
+    """C of how long a step is, where the model is told that."""
+    if not told:
+        return ""
+    ends = "t", "s->t"
+    if not carried:
+        ends = "(@name_times[s->k]@LATER)", "(@name_times[s->k - 1]@LATER)"
+    return f"const double dt = {ends[0]} - {ends[1]};\n        "
+
+
+def _forecasts(filter: SwitchingFilter) -> list[str]:
+    """C of the forecast of all modes."""
+    if filter.system.drives == "old":
+        return [laws.PROPAGATE]
+    moved = laws.PROPAGATE.replace("@name_propagate_", "@name_moved_")
+    switches = switches_source(filter.system, filter.linearization)
+    return [switches, laws.SWITCHED, moved, laws.BOTH]
 
 
 def _held(memory: Any) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
 from functools import reduce
 from operator import add
 from typing import Any
@@ -12,10 +13,12 @@ import numpy as np
 from seedslib.base.circle import Periods
 from seedslib.base.correction import eliminate
 from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI
+from seedslib.base.values import assigned
 from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
 from seedslib.linearization.moments import Linearization, symmetric
 from seedslib.linearization.points import PointRule
+from seedslib.models.kinds import mentioned
 from seedslib.models.maps import StochasticMap
 
 
@@ -26,15 +29,22 @@ def check_formulas(linearization: Linearization, system: object) -> None:
             f"linearization: wanted formulas or a rule with points to write in C, got "
             f"{linearization!r}"
         )
-    if not system.sensor.symbolic:
+    if not written(system.sensor):
         raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+
+
+def written(map: Any) -> bool:
+    """Whether a map is given by expressions, or by matrices of them."""
+    return map.symbolic or getattr(map, "formulas", None) is not None
 
 
 def moments_source(
     tape: Tape, linearization: Linearization, map: StochasticMap, label: str,
-    mean: Sequence[Any], lower: Sequence[Any], spread: bool = True,
+    mean: Sequence[Any], lower: Sequence[Any], spread: bool = True, told: Sequence[Any] = (),
 ) -> tuple[str, list[str], tuple[Any, ...]]:  # fmt: skip
     """Moments of a map on a tape that has the time ``t``, by formulas or by points.
+
+    Of a map that mentions inputs the tape has ``u`` and ``dt``, see `told_on`.
 
     Returns
     -------
@@ -45,21 +55,75 @@ def moments_source(
     moments : tuple
         E y, cov(x, y), cov y; the last None without `spread`.
     """
+    if not map.symbolic:
+        with told_on(tape, told):
+            return "", [], _linear_moments(tape, map, mean, lower)
     if not isinstance(linearization, PointRule):
         evaluate = map_moments(linearization, map, spread)
-        return "", [], evaluate(tape.inputs("t")[()], mean, lower)
+        with told_on(tape, told):
+            return "", [], evaluate(tape.inputs("t")[()], mean, lower)
     from seedslib.extra.c.points import point_moments
     from seedslib.extra.c.unrolled import few_points, unrolled_moments
 
     n, m = map.state_size, map.size
     if few_points(linearization, map):
-        return "", [], unrolled_moments(tape, linearization, map, mean, lower, spread)
+        with told_on(tape, told):
+            return "", [], unrolled_moments(tape, linearization, map, mean, lower, spread)
     size = m * (1 + n) + m * (m + 1) // 2
     found = tape.inputs("found[{}]", size)
     h, cross, cov = np.split(found, [m, m + n * m])
     moments = h, cross.reshape(n, m), symmetric(cov, m) if spread else None
-    lines = [f"    double found[{size}];", f"    {label}_(t, mean, lower, found);"]
-    return point_moments(linearization, map, label, spread), lines, moments
+    lines = [f"    double found[{size}];", f"    {label}_(t, mean, lower, found@WITH);"]
+    return point_moments(linearization, map, label, spread, told), lines, moments
+
+
+def _linear_moments(tape: Tape, map: Any, mean: Sequence[Any], lower: Sequence[Any]) -> Any:
+    """Moments of a map by its matrices, A m + B u, P A' and A P A' + S."""
+    import sympy
+
+    from seedslib.models.codegen import compile_components
+
+    slope, noise, push, inputs = map.formulas
+    push = np.zeros((map.size, 0)) if push is None else push
+    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
+    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
+    found = compile_components([sympy.Symbol("t")], entries)(tape.inputs("t")[()])
+    A, S, B, u = np.split(np.array(found, dtype=object), np.cumsum([p.size for p in parts]))
+    A, S, B = (part.reshape(p.shape) for part, p in zip((A, S, B), parts, strict=True))
+    cross = symmetric(np.array(lower, dtype=object), map.state_size) @ A.T
+    return A @ np.array(mean, dtype=object) + B @ u, cross, A @ cross + S
+
+
+def told_of(system: Any) -> list[Any]:
+    """What a model is told: inputs in the order of their names, then the elapsed time."""
+    told = (p for p in mentioned(system) if p.role != "parameter")
+    return sorted(told, key=lambda p: (p.role == "elapsed", str(p)))
+
+
+def told_on(tape: Tape, told: Sequence[Any]) -> AbstractContextManager[None]:
+    """Let inputs be what the C variable ``u`` holds, in their order, and the elapsed time ``dt``.
+
+    C that is written within this has the marks ``@ALSO`` and ``@WITH`` for parameters and
+    arguments behind the others, and ``@UNUSED``, which `telling` fills.
+    """
+    place = {p: "dt" if p.role == "elapsed" else f"u[{k}]" for k, p in enumerate(told)}
+    return assigned({p: tape.inputs(name)[()] for p, name in place.items()})
+
+
+def telling(text: str, told: Sequence[Any]) -> str:
+    """C with the parameters for what a model is told; inputs come before the elapsed time."""
+    roles = {p.role for p in told}
+    known = [
+        pair for role, pair in (("input", ("const double *", "u")), ("elapsed", ("double ", "dt")))
+        if role in roles
+    ]  # fmt: skip
+    for mark, parts in (
+        ("@ALSO", [f", {kind}{name}" for kind, name in known]),
+        ("@WITH", [f", {name}" for _, name in known]),
+        ("@UNUSED", [f" (void){name};" for _, name in known]),
+    ):
+        text = text.replace(mark, "".join(parts))
+    return text
 
 
 def map_moments(

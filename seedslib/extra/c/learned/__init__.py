@@ -1,0 +1,1 @@
+"""C of learned output functions: networks and trees of scikit-learn."""
