@@ -242,6 +242,8 @@ def test_what_does_not_fit_is_refused(walk, pair):
         made(availability=1.5)
     with pytest.raises(ValueError, match="availability: wanted Affine or Polynomial"):
         made(checkpoint="x.npz")
+    with pytest.raises(ValueError, match=r"horizon: wanted none beside availability, got 99\.0"):
+        made(horizon=99.0)
     many = sympy.symbols("r1:6", real=True)
     wide = DiscreteSystem(walk.dynamics, StochasticMap([p], [p + s for s in many], Noise(many)),
                           [0.0], [[1.0]])  # fmt: skip

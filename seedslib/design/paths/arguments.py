@@ -37,7 +37,9 @@ def check_kinds(memory: Memory, predictor: Any, measured_nodes: bool, exact_mome
         raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
 
 
-def check_available(predictor: Any, exact_moments: bool, checkpoint: object) -> None:
+def check_available(
+    predictor: Any, exact_moments: bool, checkpoint: object, horizon: float | None
+) -> None:
     """Refuse what a design for what arrives cannot take.
 
     Raises
@@ -50,6 +52,9 @@ def check_available(predictor: Any, exact_moments: bool, checkpoint: object) -> 
             "availability: wanted Affine or Polynomial forecasts on simulated paths, and no "
             "checkpoint"
         )
+    if horizon is not None:
+        # the forecasts after the last measurement would have to know which ones had come
+        raise ValueError(f"horizon: wanted none beside availability, got {horizon}")
 
 
 def check_paths(

@@ -199,7 +199,7 @@ def synthesize(
     held = course_of(system, inputs, len(times))
     there, arriving = Schedule.of(measured, availability, len(times), system.sensor.size)
     if arriving is not None:
-        check_available(predictor, exact_moments, checkpoint)
+        check_available(predictor, exact_moments, checkpoint, horizon)
     n = system.state_size
     check_kinds(memory, predictor, measured_nodes, exact_moments)
     components = n if components is None else as_count("components", components, 1, n)
