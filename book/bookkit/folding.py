@@ -3,6 +3,7 @@
 A Sphinx extension. `record` prints what it recorded for people in JupyterLab; on a page the prose
 shows those numbers, so they are left out. Text that a cell with the tag ``fold-text`` printed is
 folded with its code: it is there for who wants to check, and the prose says what follows from it.
+Other printed text is shown, and what of it is a table is a table of the page.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from docutils import nodes
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
 from bookkit.recording import MIME
+from bookkit.text_tables import pieces, to_html
 
 FOLD = "fold-text"
 """Tag of a cell whose printed text is folded with its code."""
@@ -52,6 +54,33 @@ class FoldText(SphinxPostTransform):
                 cell.remove(output)
 
 
+class TextTables(SphinxPostTransform):
+    """Turn tables of printed text into tables of the page."""
+
+    default_priority = 199  # after `FoldText`: what is folded stays text
+    formats = ("html",)
+
+    def run(self, **kwargs: object) -> None:
+        """Called by Sphinx for each page."""
+        for output in list(self.document.findall(nodes.container)):
+            if output.get("nb_element") != "cell_code_output":
+                continue
+            for text in [part for part in output.children if "stream" in part["classes"]]:
+                parts = pieces(text.astext())
+                if any(part.rows for part in parts):
+                    text.replace_self([_shown(part, text) for part in parts])
+
+
+def _shown(part, text: nodes.Element) -> nodes.Element:
+    if part.rows:
+        table = nodes.raw("", to_html(part.rows, part.caption), format="html")
+        return nodes.container("", table, classes=["output", "text_html"])
+    rest = text.copy()
+    rest += nodes.Text("\n".join(part.lines))
+    rest.rawsource = rest.astext()
+    return rest
+
+
 def _on_read(app, docname: str, source: list[str]) -> None:
     if str(app.env.doc2path(docname)).endswith(".ipynb"):
         source[0] = json.dumps(without_records(json.loads(source[0])))
@@ -61,4 +90,5 @@ def setup(app) -> dict[str, bool]:
     """Called by Sphinx."""
     app.connect("source-read", _on_read)
     app.add_post_transform(FoldText)
+    app.add_post_transform(TextTables)
     return {"parallel_read_safe": True}
