@@ -68,7 +68,8 @@ class TextTables(SphinxPostTransform):
             for text in [part for part in output.children if "stream" in part["classes"]]:
                 parts = pieces(text.astext())
                 if any(part.rows for part in parts):
-                    text.replace_self([_shown(part, text) for part in parts])
+                    at = output.index(text)
+                    output[at : at + 1] = [_shown(part, text) for part in parts]
 
 
 def _shown(part, text: nodes.Element) -> nodes.Element:

@@ -34,3 +34,16 @@ def test_printed_text_is_folded_with_the_code_where_the_tag_says_so():
     code, output = folded([])
     assert len(code.children) == 0
     assert len(output.children) == 2
+
+
+def test_a_printed_table_is_a_table_of_the_page_and_the_rest_stays_text():
+    document = new_document("page")
+    output = nodes.container(nb_element="cell_code_output")
+    table = "a      b     c\nx    0.1   0.2\ny    0.3   0.4"
+    output += nodes.literal_block("", f"a line\n\n{table}", classes=["output", "stream"])
+    document += output
+    folding.TextTables(document).run()
+    text, made = output.children
+    assert text.astext().strip() == "a line"
+    assert made["classes"] == ["output", "text_html"]
+    assert '<th scope="row" class="text">x</th><td>0.1</td>' in made.children[0].astext()
