@@ -41,9 +41,12 @@ def pieces(text: str) -> list[Piece]:
         if rows and not _headed(rows) and "  " in before.strip():
             rows = []  # the head does not stand over the columns: text shows which is which
         if rows:
-            titled = len(found) == 1 and len(found[0].lines) == 1 and "  " not in before.strip()
+            alone = len(found) == 1 and len(found[0].lines) == 1
+            titled = "  " not in before.strip() and (alone or before.rstrip().endswith(":"))
             caption = before.strip().rstrip(":") if titled else ""
-            found = [] if titled else found
+            if titled:
+                found[-1].lines.pop()
+                found = [piece for piece in found if piece.lines]
             found.append(Piece(lines[at:end], rows, caption))
         elif found and not found[-1].rows:
             found[-1].lines.extend(lines[at:end])

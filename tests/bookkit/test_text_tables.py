@@ -20,10 +20,21 @@ def test_a_printed_table_is_read_by_its_columns():
     assert '<th scope="row" class="text">IMM</th><td>1.1650 ± 0.0024</td><td></td>' in made
 
 
+def test_a_line_between_two_tables_is_no_caption_unless_it_says_so():
+    first, between, second = pieces(f"{TABLE}\nA1H: largest difference 3.3\n{TABLE[23:]}")
+    assert between.lines == ["A1H: largest difference 3.3"]
+    assert (first.caption, second.caption) == ("errors on two sensors", "")
+    assert pieces(f"{TABLE}\n{TABLE}")[1].caption == "errors on two sensors"
+
+
 def test_every_line_is_in_one_piece_and_in_order():
     text = f"first\n\n{TABLE}\nA1H: largest difference 3.3\n"
     found = pieces(text)
-    told = [line for piece in found for line in piece.lines]
+    told = [
+        line
+        for piece in found
+        for line in [piece.caption + ":"][: bool(piece.caption)] + piece.lines
+    ]
     assert [line for line in told if line.strip()] == [line for line in text.split("\n") if line]
 
 
