@@ -159,10 +159,9 @@ class Statements(Expressions):
         Changed
             It is not one.
         """
-        begin, place = self._at, self.place
+        begin, place, lines = self._at, self.place, []
         test, step, body = self._parts()
         counters = self._started()
-        lines: list[str] = []
         first = begin if place.begin < 0 else place.begin
         before, passes = dict(self.known), 0
         while self._goes_on(test):
@@ -251,7 +250,7 @@ class Statements(Expressions):
             word = self.next()
             if word in self.structs:
                 kind = Type("struct", (), word)
-            elif word in ("int", "size_t"):
+            elif word in ("int", "size_t", "char"):
                 kind = Type(whole=True)
         return kind
 
