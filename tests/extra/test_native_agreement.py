@@ -45,16 +45,19 @@ def test_a_hundred_steps_are_those_of_the_table(program):
 
 
 def test_the_table_is_whole():
-    """Every filter in both languages to its end; what is odd is answered alike by all."""
+    """Both languages to the end, odd numbers answered alike; one filter is known to run away."""
     rows = table()
-    for name in {row["filter"] for row in rows}:
+    names = {row["filter"] for row in rows}
+    for name in names:
         for language, real in (("C", "double"), ("C", "float"), ("JavaScript", "double")):
-            own = [
-                r for r in rows if (r["filter"], r["language"], r["real"]) == (name, language, real)
-            ]
-            away = np.array([float(row["apart"]) for row in own])
-            assert int(own[-1]["steps"]) >= 10_000
-            assert (np.diff(away) >= 0).all()
+            key = name, language, real
+            own = [r for r in rows if (r["filter"], r["language"], r["real"]) == key]
+            away = {int(row["steps"]): float(row["apart"]) for row in own}
+            assert max(away) >= 10_000
+            assert (np.diff(list(away.values())) >= 0).all()
             if real == "double":
                 assert {row["odd"] for row in own} == {"True"}
-                assert away[-1] < 1e-9
+                assert away[1000] < 1e-12
+                last = away[max(away)]
+                assert last > 1.0 if name == "designed, polynomial" else last < 1e-12
+    assert "designed, polynomial" in names
