@@ -230,6 +230,16 @@ def test_a_broken_library_is_made_again():
     assert compiled(filter).initial().mean.shape == (2,)
 
 
+def test_the_compiler_of_the_wheel_is_the_last_choice(monkeypatch):
+    """It writes for any processor of a kind, not for the one at hand: the cache may be shared."""
+    monkeypatch.delenv("CC", raising=False)
+    monkeypatch.setattr(build.shutil, "which", lambda name: None)
+    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: name == "ziglang")
+    assert build.compiler() == [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
+    monkeypatch.setattr(build.importlib.util, "find_spec", lambda name: None)
+    assert build.compiler() is None
+
+
 def test_without_a_compiler_there_is_one_message(monkeypatch):
     monkeypatch.setattr(build, "compiler", lambda: None)
     filter = extended_kalman(walk())

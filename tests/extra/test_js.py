@@ -203,6 +203,74 @@ console.log(JSON.stringify(told));
     assert one == kept == first != other == second
 
 
+def test_whole_records(tmp_path):
+    """`run` finds what steps find, into room of its own or given, and says what was refused."""
+    to_js(extended_kalman(walk()), tmp_path / "made.mjs")
+    (tmp_path / "run.mjs").write_text("""
+import { init, step, run, rows } from './made.mjs';
+const y = [1, 0.1, 0.5, NaN, 0.2, -0.3], alone = { mean: [], cov: [], loglik: [] }, one = init();
+for (let k = 0; k < 3; k++) {
+  step(one, k, y.slice(2 * k, 2 * k + 2));
+  for (const name in alone) alone[name].push(one[name]);
+}
+const room = rows(3), given = run(init(), [0, 1, 2], y, room), own = run(init(), [0, 1, 2], y);
+let said = '';
+try { run(init(), [1, 0], [1, 1, 2, 2]); } catch (error) { said = error.message; }
+const flat = (found) => [...found.mean].flat().concat([...found.cov].flat(), [...found.loglik]);
+console.log(JSON.stringify([given === room, said, flat(alone), flat(room), flat(own)]));
+""")
+    done = subprocess.run([NODE, "run.mjs"], cwd=tmp_path, capture_output=True, text=True)
+    same, said, alone, room, own = json.loads(done.stdout)
+    assert same
+    assert said == "measurement 1: refused with code 4"
+    assert alone == room == own
+    assert len(alone) == 3 * 7
+
+
+LOOPS = """
+static int triangle(const double *x, double *out)
+{
+    int i, j, k, found = 0;
+    for (i = 0, k = 0; i < 3; i++) for (j = 0; j <= i; j++, k++) out[k] += x[i] * x[j];
+    for (i = 0, k = 0; i < 3; i++) if (x[i] > 1.5) for (j = 0; j < 2; j++, k++) found += k;
+    for (i = 2; i >= 0; i--) { if (x[i] < 2.5) continue; found += 100 * i; }
+    for (i = 0; i < 3; i++) if (x[i] > 1.5) break;
+    found += 1000 * i;
+    for (i = 0; i < 3; i++) { const double y = 2.0 * x[i]; out[6 + i] = y; }
+    found += 10000 * i + 100000 * (1 + 2 * 3 / 2);
+    for (i = 0; i < 20; i++) found += 1000000;
+    for (j = 0; j < 2; j++) { found += 100000000 * k; k = 5; }
+    return found;
+}
+static double share(int count, double *out) { out[count - 1] = 7.0; return 1.0 / count; }
+static double both(double *out) { return share(4, out) + share(2, out + 4); }
+"""
+
+
+def test_loops_that_are_written_out(tmp_path):
+    """Loops of few passes are as in C: their counters, those of others, and what ends them."""
+    made = Translation(LOOPS)
+    x, out = made.size, made.size + 3
+    code = "\n".join(
+        [f"const H = new Float64Array({out + 9});", f"H.set([1, 2, 3], {x});", *made.lines]
+    )
+    code += f"\nconst said = triangle({x}, {out}), found = Array.from(H.slice({out}));\n"
+    code += (
+        f"console.log(JSON.stringify([said, ...found, both({out}), H[{out + 3}], H[{out + 5}]]))"
+    )
+    (tmp_path / "loops.mjs").write_text(code)
+    done = subprocess.run([NODE, "loops.mjs"], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    # k is 4 behind its loop, 5 behind the first pass of the last one
+    assert found[0] == (0 + 1 + 2 + 3) + 200 + 1000 + 30000 + 400000 + 20000000 + 100000000 * 9
+    assert found[1:10] == [1, 2, 4, 3, 6, 9, 2, 4, 6]
+    assert found[10:] == [0.75, 7, 7]
+    triangle, shares = "\n".join(made.lines).split("function share_4")
+    assert triangle.count("for (") == 5
+    assert "share_2" in shares
+
+
 def test_error_functions(tmp_path):
     x = np.linspace(-6.0, 6.0, 241)
     code = "\n".join(_HELPERS[name] for name in ("erf", "erfc", "tail"))

@@ -23,7 +23,8 @@ def compiler() -> list[str] | None:
         if command and (found := shutil.which(command[0])):
             return [found, *command[1:]]
     if importlib.util.find_spec("ziglang") is not None:
-        return [sys.executable, "-m", "ziglang", "cc"]
+        # for any processor of this kind, as the others do: a cache may be shared
+        return [sys.executable, "-m", "ziglang", "cc", "-mcpu=baseline"]
     return None
 
 

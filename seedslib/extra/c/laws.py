@@ -41,7 +41,9 @@ static inline double @name_mix_(int count, int size, int stride, const double *m
     }
     for (p = 0; p < count; p++) {
         const double share = mass[p] / total;
-        for (i = 0; !(mass[p] <= 0.0) && i < size; i++) mean[i] += share * parts[p * stride + i];
+        if (!(mass[p] <= 0.0)) {
+            for (i = 0; i < size; i++) mean[i] += share * parts[p * stride + i];
+        }
     }
     for (p = 0; p < count; p++) {
         const double share = mass[p] / total;

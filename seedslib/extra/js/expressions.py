@@ -26,6 +26,16 @@ _BINARY = {
     "+", "-", "*", "/", "%", "<", ">", "<=", ">=", "==", "!=", "&&", "||", "&", "|", "<<", ">>",
 }  # fmt: skip
 _WHOLE = {"int", "signed", "char"}
+_FEW = 12
+"""Numbers that are copied one by one."""
+
+LITERAL = re.compile(r"-?\d+")
+_PRODUCT = re.compile(r"(?<![*/%] )(?<![\w.])\d+(?: [*/] \d+)+(?! [*/%])(?![\w.])")
+_LITERALS = re.compile(r"-?\d+(?: (?:[-+*/<>%]|<<|[<>=!]=|&&|\|\|) -?\d+)+")
+
+
+class Changed(Exception):
+    """A number that was taken as known is changed."""
 
 
 class Expressions:
@@ -35,13 +45,17 @@ class Expressions:
         self._all, self._at, self.macros = found, 0, macros
         self.structs: dict[str, dict[str, Type]] = {}
         self.scopes: list[dict[str, Type]] = [{}]
-        self.functions: set[str] = set()
+        self.known: dict[str, str] = {}
         self.called: set[str] = set()
 
     @property
     def now(self) -> tuple[str, str]:
         """Kind and text of the token that comes."""
         return self._all[self._at]
+
+    def at(self, text: str) -> bool:
+        """Whether this token comes."""
+        return self.now[1] == text
 
     def next(self) -> str:
         """Text of the token that comes, which is then taken."""
@@ -66,6 +80,28 @@ class Expressions:
         if not self.take(text):
             raise ValueError(f"source: wanted {text!r}, got {self.now[1]!r}")
 
+    def skip(self) -> None:
+        """Pass brackets and what stands between them."""
+        depth = 0
+        while True:
+            word = self.next()
+            depth += (word in "({[") - (word in ")}]")
+            if not depth:
+                return
+
+    def kind(self, name: str) -> Type:
+        """Type of what is declared under a name.
+
+        Raises
+        ------
+        ValueError
+            Nothing is.
+        """
+        for scope in reversed(self.scopes):
+            if name in scope:
+                return scope[name]
+        raise ValueError(f"source: wanted a known name, got {name!r}")
+
     def is_type(self, ahead: int = 0) -> bool:
         """Whether a type begins here."""
         word = self._all[self._at + ahead][1]
@@ -75,6 +111,7 @@ class Expressions:
         """What comes, with assignments."""
         text, kind = self._choice()
         if self.now[1] in _ASSIGNMENTS:
+            self._changes(text)
             sign = self.next()
             return f"{text} {sign} {self.expression()[0]}", kind
         return text, kind
@@ -98,6 +135,9 @@ class Expressions:
             signs.add(sign)
         if len(kinds) == 1:
             return text, kinds[0]
+        text = _PRODUCT.sub(lambda found: _folded(found[0]), text)
+        if _LITERALS.fullmatch(text):
+            return _folded(text), Type()
         address = next((k for k in kinds if k.kind in ("address", "array")), None)
         if address is None or not signs <= {"+", "-", "*"}:
             return text, Type()
@@ -113,9 +153,7 @@ class Expressions:
             return text, Type("address", (), kind.struct)
         if self.take("*"):
             text, kind = self._unary()
-            return f"M[{text}]", kind.item
-        if self.take("++"):
-            return f"++{self._unary()[0]}", Type()
+            return self._read(text, kind.item), kind.item
         if self.take("sizeof"):
             return str(self._unary()[1].size(self.structs)), Type()
         if self.now[1] == "(" and self.is_type(1):
@@ -137,12 +175,14 @@ class Expressions:
                 self.want("]")
                 item = kind.item
                 stride = item.size(self.structs)
-                if stride != 1:
+                if stride != 1 and not inside.isdigit():
                     inside = f"{inside if inside.isidentifier() else f'({inside})'} * {stride}"
+                elif inside.isdigit():
+                    inside = str(int(inside) * stride)
                 elif re.search(r"[?&|<>]", inside):
                     inside = f"({inside})"
-                text, kind = f"{text} + {inside}", item
-                text = f"M[{text}]" if item.kind == "number" else text
+                text, kind = moved(text, inside), item
+                text = self._read(text, item) if item.kind == "number" else text
             elif self.take("->") or self.take("."):
                 parts, name, place = self.structs[kind.struct], self.next(), 0
                 for other, part in parts.items():
@@ -150,9 +190,10 @@ class Expressions:
                         break
                     place += part.size(self.structs)
                 kind = parts[name]
-                text = f"{text} + {place}"
-                text = f"M[{text}]" if kind.kind in ("number", "address") else text
+                text = moved(text, str(place))
+                text = self._read(text, kind) if kind.kind in ("number", "address") else text
             elif self.now[1] in ("++", "--"):
+                self._changes(text)
                 text += self.next()
             else:
                 return text, kind
@@ -163,27 +204,63 @@ class Expressions:
         if self.take("("):
             text, kind = self.expression()
             self.want(")")
-            return f"({text})", kind
+            return (text if LITERAL.fullmatch(text) else f"({text})"), kind
         word = self.next()
         if self.take("("):
             given = []
             while not self.take(")"):
                 given.append(self.expression()[0])
                 self.take(",")
-            return f"{self._function(word)}({', '.join(given)})", Type()
+            return self._called(word, given), Type()
         if word in self.macros:
             return str(self.macros[word]), Type()
         if word in _CONSTANTS:
             return _CONSTANTS[word], Type()
-        for scope in reversed(self.scopes):
-            if word in scope:
-                return word, scope[word]
-        raise ValueError(f"source: wanted a known name, got {word!r}")
+        if word in self.known:
+            return self.known[word], Type()
+        return word, self.kind(word)
 
-    def _function(self, name: str) -> str:
-        if name in self.functions:
-            return name
+    def _read(self, place: str, kind: Type) -> str:
+        """What is at a place; of an integer as one, which is quicker, unless it is changed."""
+        integer = kind.whole or kind.kind == "address"
+        changed = self.now[1] in (*_ASSIGNMENTS, "++", "--")
+        return f"(M[{place}] | 0)" if integer and not changed else f"M[{place}]"
+
+    def _changes(self, text: str) -> None:
+        """Refuse to change what is taken as known."""
+        if LITERAL.fullmatch(text):
+            raise Changed
+
+    def _called(self, name: str, given: list[str]) -> str:
+        """A call of a function of C."""
         if name not in FUNCTIONS:
             raise ValueError(f"formulas: wanted functions that ECMAScript has, got {name}")
+        if name in ("memcpy", "memset") and given[2].isdigit() and int(given[2]) <= _FEW:
+            to = [f"M[{moved(given[0], str(i))}]" for i in range(int(given[2]))]
+            of = [f"M[{moved(given[1], str(i))}]" for i in range(int(given[2]))]
+            if name == "memset":
+                return f"{' = '.join(to)} = {given[1]}"
+            return ", ".join(f"{a} = {b}" for a, b in zip(to, of, strict=True))
         self.called.add(FUNCTIONS[name])
-        return FUNCTIONS[name]
+        return f"{FUNCTIONS[name]}({', '.join(given)})"
+
+
+def moved(place: str, by: str) -> str:
+    """A place and a distance from it, numbers added up."""
+    terms: list[str] = []
+    inside = 0
+    for part in f"{place} + {by}".split(" + "):
+        terms = [*terms[:-1], f"{terms[-1]} + {part}"] if inside else [*terms, part]
+        inside += len(re.findall(r"[(\[]", part)) - len(re.findall(r"[)\]]", part))
+    number = sum(int(term) for term in terms if term.isdigit())
+    rest = [term for term in terms if not term.isdigit()]
+    return " + ".join([*rest, str(number)] if number or not rest else rest)
+
+
+def _folded(text: str) -> str:
+    """Value of a constant expression, as C has it."""
+    if "-" in text and ("/" in text or "%" in text):
+        return text
+    for sign, word in (("/", "//"), ("&&", "and"), ("||", "or")):
+        text = text.replace(sign, word)
+    return str(int(eval(text, {"__builtins__": {}})))  # digits and signs of our own text

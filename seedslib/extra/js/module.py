@@ -15,7 +15,11 @@ _HELPERS = {
     "isInfinite": "const isInfinite = (x) => x === Infinity || x === -Infinity;",
     "exp2": "const exp2 = (x) => 2 ** x;",
     "copy": "function copy(to, from, n) { for (let i = 0; i < n; i++) H[to + i] = H[from + i]; }",
-    "move": "function move(to, from, n) { H.copyWithin(to, from, from + n); }",
+    "move": """\
+function move(to, from, n) {
+  if (to < from) for (let i = 0; i < n; i++) H[to + i] = H[from + i];
+  else for (let i = n - 1; i >= 0; i--) H[to + i] = H[from + i];
+}""",
     "fill": "function fill(at, x, n) { for (let i = 0; i < n; i++) H[at + i] = x; }",
     "erf": """\
 function erf(x) { // a series near zero, a continued fraction farther out
@@ -44,25 +48,31 @@ let held = null; // the state whose numbers are where the functions work
 
 // Estimate and what is remembered; see the comment at the top.
 export class State {
-  constructor(data) { this.own = data; }
-  get data() { // all its numbers
-    if (held === this) for (let i = 0; i < @SIZE; i++) this.own[i] = H[@S + i];
-    return this.own;
-  }
-  copy() { return new State(this.data.slice()); }
+  constructor(own = null) { this.own = own; }
+  copy() { return new State(part(this, 0, @SIZE)); }
 @PARTS}
 
-export function init() {
-  if (held !== null) held.data;
+function part(state, from, size) { // a plain array is made quickest
+  const found = [];
+  if (held === state) for (let i = 0; i < size; i++) found.push(H[@S + from + i]);
+  else for (let i = 0; i < size; i++) found.push(state.own[from + i]);
+  return found;
+}
+
+function release() {
+  if (held !== null) held.own = part(held, 0, @SIZE);
   held = null;
+}
+
+export function init() {
+  release();
   f_init(@S);
-  return new State(H.slice(@S, @S + @SIZE));
+  return held = new State();
 }
 
 function hold(state) {
   if (held === state) return;
-  if (held !== null) held.data;
-  held = null;
+  release();
   for (let i = 0, own = state.own; i < @SIZE; i++) H[@S + i] = own[i];
   held = state;
 }
@@ -73,12 +83,15 @@ function shown(y) {
 }
 """
 
+_ROOTS = ("init", "step", "predict", "correct", "forecast")
+
 _RULES = """\
 One ECMAScript module without dependencies. init() gives a state; step(state, y), or step(state, \
 t, y) where the filter carries its law, takes in a measurement and returns OK, or why it refused; \
 the state is then as before. y is an array; a component is NaN where it is missing. With modes an \
 indicator comes last. state.mean, state.cov (row by row), state.loglik and, where there are any, \
-state.mode and state.prob are what was found. The lines are those of the C that to_c writes, and \
+state.mode and state.prob are what was found. run(state, [times,] ys) takes in a whole record. \
+The lines are those of the C that to_c writes, and \
 the numbers differ by rounding alone. All numbers are in one array."""
 
 
@@ -116,7 +129,7 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     True
     """
     text = to_c(filter, name="f")
-    made = Translation(text)
+    made = Translation(text, *(f"f_{name}" for name in _ROOTS))
     about = text[: text.index(" * Use: declare")] + _comment(_RULES)
     state, m = made.structs["f_state"], made.macros["F_MEASUREMENT"]
     size = sum(part.size(made.structs) for part in state.values())
@@ -131,7 +144,7 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
         wanted |= set(more) if name in wanted else set()
     helpers = [code for name, code in _HELPERS.items() if name in wanted]
     codes = re.findall(r"^#define F_(OK|END|INFINITE|PARTLY|TIME|RANGE) (\d)", text, re.M)
-    interface = _STATE + _verbs(text, rows)
+    interface = _STATE + _verbs(text, made, rows)
     for mark, value in marks.items():
         interface = interface.replace(mark, str(value))
     parts = [
@@ -165,9 +178,7 @@ def _parts(made: Translation) -> str:
     for name, kind in made.structs["f_state"].items():
         size = kind.size(made.structs)
         if name in ("mean", "cov", "prob"):
-            here = f"H.slice(@S + {place}, @S + {place + size})"
-            own = f"this.own.slice({place}, {place + size})"
-            lines += f"  get {name}() {{ return held === this ? {here} : {own}; }}\n"
+            lines += f"  get {name}() {{ return part(this, {place}, {size}); }}\n"
         elif name in ("loglik", "mode"):
             value = f"held === this ? H[@S + {place}] : this.own[{place}]"
             lines += f"  get {name}() {{ return {value}; }}\n"
@@ -175,7 +186,7 @@ def _parts(made: Translation) -> str:
     return lines
 
 
-def _verbs(text: str, rows: int) -> str:
+def _verbs(text: str, made: Translation, rows: int) -> str:
     """The exported functions that the C has."""
     timed = "t, " * ("double t, const double *y" in text)
     told = ", indicator" * ("int indicator" in text)
@@ -183,6 +194,7 @@ def _verbs(text: str, rows: int) -> str:
         f"export function step(state, {timed}y{told}) {{\n  shown(y);\n  hold(state);\n"
         f"  return f_step(@S, {timed}@Y{told});\n}}"
     ]
+    found.append(_run(made, timed, told))
     for name, given, value in (("predict", "t", "t"), ("correct", "y", "@Y")):
         if f" f_{name}(" in text:
             first = "  shown(y);\n" if given == "y" else ""
@@ -197,3 +209,34 @@ def _verbs(text: str, rows: int) -> str:
             f"  return f_forecast(@S, t, @O) === 0 ? H.slice(@O, @O + {rows}) : null;\n}}"
         )
     return "\n" + "\n\n".join(found) + "\n"
+
+
+def _run(made: Translation, timed: str, told: str) -> str:
+    """The function that takes in a whole record."""
+    places, place = {}, 0
+    for name, kind in made.structs["f_state"].items():
+        places[name] = place
+        place += kind.size(made.structs)
+    n = made.structs["f_state"]["mean"].size(made.structs)
+    given = f"{'times, ' * bool(timed)}ys{', indicators' * bool(told)}"
+    return f"""\
+// Room for what `run` finds, to be used again.
+export function rows(count) {{
+  const [mean, cov, loglik] = [{n}, {n * n}, 1].map((size) => new Float64Array(count * size));
+  return {{ mean, cov, loglik }};
+}}
+
+// A record, its measurements one behind the other: all means, covariances and log-likelihoods.
+export function run(state, {given}, into = rows(ys.length / @M)) {{
+  const count = ys.length / @M, {{ mean, cov, loglik }} = into;
+  hold(state);
+  for (let k = 0; k < count; k++) {{
+    for (let i = 0; i < @M; i++) H[@Y + i] = ys[k * @M + i];
+    const code = f_step(@S, {"times[k], " * bool(timed)}@Y{", indicators[k]" * bool(told)});
+    if (code !== OK) throw new RangeError(`measurement ${{k}}: refused with code ${{code}}`);
+    for (let i = 0; i < {n}; i++) mean[k * {n} + i] = H[@S + {places["mean"]} + i];
+    for (let i = 0; i < {n * n}; i++) cov[k * {n * n} + i] = H[@S + {places["cov"]} + i];
+    loglik[k] = H[@S + {places["loglik"]}];
+  }}
+  return into;
+}}"""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 NUMBERS = {"double", "float", "int", "signed", "char", "size_t", "void"}
 """Words of types of numbers, or of none."""
@@ -28,19 +28,22 @@ class Type:
         Of an array its lengths; of an address those of what it points at.
     struct : str
         Name of the structure, empty for numbers.
+    whole : bool
+        Whether the numbers are integers.
     """
 
     kind: str = "number"
     dims: tuple[int, ...] = ()
     struct: str = ""
+    whole: bool = False
 
     @property
     def item(self) -> Type:
         """What an index gives."""
         dims = self.dims[1:] if self.kind == "array" else self.dims
         if dims:
-            return Type("array", dims, self.struct)
-        return Type("struct", (), self.struct) if self.struct else Type()
+            return replace(self, kind="array", dims=dims)
+        return replace(self, kind="struct" if self.struct else "number", dims=())
 
     def size(self, structs: dict[str, dict]) -> int:
         """Places that it takes."""
