@@ -63,13 +63,15 @@ def tracked(variance):
     see = [sight + noise for sight, noise in zip(SIGHTS, e, strict=True)]
     return DiscreteSystem(
         StochasticMap(STATE, list(step), Noise(q, cov=push)),
-        StochasticMap(STATE, see, Noise(e, cov=0.05**2 * np.eye(2)), period=dict.fromkeys((0, 1), 2 * np.pi)),
+        StochasticMap(
+            STATE, see, Noise(e, cov=0.05**2 * np.eye(2)), period=dict.fromkeys((0, 1), 2 * np.pi)
+        ),
         np.zeros(4), np.diag([0.1, 0.1, variance, variance]),
     )  # fmt: skip
 
 
 def target(runs, seed):
-    """Positions (STEPS, 2, runs) of the target that turns to the right three times, and bearings."""
+    """Positions (STEPS, 2, runs) of the target, which turns to the right thrice, and bearings."""
     rng = np.random.default_rng(seed)
     turn = np.zeros((STEPS, runs))  # angle of a step
     for start, stop in ((50, 100), (200, 250), (350, 400)):
@@ -94,14 +96,18 @@ def main() -> None:
     file = (HERE / "field_bearings.csv").open("w", newline="")
     table = csv.writer(file, lineterminator="\n")
     head = "row", "runs", "rmse", "error", "apart", "apart_error", "microseconds", "design_seconds"
-    table.writerow((*head, "predicted"))
+    table.writerow((*head, "predicted", "median"))
 
     def put(row, found, base, spent=None, design=None, predicted=None):
         cost = "" if spent is None else f"{1e6 * spent / len(found) / STEPS:.3f}"
-        more = ("" if design is None else f"{design:.1f}", "" if predicted is None else f"{predicted:.4f}")
-        table.writerow((row, len(found), *of(found), *of(found - base[: len(found)]), cost, *more))
+        apart = *of(found), *of(found - base[: len(found)])
+        told = (
+            "" if design is None else f"{design:.1f}",
+            "" if predicted is None else f"{predicted:.4f}",
+        )
+        table.writerow((row, len(found), *apart, cost, *told, f"{np.median(found):.5f}"))
         file.flush()
-        print(row, of(found), np.median(found), flush=True)
+        print(row, *apart, flush=True)
 
     system = tracked(10.0)
     place, bearing = target(RUNS, 1)
@@ -149,7 +155,14 @@ def main() -> None:
             means = filter.run(TIMES, y).mean
             spent, rms = time.process_time() - begin, filter.predicted.rms[1:, :2]
             predicted = np.sqrt((rms**2).sum(axis=1).mean())
-            put(f"variance {variance:g}: {name}", errors(means, place), base, spent, design, predicted)
+            put(
+                f"variance {variance:g}: {name}",
+                errors(means, place),
+                base,
+                spent,
+                design,
+                predicted,
+            )
     file.close()
 
 

@@ -1,4 +1,4 @@
-"""Errors and costs of filters of a sine of random frequency and amplitude, by the published protocol.
+"""Errors and costs of filters of a random sine, by the published protocol.
 
 Run by hand, ``python benchmarks/field_sine.py``, about 2 minutes on one core; writes
 ``benchmarks/field_sine.csv`` beside itself. The protocol is that of Table 3.1 of the manual of
@@ -39,7 +39,9 @@ STEPS, RUNS, SOME = 500, 2000, 200
 DT, SWAY, FADE = 0.01, 0.2, 0.1
 """Step, and the spectral densities of the noises of frequency and amplitude."""
 START = (0.0, 10.0, 1.0)
-PUSH = np.array([[DT**3 / 3 * SWAY, DT**2 / 2 * SWAY, 0], [DT**2 / 2 * SWAY, DT * SWAY, 0], [0, 0, DT * FADE]])
+PUSH = np.array(
+    [[DT**3 / 3 * SWAY, DT**2 / 2 * SWAY, 0], [DT**2 / 2 * SWAY, DT * SWAY, 0], [0, 0, DT * FADE]]
+)
 PATHS = 8192
 VARIANCES = (0.001, 0.03, 0.3, 3.0)
 TIMES = np.arange(STEPS + 1.0)
@@ -58,7 +60,9 @@ class SecondOrder(Formulas):
         here = dict(zip(map.state, mean, strict=True))
         seen, noise, _ = map.conditional_expressions
         bend = [self.hessian(part, map.state).subs(here) * cov for part in seen]
-        y = sympy.Matrix([part.subs(here) + b.trace() / 2 for part, b in zip(seen, bend, strict=True)])
+        y = sympy.Matrix(
+            [part.subs(here) + b.trace() / 2 for part, b in zip(seen, bend, strict=True)]
+        )
         slope = sympy.Matrix(seen).jacobian(map.state).subs(here)
         if not spread:
             return y, cov * slope.T, None
@@ -142,7 +146,9 @@ def rao_blackwell(y, variance, count, seed):
         found.append([(prob * part).sum(axis=0) for part in parts])
         levels = (np.arange(count)[:, None] + rng.random(shape[1])) / count
         sums = np.cumsum(prob, axis=0)
-        chosen = np.stack([np.searchsorted(sums[:, j], levels[:, j]) for j in range(shape[1])], axis=1)
+        chosen = np.stack(
+            [np.searchsorted(sums[:, j], levels[:, j]) for j in range(shape[1])], axis=1
+        )
         chosen = np.minimum(chosen, count - 1)
         angle, frequency, amplitude, fade = (
             np.take_along_axis(part, chosen, axis=0) for part in (angle, frequency, amplitude, fade)
@@ -176,10 +182,16 @@ def of(values):
 
 def main() -> None:
     warnings.simplefilter("ignore")
-    names = [f"{part}{end}" for part in ("theta", "omega", "a", "signal", "apart") for end in ("", "_error")]
+    names = [
+        f"{part}{end}"
+        for part in ("theta", "omega", "a", "signal", "apart")
+        for end in ("", "_error")
+    ]
     file = (HERE / "field_sine.csv").open("w", newline="")
     table = csv.writer(file, lineterminator="\n")
-    table.writerow(("row", "runs", *names, "microseconds", "design_seconds", "square", "above", "above_error"))
+    table.writerow(
+        ("row", "runs", *names, "microseconds", "design_seconds", "square", "above", "above_error")
+    )
 
     def put(row, spent, runs, means, truth, base=None, design=""):
         errors = np.sqrt(((means - truth) ** 2).mean(axis=0))
@@ -195,8 +207,8 @@ def main() -> None:
     truth, y = with_signal(data.states), late(data.measurements)
     rules = {
         "EKF1": Taylor(), "EKF2": SecondOrder(), "exact Gaussian": ExactGaussian(),
-        "UKF alpha .5": Unscented(0.5, 2.0, 0.0), "UKF alpha 1": Unscented(1.0, 0.0, 0.0), "CKF": Cubature(),
-        "Gauss-Hermite 3": GaussHermite(3),
+        "UKF alpha .5": Unscented(0.5, 2.0, 0.0), "UKF alpha 1": Unscented(1.0, 0.0, 0.0),
+        "CKF": Cubature(), "Gauss-Hermite 3": GaussHermite(3),
     }  # fmt: skip
     base = None
     for name, rule in rules.items():
@@ -212,17 +224,28 @@ def main() -> None:
             base = found if base is None else base
     begin = time.process_time()
     means = augmented(y[1:, 0], 3.0, 0.5, 2.0, -4.0)
-    put("UKF augmented alpha .5", time.process_time() - begin, RUNS, with_signal(means), truth, base)
+    put(
+        "UKF augmented alpha .5", time.process_time() - begin, RUNS, with_signal(means), truth, base
+    )
     begin = time.process_time()
     means = rao_blackwell(y[1:, 0, :SOME], 3.0, 500, 5)
     put("Rao-Blackwell 500", time.process_time() - begin, SOME, means, truth[..., :SOME], base)
     begin = time.process_time()
     means = ParticleFilter(system, 1000).run(TIMES, y[..., :SOME], seed=5).mean[1:]
-    put("bootstrap 1000", time.process_time() - begin, SOME, with_signal(means), truth[..., :SOME], base)
+    put(
+        "bootstrap 1000",
+        time.process_time() - begin,
+        SOME,
+        with_signal(means),
+        truth[..., :SOME],
+        base,
+    )
     orders = {f"designed, order {k}": Memory(k) for k in (1, 2, 4)}
     for name, memory in orders.items():
         begin = time.process_time()
-        filter = synthesize(system, memory, ExactGaussian(), TIMES, paths=PATHS, seed=3, measured=SHOWN)
+        filter = synthesize(
+            system, memory, ExactGaussian(), TIMES, paths=PATHS, seed=3, measured=SHOWN
+        )
         design = time.process_time() - begin
         begin = time.process_time()
         means = filter.run(TIMES, y).mean[1:]
@@ -231,7 +254,9 @@ def main() -> None:
 
     for variance in VARIANCES:
         system, runs = sine(variance * np.eye(3)), 2 * SOME
-        data, others = (system.simulate(TIMES, count, seed) for count, seed in ((runs, 11), (1000, 12)))
+        data, others = (
+            system.simulate(TIMES, count, seed) for count, seed in ((runs, 11), (1000, 12))
+        )
         y, others = late(data.measurements[1:]), late(others.measurements[1:])
         truth = with_signal(data.states)[1:, 3]
         signals = {"Rao-Blackwell 300": rao_blackwell(y[1:, 0], variance, 300, 5)[:, 3]}
