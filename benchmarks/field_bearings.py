@@ -9,7 +9,7 @@ the EKF/UKF toolbox (Hartikainen, Solin, Särkkä 2011); all equations are writt
 - misprinted: the second-order extended filter with the second derivatives as printed;
 - rows of a variance: the same targets for filters that are told another variance of the first
   velocity; the designed ones are designed with it. Averaged: the covariances of the extended filter
-  are, before each correction, means over paths of the model.
+  are, before each correction, means over paths of the model. Drawn: the targets too are such paths.
 """
 
 from __future__ import annotations
@@ -142,6 +142,15 @@ def main() -> None:
         others = late(system.simulate(TIMES, 2000, 5).measurements[1:])
         found = errors(averaged(filter, TIMES, y, others), place)
         put(f"variance {variance:g}: EKF1, covariances averaged", found, base)
+        if variance < 10.0:
+            means = ParticleFilter(system, 1000).run(TIMES, few, seed=5).mean
+            put(f"variance {variance:g}: bootstrap 1000", errors(means, place[..., :SOME]), base)
+        drawn = system.simulate(TIMES, RUNS // 2, 6)
+        own_place, own_y = drawn.states[1:, :2], late(drawn.measurements[1:])
+        own_base = errors(filter.run(TIMES, own_y).mean, own_place)
+        put(f"drawn, {variance:g}: EKF1", own_base, own_base)
+        found = errors(averaged(filter, TIMES, own_y, others), own_place)
+        put(f"drawn, {variance:g}: EKF1, covariances averaged", found, own_base)
         designs = {f"designed, order {k}": (Memory(k), {}) for k in (1, 2, 4)}
         bent = {"predictor": Polynomial(1, 2)}
         designs["designed, order 2, covariance of degree 2"] = Memory(2), bent
@@ -163,6 +172,9 @@ def main() -> None:
                 design,
                 predicted,
             )
+            if memory.estimates == 4:
+                found = errors(filter.run(TIMES, own_y).mean, own_place)
+                put(f"drawn, {variance:g}: {name}", found, own_base)
     file.close()
 
 
