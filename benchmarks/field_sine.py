@@ -31,7 +31,6 @@ from seedslib.design import synthesize
 from seedslib.designed import Memory
 from seedslib.filters import CovarianceFilter, ParticleFilter, smooth
 from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
-from seedslib.linearization.formulas import Formulas
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 HERE = Path(__file__).parent
@@ -49,7 +48,7 @@ SHOWN = np.arange(STEPS + 1)[:, None] > 0  # nothing is seen at k = 0
 
 
 @dataclass(frozen=True)
-class SecondOrder(Formulas):
+class SecondOrder(Taylor):
     """The expansion to second order about the mean, with the third moments of a Gaussian."""
 
     def hessian(self, part, state):
