@@ -26,7 +26,7 @@ import numpy as np
 import sympy
 
 from seedslib.design import Affine, Polynomial, simulated_synthesis, synthesize
-from seedslib.designed import Memory
+from seedslib.designed import FiniteOrderFilter, Memory
 from seedslib.filters import (
     CovarianceFilter,
     ParticleFilter,
@@ -260,6 +260,13 @@ def designed_filters(noise, paths=100_000):
     return found
 
 
+def own_covariance(filter, y):
+    """Predicted covariances of a designed filter, (K, 2, 2) or (K, 2, 2, N)."""
+    if isinstance(filter, FiniteOrderFilter):
+        return filter.run(TIMES[1:], y, covariances=True).cov
+    return filter.covariances
+
+
 def simulated(noise, runs, seed):
     """States and measurements at the four times, and the record with nothing at time 0."""
     data = oscillator(noise).simulate(TIMES, runs, seed)
@@ -270,85 +277,89 @@ def simulated(noise, runs, seed):
 
 def main() -> None:
     warnings.simplefilter("ignore")
-    file = (HERE / "field_projection.csv").open("w", newline="")
-    table = csv.writer(file, lineterminator="\n")
-    names = "noise", "row", "runs", "mse", "error", "far", "far_error", "hellinger"
-    table.writerow((*names, "hellinger_error", "last", "microseconds", "design_seconds"))
-    for noise in NOISES:
-        system = oscillator(noise)
-        states, y = simulated(noise, RUNS, 1)
-        chain = PlaneChain(system, AXES, 0.05)
-        begin = time.process_time()
-        laws = [exact_laws(chain, y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)]
-        spent = time.process_time() - begin
-        each = [moments(chain.values, part) for part in laws]
-        best, spread = (np.concatenate(parts, axis=-1) for parts in zip(*each, strict=True))
+    with (HERE / "field_projection.csv").open("w", newline="") as file:
+        table = csv.writer(file, lineterminator="\n")
+        names = "noise", "row", "runs", "mse", "error", "far", "far_error", "hellinger"
+        table.writerow((*names, "hellinger_error", "last", "microseconds", "design_seconds"))
+        for noise in NOISES:
+            for row in rows_of(noise):
+                table.writerow(row)
+                file.flush()
+                print(*row, flush=True)
 
-        def distance(mean, cov):
-            """Of normal laws to the exact ones, block by block."""
-            found = []
-            for i, law in enumerate(laws):
-                part = slice(i * BLOCK, i * BLOCK + BLOCK)
-                given = cov[..., part] if cov.ndim == 4 else cov
-                found.append(hellinger(law, normal_laws(chain.values, mean[..., part], given)))
-            return np.concatenate(found, axis=1)
 
-        def put(name, mean, far_laws, spent, design=None):
-            square = ((mean - states) ** 2).sum(axis=1).mean(axis=0)
-            far = ((mean - best) ** 2).sum(axis=1).mean(axis=0)
-            values = [v for part in (square, far) for v in (part.mean(), part.std() / RUNS**0.5)]
-            if far_laws is None:
-                law = ["", "", ""]
-            else:
-                each = far_laws.mean(axis=0)
-                parts = each.mean(), each.std() / RUNS**0.5, far_laws[-1].mean()
-                law = [f"{v:.5f}" for v in parts]
-            cost = "" if spent is None else f"{1e6 * spent / RUNS / 4:.3f}"
-            told = "" if design is None else f"{design:.2f}"
-            table.writerow((noise, name, RUNS, *(f"{v:.6f}" for v in values), *law, cost, told))
-            file.flush()
-            print(noise, name, *(f"{v:.5f}" for v in values), *law, cost, told, flush=True)
+def rows_of(noise):
+    """Rows of the table for a deviation of the sensor's noise, as they are found."""
+    system = oscillator(noise)
+    states, y = simulated(noise, RUNS, 1)
+    chain = PlaneChain(system, AXES, 0.05)
+    begin = time.process_time()
+    laws = [exact_laws(chain, y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)]
+    spent = time.process_time() - begin
+    each = [moments(chain.values, part) for part in laws]
+    best, spread = (np.concatenate(parts, axis=-1) for parts in zip(*each, strict=True))
 
-        put("least", best, np.zeros((4, RUNS)), spent)
-        put("moments", best, distance(best, spread), None)
-        unseen = exact_laws(chain, None)
-        mean = np.broadcast_to(moments(chain.values, unseen)[0], best.shape)
-        put("unseen", mean, np.concatenate([hellinger(p, unseen) for p in laws], axis=1), None)
-        for name, filter in kalman_filters(system).items():
-            filter.run(TIMES, y[..., :5])
-            begin = time.process_time()
-            run = filter.run(TIMES, y)
-            spent = time.process_time() - begin
-            cov = run.cov[1:]
-            put(name, run.mean[1:], distance(run.mean[1:], cov), spent)
-        for name, (filter, design) in designed_filters(noise).items():
-            begin = time.process_time()
-            run = filter.run(TIMES[1:], y[1:])
-            spent = time.process_time() - begin
-            put(name, run.mean, distance(run.mean, filter.covariances), spent, design)
-        for count in (1000, 10_000):
-            begin, parts = time.process_time(), []
-            for a in range(0, RUNS, 50):
-                run = ParticleFilter(system, count).run(TIMES, y[..., a : a + 50], seed=a)
-                parts.append(run.mean[1:])
-            spent = time.process_time() - begin
-            put(f"{count} particles", np.concatenate(parts, axis=2), None, spent)
-        begin = time.process_time()
-        filter = Projection(noise)
-        design = time.process_time() - begin
-        begin = time.process_time()
-        theta = np.concatenate(
-            [filter.run(y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)], axis=2
-        )
-        spent = time.process_time() - begin
-        found = np.array([filter.values @ filter.law(part) for part in theta])
-        fine = Projection(noise, AXES)
-        far = []
+    def distance(mean, cov):
+        """Of normal laws to the exact ones, block by block."""
+        found = []
         for i, law in enumerate(laws):
-            part = theta[..., i * BLOCK : i * BLOCK + BLOCK] * (fine.scale / filter.scale)
-            far.append(hellinger(law, np.array([fine.law(p) for p in part])))
-        put("projection", found, np.concatenate(far, axis=1), spent, design)
-    file.close()
+            part = slice(i * BLOCK, i * BLOCK + BLOCK)
+            given = cov[..., part] if cov.ndim == 4 else cov
+            found.append(hellinger(law, normal_laws(chain.values, mean[..., part], given)))
+        return np.concatenate(found, axis=1)
+
+    def told(name, mean, far_laws, spent, design=None):
+        square = ((mean - states) ** 2).sum(axis=1).mean(axis=0)
+        far = ((mean - best) ** 2).sum(axis=1).mean(axis=0)
+        values = [v for part in (square, far) for v in (part.mean(), part.std() / RUNS**0.5)]
+        law = ["", "", ""]
+        if far_laws is not None:
+            whole = far_laws.mean(axis=0)
+            parts = whole.mean(), whole.std() / RUNS**0.5, far_laws[-1].mean()
+            law = [f"{v:.5f}" for v in parts]
+        cost = "" if spent is None else f"{1e6 * spent / RUNS / 4:.3f}"
+        cost = cost, "" if design is None else f"{design:.2f}"
+        return noise, name, RUNS, *(f"{v:.6f}" for v in values), *law, *cost
+
+    yield told("least", best, np.zeros((4, RUNS)), spent)
+    yield told("moments", best, distance(best, spread), None)
+    unseen = exact_laws(chain, None)
+    mean = np.broadcast_to(moments(chain.values, unseen)[0], best.shape)
+    yield told("unseen", mean, np.concatenate([hellinger(p, unseen) for p in laws], axis=1), None)
+    for name, filter in kalman_filters(system).items():
+        filter.run(TIMES, y[..., :5])
+        begin = time.process_time()
+        run = filter.run(TIMES, y)
+        spent = time.process_time() - begin
+        cov = run.cov[1:]
+        yield told(name, run.mean[1:], distance(run.mean[1:], cov), spent)
+    for name, (filter, design) in designed_filters(noise).items():
+        begin = time.process_time()
+        run = filter.run(TIMES[1:], y[1:])
+        spent = time.process_time() - begin
+        yield told(name, run.mean, distance(run.mean, own_covariance(filter, y[1:])), spent, design)
+    for count in (1000, 10_000):
+        begin, parts = time.process_time(), []
+        for a in range(0, RUNS, 50):
+            run = ParticleFilter(system, count).run(TIMES, y[..., a : a + 50], seed=a)
+            parts.append(run.mean[1:])
+        spent = time.process_time() - begin
+        yield told(f"{count} particles", np.concatenate(parts, axis=2), None, spent)
+    begin = time.process_time()
+    filter = Projection(noise)
+    design = time.process_time() - begin
+    begin = time.process_time()
+    theta = np.concatenate(
+        [filter.run(y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)], axis=2
+    )
+    spent = time.process_time() - begin
+    found = np.array([filter.values @ filter.law(part) for part in theta])
+    fine = Projection(noise, AXES)
+    far = []
+    for i, law in enumerate(laws):
+        part = theta[..., i * BLOCK : i * BLOCK + BLOCK] * (fine.scale / filter.scale)
+        far.append(hellinger(law, np.array([fine.law(p) for p in part])))
+    yield told("projection", found, np.concatenate(far, axis=1), spent, design)
 
 
 if __name__ == "__main__":
