@@ -17,9 +17,8 @@ import csv
 import os
 import time
 import warnings
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
@@ -45,8 +44,7 @@ SHARES, CUT = np.array([0.25, 0.5, 0.25]), 0.6745
 BOUND = 5.0
 
 
-@dataclass(frozen=True)
-class Problem:
+class Problem(NamedTuple):
     """A model, what stands in for it in Kalman filters, nodes, and basic functions."""
 
     system: DiscreteSystem
