@@ -126,3 +126,31 @@ def test_a_row_of_the_minimax_table(minimax):
     assert abs(far.mean() - float(told["far"])) < 4 * error
     predicted = (filter.predicted.rms[10:, 0] ** 2).mean()
     assert predicted == pytest.approx(float(told["predicted"]), rel=0.04)
+
+
+def test_points_of_the_sweep():
+    with (ROOT / "sweeps/field_growth.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    point = {(r["sensor"], r["process"], r["order"]): r for r in rows}
+    assert len(rows) == len(point) == 24
+    growth = program("field_growth")
+    # the state and the order one's promise at the published pair, by another program
+    told, times = point["1.0", "1.0", "1"], np.arange(1.0, 31.0)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        risk = growth.optimal_risk(
+            growth.growth(float(growth.moved(0.1, 0)), 1.0), growth.Memory(1), times,
+            x=growth.dense(161, 34), z=(-26, 26, 105), y=(-5, 58, 85),
+        )  # fmt: skip
+    assert risk.mse[10:].mean() == pytest.approx(float(told["predicted"]), rel=0.02)
+    rng, x, square = np.random.default_rng(4), None, []
+    x = growth.moved(0.1, 0) + rng.standard_normal(4000)
+    for k in range(1, 31):
+        square.append(x**2)
+        x = growth.moved(x, k) + rng.standard_normal(4000)
+    each = np.mean(square[10:], axis=0)
+    error = each.std() * np.sqrt(1 / 400 + 1 / 4000)
+    assert abs(each.mean() - float(told["state"])) < 4 * error
+    # the runs of a point are common to its orders
+    for (sensor, process, _), row in point.items():
+        assert row["least"] == point[sensor, process, "1"]["least"]
