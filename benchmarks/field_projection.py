@@ -40,7 +40,7 @@ from seedslib.models import JumpDiffusion, Noise, PlaneChain
 
 HERE = Path(__file__).parent
 TIMES = 0.25 * np.arange(5)
-NOISES, RUNS, BLOCK = (2.0, 1.0, 0.5), 1000, 250
+RECORDS, BLOCK = {2.0: 1000, 1.0: 1000, 0.5: 250}, 250
 STEPS = {2.0: 0.025, 1.0: 0.025, 0.5: 0.005}
 """Of the projection filter: its equation is stiff where measurements tell much."""
 AXES = [(-6.5, 6.5, 131), (-8.0, 8.0, 129)]
@@ -293,7 +293,7 @@ def main() -> None:
         table = csv.writer(file, lineterminator="\n")
         names = "noise", "row", "runs", "mse", "error", "far", "far_error", "hellinger"
         table.writerow((*names, "hellinger_error", "last", "microseconds", "design_seconds"))
-        for noise in NOISES:
+        for noise in RECORDS:
             for row in rows_of(noise):
                 table.writerow(row)
                 file.flush()
@@ -302,11 +302,11 @@ def main() -> None:
 
 def rows_of(noise):
     """Rows of the table for a deviation of the sensor's noise, as they are found."""
-    system = oscillator(noise)
-    states, y = simulated(noise, RUNS, 1)
+    system, records = oscillator(noise), RECORDS[noise]
+    states, y = simulated(noise, records, 1)
     chain = PlaneChain(system, AXES, 0.05)
     begin = time.process_time()
-    laws = [exact_laws(chain, y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)]
+    laws = [exact_laws(chain, y[1:, :, a : a + BLOCK]) for a in range(0, records, BLOCK)]
     spent = time.process_time() - begin
     each = [moments(chain.values, part) for part in laws]
     best, spread = (np.concatenate(parts, axis=-1) for parts in zip(*each, strict=True))
@@ -331,11 +331,11 @@ def rows_of(noise):
             whole = far_laws.mean(axis=0)[kept]
             parts = whole.mean(), whole.std() / runs**0.5, far_laws[-1, kept].mean()
             law = [f"{v:.5f}" for v in parts]
-        cost = "" if spent is None else f"{1e6 * spent / RUNS / 4:.3f}"
+        cost = "" if spent is None else f"{1e6 * spent / records / 4:.3f}"
         cost = cost, "" if design is None else f"{design:.2f}"
         return noise, name, runs, *(f"{v:.6f}" for v in values), *law, *cost
 
-    yield told("least", best, np.zeros((4, RUNS)), spent)
+    yield told("least", best, np.zeros((4, records)), spent)
     yield told("moments", best, distance(best, spread), None)
     unseen = exact_laws(chain, None)
     mean = np.broadcast_to(moments(chain.values, unseen)[0], best.shape)
@@ -354,7 +354,7 @@ def rows_of(noise):
         yield told(name, run.mean, distance(run.mean, own_covariance(filter, y[1:])), spent, design)
     for count in (1000, 10_000):
         begin, parts = time.process_time(), []
-        for a in range(0, RUNS, 50):
+        for a in range(0, records, 50):
             run = ParticleFilter(system, count).run(TIMES, y[..., a : a + 50], seed=a)
             parts.append(run.mean[1:])
         spent = time.process_time() - begin
@@ -364,7 +364,7 @@ def rows_of(noise):
     design = time.process_time() - begin
     begin = time.process_time()
     theta = np.concatenate(
-        [filter.run(y[1:, :, a : a + BLOCK]) for a in range(0, RUNS, BLOCK)], axis=2
+        [filter.run(y[1:, :, a : a + BLOCK]) for a in range(0, records, BLOCK)], axis=2
     )
     spent = time.process_time() - begin
     found = np.array([filter.values @ filter.law(part) for part in theta])

@@ -70,11 +70,11 @@ def test_projection_is_exact_within_its_family(plane):
 
 def test_the_design_begins_with_the_law_of_the_first_measurement(plane):
     system = plane.seen_first(1.0)
-    late = system.simulate(plane.TIMES[1:], 20_000, 1).states[0]
-    early = plane.oscillator(1.0).simulate(plane.TIMES, 20_000, 2).states[1]
-    assert np.abs(late.mean(axis=1)).max() < 4 * np.sqrt(2.5 / 20_000)
-    np.testing.assert_allclose(np.cov(late), system.cov0, atol=0.1)
-    np.testing.assert_allclose(np.cov(early), system.cov0, atol=0.1)
+    late = system.simulate(plane.TIMES[1:], 5000, 1).states[0]
+    early = plane.oscillator(1.0).simulate(plane.TIMES, 5000, 2).states[1]
+    assert np.abs(late.mean(axis=1)).max() < 4 * np.sqrt(2.5 / 5000)
+    np.testing.assert_allclose(np.cov(late), system.cov0, atol=0.17)
+    np.testing.assert_allclose(np.cov(early), system.cov0, atol=0.17)
 
 
 def test_models_of_the_minimax_program(minimax):
@@ -140,7 +140,7 @@ def test_points_of_the_sweep():
         warnings.simplefilter("ignore")
         risk = growth.optimal_risk(
             growth.growth(float(growth.moved(0.1, 0)), 1.0), growth.Memory(1), times,
-            x=growth.dense(161, 34), z=(-26, 26, 105), y=(-5, 58, 85),
+            x=growth.dense(161, 34), z=(-26, 26, 79), y=(-5, 58, 73),
         )  # fmt: skip
     assert risk.mse[10:].mean() == pytest.approx(float(told["predicted"]), rel=0.02)
     rng, x, square = np.random.default_rng(4), None, []
