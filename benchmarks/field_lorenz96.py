@@ -1,7 +1,8 @@
 """Errors and costs of filters of a small Lorenz-96 system, five of ten components measured.
 
-Run by hand, ``python benchmarks/field_lorenz96.py``, about 25 minutes on one core; writes
-``benchmarks/field_lorenz96.csv`` beside itself. The setting is that of Fig. 1 of M. Bocquet,
+Run by hand, ``python benchmarks/field_lorenz96.py``, about 6 minutes on one core; writes
+``benchmarks/field_lorenz96.csv`` beside itself; with words behind it, it prints the rows whose
+names begin with them. The setting is that of Fig. 1 of M. Bocquet,
 C. Pires, L. Wu, Mon. Weather Rev. 138 (2010) 2997-3023, as the package DAPPER has it in its file
 ``bocquet2010.py``; all equations are written anew here. The error is the root of the mean over the
 ten components of the squared error after a measurement, averaged over the measurements from time
@@ -40,7 +41,7 @@ from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 HERE = Path(__file__).parent
 SIZE, STEP, MEASUREMENTS, SPIN, VARIANCE = 10, 0.05, 1281, 400, 2.25
-RUNS = 100
+RUNS, SOME = 60, 20
 TIMES = STEP * np.arange(MEASUREMENTS)
 SEEN = slice(0, SIZE, 2)
 CLIMATE = 2.35, 3.63
@@ -295,7 +296,7 @@ def main(only=()) -> None:
 
     mean, _ = CLIMATE
     put("climate", "", lambda y: np.full((len(y), SIZE, y.shape[2]), mean), numbers=0)
-    for members, inflation in ((8, 1.02), (8, 1.05), (8, 1.1), (12, 1.04), (20, 1.03)):
+    for members, inflation in ((8, 1.05), (8, 1.1), (12, 1.04), (20, 1.03)):
         put(
             f"ensemble {members}", f"inflation {inflation}",
             lambda y, a=members, b=inflation: ensemble(y, a, b), numbers=members * SIZE,
@@ -306,49 +307,50 @@ def main(only=()) -> None:
     }  # fmt: skip
     for name, rule in rules.items():
         filter = CovarianceFilter(lorenz96(), rule)
-        for inflation in (1.0, 1.02, 1.05):
+        for inflation in (1.0,) if "kappa" in name else (1.0, 1.02, 1.05):
             put(
                 name, f"inflation {inflation}",
                 lambda y, f=filter, a=inflation: inflated(f, y, a), numbers=65,
             )  # fmt: skip
-        for noise in (0.001, 0.01):
-            filter = CovarianceFilter(lorenz96(noise), rule)
-            put(name, f"q {noise}", lambda y, f=filter: f.run(TIMES, y).mean, numbers=65)
+        filter = CovarianceFilter(lorenz96(0.01), rule)
+        put(name, "q 0.01", lambda y, f=filter: f.run(TIMES, y).mean, numbers=65)
     for members, share, width in ((50, 0.3, 1.7), (100, 0.2, 1.3), (800, 0.2, 0.8)):
         put(
             f"jittered {members}", f"share {share} width {width}",
-            lambda y, a=members, b=share, c=width: jittered(y, a, b, c), 40, members * SIZE,
+            lambda y, a=members, b=share, c=width: jittered(y, a, b, c), SOME, members * SIZE,
         )  # fmt: skip
-    for members, noises in ((50, (0.1, 0.3)), (100, (0.1, 0.3)), (800, (0.03, 0.1))):
-        for noise in noises:
-            filter = ParticleFilter(lorenz96(noise), members)
-            put(
-                f"bootstrap {members}", f"q {noise}",
-                lambda y, f=filter: f.run(TIMES, y, seed=1).mean, 20, members * SIZE,
-            )  # fmt: skip
-    for first, second in ((2, 0), (2, 1), (2, 2)):
+    for members, noise in ((50, 0.3), (100, 0.1), (800, 0.1)):
+        filter = ParticleFilter(lorenz96(noise), members)
         put(
-            "forecasts", f"degrees {first} {second}", None, numbers=SIZE, paths=16384,
-            design=lambda a=first, b=second: forecasts(a, b, 16384, 60),
+            f"bootstrap {members}", f"q {noise}",
+            lambda y, f=filter: f.run(TIMES, y, seed=1).mean, SOME, members * SIZE,
         )  # fmt: skip
-    for degree, remembered, paths in ((1, 1, 16384), (2, 1, 32768), (2, 2, 32768)):
+    for first, second, paths in ((2, 0, 8192), (2, 1, 8192), (2, 2, 8192)):
+        put(
+            "forecasts", f"degrees {first} {second}", None, numbers=SIZE, paths=paths,
+            design=lambda a=first, b=second, c=paths: forecasts(a, b, c, 60),
+        )  # fmt: skip
+    for degree, remembered, paths in ((2, 1, 16384), (2, 2, 16384)):
         put(
             f"polynomial {degree}", f"remembers {remembered}", None, numbers=SIZE * remembered,
             paths=paths,
             design=lambda a=degree, b=remembered, c=paths: frozen(BoundedPolynomial(a), b, c, 60),
         )  # fmt: skip
     for degree, near, paths in (
-        (0, 5, 8192), (1, 5, 8192), (1, 5, 32768), (2, 2, 32768), (2, 5, 32768), (3, 2, 32768),
-        (3, 3, 32768),
+        (0, 5, 4096), (0, 5, 16384), (1, 5, 4096), (1, 5, 16384), (2, 2, 16384), (2, 5, 16384), (3, 2, 32768),
     ):  # fmt: skip
         put(
             f"gain {degree}", f"within {near} of {paths}", None, numbers=SIZE, paths=paths,
-            design=lambda a=degree, b=near, c=paths: frozen(scheduled(a, b), 1, c, 80),
+            design=lambda a=degree, b=near, c=paths: frozen(scheduled(a, b), 1, c, 60),
         )  # fmt: skip
     if not only or any(part.startswith("span") for part in only):
-        before, after = (average_covariance(y[..., :40], after) for after in (False, True))
+        some = y[..., :SOME]
+        before, after = (average_covariance(some, after) for after in (False, True))
         for span in (0, 1, 2, 4, 8, 16):
-            put(f"span {span}", "", lambda y, a=span: forgetful(y, a, after if a else before), 40)
+            put(
+                f"span {span}", "", lambda y, a=span: forgetful(y, a, after if a else before), SOME,
+                SIZE * span,
+            )  # fmt: skip
     if not only:
         file.close()
 
