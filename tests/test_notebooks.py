@@ -11,18 +11,36 @@ from bookkit.recording import MIME
 
 ROOT = Path(__file__).resolve().parents[1]
 SOURCES = sorted((ROOT / "notebooks").glob("*.md"))
+FOLDED = {"remove-cell", "remove-input", "hide-input"}
+"""Tags of cells whose code a page does not show, or shows when it is asked for."""
+FIGURE, BOX = 18, 5
+"""Lines of text that are as high as a figure and as the box of a claim."""
 RAW_FLOAT = re.compile(r"(?<![\w.])-?\d+\.\d{9,}")
 
 
 @pytest.fixture(params=SOURCES, ids=lambda path: path.stem)
-def cells(request):
-    """Code cells of one executed notebook."""
-    content = json.loads(request.param.with_suffix(".ipynb").read_text())
-    return [cell for cell in content["cells"] if cell["cell_type"] == "code"]
+def all_cells(request):
+    """Cells of one executed notebook."""
+    return json.loads(request.param.with_suffix(".ipynb").read_text())["cells"]
+
+
+@pytest.fixture
+def cells(all_cells):
+    """Its code cells."""
+    return [cell for cell in all_cells if cell["cell_type"] == "code"]
 
 
 def source(cell):
     return "".join(cell["source"])
+
+
+def lines(cell):
+    return [line for line in source(cell).splitlines() if line.strip()]
+
+
+def shown(cells):
+    """Cells whose code is seen on the page at once."""
+    return [cell for cell in cells if not FOLDED & set(cell["metadata"].get("tags", []))]
 
 
 def outputs(cells):
@@ -52,6 +70,30 @@ def test_every_cell_was_executed_and_none_failed(cells):
 def test_no_cell_ends_in_a_semicolon_or_writes_to_stderr(cells):
     assert [source(c) for c in cells if source(c).rstrip().endswith(";")] == []
     assert [o["text"] for _, o in outputs(cells) if o.get("name") == "stderr"] == []
+
+
+def test_code_that_is_shown_is_what_a_reader_would_write(cells):
+    for cell in shown(cells):
+        assert len(lines(cell)) <= 8, f"tag it {FOLDED}, or split it: {source(cell)}"
+        assert [line for line in lines(cell) if len(line) > 88] == []
+        assert "claim(" not in source(cell)
+        assert "record(" not in source(cell)
+        assert "print(" not in source(cell)
+
+
+def test_code_is_at_most_fifteen_per_cent_of_a_page(all_cells):
+    code = [cell for cell in all_cells if cell["cell_type"] == "code"]
+    prose = sum(len(lines(cell)) for cell in all_cells if cell["cell_type"] == "markdown")
+    seen = sum(len(lines(cell)) for cell in shown(code))
+    figures = sum("figure" in cell["metadata"].get("mystnb", {}) for cell in code)
+    boxes = sum(len(o.get("data", {}).get(MIME, {}).get("claims", ())) for _, o in outputs(code))
+    assert seen <= 0.15 * (seen + prose + FIGURE * figures + BOX * boxes)
+
+
+def test_what_a_claim_says_is_on_the_page(cells):
+    removed = [c for c in cells if "remove-cell" in c["metadata"].get("tags", [])]
+    assert [o for _, o in outputs(removed) if o.get("data", {}).get(MIME, {}).get("claims")] == []
+    assert [o for _, o in outputs(removed) if "image/png" in o.get("data", {})] == []
 
 
 def test_parameters_are_checked_in_the_next_cell(cells):

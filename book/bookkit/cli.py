@@ -86,9 +86,10 @@ def _portable(options: argparse.Namespace) -> int:
 
 
 def _check_html(options: argparse.Namespace) -> int:
-    from bookkit import html_check
+    from bookkit import html_check, weight
 
-    found = html_check.faults(Path(options.folder))
+    folder = Path(options.folder)
+    found = html_check.faults(folder) + weight.faults(folder)
     return _told(found, "faults in the built book", "the built book is sound")
 
 

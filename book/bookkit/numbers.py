@@ -1,7 +1,7 @@
 """Recorded numbers in the text of any page: ``{{ '%.3f' % notebook__name }}``.
 
 A Sphinx extension. What a notebook recorded under a name is a substitution of MyST; the entries
-of a list are ``notebook__name_0`` and so on.
+of a list are ``notebook__name_0`` and so on. Beside them stand the verdicts of the ledger.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bookkit.ledger import read_notebooks
+from bookkit.strips import strips
 
 
 def recorded(root: Path) -> dict[str, str | int | float]:
@@ -25,5 +26,6 @@ def recorded(root: Path) -> dict[str, str | int | float]:
 
 def setup(app) -> dict[str, bool]:
     """Called by Sphinx."""
-    app.config.myst_substitutions = recorded(Path(app.srcdir))
+    root = Path(app.srcdir)
+    app.config.myst_substitutions = recorded(root) | strips(root)
     return {"parallel_read_safe": True}
