@@ -10,7 +10,7 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: book test portable lab sweep execute lint clean setup
 
 book: setup execute
-	@$(PY) -m bookkit claims --pages
+	@$(PY) -m bookkit pages
 	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
@@ -40,7 +40,7 @@ lint: setup
 	@$(PY) -m bookkit typecheck README.md notebooks/*.md
 
 clean:
-	rm -rf $(VENV) _build runs book/claims.md book/where.md .pytest_cache .ruff_cache
+	rm -rf $(VENV) _build runs book/claims.md book/where.md book/api .pytest_cache .ruff_cache
 
 setup: $(VENV)/.installed
 

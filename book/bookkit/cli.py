@@ -52,16 +52,24 @@ def _sweep(options: argparse.Namespace) -> int:
 
 
 def _claims(options: argparse.Namespace) -> int:
-    from bookkit import claims_page, fingerprint, ledger, places
+    from bookkit import fingerprint, ledger, places
+
+    root = fingerprint.project_root(Path.cwd())
+    found = ledger.faults(root) + places.faults(root)
+    return _told(found, "faults in the ledger", "the ledger and the notebooks agree")
+
+
+def _pages(options: argparse.Namespace) -> int:
+    from bookkit import claims_page, fingerprint, places, reference
     from bookkit.files import replace
 
     root = fingerprint.project_root(Path.cwd())
-    if options.pages:
-        replace(root / "book" / "claims.md", claims_page.page(root))
-        replace(root / "book" / "where.md", places.page(root))
-        return 0
-    found = ledger.faults(root) + places.faults(root)
-    return _told(found, "faults in the ledger", "the ledger and the notebooks agree")
+    replace(root / "book" / "claims.md", claims_page.page(root))
+    replace(root / "book" / "where.md", places.page(root))
+    (root / "book" / "api").mkdir(exist_ok=True)
+    for room in reference.ROOMS:
+        replace(root / "book" / "api" / f"{room}.md", reference.page(room))
+    return 0
 
 
 def _typecheck(options: argparse.Namespace) -> int:
@@ -113,8 +121,10 @@ def _parser() -> argparse.ArgumentParser:
     sweep.set_defaults(run=_sweep)
 
     claims = commands.add_parser("claims", help="hold the ledger against notebooks and tests")
-    claims.add_argument("--pages", action="store_true", help="write the pages of both instead")
     claims.set_defaults(run=_claims)
+
+    pages = commands.add_parser("pages", help="write claims, places and reference as pages")
+    pages.set_defaults(run=_pages)
 
     typecheck = commands.add_parser("typecheck", help="look over the types of pages' programs")
     typecheck.add_argument("pages", nargs="+", help="Markdown files with Python programs")
