@@ -203,9 +203,6 @@ def test_refused(compiled):
     object.__setattr__(table, "measured", np.ones((2, 1), dtype=bool))
     with pytest.raises(ValueError, match="filter: wanted a TableFilter without `measured` for C"):
         to_c(table)
-    tail = oscillator(availability=0.8, horizon=1.8)
-    with pytest.raises(ValueError, match="horizon: wanted none for C of a design with `avail"):
-        to_c(tail)
 
 
 @pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")

@@ -91,18 +91,10 @@ def losing(filter: Any) -> tuple[str, str]:
 
 
 def arrivals(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]:
-    """Macros and C of the tables of schedule and classes; empty of a design without.
-
-    Raises
-    ------
-    ValueError
-        Classes after the last measurement.
-    """
+    """Macros and C of the tables of schedule and classes; empty of a design without."""
     text = schedule(filter)
     if not text or filter.ways is None:
         return {}, text
-    if len(filter.node_times) > len(filter.fits) and not filter.cycle:
-        raise ValueError("horizon: wanted none for C of a design with `availability`, got one")
     free = loose(filter.availability)
     macros = {"LOOSE": len(free), "PATTERNS": 2 ** len(free), "WAYS": len(filter.ways)}
     text += constants("@name_loose", free if len(free) else [0], "int")

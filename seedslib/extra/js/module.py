@@ -129,6 +129,8 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     True
     """
     text = to_c(filter, name="f")
+    if "#define F_INPUTS " in text:
+        raise ValueError("filter: wanted a model without inputs, the module's step is told none")
     made = Translation(text, *(f"f_{name}" for name in _ROOTS))
     about = text[: text.index(" * Use: declare")] + _comment(_RULES)
     state, m = made.structs["f_state"], made.macros["F_MEASUREMENT"]
@@ -143,7 +145,7 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     for name, more in _NEEDS.items():
         wanted |= set(more) if name in wanted else set()
     helpers = [code for name, code in _HELPERS.items() if name in wanted]
-    codes = re.findall(r"^#define F_(OK|END|INFINITE|PARTLY|TIME|RANGE) (\d)", text, re.M)
+    codes = re.findall(r"^#define F_(OK|END|INFINITE|PARTLY|TIME|RANGE|STRAY) (\d)", text, re.M)
     interface = _STATE + _verbs(text, made, rows)
     for mark, value in marks.items():
         interface = interface.replace(mark, str(value))
