@@ -126,4 +126,5 @@ def test_every_part_with_a_paper_opens_with_its_overview():
     chapters = {part["caption"]: [c["file"] for c in part["chapters"]] for part in parts}
     subjects = [pages for pages in chapters.values() if any("notebooks/" in page for page in pages)]
     overviews = {f"book/{path.stem}" for path in (ROOT / "book").glob("overview_*.md")}
-    assert {pages[0] for pages in subjects} == overviews and len(subjects) == len(overviews)
+    assert {pages[0] for pages in subjects} == overviews
+    assert len(subjects) == len(overviews)
