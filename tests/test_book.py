@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+import yaml
 
 from bookkit import ledger, places
 
@@ -104,3 +105,26 @@ def test_the_readme_lists_every_notebook_and_its_links_lead_somewhere():
     assert [link for link in links if not (ROOT / link).exists()] == []
     names = {path.stem for path in (ROOT / "notebooks").glob("*.md")}
     assert {name for name in names if f"notebooks/{name}.ipynb" not in text} == set()
+
+
+def test_readme_and_contents_name_the_pages_in_the_same_order():
+    parts = yaml.safe_load((ROOT / "_toc.yml").read_text())["parts"]
+    order = [chapter["file"] for part in parts for chapter in part["chapters"]]
+    listed = re.findall(
+        r"\[([^\]]*)\]\((notebooks/\w+|book/peers)\.\w+\)", (ROOT / "README.md").read_text()
+    )
+    table = listed[1:]  # the first is the picture's source
+    assert [page for _, page in table] == [
+        page for page in order if page in dict(map(reversed, table))
+    ]
+    for title, page in table:
+        assert f"\n# {title}\n" in "\n" + (ROOT / f"{page}.md").read_text()
+
+
+def test_every_part_with_a_paper_opens_with_its_overview():
+    parts = yaml.safe_load((ROOT / "_toc.yml").read_text())["parts"]
+    chapters = {part["caption"]: [c["file"] for c in part["chapters"]] for part in parts}
+    subjects = [pages for pages in chapters.values() if any("notebooks/" in page for page in pages)]
+    overviews = {f"book/{path.stem}" for path in (ROOT / "book").glob("overview_*.md")}
+    assert {pages[0] for pages in subjects} == overviews
+    assert len(subjects) == len(overviews)
