@@ -97,9 +97,8 @@ class OutputFilter(BetweenFilter):
         object.__setattr__(self, "clock", Clock(self.times))
         object.__setattr__(self, "ways", ways(self.arrivals, self.cycle))
         freeze((
-            self.measured, self.availability, self.arrivals,
-            self.times, self.steps, self.node_times, self.node_fits, self.changes,
-            self.covariances, self.predicted, self.held_out,
+            self.measured, self.availability, self.arrivals, self.times, self.steps, self.changes,
+            self.node_times, self.node_fits, self.covariances, self.predicted, self.held_out,
         ))  # fmt: skip
 
     def check_parts(self) -> None:
