@@ -13,12 +13,13 @@ const live = ((paths) => {
       const n = data.size, i = data.parts[0], one = found[0].first, told = drawn.y[0].length / t.length;
       const mean = t.map((_, k) => one.mean[k * n + i]);
       const two = t.map((_, k) => 2 * Math.sqrt(one.cov[(k * n + i) * n + i]));
+      const sure = two.every(Number.isFinite); // a gap that the design knows nothing of: no errors
       const charts = [
         chart({ x: t, ylabel: "root-mean-square error", xlabel: data.xlabel, zero: true,
           curves: found.map((f, j) => ({ label: data.filters[j].label, y: f.at })) }),
         chart({ x: t, ylabel: data.state, xlabel: `${data.xlabel}, the first path`,
-          band: { low: mean.map((m, k) => m - two[k]), high: mean.map((m, k) => m + two[k]) },
-          curves: [{ label: `${data.filters[0].label}, ±2 deviations`, y: mean },
+          band: sure && { low: mean.map((m, k) => m - two[k]), high: mean.map((m, k) => m + two[k]) },
+          curves: [{ label: data.filters[0].label + (sure ? ", ±2 deviations" : ""), y: mean },
             { label: "the truth", y: drawn.x[0].map((x) => x[i]) }],
           dots: data.shown === undefined ? [] : t.map((s, k) => [s, drawn.y[0][k * told + data.shown]]) }),
       ];
@@ -107,7 +108,7 @@ const live = ((paths) => {
     };
     inputs.forEach((input) => { input.disabled = false; input.addEventListener("input", update); });
     figure.querySelector("button")?.addEventListener("click", () => { seed += 1; update(); });
-    update();
+    (window.requestIdleCallback ?? setTimeout)(update); // the first picture is there already
   }
   if (typeof document !== "undefined") document.addEventListener("DOMContentLoaded", () =>
     document.querySelectorAll("figure.live").forEach(attach));

@@ -5,7 +5,15 @@ from __future__ import annotations
 from pathlib import Path
 
 PAGES = {
-    "live": ("dropouts", "plugin_loss", "delay", "switching_noise", "interval", "regions", "growth"),
+    "live": (
+        "dropouts",
+        "plugin_loss",
+        "delay",
+        "switching_noise",
+        "interval",
+        "regions",
+        "growth",
+    ),
     "live_noise": ("van_der_pol",),
     "live_flip": ("flip", "flip_function"),
     "live_modes": ("switching",),

@@ -9,12 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from bookkit.live.filters import FLIP
+from bookkit.live.filters import flip_filters
 from bookkit.live.fragment import Figure, Slider
 from seedslib import zoo
-from seedslib.design import affine_synthesis, grid_synthesis
-from seedslib.designed import large_order
-from seedslib.linearization import ExactGaussian
 
 _SWEEPS = Path(__file__).resolve().parents[3] / "sweeps"
 
@@ -73,9 +70,8 @@ def _law() -> Figure:
 
 
 def _function() -> Figure:
-    system, times = zoo.flip_process(), 0.25 * np.arange(13)
-    optimal = grid_synthesis(system, large_order(1), times, **FLIP, nodes=0)
-    line, _ = affine_synthesis(system, large_order(1), ExactGaussian(), times, **FLIP)
+    system = zoo.flip_process()
+    optimal, line = flip_filters().values()
     y, memory = np.arange(-4.0, 4.01, 0.25), [round(0.1 * k - 2, 1) for k in range(41)]
     exact, straight = [], []
     for u in memory:
@@ -118,7 +114,8 @@ def _delay() -> Figure:
         "delay", "delay_loss",
         {"delay": ("delay N, steps", 2), "damping": ("radius of the oscillator's own motion", 2)},
         {
-            "printed": ("printed_loss", None), "without past innovations": ("memoryless_loss", None),
+            "printed": ("printed_loss", None),
+            "without past innovations": ("memoryless_loss", None),
             "greedy": ("greedy_loss", None),
         },
         "Kalman filter with delay: losses against the optimum, exact.",
@@ -140,7 +137,9 @@ def _switching() -> Figure:
 
 def _interval() -> Figure:
     names = {
-        "ekf": "extended Kalman", "fna": "assumed density", "fbp": "affine, order 1",
+        "ekf": "extended Kalman",
+        "fna": "assumed density",
+        "fbp": "affine, order 1",
         "polynomial": "polynomial",
     }
     return _table(
