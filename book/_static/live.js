@@ -46,7 +46,7 @@ const live = ((paths) => {
 
   // Curves as SVG text, so that it can be drawn without a page as well.
   function chart({ x, curves, band, dots = [], mark, xlabel, ylabel, logx, logy, zero }) {
-    const W = 720, H = 300, L = 64, R = 14, T = 34, B = 46, fx = logx ? Math.log10 : Number;
+    const W = 600, H = 280, L = 64, R = 14, T = 34, B = 46, fx = logx ? Math.log10 : Number;
     const fy = logy ? Math.log10 : Number, seen = dots.filter((d) => Number.isFinite(d[1]));
     const all = [...curves.flatMap((c) => c.error ? c.y.flatMap((v, i) => [v - 2 * c.error[i], v + 2 * c.error[i]]) : c.y),
       ...seen.map((d) => d[1]), ...(band ? [...band.low, ...band.high] : []), ...(zero ? [0] : [])];
@@ -71,7 +71,7 @@ const live = ((paths) => {
       out.push(`<path class="curve c${j}" d="${line(c.y)}"/>`);
       if (c.error) c.y.forEach((v, i) => out.push(`<path class="curve bar c${j}" d="M${px(x[i])} ${py(v - 2 * c.error[i])}V${py(v + 2 * c.error[i])}"/>`));
       out.push(`<path class="curve c${j}" d="M${place} 14h26"/>`, `<text x="${place + 32}" y="18">${c.label}</text>`);
-      place += 48 + 7.4 * c.label.length;
+      place += 42 + 6.6 * c.label.length;
     });
     out.push(`<text x="${(L + W - R) / 2}" y="${H - 8}" text-anchor="middle">${xlabel}</text>`,
       `<text transform="translate(14 ${(T + H - B) / 2}) rotate(-90)" text-anchor="middle">${ylabel}</text></svg>`);

@@ -60,12 +60,16 @@ def figures() -> list[Figure]:
 
 
 def _law() -> Figure:
+    values, curves = swept("plugin_loss", ["a", "q", "r"], {"loss": ("steady_loss", None)})
+    a, q, r = np.meshgrid(*values, indexing="ij")
+    found = zip((q / (r * a**2)).ravel(), np.ravel(curves[0]["values"]), strict=True)
     ratios = [float(f"{10 ** (k / 20):.4g}") for k in range(-40, 61)]
     return Figure(
         "plugin_loss", "law", [Slider("ratio", "signal-to-noise ratio q/(r a²)", ratios, 40)],
-        "Steady loss of the plug-in estimate of the power, 50 % / √(1 + q/(r a²)).",
+        "Steady loss of the plug-in estimate of the power: the law 50 % / √(1 + q/(r a²)), and as "
+        "dots the 27 signals and sensors of the sweep.",
         {"xlabel": "signal-to-noise ratio q/(r a²)", "ylabel": "loss, %", "logx": True,
-         "zero": True},
+         "dots": [[float(f"{x:.6g}"), y] for x, y in found], "zero": True},
     )  # fmt: skip
 
 
