@@ -46,7 +46,15 @@ const live = ((paths) => {
 
   // Curves as SVG text, so that it can be drawn without a page as well.
   function chart({ x, curves, band, dots = [], mark, xlabel, ylabel, logx, logy, zero }) {
-    const W = 600, H = 280, L = 64, R = 14, T = 34, B = 46, fx = logx ? Math.log10 : Number;
+    const W = 520, H = 270, L = 60, R = 18, B = 46, fx = logx ? Math.log10 : Number;
+    let row = 0, place = L;
+    const keys = curves.map(({ label }) => { // names above the curves, in as many rows as needed
+      const wide = 46 + 7.8 * label.length;
+      if (place > L && place + wide > W) { row += 1; place = L; }
+      place += wide;
+      return [place - wide, 14 + 18 * row];
+    });
+    const T = 34 + 18 * row;
     const fy = logy ? Math.log10 : Number, seen = dots.filter((d) => Number.isFinite(d[1]));
     const all = [...curves.flatMap((c) => c.error ? c.y.flatMap((v, i) => [v - 2 * c.error[i], v + 2 * c.error[i]]) : c.y),
       ...seen.map((d) => d[1]), ...(band ? [...band.low, ...band.high] : []), ...(zero ? [0] : [])];
@@ -66,12 +74,11 @@ const live = ((paths) => {
     if (band) out.push(`<path class="band" d="${line(band.high)}${x.map((v, i) => `L${px(v)} ${py(band.low[i])}`).reverse().join("")}Z"/>`);
     if (mark !== undefined) out.push(`<path class="mark" d="M${px(mark)} ${T}V${H - B}"/>`);
     for (const d of seen) out.push(`<circle class="dot" cx="${px(d[0])}" cy="${py(d[1])}" r="3"/>`);
-    let place = L;
     curves.forEach((c, j) => {
       out.push(`<path class="curve c${j}" d="${line(c.y)}"/>`);
       if (c.error) c.y.forEach((v, i) => out.push(`<path class="curve bar c${j}" d="M${px(x[i])} ${py(v - 2 * c.error[i])}V${py(v + 2 * c.error[i])}"/>`));
-      out.push(`<path class="curve c${j}" d="M${place} 14h26"/>`, `<text x="${place + 32}" y="18">${c.label}</text>`);
-      place += 42 + 6.6 * c.label.length;
+      const [at, high] = keys[j];
+      out.push(`<path class="curve c${j}" d="M${at} ${high}h26"/>`, `<text x="${at + 32}" y="${high + 4}">${c.label}</text>`);
     });
     out.push(`<text x="${(L + W - R) / 2}" y="${H - 8}" text-anchor="middle">${xlabel}</text>`,
       `<text transform="translate(14 ${(T + H - B) / 2}) rotate(-90)" text-anchor="middle">${ylabel}</text></svg>`);
