@@ -115,7 +115,17 @@ const live = ((paths) => {
     };
     inputs.forEach((input) => { input.disabled = false; input.addEventListener("input", update); });
     figure.querySelector("button")?.addEventListener("click", () => { seed += 1; update(); });
-    (window.requestIdleCallback ?? setTimeout)(update); // the first picture is there already
+    // The first picture is there already: all filters are tried in idle moments, to answer at once.
+    const idle = window.requestIdleCallback ?? setTimeout;
+    const tries = (data.sliders.find((s) => s.modules) ?? { values: [0] }).values.length;
+    const warm = (k) => {
+      if (k < 2 * tries) idle(() => {
+        KINDS[data.kind](data, inputs.map((input, i) =>
+          data.sliders[i].modules ? k % tries : Number(input.value)));
+        warm(k + 1);
+      });
+    };
+    warm(0);
   }
   if (typeof document !== "undefined") document.addEventListener("DOMContentLoaded", () =>
     document.querySelectorAll("figure.live").forEach(attach));

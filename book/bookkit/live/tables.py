@@ -134,7 +134,7 @@ def _switching() -> Figure:
         {"rate": ("factor of the switching probabilities", 2),
          "deviation": ("deviation of the sensor noise", 2)},
         {title: (f"more_{key}", f"more_error_{key}") for key, title in names.items()},
-        "Scalar switching system: error above that of the Bayes filter, with two standard errors.",
+        "Scalar switching system: error above that of the Bayes filter; bars: two standard errors.",
         ylabel="error above Bayes, %", logx=True,
     )  # fmt: skip
 
@@ -173,7 +173,7 @@ def _growth() -> Figure:
          "order": ("order: estimates remembered", 1),
          "sensor": ("deviation of the sensor noise", 1)},
         {"distance": ("far", "far_error")},
-        "Growth model: mean square distance of the table's estimate from the conditional mean, "
-        "with two standard errors.",
+        "Growth model: mean square distance of the table's estimate from the conditional mean; "
+        "bars are two standard errors.",
         ylabel="mean square distance", logx=True, zero=True,
     )  # fmt: skip
