@@ -72,6 +72,13 @@ def _pages(options: argparse.Namespace) -> int:
     return 0
 
 
+def _live(options: argparse.Namespace) -> int:
+    from bookkit import fingerprint, live
+
+    live.write(fingerprint.project_root(Path.cwd()))
+    return 0
+
+
 def _typecheck(options: argparse.Namespace) -> int:
     from bookkit import fingerprint, programs
 
@@ -125,6 +132,9 @@ def _parser() -> argparse.ArgumentParser:
 
     pages = commands.add_parser("pages", help="write claims, places and reference as pages")
     pages.set_defaults(run=_pages)
+
+    live = commands.add_parser("live", help="design the filters that run in pages, write figures")
+    live.set_defaults(run=_live)
 
     typecheck = commands.add_parser("typecheck", help="look over the types of pages' programs")
     typecheck.add_argument("pages", nargs="+", help="Markdown files with Python programs")
