@@ -238,7 +238,7 @@ def test_float_and_what_is_refused():
     text = to_c(unscented_kalman(pushed()), real="float").replace("\n * ", " ")
     assert "u holds the inputs: bias, force." in text
     assert "differ from those in double by at most" in text
-    with pytest.raises(ValueError, match="wanted"):
+    with pytest.raises(ValueError, match="wanted a model without inputs"):
         to_js(extended_kalman(steered()))
     modes = SwitchingSystem(
         (a,), [[a + FORCE + v], [a + v]], Noise((v,)), [[0.9, 0.1], [0.1, 0.9]],

@@ -6,7 +6,6 @@ import sympy as sp
 
 from seedslib.base import Input, Parameter, assigned
 from seedslib.evaluation import compare, fit
-from seedslib.extra import to_c
 from seedslib.filters import (
     KalmanFilter,
     KnownModeFilter,
@@ -324,8 +323,6 @@ def test_untold_inputs_and_places_without_them_say_so():
     filter = extended_kalman(TOLD)
     with pytest.raises(ValueError, match="u: wanted a value of this input"):
         filter.correct(filter.predict(filter.initial(), 0.0), [0.0])
-    with pytest.raises(ValueError, match="without inputs and elapsed time"):
-        to_c(filter)
     parts = [[0.9]], [[0.2]], [[1.0]], [[0.3]], [0], [[0]]
     with pytest.raises(ValueError, match="B, D, inputs"):
         LinearSystem(*parts, inputs=(u,))
