@@ -31,6 +31,13 @@ USED = ("tex-chtml.js", "base.json", "en.json")
 """What of these stays: MathJax as it is loaded, and the words with which it speaks."""
 
 _ICONS = re.compile(r'<script[^>]*src="[^"]*fontawesome\.js[^"]*"[^>]*>\s*</script>\s*')
+_THEBE = re.compile(
+    r"<script[^>]*>const THEBE_JS_URL[^<]*</script>\s*|"
+    r'<script[^>]*src="[^"]*sphinx-thebe\.js[^"]*"[^>]*>\s*</script>\s*'
+)
+"""Cells that run on a server elsewhere: the theme declares it twice, which is an error."""
+_INDEX = re.compile(r'<script[^>]*src="[^"]*searchindex\.js[^"]*"[^>]*>\s*</script>\s*')
+"""What can be searched; the page that searches asks for it, every other one would for nothing."""
 _LOADS = re.compile(r'<(?:script|img|link)\b[^>]*?\b(?:src|href)="([^"#]+)"[^>]*>')
 
 
@@ -48,8 +55,11 @@ def prune(html_root: Path) -> None:
                 path.unlink()
     for path in html_root.rglob("*.html"):
         text = path.read_text(encoding="utf-8")
-        if "fontawesome.js" in text:
-            path.write_text(_ICONS.sub("", text), encoding="utf-8")
+        lighter = _THEBE.sub("", _ICONS.sub("", text))
+        if path.name != "search.html":
+            lighter = _INDEX.sub("", lighter)
+        if lighter != text:
+            path.write_text(lighter, encoding="utf-8")
     for path in html_root.glob("_sources/**/*.ipynb"):
         notebook = json.loads(path.read_text(encoding="utf-8"))
         for cell in notebook["cells"]:

@@ -10,7 +10,12 @@ def built(tmp_path):
     files = {
         "page.html": '<script defer src="_static/scripts/fontawesome.js?digest=1">\n</script>'
         '<script src="_static/mathjax/tex-chtml.js"></script><img alt="a" src="a%20b.png">'
-        '<link rel="next" href="heavy.html">',
+        '<link rel="next" href="heavy.html">'
+        + 2
+        * '<script>const THEBE_JS_URL = "https://a.example/b.js";</script>',
+        "search.html": '<script src="searchindex.js"></script>',
+        "part/other.html": '<script src="../searchindex.js"></script>',
+        "searchindex.js": "x",
         "_static/scripts/fontawesome.js": "x" * 900,
         "_static/scripts/theme.js.map": "x",
         "_static/mathjax/tex-chtml.js": "x" * 500,
@@ -34,9 +39,14 @@ def test_what_no_page_loads_is_removed_and_what_it_loads_stays(built):
     left = {p.relative_to(built).as_posix() for p in built.rglob("*") if p.is_file()}
     assert left == {
         "page.html", "a b.png", "_static/mathjax/tex-chtml.js", "_sources/a.ipynb",
-        "_static/mathjax/output/chtml/fonts/a.woff",
+        "_static/mathjax/output/chtml/fonts/a.woff", "search.html", "part/other.html",
+        "searchindex.js",
     }  # fmt: skip
-    assert "fontawesome" not in (built / "page.html").read_text()
+    assert "searchindex" in (built / "search.html").read_text()
+    assert (built / "part/other.html").read_text() == ""
+    text = (built / "page.html").read_text()
+    assert "fontawesome" not in text
+    assert "THEBE" not in text
     assert json.loads((built / "_sources/a.ipynb").read_text())["cells"][0]["outputs"] == []
 
 
