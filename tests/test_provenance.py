@@ -1,8 +1,9 @@
 """Where the committed tables come from: each has a row, and the program that wrote it exists."""
 
 import csv
-import importlib.util
 from pathlib import Path
+
+from oracles.programs import load
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -28,7 +29,4 @@ def test_every_table_has_its_provenance():
 
 def test_programs_of_the_switching_tables_can_be_loaded():
     for path in sorted((ROOT / "benchmarks").glob("switching_*.py")):
-        spec = importlib.util.spec_from_file_location(path.stem, path)
-        module = importlib.util.module_from_spec(spec)
-        spec.loader.exec_module(module)
-        assert callable(module.main)
+        assert callable(load(path.stem).main)

@@ -1,16 +1,15 @@
 """The page that compares all problems, from the rows that it must have chosen."""
 
 import csv
-from pathlib import Path
 
 import pytest
 
-TABLES = Path(__file__).parents[2] / "benchmarks"
+from oracles.programs import BENCHMARKS
 
 
 def row(file, **wanted):
     """The one row of a table with these entries."""
-    with (TABLES / f"{file}.csv").open(newline="") as lines:
+    with (BENCHMARKS / f"{file}.csv").open(newline="") as lines:
         (found,) = (r for r in csv.DictReader(lines) if all(r[k] == v for k, v in wanted.items()))
     return found
 

@@ -2,18 +2,16 @@
 
 import csv
 import importlib
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 from scipy.linalg import expm
 
+from oracles.programs import BENCHMARKS
 from seedslib.filters import CovarianceFilter, KalmanFilter, ParticleFilter, extended_kalman
 from seedslib.linearization import ExactGaussian, Unscented
 from seedslib.models import LinearSystem
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")

@@ -1,26 +1,20 @@
 """Lorenz-96: the peers of the program held against linear algebra, and the rows of its table."""
 
 import csv
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.filters import CovarianceFilter
 from seedslib.linearization import Taylor, Unscented
 from seedslib.models import StochasticMap
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture(scope="module")
 def program():
-    spec = importlib.util.spec_from_file_location("lorenz96", BENCHMARKS / "field_lorenz96.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("field_lorenz96")
 
 
 def test_the_flow_is_that_of_the_equations(program):

@@ -1,7 +1,6 @@
 """The projection, minimax and sweep pages: programs of their committed tables, and the rows."""
 
 import csv
-import importlib.util
 import warnings
 from pathlib import Path
 
@@ -9,27 +8,21 @@ import numpy as np
 import pytest
 from scipy.stats import norm
 
+from oracles.programs import load
 from seedslib.filters import GridBayesFilter
 from seedslib.models import PlaneChain
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def program(name):
-    spec = importlib.util.spec_from_file_location(name, ROOT / "benchmarks" / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="module")
 def plane():
-    return program("field_projection")
+    return load("field_projection")
 
 
 @pytest.fixture(scope="module")
 def minimax():
-    return program("field_minimax")
+    return load("field_minimax")
 
 
 def test_the_law_of_the_oscillator_and_normal_laws(plane):
@@ -133,7 +126,7 @@ def test_points_of_the_sweep():
         rows = list(csv.DictReader(file))
     point = {(r["sensor"], r["process"], r["order"]): r for r in rows}
     assert len(rows) == len(point) == 24
-    growth = program("field_growth")
+    growth = load("field_growth")
     # the state and the order one's promise at the published pair, by another program
     told, times = point["1.0", "1.0", "1"], np.arange(1.0, 31.0)
     with warnings.catch_warnings():

@@ -1,39 +1,29 @@
 """The growth model and the volatility: programs of their committed tables, and the rows."""
 
 import csv
-import importlib.util
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 from scipy.stats import norm
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.base import Nodes
 from seedslib.design import grid_synthesis, optimal_risk
 from seedslib.designed import Memory
 from seedslib.filters import GridBayesFilter, KalmanFilter, extended_kalman
 from seedslib.models import LinearSystem, Noise, StochasticMap, SwitchingSystem
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
-
-def program(name):
-    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
 
 @pytest.fixture(scope="module")
 def growth():
-    return program("field_growth")
+    return load("field_growth")
 
 
 @pytest.fixture(scope="module")
 def volatility():
-    return program("field_volatility")
+    return load("field_volatility")
 
 
 def rows(name):

@@ -1,30 +1,24 @@
 """Lorenz's system: designs whose last step is frozen, on a path that is chaotic."""
 
 import csv
-import importlib.util
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.design import BoundedPolynomial, minimax_synthesis
 from seedslib.designed import Memory
-
-ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
 def program():
-    spec = importlib.util.spec_from_file_location("lorenz", ROOT / "benchmarks" / "lorenz.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("lorenz")
 
 
 @pytest.fixture(scope="module")
 def table():
-    with (ROOT / "benchmarks" / "lorenz.csv").open(newline="") as file:
+    with (BENCHMARKS / "lorenz.csv").open(newline="") as file:
         return {(row["filter"], row["setting"]): row for row in csv.DictReader(file)}
 
 

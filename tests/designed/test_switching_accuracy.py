@@ -1,13 +1,12 @@
 """How accurate filters of the scalar switching system are, and that the tables say the same."""
 
 import csv
-import importlib.util
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from oracles.programs import BENCHMARKS, load
 from seedslib import zoo
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter, large_order
@@ -15,7 +14,6 @@ from seedslib.evaluation import compare
 from seedslib.linearization import ExactGaussian, Taylor
 
 TIMES = np.arange(31.0)
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
@@ -157,20 +155,13 @@ def test_order_pays_where_the_modes_are_seen():
         assert apart.average_square < -4 * apart.average_square_error
 
 
-def script(name):
-    spec = importlib.util.spec_from_file_location(name, BENCHMARKS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 def rows(name, **fixed):
     with (BENCHMARKS / f"{name}.csv").open() as file:
         return [r for r in csv.DictReader(file) if all(r[k] == v for k, v in fixed.items())]
 
 
 def test_committed_table_of_the_scalar_system_is_what_its_script_writes():
-    module = script("switching_scalar")
+    module = load("switching_scalar")
     system = zoo.scalar_switching("A1L")
     one = {"IMM-EKF": SwitchingFilter(system, Taylor())}
     made = [r for r in module.scored("A1L", one) if r["part"] == "average"]

@@ -1,14 +1,13 @@
 """C and JavaScript along records: the first part of the table of `native_agreement`."""
 
 import csv
-import importlib.util
 import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
+from oracles.programs import BENCHMARKS, load
+
 pytestmark = pytest.mark.skipif(
     None in (shutil.which("cc"), shutil.which("node")), reason="no compiler or no node"
 )
@@ -16,11 +15,7 @@ pytestmark = pytest.mark.skipif(
 
 @pytest.fixture(scope="module")
 def program():
-    path = BENCHMARKS / "native_agreement.py"
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("native_agreement")
 
 
 def table():

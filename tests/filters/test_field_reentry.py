@@ -1,24 +1,18 @@
 """Re-entry: the model, the turned residual, the backward pass and the rows of the table."""
 
 import csv
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.filters import CovarianceFilter, smooth
 from seedslib.linearization import Cubature
-
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
 
 
 @pytest.fixture(scope="module")
 def program():
-    spec = importlib.util.spec_from_file_location("reentry", BENCHMARKS / "field_reentry.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("field_reentry")
 
 
 @pytest.fixture(scope="module")

@@ -1,28 +1,22 @@
 """The likelihood of a volatility model on the S&P 500: nodes, cells, particles, and its maximum."""
 
 import csv
-import importlib.util
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
 from scipy.special import logsumexp
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.base import Nodes, Parameter, assigned
 from seedslib.filters import GridBayesFilter
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
-BENCHMARKS = Path(__file__).resolve().parents[2] / "benchmarks"
-
 
 @pytest.fixture(scope="module")
 def routes():
-    spec = importlib.util.spec_from_file_location("spx", BENCHMARKS / "spx_likelihood.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
+    return load("spx_likelihood")
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,13 @@
 """The table of readings of the falling body: smaller runs agree with it, and what it says."""
 
 import csv
-import importlib.util
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-PROGRAM = Path(__file__).parents[2] / "benchmarks" / "piecewise_readings.py"
-spec = importlib.util.spec_from_file_location("piecewise_readings", PROGRAM)
-readings = importlib.util.module_from_spec(spec)
-spec.loader.exec_module(readings)
+from oracles.programs import BENCHMARKS, load
+
+readings = load("piecewise_readings")
 PRINTED = np.array([18, 24, 7, 5, 4, 3, 1, 1, 1, 1])
 RUNS = 100
 
@@ -18,7 +15,7 @@ RUNS = 100
 @pytest.fixture(scope="module")
 def table():
     names = ("noise", "deviation", "speed")
-    with PROGRAM.with_suffix(".csv").open() as file:
+    with (BENCHMARKS / "piecewise_readings.csv").open() as file:
         return {
             (*(float(row[name]) for name in names), row["body"], row["quantity"]): np.array(
                 [float(row[str(t)]) for t in range(1, 11)]

@@ -1,18 +1,14 @@
 """The committed table of readings of example 7, and a part of it computed again."""
 
 import csv
-import importlib.util
-from pathlib import Path
 
 import pytest
 
+from oracles.programs import BENCHMARKS, load
 from seedslib.gaussian.errors.forms import quadratic_errors
 
-FILE = Path(__file__).resolve().parents[2] / "benchmarks" / "tunnel_readings.py"
-SPEC = importlib.util.spec_from_file_location("tunnel_readings", FILE)
-PROGRAM = importlib.util.module_from_spec(SPEC)
-SPEC.loader.exec_module(PROGRAM)
-TABLE = list(csv.DictReader(FILE.with_suffix(".csv").open()))
+PROGRAM = load("tunnel_readings")
+TABLE = list(csv.DictReader((BENCHMARKS / "tunnel_readings.csv").open()))
 
 
 def test_no_reading_is_a_hit():
