@@ -64,6 +64,61 @@ class Classes(NamedTuple):
     tolerance: float
 
 
+class Histories:
+    """Classes of histories along a design, and what a filter keeps of them.
+
+    Parameters
+    ----------
+    rates : ndarray, shape (m,)
+        Probabilities that the components arrive.
+    size : int
+        Of an estimate.
+
+    Attributes
+    ----------
+    loose : ndarray of int
+        Numbers of the components that may be missing.
+    classes : Classes or None
+        Those after the last measurement; None before the first.
+    prob : ndarray, shape (classes,)
+        Their probabilities; one before the first measurement.
+    arrivals : list of Arrivals
+        Of the measurements that were `noted`.
+    most : int or None
+        Most classes, where it is less than `MOST`.
+
+    Raises
+    ------
+    ValueError
+        Too many components that may be missing.
+    """
+
+    def __init__(self, rates: np.ndarray, size: int) -> None:
+        self.loose: np.ndarray = few_patterns(rates)
+        self.classes: Any = None
+        self.prob: np.ndarray = np.ones(1)
+        self.arrivals: list[Arrivals] = []
+        self.most: int | None = None
+        self._covs: np.ndarray = np.zeros((1, size, size))
+        self._farthest: float = 0.0
+
+    def take(self, t: float, moments: dict[Any, np.ndarray], prob: dict[Any, float]) -> Classes:
+        """Classes after the measurement at t, from second moments and probabilities of the cells.
+
+        A cell is a class before it and the number of a pattern. Warns where the classes are few.
+        """
+        count = 2 ** len(self.loose)
+        found = merged(self.classes, moments, prob, len(self.prob), count, self.most)
+        self._farthest = coarseness(found, t, self._farthest)
+        self.classes, self.prob = found, found.prob
+        return found
+
+    def noted(self, moments: dict[Any, np.ndarray], prob: dict[Any, float]) -> None:
+        """Add what a filter keeps of the classes that were taken last; arguments as `take`."""
+        self.arrivals.append(arrivals_of(self.classes, moments, prob, self._covs))
+        self._covs = self.arrivals[-1].after
+
+
 def few_patterns(availability: np.ndarray) -> np.ndarray:
     """Numbers of the components that may be missing, refused where they are many.
 

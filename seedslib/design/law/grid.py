@@ -135,9 +135,9 @@ def _by_patterns(law, nodes, probabilities) -> TableFilter:
         with law.held.at(k):
             steps.append(law.decided(k, t, sight, probabilities))
         between.append(nodes_before)
-    few = len(law.loose) > 0
+    few = len(law.histories.loose) > 0
     return _filter(
-        law, steps, nodes, between, arrivals=tuple(law.arrivals),
+        law, steps, nodes, between, arrivals=tuple(law.histories.arrivals),
         measured=None if law.mask.all() else law.mask, availability=law.rates if few else None,
     )  # fmt: skip
 

@@ -15,15 +15,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.tables import Labels
-from seedslib.design.histories import (
-    arrivals_of,
-    coarseness,
-    few_patterns,
-    keep_indicators,
-    merged,
-    patterns,
-    shares,
-)
+from seedslib.design.histories import Histories, keep_indicators, patterns, shares
 from seedslib.design.law.joint import LARGEST, JointLaw
 from seedslib.design.law.recursion import NEGLIGIBLE, Seen, conditional, seen
 from seedslib.designed.outputs.lookup import Output, Step, Table
@@ -45,8 +37,7 @@ class PatternLaw(JointLaw):
     ----------
     joint : ndarray, shape (classes * cells, S)
         Probabilities given the class; those of each sum to one.
-    prob : ndarray, shape (classes,)
-    arrivals : list of Arrivals
+    histories : Histories
 
     Raises
     ------
@@ -67,19 +58,14 @@ class PatternLaw(JointLaw):
         keep_indicators(self.memory, schedule.mask, given)
         self.rates: np.ndarray = np.ones(size) if given is None else given
         self.mask: np.ndarray = schedule.mask & (self.rates > 0.0)
-        self.loose: np.ndarray = few_patterns(self.rates)
-        self.prob: np.ndarray = np.ones(1)
-        self.before: np.ndarray = np.zeros((1, 1, 1))
-        self.arrivals: list[Any] = []
-        self.classes: Any = None
-        self.farthest: float = 0.0
         cells = float(self.letters) ** self.depth * self.values.shape[1]
-        self.most: int = max(1, int(LARGEST / cells))
+        self.histories = Histories(self.rates, 1)
+        self.histories.most = max(1, int(LARGEST / cells))
 
     @property
     def blocks(self) -> np.ndarray:
         """The law in each class, (classes, cells, S)."""
-        return self.joint.reshape(len(self.prob), -1, self.joint.shape[1])
+        return self.joint.reshape(len(self.histories.prob), -1, self.joint.shape[1])
 
     def renew(self) -> None:
         """Give the law of each class its mass again."""
@@ -88,12 +74,12 @@ class PatternLaw(JointLaw):
 
     def marginal(self) -> Any:
         """Law of the state alone, (S,)."""
-        return self.prob @ self.blocks.sum(axis=1)
+        return self.histories.prob @ self.blocks.sum(axis=1)
 
     @property
     def class_axis(self) -> tuple[Labels, ...]:
         """The class as an axis of tables; none where there is but one."""
-        return (Labels(len(self.prob)),) if len(self.loose) else ()
+        return (Labels(len(self.histories.prob)),) if len(self.histories.loose) else ()
 
     def given(self) -> np.ndarray:
         """Law of the state in each class and cell, (classes * cells, S)."""
@@ -103,7 +89,7 @@ class PatternLaw(JointLaw):
         """As `JointLaw.forecast`, for each class."""
         means = self.given() @ self.values[0]
         mass = self.blocks.sum(axis=2)
-        explained = self.prob @ (mass * means.reshape(mass.shape) ** 2).sum(axis=1)
+        explained = self.histories.prob @ (mass * means.reshape(mass.shape) ** 2).sum(axis=1)
         self.scores.append((t, self.marginal() @ self.values[0] ** 2 - explained))
         return self._table(self.class_axis + self.memory_axes, Output(means), False)
 
@@ -188,7 +174,7 @@ class PatternLaw(JointLaw):
 
     def _take(self, k: int, t: float, views, found) -> None:
         """Score what was found, and let the memory and the class take it."""
-        blocks, cells = self.blocks, self.joint.shape[0] // len(self.prob)
+        blocks, cells = self.blocks, self.joint.shape[0] // len(self.histories.prob)
         scores, moments, prob, kept = {}, {}, {}, {}
         for number, key, chance in self._ways(k):
             means, modes, _ = found[key]
@@ -201,23 +187,19 @@ class PatternLaw(JointLaw):
                 own = None if modes is None else modes[:, here]
                 score, mass = self.judged(block, means[:, :, here], views[key], own)
                 cell = c, number
-                scores[cell], prob[cell] = score, chance * self.prob[c]
+                scores[cell], prob[cell] = score, chance * self.histories.prob[c]
                 moments[cell] = np.array([[score[0]]])
                 kept[cell] = means[:, :, here], views[key], own, mass, told
-        count, old = 2 ** len(self.loose), self.prob
-        self.classes = merged(self.classes, moments, prob, len(old), count, self.most)
-        self.farthest = coarseness(self.classes, t, self.farthest)
         joint = []
-        for members in self.classes.members:
+        for members in self.histories.take(t, moments, prob).members:
             share = shares(members, prob)
             joint.append(sum(
                 part * self.remembered(blocks[cell[0]], *kept[cell])
                 for part, cell in zip(share, members, strict=True)
             ))  # fmt: skip
-        if len(self.loose):
-            self.arrivals.append(arrivals_of(self.classes, moments, prob, self.before))
-            self.before = self.arrivals[-1].after
-        self.joint, self.prob = np.concatenate(joint), self.classes.prob
+        if len(self.histories.loose):
+            self.histories.noted(moments, prob)
+        self.joint = np.concatenate(joint)
         weights = np.array([prob[cell] for cell in scores])
         columns = map(np.array, zip(*scores.values(), strict=True))
         self.noted(k, tuple(None if c[0] is None else float(weights @ c) for c in columns))

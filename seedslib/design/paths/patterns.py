@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.triangles import lower_triangle
-from seedslib.design.histories import coarseness, few_patterns, merged, patterns
+from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths.forward_pass import ForwardPass, as_read, remembered
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules
 from seedslib.designed.memory import Past
@@ -43,9 +43,7 @@ class PatternPass(ForwardPass):
     ) -> None:
         super().__init__(walk, rules, predictor, measured)
         self.availability = availability
-        self.loose = few_patterns(availability)
-        self.farthest = 0.0
-        self.classes: Any = None
+        self.histories = Histories(availability, walk.n)
         self.before: np.ndarray = np.empty((0, walk.n, walk.n))
 
     def _first(self, t, y):
@@ -63,7 +61,7 @@ class PatternPass(ForwardPass):
     def _nodes(self, k, t, nodes):
         walk, n, found = self.walk, self.components, []
         memories = [walk.each(Rules.node_memory, self.rules, fork) for fork in self.states]
-        size, classes = self._sizes(k, extra=self.extra), self.classes
+        size, classes = self._sizes(k, extra=self.extra), self.histories.classes
         for node in nodes:
             walk.advance(t, node)
             t = node
@@ -78,7 +76,8 @@ class PatternPass(ForwardPass):
         walk.advance(self.scores[-1][0], t)
         size = self._sizes(k - 1)
         fits = [self._fit(self.predictor, each, walk.n, size) for each in u]
-        self.fits.append(PatternFit.of(self.classes.table, self.before, self.classes.prob, fits))
+        classes = self.histories.classes
+        self.fits.append(PatternFit.of(classes.table, self.before, classes.prob, fits))
         self.before = self.fits[-1].covs
 
         def correction(fit):
@@ -103,30 +102,26 @@ class PatternPass(ForwardPass):
 
                 cell = c, number
                 cells[cell] = walk.kept(corrected, self.rules, states, y, array=_estimate)
-                moments[cell] = self._errors(cells[cell])
-                old = self.classes
-                prob[cell] = chance * (1.0 if old is None else old.prob[c])
-        self.classes = merged(self.classes, moments, prob, len(forks), 2 ** len(self.loose))
-        self.farthest = coarseness(self.classes, t, self.farthest)
+                moments[cell] = second_moments(walk, self.components, cells[cell])
+                prob[cell] = chance * self.histories.prob[c]
         number = walk.uniform(ARRIVALS)
         self.states = []
-        for members in self.classes.members:
-            share = np.array([prob[cell] for cell in members])
-            mix = partial(_mixed, share / share.sum())
+        for members in self.histories.take(t, moments, prob).members:
+            mix = partial(_mixed, shares(members, prob))
             self.states.append(walk.each(mix, number, *(cells[cell] for cell in members)))
-        self.weights = self.classes.prob
+        self.weights = self.histories.prob
         self._score(t, *(walk.each(_estimate, fork) for fork in self.states))
 
-    def _errors(self, states):
-        """Second moments of the errors of the estimates, (n', n')."""
-        n = self.components
-        rows, columns = lower_triangle(n)
 
-        def products(x, state):
-            error = x[:n] - state.mean
-            return error[rows] * error[columns]
+def second_moments(walk: Any, n: int, states: Any) -> np.ndarray:
+    """Second moments of the errors of the estimates of n components, (n, n)."""
+    rows, columns = lower_triangle(n)
 
-        return symmetric(self.walk.gather(products, states).mean, n)
+    def products(x, state):
+        error = x[:n] - state.mean
+        return error[rows] * error[columns]
+
+    return symmetric(walk.gather(products, states).mean, n)
 
 
 def _mixed(members, number, *states):

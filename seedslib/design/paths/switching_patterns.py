@@ -13,21 +13,12 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.progress import followed
-from seedslib.base.triangles import lower_triangle
 from seedslib.design.cells import fit_cells
-from seedslib.design.histories import (
-    arrivals_of,
-    coarseness,
-    few_patterns,
-    merged,
-    patterns,
-    shares,
-)
+from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths.forward_pass import as_read
-from seedslib.design.paths.patterns import chosen
+from seedslib.design.paths.patterns import chosen, second_moments
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
 from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
-from seedslib.linearization.moments import symmetric
 from seedslib.models.kinds import elapsed
 from seedslib.models.simulation import ARRIVALS
 
@@ -54,13 +45,12 @@ def pattern_pass(
     fits, scores, forecasts, thin, pairs, raised : as the pass without
     arrivals : list of Arrivals
     """
-    n, m, count = system.state_size, system.measurement_size, 2 ** len(few_patterns(rates))
-    forks: list[Any] = []
-    classes, before, farthest = None, np.zeros((1, n, n)), 0.0
-    fits, scores, arrivals, thin, pairs, raised = [], [], [], 0, 0, 0
+    n, m = system.state_size, system.measurement_size
+    histories, forks = Histories(rates, n), []
+    fits, scores, thin, pairs, raised = [], [], 0, 0, 0
     forecasts = [np.full(n, np.nan)]
     for k, t in enumerate(followed(times, "design")):
-        if classes is None:
+        if not forks:
             walk.begin(t)
             forks = [walk.each(lambda x: rules.start(x.shape[1:]), walk.states)]
         else:
@@ -79,7 +69,7 @@ def pattern_pass(
                 walk.gather(lambda x, state: (x[:n] - forecast_mean(state.law)) ** 2, fork).mean
                 for fork in forks
             ]
-            forecasts.append(np.sqrt(classes.prob @ np.array(squares)))
+            forecasts.append(np.sqrt(histories.prob @ np.array(squares)))
         prob, kept, moments = {}, {}, {}
         for c, number, there, chance in [
             (c, *way) for c in range(len(forks)) for way in patterns(read[k], rates)
@@ -96,17 +86,14 @@ def pattern_pass(
                 found = walk.kept(correct, forks[c], shown, array=_estimate)
             # of the law nothing is wanted but the number of what was mended
             kept[c, number] = walk.each(lambda state: state._replace(law=None), found)
-            moments[c, number] = _errors(walk, n, found)
-            prob[c, number] = chance * (1.0 if classes is None else classes.prob[c])
-        size = len(forks)
-        classes = merged(classes, moments, prob, size, count)
-        farthest = coarseness(classes, t, farthest)
+            moments[c, number] = second_moments(walk, n, found)
+            prob[c, number] = chance * histories.prob[c]
+        classes = histories.take(t, moments, prob)
+        histories.noted(moments, prob)
         uniform, forks = walk.uniform(ARRIVALS), []
         for members in classes.members:
             mix = partial(_mixed, shares(members, prob))
             forks.append(walk.each(mix, uniform, *(kept[cell] for cell in members)))
-        arrivals.append(arrivals_of(classes, moments, prob, before))
-        before = arrivals[-1].after
         scores.append(score(walk, n, *forks, weights=classes.prob))
         if k + 1 == len(times):
             raised += sum(state.mended for fork in forks for state in fork)
@@ -120,18 +107,7 @@ def pattern_pass(
         columns = zip(*parts, strict=True)
         whole = CellFit(*(np.concatenate(column, axis=-1) for column in columns))
         fits.append(ClassFit(whole))
-    return fits, scores, forecasts, thin, pairs, raised, arrivals
-
-
-def _errors(walk, n, states):
-    """Second moments of the errors of the estimates, (n, n)."""
-    rows, columns = lower_triangle(n)
-
-    def products(x, state):
-        error = x[:n] - state.mean
-        return error[rows] * error[columns]
-
-    return symmetric(walk.gather(products, states).mean, n)
+    return fits, scores, forecasts, thin, pairs, raised, histories.arrivals
 
 
 def _mixed(shares, number, *states):

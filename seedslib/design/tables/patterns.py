@@ -13,15 +13,7 @@ import numpy as np
 
 from seedslib.base.blocks import child
 from seedslib.base.tables import Labels
-from seedslib.design.histories import (
-    arrivals_of,
-    coarseness,
-    few_patterns,
-    keep_indicators,
-    merged,
-    patterns,
-    shares,
-)
+from seedslib.design.histories import Histories, keep_indicators, patterns, shares
 from seedslib.design.tables.carriers import Carriers, Lesson
 from seedslib.designed.memory import Past
 from seedslib.designed.outputs.lookup import Step, Table
@@ -60,14 +52,9 @@ class PatternCarriers(Carriers):
         keep_indicators(self.memory, mask, given)
         self.rates: np.ndarray = np.ones(mask.shape[1]) if given is None else given
         self.mask: np.ndarray = mask & (self.rates > 0.0)
-        self.loose: np.ndarray = few_patterns(self.rates)
-        self.prob: np.ndarray = np.ones(1)
+        self.histories = Histories(self.rates, self.components)
         self.group: int = 0
-        self.most: int | None = None
-        self.farthest, self.classes = 0.0, None
         self.carried: list[Any] = [[Past()] for _ in self.sets]
-        self.covs: np.ndarray = np.zeros((1, self.components, self.components))
-        self.arrivals: list[Any] = []
 
     def past(self, which: int) -> Past:
         """Memory of a set, in the class that is looked at."""
@@ -76,10 +63,10 @@ class PatternCarriers(Carriers):
     def in_classes(self, make: Callable[[], Table], lead: int) -> Table:
         """One table of those that are made for each class, which is its axis number `lead`."""
         found = []
-        for c in range(len(self.prob)):
+        for c in range(len(self.histories.prob)):
             self.group = c
             found.append(make())
-        if not len(self.loose):
+        if not len(self.histories.loose):
             return found[0]
         axes = found[0].axes
         axes = (*axes[:lead], Labels(len(found)), *axes[lead:])
@@ -104,9 +91,9 @@ class PatternCarriers(Carriers):
             if not self.mask[k, rows].all():
                 tables.append(None)
             elif number == 0 and forecast is not None:
-                wide = np.repeat(forecast.estimate[:, None], len(self.prob), axis=1)
-                whole = Table((Labels(len(self.prob)),), wide)
-                tables.append(whole if len(self.loose) else forecast)
+                wide = np.repeat(forecast.estimate[:, None], len(self.histories.prob), axis=1)
+                whole = Table((Labels(len(self.histories.prob)),), wide)
+                tables.append(whole if len(self.histories.loose) else forecast)
             else:
                 made = self.in_classes(lambda rows=rows: fit(self.lesson(), rows), told + len(rows))
                 tables.append(made)
@@ -121,15 +108,15 @@ class PatternCarriers(Carriers):
         for number, there, chance in patterns(self.mask[k], self.rates):
             rows = np.flatnonzero(there[:m])
             table = tables[int(there[:m] @ 2 ** np.arange(m))]
-            for c in range(len(self.prob)):
+            for c in range(len(self.histories.prob)):
                 self.group, cell = c, (c, number)
-                prob[cell] = chance * self.prob[c]
+                prob[cell] = chance * self.histories.prob[c]
                 pasts[cell] = []
                 for which in sets:
                     lesson = self._lesson(which)
                     if not there[m:].all():
                         lesson = lesson._replace(indicators=None)
-                    group = np.asarray(c) if len(self.loose) else None
+                    group = np.asarray(c) if len(self.histories.loose) else None
                     points = lesson._replace(measurements=lesson.measurements[rows]).points(
                         self.system, group=group
                     )
@@ -148,28 +135,25 @@ class PatternCarriers(Carriers):
         if np.ndim(wrong):
             self.wrong.append(wrong)
         self.errors.append(sum(prob[cell] * moments[cell] for cell in prob))
-        count = 2 ** len(self.loose)
-        self.classes = merged(self.classes, moments, prob, len(self.prob), count, self.most)
-        self.farthest = coarseness(self.classes, float(self.times[k]), self.farthest)
-        if len(self.loose):
-            self.arrivals.append(arrivals_of(self.classes, moments, prob, self.covs))
-            self.covs = self.arrivals[-1].after
+        classes = self.histories.take(float(self.times[k]), moments, prob)
+        if len(self.histories.loose):
+            self.histories.noted(moments, prob)
         for which in sets:
             rng = np.random.default_rng(child(self.streams[which], ARRIVALS, k))
             drawn = rng.random(self.sets[which].measurements.shape[-1])
             self.carried[which] = [
                 _mixed(drawn, shares(members, prob), [pasts[cell][which] for cell in members])
-                for members in self.classes.members
+                for members in classes.members
             ]
-        self.prob, self.reached = self.classes.prob, k
+        self.reached = k
 
     def score(self, t: float, forecast: Any) -> None:
         """Note the errors of a forecast, a function of class and memory, at a node."""
         square = 0.0
-        for c, chance in enumerate(self.prob):
+        for c, chance in enumerate(self.histories.prob):
             self.group = c
             lesson = self._lesson(self.reached + 2, t)
-            group = np.asarray(c) if len(self.loose) else None
+            group = np.asarray(c) if len(self.histories.loose) else None
             found = forecast(lesson.points(self.system, group=group)).mean
             square = square + chance * (lesson.states[: self.components] - found) ** 2
         self.scores.append((float(t), square))

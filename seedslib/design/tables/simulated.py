@@ -108,7 +108,7 @@ def simulated_synthesis(
     if schedule is not None:
         carriers = PatternCarriers(schedule, *arguments)
         axes = _axes(carriers, y, z)
-        carriers.most = max(1, LARGEST_TABLE // refuse_large(system, memory, *axes))
+        carriers.histories.most = max(1, LARGEST_TABLE // refuse_large(system, memory, *axes))
         return _by_patterns(carriers, *axes, method, kernel, probabilities)
     carriers = Carriers(*arguments)
     axes_y, axes_z = _axes(carriers, y, z)
@@ -188,8 +188,8 @@ def _by_patterns(carriers, axes_y, axes_z, method, kernel, probabilities) -> Tab
         covariances=carriers.covariances, design=carriers.design(),
         node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
         measured=None if carriers.mask.all() else carriers.mask,
-        availability=carriers.rates if len(carriers.loose) else None,
-        arrivals=tuple(carriers.arrivals),
+        availability=carriers.rates if len(carriers.histories.loose) else None,
+        arrivals=tuple(carriers.histories.arrivals),
     ))  # fmt: skip
 
 
