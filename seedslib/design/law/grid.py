@@ -219,20 +219,11 @@ def _tables(law, k, optimal, probabilities) -> Step:
         more = law.posterior(seen(unseen, law.weights[: y.shape[1]]).relative, given)
         found = Output(*(np.concatenate(pair, axis=-2) for pair in zip(found, more, strict=True)))
 
-    def table(axes, found):
-        shape = tuple(axis.count for axis in axes)
-        means, modes, prob = found
-        return Table(
-            axes,
-            means.reshape(1, *shape),
-            None if modes is None else modes.reshape(shape),
-            prob.reshape(len(prob), *shape) if probabilities else None,
-        )
-
-    shown = table(told + axes + held, found)
+    shown = Table.of(told + axes + held, found, probabilities)
     if law.switching:
-        return Step(shown, table(told + held, law.posterior(law.chain.told(t), given)))
-    blind = table(held, Output(given @ law.values[0]))
+        more = law.posterior(law.chain.told(t), given)
+        return Step(shown, Table.of(told + held, more, probabilities))
+    blind = Table.of(held, Output(given @ law.values[0]))
     return Step(shown, blind if k else prior(law.system, 1))
 
 

@@ -262,8 +262,7 @@ class JointLaw:
         mass = self.joint.sum(axis=1)
         square = self.joint.sum(axis=0) @ self.values[0] ** 2
         self.scores.append((t, square - mass @ means**2))
-        axes = self.memory_axes
-        return Table(axes, means.reshape(1, *(axis.count for axis in axes)))
+        return Table.of(self.memory_axes, Output(means))
 
     def prediction(self) -> Prediction:
         """Root-mean-square errors at measurements and nodes, without sampling error."""

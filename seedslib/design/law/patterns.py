@@ -91,7 +91,7 @@ class PatternLaw(JointLaw):
         mass = self.blocks.sum(axis=2)
         explained = self.histories.prob @ (mass * means.reshape(mass.shape) ** 2).sum(axis=1)
         self.scores.append((t, self.marginal() @ self.values[0] ** 2 - explained))
-        return self._table(self.class_axis + self.memory_axes, Output(means), False)
+        return Table.of(self.class_axis + self.memory_axes, Output(means))
 
     def decided(self, k: int, t: float, sight: Seen, probabilities: bool = False) -> Step:
         """Optimal functions of all patterns at measurement k; the joint law after it."""
@@ -114,7 +114,7 @@ class PatternLaw(JointLaw):
                 output = Output(*(np.concatenate(pair, axis=-2) for pair in pairs))
             shown = tuple(axes[i] for i in components(number, self._size))
             known = (Labels(values + 1),) if values else ()
-            tables.append(self._table(known + shown + held, output, probabilities))
+            tables.append(Table.of(known + shown + held, output, probabilities))
         self._take(k, float(t), views, found)
         return Step(ByPattern(tuple(tables[1:])), tables[0])
 
@@ -122,16 +122,6 @@ class PatternLaw(JointLaw):
     def _size(self) -> int:
         """Components of a measurement, without the indicator."""
         return len(self.measurement_axes) - (self.chain.indicators > 0)
-
-    def _table(self, axes, found: Output, probabilities) -> Table:
-        shape = tuple(axis.count for axis in axes)
-        means, modes, prob = found
-        return Table(
-            axes,
-            means.reshape(1, *shape),
-            None if modes is None else modes.reshape(shape),
-            prob.reshape(len(prob), *shape) if probabilities and prob is not None else None,
-        )
 
     def _views(self, t: float, sight: Seen, read: np.ndarray) -> dict[Any, Seen]:
         """Likelihoods of what may be seen: by the number of a pattern, and with the indicator."""

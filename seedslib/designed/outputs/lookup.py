@@ -69,6 +69,20 @@ class Table(NamedTuple):
     mode: MaybeArray = None
     prob: MaybeArray = None
 
+    @classmethod
+    def of(
+        cls, axes: tuple[Axis | Labels, ...], found: Output, probabilities: bool = False
+    ) -> Table:
+        """What was found for one component at all nodes, in the order of the axes."""
+        shape = tuple(axis.count for axis in axes)
+        mean, mode, prob = found
+        return cls(
+            axes,
+            mean.reshape(1, *shape),
+            None if mode is None else mode.reshape(shape),
+            prob.reshape(len(prob), *shape) if probabilities and prob is not None else None,
+        )
+
     def __call__(self, points: Sequence[np.ndarray]) -> Output:
         """Values at points, one for each axis, of shapes that broadcast to (*batch)."""
         place = locate(self.axes, points)
