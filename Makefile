@@ -7,7 +7,7 @@ export JUPYTER_PLATFORM_DIRS := 1
 # Every kernel and test process would compile the library again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: book test portable lab sweep execute lint clean setup
+.PHONY: book test checks portable lab sweep execute lint style types clean setup
 
 book: setup execute
 	@$(PY) -m bookkit pages
@@ -15,9 +15,13 @@ book: setup execute
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
 
+# Types are looked over while tests run: one process would leave a core idle for a minute.
 # PROCESSOR=farthest runs the notebooks again with the oldest kernels this machine can use.
 PROCESSOR ?= own
-test: setup lint
+test: setup style
+	@$(MAKE) --no-print-directory --jobs=2 types checks
+
+checks: setup
 	@$(PY) -m pytest -q -n 3 --dist=loadscope --processor=$(PROCESSOR)
 
 # Everything that draws random numbers, as on other processors; about ten minutes a setting.
@@ -34,9 +38,13 @@ sweep: setup
 execute: setup
 	@$(PY) -m bookkit execute
 
-lint: setup
+lint: style types
+
+style: setup
 	@$(VENV)/bin/ruff check .
 	@$(VENV)/bin/ruff format --check .
+
+types: setup
 	@$(PY) -m bookkit typecheck README.md notebooks/*.md
 
 clean:
