@@ -9,8 +9,10 @@ Other printed text is shown, and what of it is a table is a table of the page.
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 from docutils import nodes
+from PIL import Image
 from sphinx.transforms.post_transforms import SphinxPostTransform
 
 from bookkit.recording import MIME
@@ -72,6 +74,24 @@ class TextTables(SphinxPostTransform):
                     output[at : at + 1] = [_shown(part, text) for part in parts]
 
 
+class FigureWidths(SphinxPostTransform):
+    """Show figures at the size they were drawn for: their pictures have two dots for one."""
+
+    default_priority = 200
+    formats = ("html",)
+
+    def run(self, **kwargs: object) -> None:
+        """Called by Sphinx for each page."""
+        for output in list(self.document.findall(nodes.container)):
+            if output.get("nb_element") != "cell_code_output":
+                continue
+            for image in output.findall(nodes.image):
+                path = Path(self.app.srcdir) / image["uri"]
+                if path.suffix == ".png" and "width" not in image:
+                    with Image.open(path) as picture:
+                        image["width"] = f"{picture.width // 2}px"
+
+
 def _shown(part, text: nodes.Element) -> nodes.Element:
     if part.rows:
         table = nodes.raw("", to_html(part.rows, part.caption), format="html")
@@ -92,4 +112,5 @@ def setup(app) -> dict[str, bool]:
     app.connect("source-read", _on_read)
     app.add_post_transform(FoldText)
     app.add_post_transform(TextTables)
+    app.add_post_transform(FigureWidths)
     return {"parallel_read_safe": True}

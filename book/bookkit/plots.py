@@ -1,17 +1,52 @@
-"""One look for every figure: lines differ by colour, dash and marker; axes carry units."""
+"""One look for every figure: lines differ by colour, dash and marker; axes carry units.
+
+A filter has the same colour in the whole book, by the family it belongs to; filters of one family
+differ by dash and marker.
+"""
 
 from __future__ import annotations
 
+import io
 from typing import Any, overload
 
 import matplotlib.pyplot as plt
 from cycler import cycler
+from IPython.core.getipython import get_ipython
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from PIL import Image
 
-COLOURS = ("#0b5394", "#c44e00", "#1a7f4b", "#8e3b9e", "#7a6400", "#444444")
-DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)))
-MARKERS = ("o", "s", "^", "D", "v", "x")
+from seedslib.extra.plots import COLOURS
+
+DASHES = ("-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 2)))
+MARKERS = ("o", "s", "^", "D", "v", "x", "P")
+WIDTH = 6.8
+"""Inches that a page shows of a figure at its own size; a wider one would be shrunk."""
+
+BLUE, OCHRE, GREEN, PLUM, SKY, BROWN, BLACK = COLOURS
+FAMILIES = {
+    "Bayes filter": (BLACK, "-", ""),
+    "particle filter": (SKY, "-", "P"),
+    "Rao-Blackwellised particle filter": (SKY, "--", "x"),
+    "extended Kalman filter": (OCHRE, "--", "s"),
+    "IMM filter": (OCHRE, "-.", "D"),
+    "Kalman filter": (OCHRE, "-", "s"),
+    "assumed-density filter": (BROWN, "-.", "D"),
+    "unscented Kalman filter": (BROWN, ":", "v"),
+    "cubature Kalman filter": (BROWN, "--", "^"),
+    "measurement filter": (GREEN, "-", "s"),
+    "log-odds": (PLUM, "--", "D"),
+    "indicator": (PLUM, ":", "v"),
+    "one-estimate filter": (BLUE, "-", "o"),
+    "two-estimate filter": (BLUE, "--", "^"),
+    "three-estimate filter": (BLUE, "-.", "v"),
+    "four-estimate filter": (BLUE, ":", "x"),
+    "estimate filter": (BLUE, "-", "o"),
+}
+"""Colour, dash and marker by what a filter's name says; the first that fits, longest first."""
+
+DOTS = 110
+"""A figure's dots to the inch on the page; its picture has twice as many."""
 
 _STYLE = {
     "axes.prop_cycle": cycler(color=COLOURS) + cycler(linestyle=DASHES) + cycler(marker=MARKERS),
@@ -19,10 +54,10 @@ _STYLE = {
     "axes.spines.top": False,
     "axes.spines.right": False,
     "grid.alpha": 0.3,
-    "figure.dpi": 110,
-    "savefig.dpi": 110,
+    "figure.dpi": DOTS,
+    "savefig.dpi": DOTS,
     "figure.constrained_layout.use": True,
-    "font.size": 10,
+    "font.size": 9.5,
     "legend.frameon": False,
     "lines.linewidth": 1.6,
     "lines.markersize": 4.5,
@@ -38,10 +73,43 @@ def axes(
 def axes(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
 ) -> tuple[Figure, Any]:
-    """Figure and axes in the book's style; `size` in inches, `options` as `plt.subplots`."""
+    """Figure and axes in the book's style; `size` in inches, `options` as `plt.subplots`.
+
+    Raises
+    ------
+    ValueError
+        A figure wider than a page.
+    """
+    size = size or (6.4 if columns == 1 else WIDTH, (3.8 if columns == 1 else 3.2) * rows)
+    if size[0] > WIDTH:
+        raise ValueError(f"size: got {size[0]} inches, and a page shows {WIDTH}")
     plt.rcParams.update(_STYLE)
-    size = size or (6.4 if columns == 1 else 4.6 * columns, 3.8 * rows)
+    if (shell := get_ipython()) is not None:
+        shell.display_formatter.formatters["image/png"].for_type(Figure, _picture)
     return plt.subplots(rows, columns, figsize=size, **options)
+
+
+def look(name: str) -> dict[str, Any]:
+    """How the filter of this name is drawn: colour, dash and marker, as options of `plot`.
+
+    Raises
+    ------
+    ValueError
+        A name without a family in `FAMILIES`.
+    """
+    for family in sorted(FAMILIES, key=len, reverse=True):
+        if family.casefold() in name.casefold():
+            return dict(zip(("color", "linestyle", "marker"), FAMILIES[family], strict=True))
+    raise ValueError(f"name: got {name!r}, wanted one with any of {', '.join(FAMILIES)}")
+
+
+def _picture(figure: Figure) -> bytes:
+    """A figure as a picture of 256 colours, a third of the bytes that it has with all."""
+    full, small = io.BytesIO(), io.BytesIO()
+    figure.savefig(full, format="png", dpi=2 * DOTS, bbox_inches="tight", pad_inches=0.05)
+    picture = Image.open(full).convert("RGB")
+    picture.quantize(256, dither=Image.Dither.NONE).save(small, "png", optimize=True)
+    return small.getvalue()
 
 
 def curve(ax: Axes, x: Any, y: Any, *, label: str | None = None, **options: Any) -> None:

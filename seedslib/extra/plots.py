@@ -1,8 +1,8 @@
 """Pictures: estimates with their bands, filters compared, profiles of a likelihood.
 
 They want matplotlib, draw into axes of yours or new ones, and return the axes; ``plt.show()`` or
-``axes[0].figure.savefig(...)`` is the caller's. Lines differ by colour and dash; the colours are
-those of Okabe and Ito, which the colour-blind can tell apart.
+``axes[0].figure.savefig(...)`` is the caller's. Lines differ by colour and dash; the colours
+stand out from white, and any two of them are far apart, also for the colour-blind.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from seedslib.evaluation.fitting import Fit
     from seedslib.evaluation.results import Comparison
 
-COLOURS = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000"
+COLOURS = "#0042b4", "#ca8100", "#0ba86c", "#9e2b78", "#4798e3", "#5f3200", "#111111"
 DASHES = "-", "--", "-.", ":", (0, (5, 1, 1, 1, 1, 1)), (0, (8, 2)), (0, (1, 3))
 
 
