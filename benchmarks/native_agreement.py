@@ -5,9 +5,9 @@ beside itself. Wants a C compiler and node; takes some minutes on four cores. Re
 simulated ones of 1000 measurements, one behind the other, so that every filter is surprised a
 hundred times; 10 000 steps of the IMM filter, whose Python is slow. A row tells after so many steps
 the largest distance of an estimate from that of Python, in deviations that the filter claims there;
-`bound` is what the header of ``float`` says of itself, the worst of 50 records of 200 steps. `odd`
-says whether gaps, infinite numbers and 1e300 are answered alike: the same codes, and the same
-means and variances within 1e-9 (of float not asked).
+`bound` is what the header of ``float`` says of itself, four times the worst of 100 records of 1000
+steps. `odd` says whether gaps, infinite numbers and 1e300 are answered alike: the same codes, and
+the same means and variances within 1e-9 (of float not asked).
 
 The polynomial design is one of few paths: surprised, in about a step of four hundred it is thrown
 to where no path was, and there its cubic forecasts make any difference larger, until Python, C and

@@ -113,9 +113,17 @@ class Histories:
         self.classes, self.prob = found, found.prob
         return found
 
-    def noted(self, moments: dict[Any, np.ndarray], prob: dict[Any, float]) -> None:
-        """Add what a filter keeps of the classes that were taken last; arguments as `take`."""
-        self.arrivals.append(arrivals_of(self.classes, moments, prob, self._covs))
+    def noted(
+        self, moments: dict[Any, np.ndarray], prob: dict[Any, float],
+        claimed: dict[Any, np.ndarray] | None = None,
+    ) -> None:  # fmt: skip
+        """Add what a filter keeps of the classes that were taken last; arguments as `take`.
+
+        `claimed` are the variances (n,) that a filter claims in the cells, unless these are its
+        errors' own.
+        """
+        claimed = claimed or {cell: np.diagonal(part) for cell, part in moments.items()}
+        self.arrivals.append(arrivals_of(self.classes, moments, prob, claimed, self._covs))
         self._covs = self.arrivals[-1].after
 
 
@@ -234,18 +242,23 @@ def shares(members: Any, prob: dict[Any, float]) -> np.ndarray:
 
 
 def arrivals_of(
-    classes: Classes, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: np.ndarray
-) -> Arrivals:
+    classes: Classes, moments: dict[Any, np.ndarray], prob: dict[Any, float],
+    claimed: dict[Any, np.ndarray], before: np.ndarray,
+) -> Arrivals:  # fmt: skip
     """What a filter keeps of the classes about a measurement; arguments as `merged`.
 
-    `before` are the covariances of the classes before it, (classes before, n, n).
+    `claimed` are variances in the cells; `before` are the covariances of the classes before it,
+    (classes before, n, n).
     """
     covs = np.empty((*classes.table.shape, *before.shape[1:]))
     for c, number in np.ndindex(covs.shape[:2]):
         # a component that is not read now does not count
         covs[c, number] = moments[max(x for x in moments if x[0] == c and x[1] & ~number == 0)]
-    after = [
-        np.tensordot(shares(members, prob), [moments[cell] for cell in members], 1)
-        for members in classes.members
-    ]
-    return Arrivals(classes.table, covs, before, np.stack(after), classes.prob)
+    after, told = (
+        np.stack([
+            np.tensordot(shares(members, prob), [part[cell] for cell in members], 1)
+            for members in classes.members
+        ])
+        for part in (moments, claimed)
+    )  # fmt: skip
+    return Arrivals(classes.table, covs, before, after, classes.prob, told)

@@ -28,6 +28,8 @@ class Arrivals(NamedTuple):
     before, after : ndarray, shape (classes, n', n')
         Those of the classes before it, from the measurement before; and of those after it.
     prob : ndarray, shape (classes after,)
+    claimed : ndarray, shape (classes after, n')
+        Variances that a filter of modes claims of them on the average.
     """
 
     table: np.ndarray
@@ -35,6 +37,7 @@ class Arrivals(NamedTuple):
     before: np.ndarray
     after: np.ndarray
     prob: np.ndarray
+    claimed: np.ndarray
 
     def check(self, name: str, size: int, patterns: int) -> None:
         """Refuse arrays that do not fit together.
@@ -46,6 +49,7 @@ class Arrivals(NamedTuple):
         """
         check_array(f"{name}.prob", self.prob, None)
         check_array(f"{name}.after", self.after, len(self.prob), size, size)
+        check_array(f"{name}.claimed", self.claimed, len(self.prob), size)
         check_array(f"{name}.before", self.before, None, size, size)
         shape = len(self.before), patterns
         check_array(f"{name}.covs", self.covs, *shape, size, size)
@@ -55,6 +59,16 @@ class Arrivals(NamedTuple):
         if table.size and not 0 <= table.min() <= table.max() < len(self.prob):
             raise ValueError(f"{name}.table: wanted classes below {len(self.prob)}")
         check_covariances(name, (self.covs, self.before, self.after))
+
+    def scale(self, group: np.ndarray | int) -> np.ndarray:
+        """What deviations claimed in the classes `group` are multiplied by, (n', *group).
+
+        Normal laws of the modes make the filter more certain than it is, or less; its errors on
+        the paths of the design are known.
+        """
+        actual = np.einsum("cjj->cj", self.after)
+        ratio = np.divide(actual, self.claimed, out=np.ones_like(actual), where=self.claimed > 0)
+        return np.sqrt(ratio).T[:, group]
 
 
 def check_arrivals(filter: Any, size: int) -> None:

@@ -107,13 +107,14 @@ class CompiledFilter(CompiledRecords):
         self._whole.argtypes = [
             ctypes.c_int, ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 10
         ]  # fmt: skip
-        self._one = self._c.api_step  # without declared arguments, which would cost more than C
+        # without declared arguments, which would cost more than C
+        self._one, self._alone = self._c.api_step, getattr(self._c, "api_alone", None)
         self._form = self._layout()
         self._size = self._form.itemsize
         self._first = bytes(self._size)  # as in `step`
         self._c.api_init(1, self._first)
-        self._width = self.system.measurement_size
-        self._pack = struct.Struct(f"{self._width}d").pack
+        self._shape = (self.system.measurement_size,)
+        self._time, self._pack = (struct.Struct(f"{k}d").pack for k in (1, 1 + self._shape[0]))
         carries = isinstance(filter, CovarianceFilter)
         self._inputs = [p for p in told_of(self.system) if p.role == "input" and carries]
         # runs as the filter does, but for its loop
@@ -150,27 +151,22 @@ class CompiledFilter(CompiledRecords):
         ValueError
             What the filter refuses.
         """
-        if state.batch:
+        if state.batch or indicator is not None or self._alone is None:
             return self._many(state, t, y, indicator)
-        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.ndim == 1 and len(y) == self._width:
-            shown = y.tobytes()
+        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.shape == self._shape:
+            given = self._time(t) + y.tobytes()
         else:
             try:
-                shown = self._pack(*y)  # type: ignore[misc]
+                given = self._pack(t, *y)  # type: ignore[misc]
             except (struct.error, TypeError):
-                shown = self._shown(y, ()).tobytes()
-        told = None
-        if indicator is not None or self._told:
-            told = self._seen(indicator, ()).tobytes()
+                given = self._time(t) + self._shown(y, ()).tobytes()
         out = bytes(self._size)  # nobody has seen it, so that C may write it
-        more = self._given(()) if self._inputs else ()
-        code = self._one(1, state.raw, out, ctypes.c_double(t), shown, told, *more)
-        if code:
+        if code := self._alone(state.raw, out, given):
             raise ValueError(REFUSED[code])
         return CompiledState(out, (), self._form)
 
     def _many(self, state, t, y, indicator):
-        """A step of several records, or with an indicator."""
+        """A step of several records, or with what is told: an indicator, inputs."""
         shown, told = self._shown(y, state.batch), None
         if indicator is not None or self._told:
             told = ctypes.c_void_p(self._seen(indicator, state.batch).ctypes.data)

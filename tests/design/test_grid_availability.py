@@ -256,9 +256,7 @@ def test_the_committed_table_of_deviations():
     assert {int(row["missing"]) for row in rows} == {1, 2, 4, 8, 15}
     for row in rows:
         claimed, actual, doubt = (float(row[name]) for name in ("claimed", "actual", "doubt"))
-        # Gaussian laws do not describe these modes, with dropouts or without
-        rough = row["system"] == "two modes A1L" and row["design"].startswith("Gaussian")
-        assert abs(actual / claimed - 1) < (0.07 if rough else 0.03), row
+        assert abs(actual / claimed - 1) < 0.03, row
         assert doubt < 0.01 * claimed
 
 

@@ -150,7 +150,8 @@ def test_float_beside_double(name, tmp_path):
     assert not np.array_equal(one, other)
     said = short.replace("\n * ", " ")
     told = re.search(r"differ from those in double by at most ([\d.e+-]+)", said)
-    assert 0 < float(told[1]) < 0.05  # the worst of fifty records
+    apart = np.abs(other - one)[:, 0] / np.sqrt(np.maximum(one[:, 1], 1e-12))
+    assert np.nanmax(apart) <= float(told[1]) < 0.5  # the worst of 1e5 steps, and a reserve
     assert "Bytes: " in text
     state = int(re.search(r"of tables of numbers, (\d+)", said)[1])
     assert state == size_of(tmp_path)

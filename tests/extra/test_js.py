@@ -266,9 +266,9 @@ def test_loops_that_are_written_out(tmp_path):
     assert found[0] == (0 + 1 + 2 + 3) + 200 + 1000 + 30000 + 400000 + 20000000 + 100000000 * 9
     assert found[1:10] == [1, 2, 4, 3, 6, 9, 2, 4, 6]
     assert found[10:] == [0.75, 7, 7]
-    triangle, shares = "\n".join(made.lines).split("function share_4")
+    triangle, shares = "\n".join(made.lines).split("function share$4")
     assert triangle.count("for (") == 5
-    assert "share_2" in shares
+    assert "share$2" in shares
 
 
 def test_error_functions(tmp_path):

@@ -19,6 +19,7 @@ from seedslib.design.paths.forward_pass import as_read
 from seedslib.design.paths.patterns import chosen, second_moments
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
 from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
+from seedslib.designed.switching.lemmas import total_covariance
 from seedslib.models.kinds import elapsed
 from seedslib.models.simulation import ARRIVALS
 
@@ -70,7 +71,7 @@ def pattern_pass(
                 for fork in forks
             ]
             forecasts.append(np.sqrt(histories.prob @ np.array(squares)))
-        prob, kept, moments = {}, {}, {}
+        prob, kept, moments, claimed = {}, {}, {}, {}
         for c, number, there, chance in [
             (c, *way) for c in range(len(forks)) for way in patterns(read[k], rates)
         ]:
@@ -84,12 +85,13 @@ def pattern_pass(
                 shown = walk.measure(t)
             with held.at(k):
                 found = walk.kept(correct, forks[c], shown, array=_estimate)
-            # of the law nothing is wanted but the number of what was mended
+            claimed[c, number] = walk.gather(_claimed, found).mean
+            # of the law nothing more is wanted but the number of what was mended
             kept[c, number] = walk.each(lambda state: state._replace(law=None), found)
             moments[c, number] = second_moments(walk, n, found)
             prob[c, number] = chance * histories.prob[c]
         classes = histories.take(t, moments, prob)
-        histories.noted(moments, prob)
+        histories.noted(moments, prob, claimed)
         uniform, forks = walk.uniform(ARRIVALS), []
         for members in classes.members:
             mix = partial(_mixed, shares(members, prob))
@@ -108,6 +110,10 @@ def pattern_pass(
         whole = CellFit(*(np.concatenate(column, axis=-1) for column in columns))
         fits.append(ClassFit(whole))
     return fits, scores, forecasts, thin, pairs, raised, histories.arrivals
+
+
+def _claimed(x, state):
+    return np.einsum("jj...->j...", total_covariance(state.law))
 
 
 def _mixed(shares, number, *states):

@@ -216,9 +216,17 @@ class SwitchingFilter(DesignedFilter):
         way, number = self.ways[self.served(state.index)], number_of(self, y, indicator)
         return state._replace(group=way[state.group, number])
 
+    def _claimed(self, state):
+        """Covariance of what is estimated: of its class, where there are classes."""
+        cov = total_covariance(state.law)
+        if not self.arrivals:
+            return cov
+        scale = self.arrivals[self.served(state.index)].scale(state.group)
+        return scale[:, None] * scale * cov
+
     def report(self, state: SwitchingState) -> Estimates:
         """What is estimated after a correction."""
-        cov = total_covariance(state.law)
+        cov = self._claimed(state)
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
     def forecast(self, state: SwitchingState, t: float) -> Estimates:
@@ -268,7 +276,7 @@ class SwitchingFilter(DesignedFilter):
             rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
             rows.modes[k], rows.loglik[k] = state.mode, state.loglik
             if rows.cov is not None:
-                rows.cov[k] = total_covariance(state.law)
+                rows.cov[k] = self._claimed(state)
         return state.mended
 
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:

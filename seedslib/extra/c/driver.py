@@ -76,6 +76,15 @@ int api_fill(int count, long long wide, int times, const double *t, const long l
 }
 """
 
+_ALONE = """
+/* One record and nothing told: the time, then the measurement; three arguments are soon passed. */
+int api_alone(const f_state *s, f_state *out, const double *given);
+int api_alone(const f_state *s, f_state *out, const double *given)
+{
+    return api_step(1, s, out, given[0], given + 1, NULL);
+}
+"""
+
 _BETWEEN = """\
             if (index[k] < 0) {
                 double ahead[F_OUT];
@@ -195,7 +204,8 @@ def driver(text: str, later: str, slack: str) -> str:
         "\n        if (s[i].k < F_TIMES && !(fabs(t - (f_times[s[i].k]@LATER)) <= @SLACK)) {\n"
         "            return F_TIME;\n        }"
     )  # fmt: skip
-    more = _ONE + _HALVES * (" f_predict(" in text) + _FORECAST * between
+    more = _ONE + _ALONE * (not told and not inputs)
+    more += _HALVES * (" f_predict(" in text) + _FORECAST * between
     for mark, part in (
         ("@STEP", _TOLD_STEP if inputs else _STEP), ("@ALSO", ", const double *u" * inputs),
         ("@ROOM", ", given[F_INPUTS]" * inputs), ("@GIVEN", _GIVEN * inputs),

@@ -29,11 +29,14 @@ TOLERANCES = {
 }  # fmt: skip
 """What counts as zero, as faint, as one time: in double, and in float."""
 
-LENGTH = 200
+LENGTH = 1000
 """Measurements of each record on which float is compared with double."""
 
-RECORDS = 50
+RECORDS = 100
 """How many such records: the largest difference hangs on the rarest of them."""
+
+RESERVE = 4.0
+"""The bounds that a header states are so many times what was found."""
 
 _RECORD = """
 int record(int count, const double *t, const double *y, const int *told, double *out);
@@ -177,9 +180,9 @@ def compared(filter: Any, double: str, short: str) -> str:
         wide = np.abs(np.sqrt(np.abs(other[:, :, 1])) / deviation - 1.0)
     missing = f" In float numbers are lost on {lost.sum()} of them." if lost.any() else ""
     return (
-        f"On {words} means differ from those in double by at most {np.nanmax(apart):.1e} of the "
-        f"deviation that the filter claims, and deviations by {np.nanmax(wide):.1e} of "
-        f"themselves.{missing}"
+        f"Means differ from those in double by at most {RESERVE * np.nanmax(apart):.1e} of the "
+        f"deviation that the filter claims, and deviations by {RESERVE * np.nanmax(wide):.1e} of "
+        f"themselves: {RESERVE:g} times the worst on {words}.{missing}"
     )
 
 

@@ -217,7 +217,8 @@ class Expressions:
         if word in _CONSTANTS:
             return _CONSTANTS[word], Type()
         if word in self.known:
-            return self.known[word], Type()
+            kind = self.kind(word)
+            return self.known[word], kind if kind.kind in ("address", "array", "struct") else Type()
         return word, self.kind(word)
 
     def _read(self, place: str, kind: Type) -> str:

@@ -66,7 +66,7 @@ function release() {
 
 export function init() {
   release();
-  f_init(@S);
+  @INIT;
   return held = new State();
 }
 
@@ -82,6 +82,11 @@ function shown(y) {
   for (let i = 0; i < @M; i++) H[@Y + i] = y[i];
 }
 """
+
+_PLACES = {
+    "s": ("f_state",), "y": ("F_MEASUREMENT",), "out": ("F_ESTIMATE", "F_STATE")
+}  # fmt: skip
+"""What the exported functions work on lies at these places."""
 
 _ROOTS = ("init", "step", "predict", "correct", "forecast")
 
@@ -131,16 +136,15 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     text = to_c(filter, name="f")
     if "#define F_INPUTS " in text:
         raise ValueError("filter: wanted a model without inputs, the module's step is told none")
-    made = Translation(text, *(f"f_{name}" for name in _ROOTS))
+    made = Translation(text, *(f"f_{name}" for name in _ROOTS), places=_PLACES)
     about = text[: text.index(" * Use: declare")] + _comment(_RULES)
     state, m = made.structs["f_state"], made.macros["F_MEASUREMENT"]
     size = sum(part.size(made.structs) for part in state.values())
     rows = made.macros.get("F_ESTIMATE", made.macros["F_STATE"])
     marks = {
-        "@PARTS": _parts(made), "@SIZE": size, "@S": made.size, "@Y": made.size + size, "@M": m,
-        "@O": made.size + size + m,
+        "@PARTS": _parts(made), "@SIZE": size, "@S": made.places["s"], "@Y": made.places["y"],
+        "@M": m, "@O": made.places["out"], "@INIT": made.calls["f_init"],
     }  # fmt: skip
-    whole = made.size + size + m + rows
     wanted = set(made.called)
     for name, more in _NEEDS.items():
         wanted |= set(more) if name in wanted else set()
@@ -151,7 +155,7 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
         interface = interface.replace(mark, str(value))
     parts = [
         about, *(f"export const {name} = {code};" for name, code in codes),
-        f"\nconst H = new Float64Array({whole});",
+        f"\nconst H = new Float64Array({made.size});",
         f"H.set([{_listed(made.numbers)}]);\n", *helpers, *made.lines, interface,
     ]  # fmt: skip
     module = "\n".join(parts)
@@ -194,21 +198,21 @@ def _verbs(text: str, made: Translation, rows: int) -> str:
     told = ", indicator" * ("int indicator" in text)
     found = [
         f"export function step(state, {timed}y{told}) {{\n  shown(y);\n  hold(state);\n"
-        f"  return f_step(@S, {timed}@Y{told});\n}}"
+        f"  return {made.calls['f_step']};\n}}"
     ]
     found.append(_run(made, timed, told))
-    for name, given, value in (("predict", "t", "t"), ("correct", "y", "@Y")):
+    for name, given in (("predict", "t"), ("correct", "y")):
         if f" f_{name}(" in text:
             first = "  shown(y);\n" if given == "y" else ""
             found.append(
                 f"export function {name}(state, {given}) {{\n{first}  hold(state);\n"
-                f"  return f_{name}(@S, {value});\n}}"
+                f"  return {made.calls[f'f_{name}']};\n}}"
             )
     if " f_forecast(" in text:
         found.append(
             "// The estimate at a time up to the next measurement; null where it is out of reach.\n"
             "export function forecast(state, t) {\n  hold(state);\n"
-            f"  return f_forecast(@S, t, @O) === 0 ? H.slice(@O, @O + {rows}) : null;\n}}"
+            f"  return {made.calls['f_forecast']} === 0 ? H.slice(@O, @O + {rows}) : null;\n}}"
         )
     return "\n" + "\n\n".join(found) + "\n"
 
@@ -221,6 +225,7 @@ def _run(made: Translation, timed: str, told: str) -> str:
         place += kind.size(made.structs)
     n = made.structs["f_state"]["mean"].size(made.structs)
     given = f"{'times, ' * bool(timed)}ys{', indicators' * bool(told)}"
+    each = "t = times[k], " * bool(timed) + "indicator = indicators[k], " * bool(told)
     return f"""\
 // Room for what `run` finds, to be used again.
 export function rows(count) {{
@@ -234,7 +239,7 @@ export function run(state, {given}, into = rows(ys.length / @M)) {{
   hold(state);
   for (let k = 0; k < count; k++) {{
     for (let i = 0; i < @M; i++) H[@Y + i] = ys[k * @M + i];
-    const code = f_step(@S, {"times[k], " * bool(timed)}@Y{", indicators[k]" * bool(told)});
+    const {each}code = {made.calls["f_step"]};
     if (code !== OK) throw new RangeError(`measurement ${{k}}: refused with code ${{code}}`);
     for (let i = 0; i < {n}; i++) mean[k * {n} + i] = H[@S + {places["mean"]} + i];
     for (let i = 0; i < {n * n}; i++) cov[k * {n * n} + i] = H[@S + {places["cov"]} + i];

@@ -277,10 +277,10 @@ class Statements(Expressions):
                 if begin not in self._arrays:
                     self._arrays[begin] = self.size
                     self.size += count
-                found.append(f"const {name} = {self._arrays[begin]};")
+                place = self.known[name] = str(self._arrays[begin])
                 if self.take("="):
                     self.skip()
-                    found.append(f"{self._called('memset', [name, '0', str(count)])};")
+                    found.append(f"{self._called('memset', [place, '0', str(count)])};")
             elif self.take("="):
                 word = "const" if fixed and kind.kind == "number" else "let"
                 value = self.expression()[0]

@@ -30,6 +30,10 @@ class Translation(Statements):
         Functions and the places of tables.
     called : set of str
         Functions of C that are called.
+    places : dict of str
+        Where the arguments lie whose places are the same in all calls from outside.
+    calls : dict of str
+        How the wanted functions are called.
 
     Parameters
     ----------
@@ -37,6 +41,9 @@ class Translation(Statements):
         From `to_c`.
     wanted : tuple of str, optional
         Functions that are called from outside; all, if there are none.
+    places : dict, optional
+        Arguments of theirs that are always the same place, which is quicker, with what lies there:
+        the name of a structure, or of a macro that says how many numbers, the first there is.
 
     Raises
     ------
@@ -44,7 +51,9 @@ class Translation(Statements):
         C that has no translation.
     """
 
-    def __init__(self, text: str, *wanted: str) -> None:
+    def __init__(
+        self, text: str, *wanted: str, places: dict[str, tuple[str, ...]] | None = None
+    ) -> None:
         macros, text = preprocessed(text)
         super().__init__([*tokens(text), ("end", "")], macros)
         self.numbers: list[float] = []
@@ -55,9 +64,20 @@ class Translation(Statements):
         while self.now[0] != "end":
             self._outermost()
         self.size = len(self.numbers)
-        for name in wanted or tuple(self.functions):
-            if name in self.functions:
-                self.version(name)
+        self.places: dict[str, str] = {}
+        for name, size in (places or {}).items():
+            self.places[name], self.size = str(self.size), self.size + self._room(size)
+        self.calls = {
+            name: self.version(name)
+            for name in wanted or tuple(self.functions)
+            if name in self.functions
+        }
+
+    def _room(self, names: tuple[str, ...]) -> int:
+        name = next(name for name in names if name in self.structs or name in self.macros)
+        if name in self.structs:
+            return Type("struct", (), name).size(self.structs)
+        return int(self.macros[name])
 
     def _outermost(self) -> None:
         if self.take("typedef"):
@@ -115,10 +135,11 @@ class Translation(Statements):
             if kind.kind == "array":
                 kind = replace(kind, kind="address", dims=kind.dims[1:])
             scope[parameter] = kind
-            text = given[len(scope) - 1] if given else parameter
-            if kind == Type(whole=True) and LITERAL.fullmatch(text) and not self._set(parameter):
+            text = given[len(scope) - 1] if given else self.places.get(parameter, parameter)
+            fixed = kind == Type(whole=True) or kind.kind == "address"
+            if fixed and LITERAL.fullmatch(text) and not self._set(parameter):
                 self.known[parameter] = text
-                called = f"{called.rstrip('_')}_{text.replace('-', 'm')}"
+                called = f"{called}${text.replace('-', 'm')}"
             else:
                 left.append((parameter, text))
             self.take(",")

@@ -30,7 +30,7 @@ static inline void @name_learned_(int k, const double *given, double *out)
                 }
                 to[i] = layer < @NAME_LAYERS - 1 ? (@ACTIVATED) : sum;
             }
-            memcpy(from, to, sizeof from);
+            memcpy(from, to, (size_t)@name_width[layer + 1] * sizeof *to);
         }
         memcpy(out + model * (@NAME_ROWS / @NAME_MODELS), from,
                (@NAME_ROWS / @NAME_MODELS) * sizeof *out);
