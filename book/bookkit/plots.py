@@ -84,9 +84,10 @@ def axes(
     if size[0] > WIDTH:
         raise ValueError(f"size: got {size[0]} inches, and a page shows {WIDTH}")
     plt.rcParams.update(_STYLE)
-    if (shell := get_ipython()) is not None:
+    made = plt.subplots(rows, columns, figsize=size, **options)
+    if (shell := get_ipython()) is not None:  # after the first figure, which sets its own
         shell.display_formatter.formatters["image/png"].for_type(Figure, _picture)
-    return plt.subplots(rows, columns, figsize=size, **options)
+    return made
 
 
 def look(name: str) -> dict[str, Any]:
