@@ -72,6 +72,17 @@ def _pages(options: argparse.Namespace) -> int:
     return 0
 
 
+def _chapter(options: argparse.Namespace) -> int:
+    from bookkit import chapters, fingerprint
+
+    root = fingerprint.project_root(Path.cwd())
+    part = chapters.write(root, options.name, options.title, options.part)
+    print(f"notebooks/{options.name}.md: a new chapter, the last one of {part!r}")
+    print("_toc.yml, README.md: a line more")
+    print(f"next: python -m bookkit execute notebooks/{options.name}.md")
+    return 0
+
+
 def _live(options: argparse.Namespace) -> int:
     from bookkit import fingerprint, live
 
@@ -132,6 +143,12 @@ def _parser() -> argparse.ArgumentParser:
 
     pages = commands.add_parser("pages", help="write claims, places and reference as pages")
     pages.set_defaults(run=_pages)
+
+    chapter = commands.add_parser("chapter", help="begin a new chapter, from a template")
+    chapter.add_argument("name", help="notebooks/NAME.md; words of a-z and 0-9 joined by '_'")
+    chapter.add_argument("--title", required=True, help="its heading")
+    chapter.add_argument("--part", help="caption of the part of the book that it closes")
+    chapter.set_defaults(run=_chapter)
 
     live = commands.add_parser("live", help="design the filters that run in pages, write figures")
     live.set_defaults(run=_live)

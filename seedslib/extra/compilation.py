@@ -97,6 +97,8 @@ class CompiledFilter(CompiledRecords):
         The one that was compiled.
     """
 
+    _shown = ("filter",)
+
     def __init__(self, filter: Any, path: Any) -> None:
         self.filter, self.system = filter, filter.system
         self.takes = filter.takes
@@ -159,7 +161,7 @@ class CompiledFilter(CompiledRecords):
             try:
                 given = self._pack(t, *y)  # type: ignore[misc]
             except (struct.error, TypeError):
-                given = self._time(t) + self._shown(y, ()).tobytes()
+                given = self._time(t) + self._measured(y, ()).tobytes()
         out = bytes(self._size)  # nobody has seen it, so that C may write it
         if code := self._alone(state.raw, out, given):
             raise ValueError(REFUSED[code])
@@ -167,7 +169,7 @@ class CompiledFilter(CompiledRecords):
 
     def _many(self, state, t, y, indicator):
         """A step of several records, or with what is told: an indicator, inputs."""
-        shown, told = self._shown(y, state.batch), None
+        shown, told = self._measured(y, state.batch), None
         if indicator is not None or self._told:
             told = ctypes.c_void_p(self._seen(indicator, state.batch).ctypes.data)
         place, given = ctypes.c_void_p(shown.ctypes.data), self._given(state.batch)
@@ -188,7 +190,7 @@ class CompiledFilter(CompiledRecords):
         seen = as_indicators(indicator, self.system, batch, "indicator")
         return np.ascontiguousarray(seen, dtype=np.int64)
 
-    def _shown(self, y, batch):
+    def _measured(self, y, batch):
         shown = np.ascontiguousarray(as_real("y", unmasked("y", y, missing=np.nan), nan=True))
         wanted = (self.system.measurement_size, *batch)
         if shown.shape != wanted:
@@ -222,7 +224,7 @@ class CompiledFilter(CompiledRecords):
         ValueError
             A state without a time, a wrong shape, another kind of filter.
         """
-        shown = self._shown(y, state.batch)
+        shown = self._measured(y, state.batch)
         place, given = ctypes.c_void_p(shown.ctypes.data), self._given(state.batch)
         return self._made(state, self._half("correct"), place, *given)
 

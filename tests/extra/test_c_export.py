@@ -307,6 +307,13 @@ class Own(Linearization):
         return Cubature().moments(map, spread)
 
 
+class Late(Memory):
+    """A memory of one's own, which C would renew in its own way."""
+
+    def push(self, past, *, estimate=None, **more):
+        return super().push(past, estimate=None if estimate is None else estimate / 2, **more)
+
+
 def test_what_has_no_c_is_refused_in_words():
     system = zoo.van_der_pol()
     with pytest.raises(TypeError, match="linearization: wanted formulas or a rule with points"):
@@ -330,3 +337,6 @@ def test_what_has_no_c_is_refused_in_words():
     one = synthesize(system, Memory(1), Taylor(), [0.0], paths=500, seed=1)
     with pytest.raises(TypeError, match="at least two measurements"):
         to_c(one)
+    own = synthesize(system, Late(1), Taylor(), [0.0, 0.5], paths=500, seed=1)
+    with pytest.raises(TypeError, match="memory: wanted a Memory, got Late"):
+        to_c(own)

@@ -114,6 +114,12 @@ def test_records(pair):
     near(found.mean.reshape(wanted.mean.shape), wanted.mean)
 
 
+def test_it_shows_which_filter_it_is(pair):
+    filter, twin, *_ = pair
+    assert repr(twin) == f"<CompiledFilter: filter {filter}>"
+    assert "CompiledFilter" in twin._repr_html_()
+
+
 @pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
 def test_step_by_step(pair):
     filter, twin, times, y, told = pair

@@ -23,6 +23,7 @@ from typing import Any
 
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
+from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.predictors import Continuous
@@ -212,9 +213,16 @@ def check_told(filter: Any) -> None:
 
     Raises
     ------
+    TypeError
+        A memory of one's own, whose rule C does not know.
     ValueError
         Inputs of a filter with a design that evaluates them, inputs of one with modes.
     """
+    memory = getattr(filter, "memory", None)
+    if memory is not None and type(memory) is not Memory:
+        raise TypeError(
+            f"memory: wanted a Memory, got {type(memory).__name__}, whose rule C does not know"
+        )
     system = getattr(filter, "system", None)
     roles = {p.role for p in mentioned(system)} - {"parameter"}
     if isinstance(filter, SwitchingFilter) and "input" in roles:
