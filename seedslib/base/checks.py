@@ -97,6 +97,11 @@ def _floats(name, value, missing):
         array = np.asarray(unmasked(name, value, missing=missing))
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
+    if array.dtype.kind in "mM":
+        raise TypeError(
+            f"{name}: wanted real numbers, got an array of dtype {array.dtype}; take time since the "
+            "first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
+        )
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
     return array.astype(float)
@@ -148,7 +153,7 @@ def as_covariance(
 ) -> np.ndarray:
     """Symmetric positive semidefinite (or definite) matrix, returned exactly symmetric.
 
-    Eigenvalues are those of the matrix scaled to unit diagonal, so that units do not matter.
+    A number is the matrix of one component. Eigenvalues are those of the matrix scaled to unit diagonal, so that units do not matter.
     Negative ones within rounding (1e-10 of the largest) are accepted and left alone: nothing is
     silently regularised. A negative variance is never rounding.
 
@@ -159,8 +164,10 @@ def as_covariance(
         not symmetric (relative 1e-10), or has a negative variance or a negative eigenvalue
         (below -1e-10 of the largest), or is not positive definite where `definite` asks for it.
     """
-    matrix = as_real(name, value, ndim=2)
-    if matrix.shape[0] != matrix.shape[1]:
+    matrix = as_real(name, value)
+    if matrix.ndim == 0 and size == 1:
+        matrix = matrix.reshape(1, 1)
+    if matrix.ndim != 2 or matrix.shape[0] != matrix.shape[1]:
         raise ValueError(f"{name}: wanted a square matrix, got shape {matrix.shape}")
     if size is not None and matrix.shape[0] != size:
         raise ValueError(f"{name}: wanted shape ({size}, {size}), got {matrix.shape}")

@@ -153,6 +153,8 @@ def _check(mean, cov, y, predicted, cross, spread, rows) -> int:
         rows = n
     elif isinstance(rows, bool) or rows != int(rows) or not 1 <= rows <= n:
         raise ValueError(f"rows: wanted a whole number from 1 to {n}, got {rows}")
+    if predicted.ndim and m != len(predicted) == len(spread):
+        raise ValueError(f"y: wanted shape ({len(predicted)}, *batch), got {y.shape}")
     for name, part, wanted in (
         ("cov", cov, (n, n)),
         ("moments.mean", predicted, (m,)),

@@ -87,7 +87,10 @@ def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) ->
     if not clock.same(times[0], clock.times[0]):
         raise ValueError(f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}")
     if times[-1] > horizon + clock.tolerance:
-        raise ValueError(f"times: wanted at most {when(horizon)}, got {when(times[-1])}")
+        raise ValueError(
+            f"times: wanted at most {when(horizon)}, where the design ends, got {when(times[-1])}; "
+            "seedslib.design.stationary makes it go on"
+        )
     place = clock.rows(times)[: len(wanted)]
     missed = place < 0
     if missed.any():

@@ -19,6 +19,7 @@ from seedslib.base.values import Inputs, assigned
 from seedslib.evaluation.differences import Local, derivatives
 from seedslib.evaluation.scales import Scale
 from seedslib.filters.verbs import Filter
+from seedslib.models.kinds import mentioned
 
 LEFT = 1e-6
 """Converged: the log-likelihood is expected to rise by less than this."""
@@ -161,6 +162,10 @@ class _Problem:
             raise TypeError(f"free: wanted parameters of the model, got {parameters!r}")
         if unknown := set(bounds) - set(parameters):
             raise ValueError(f"bounds: wanted those of free parameters, got {unknown}")
+        system = getattr(filter, "system", None)
+        strange = [p for p in parameters if p not in mentioned(system)]
+        if system is not None and strange:
+            raise ValueError(f"free: wanted parameters of the model, got {strange[0]}")
         self.filter, self.times, self.parameters = filter, times, parameters
         y = np.asarray(measurements, dtype=float)
         self.y = y[..., None] if y.ndim == 2 else y

@@ -45,7 +45,7 @@ class Estimates(NamedTuple):
     def interval(self, level: float = 0.95) -> np.ndarray:
         """Intervals of this probability for each component, shape (2, K+1, n, *batch).
 
-        They are those of a Gaussian law with the mean and the variance that the filter claims.
+        Of a single estimate or forecast, mean (n,), shape (2, n). They are those of a Gaussian law with the mean and the variance that the filter claims.
 
         Raises
         ------
@@ -63,6 +63,8 @@ class Estimates(NamedTuple):
 
     def _variances(self) -> np.ndarray:
         """Shape (K+1, n, *batch), or (K+1, n, 1, ...) where they are common to all records."""
+        if self.mean.ndim == 1:  # of one time
+            return np.diagonal(self.cov)
         variances = np.einsum("kii...->ki...", self.cov)
         return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
 
@@ -287,6 +289,8 @@ def as_modes(name: str, value: object, shape: tuple[int, ...], count: int) -> np
     TypeError, ValueError
         No whole numbers, another shape, or numbers out of range.
     """
+    if value is None:
+        raise ValueError(f"{name}: wanted whole numbers of shape {shape}, got None")
     modes = as_whole(name, value, shape)
     bad = (modes < 0) | (modes >= count)
     if bad.any():
