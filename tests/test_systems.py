@@ -110,24 +110,27 @@ def rows(anchor):
     return {cell[0]: cell[1:] for cell in cells}
 
 
+def number(text):
+    """A number of the page, without rounding."""
+    text = text.replace("\\", "").replace("{", "(").replace("}", ")")
+    return sympy.sympify(text.replace("^", "**"), rational=True)
+
+
 def parameters(anchor):
     """Numbers that the row of parameters gives to symbols."""
-    text = " ".join(rows(anchor)["parameters"])
-    given = re.findall(r"\$\\?([a-zA-Z_0-9]+) = ([^$]+?)\$", text)
-    return {name: sympy.Rational(str(sympy.sympify(v.replace("\\", "")).evalf(30)))
-            if "pi" not in v else sympy.sympify(v.replace("\\", "")) for name, v in given}  # fmt: skip
+    given = re.findall(r"\$\\?(\w+) = ([^$]+?)\$", rows(anchor)["parameters"][0])
+    return {name: number(value) for name, value in given}
 
 
-def law(text):
-    """Mean and covariance of the first normal law in a text."""
-    mean, cov = re.search(r"\\mathcal N(?:\\big)?\((.*?),\\; (.*?)(?:\\big)?\)\$", text).groups()
-    mean = np.array([float(part) for part in mean.strip("()").split(",")])
-    if diagonal := re.search(r"diag}\((.*)\)?", cov):
-        return mean, np.diag([float(sympy.sympify(part.replace("^{", "**(").replace("}", ")")
-                                                  .replace("^", "**")))
-                              for part in diagonal.group(1).strip("()").split(",")])  # fmt: skip
-    scale = cov.replace("\\,", "").replace("I", "")
-    return mean, float(scale or 1) * np.eye(len(mean))
+def law(anchor):
+    """Mean and covariance of the first normal law in the row of the start."""
+    start = rows(anchor)["start"][0]
+    mean, cov = re.search(r"\\mathcal N(?:\\big)?\((.*?),\\; (.*?)(?:\\big)?\)\$", start).groups()
+    mean = [float(part) for part in mean.strip("()").split(",")]
+    if "diag" in cov:
+        parts = cov.partition("(")[2].strip(")").split(",")
+        return mean, np.diag([float(number(part)) for part in parts])
+    return mean, float(cov.replace("\\,", "").replace("I", "") or 1) * np.eye(len(mean))
 
 
 def columns(anchor, *names):
@@ -189,7 +192,7 @@ def test_systems_in_continuous_time(name):
         assert equal([system.intensity_expression or 0], [intensity])
     if jump is not None:
         assert equal(real(system.jump.expressions), jump)
-    mean, cov = law(rows(f"system-{name}")["start"][0])
+    mean, cov = law(f"system-{name}")
     np.testing.assert_array_equal(mean, system.mean0)
     np.testing.assert_allclose(cov, system.cov0, rtol=1e-14)
     assert f"step $h = {system.step:g}$" in rows(f"system-{name}")["times"][0]
@@ -228,7 +231,7 @@ def test_manoeuvring_target():
         assert equal(real(system.sensors[i].expressions), [x1 + r * w])
         assert equal([system.branches[i][i].map.weight_expression], [stay])
         assert equal([system.readings[i][i].map.weight_expression], [right])
-        mean, cov = law(rows(anchor)["start"][0])
+        mean, cov = law(anchor)
         assert system.initial[i].probability == pytest.approx(float(chance))
         np.testing.assert_array_equal(system.initial[i].mean, mean)
         np.testing.assert_array_equal(system.initial[i].cov, cov)
@@ -243,7 +246,7 @@ def test_steady_target():
             moved = [x1 + x2 + push / 2, p["d"] * x2 + push]
             assert equal(real(system.dynamics[i].expressions), moved)
             assert equal(real(system.sensors[i].expressions), [x1 + p["r"] * w])
-            np.testing.assert_array_equal(system.initial[i].cov, law(rows(anchor)["start"][0])[1])
+            np.testing.assert_array_equal(system.initial[i].cov, law(anchor)[1])
 
 
 def test_dependent_switching():
@@ -278,47 +281,47 @@ def matrix(anchor, name):
     return np.array([[float(n) for n in row.split("&")] for row in text.split(r"\\")])
 
 
-def described(anchor, a, far, count, *, c=((1, 0),), g=((0,), (1,)), q=1, r=1, p0=1, x=1):
-    """The plant of the page, by the usual values of its chapter and those named."""
-    assert f"$N = {count}$" in SECTIONS[anchor] or f"N = {count}," in SECTIONS[anchor]
-    m = len(c)
+def described(anchor, count, near=None, *, c=((1, 0),), g=((0,), (1,)), q=1, r=1, p0=1, x=1):
+    """The plant of the page, by the usual values of its chapter and those that it names."""
+    assert f"N = {count}" in SECTIONS[anchor]
+    home = anchor if near is None else "system-delay-rotation"
+    near = (1 if near is None else near) * matrix(home, "A")
     return DelaySystem(
-        {0: a, count: far}, np.array(c), q * np.eye(np.shape(g)[1]), r * np.eye(m), p0 * np.eye(2),
-        x * np.eye(2), noise_input=np.array(g),
+        {0: near, count: matrix(home, r"\bar A")}, np.array(c), q * np.eye(np.shape(g)[1]),
+        r * np.eye(len(c)), p0 * np.eye(2), x * np.eye(2), noise_input=np.array(g),
     )  # fmt: skip
 
 
 def test_plants_with_delay():
-    turn = 0.7 * matrix("system-delay-rotation", "A"), matrix("system-delay-rotation", r"\bar A")
-    noisy, exact = "system-delay-two-noises", "system-delay-precise-sensor"
-    near = "system-delay-nearly-parallel-sensors"
+    turn, noisy, exact, alike = (
+        f"system-delay-{name}"
+        for name in ("rotation", "two-noises", "precise-sensor", "nearly-parallel-sensors")
+    )
+    options = {"c": matrix(alike, "C"), "q": 1e-4, "r": 1e-12, "p0": 1e6, "x": 1e6}
     pairs = [
-        (delays.rotation(), described("system-delay-rotation", *turn, 3, x=0.5)),
-        (delays.two_noises(), described(noisy, matrix(noisy, "A"), matrix(noisy, r"\bar A"), 1, g=np.eye(2))),
-        (delays.precise_sensor(), described(exact, matrix(exact, "A"), matrix(exact, r"\bar A"), 2, r=0.1)),
-        (delays.nearly_parallel_sensors(),
-         described(near, *turn, 4, c=matrix(near, "C"), q=1e-4, r=1e-12, p0=1e6, x=1e6)),
+        (delays.rotation(), described(turn, 3, 0.7, x=0.5)),
+        (delays.two_noises(), described(noisy, 1, g=np.eye(2))),
+        (delays.precise_sensor(), described(exact, 2, r=0.1)),
+        (delays.nearly_parallel_sensors(), described(alike, 4, 0.7, **options)),
         (delays.scalar(0.6, 0.3), DelaySystem({0: 0.6, 1: 0.3}, 1.0, 1.0, 1.0, 1.0, 1.0)),
-    ]  # fmt: skip
+    ]
     for plant, told in pairs:
         for key in ("sensor", "noise_cov", "sensor_cov", "cov0", "history_cov", "noise_input"):
             np.testing.assert_allclose(getattr(plant, key), getattr(told, key), rtol=1e-14)
         assert plant.delays == told.delays
         for d in plant.dynamics:
             np.testing.assert_allclose(plant.dynamics[d], told.dynamics[d], rtol=1e-14)
-    for name in ("rotation", "two_noises", "precise_sensor"):
-        radius = f"{delays.spectral_radius(getattr(delays, name)()):.3f}"
-        assert f"spectral radius {radius}" in SECTIONS[f"system-delay-{name.replace('_', '-')}"]
+    for anchor, (plant, _) in zip((turn, noisy, exact), pairs, strict=False):
+        assert f"spectral radius {delays.spectral_radius(plant):.3f}" in SECTIONS[anchor]
 
 
 def test_falling_body():
     body, p = pieces.falling_body(), parameters("system-falling-body")
-    mean, cov = law(rows("system-falling-body")["start"][0])
+    mean, cov = law("system-falling-body")
     np.testing.assert_array_equal(body.mean0, mean)
     np.testing.assert_allclose(body.cov0, cov, rtol=1e-14)
     step = body.dynamics_at(6.0)  # the second that ends at t = 7
     middle = 0.5 * (body.regions.edges[3] + body.regions.edges[4])
     slope = float(p["g"]) * (7 - 0.5) / middle**2
     assert np.broadcast_to(step.matrix[1, 0], (100, 1))[3, 0] == pytest.approx(slope, rel=1e-12)
-    text = SECTIONS["system-falling-body"]
-    assert f"$g = {float(p['g']):g}$" in text and "$H = 0.001$" in text
+    assert np.ravel(body.sensor_at(1.0).noise)[0] == pytest.approx(float(p["H"]))
