@@ -35,6 +35,8 @@ FAMILIES = {
     "unscented Kalman filter": (BROWN, ":", "v"),
     "cubature Kalman filter": (BROWN, "--", "^"),
     "measurement filter": (GREEN, "-", "s"),
+    "piecewise-linear filter": (BLUE, "-", "o"),
+    "Gaussian sum": (OCHRE, "-.", "D"),
     "log-odds": (PLUM, "--", "D"),
     "indicator": (PLUM, ":", "v"),
     "one-estimate filter": (BLUE, "-", "o"),

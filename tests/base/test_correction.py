@@ -257,7 +257,7 @@ def test_symbols_go_through_the_same_lines():
     ("change", "message"),
     [
         ({"y": [0.0, np.inf]}, "y: wanted finite numbers or NaN, got inf at index \\(1,\\)"),
-        ({"y": [0.0]}, "moments.mean: wanted shape \\(1, \\*batch\\)"),
+        ({"y": [0.0]}, "y: wanted shape \\(2, \\*batch\\), got \\(1,\\)"),
         ({"cov": np.eye(3)}, "cov: wanted shape \\(2, 2, \\*batch\\), got \\(3, 3\\)"),
         ({"rows": 3}, "rows: wanted a whole number from 1 to 2, got 3"),
         ({"rows": 0}, "rows: wanted"),

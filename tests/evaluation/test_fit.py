@@ -140,6 +140,8 @@ def test_what_cannot_be_fitted_is_refused():
         fit(filter, YEARS, y, [sp.Symbol("q")])
     with pytest.raises(TypeError, match="free: wanted parameters"):
         fit(filter, YEARS, y, [])
+    with pytest.raises(ValueError, match="free: wanted parameters of the model, got k"):
+        fit(filter, YEARS, y, [Parameter("k", 1.0)])
     with pytest.raises(ValueError, match="start: wanted a value between 0 and 10, got 1000"):
         fit(filter, YEARS, y, [Q], bounds={Q: (0.0, 10.0)})
     with pytest.raises(ValueError, match="bounds: wanted a lower one first"):

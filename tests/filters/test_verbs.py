@@ -160,8 +160,22 @@ def test_what_a_filter_does_not_take_is_refused():
         kalman.run(times, y, modes=np.zeros(3, int))
     with pytest.raises(ValueError, match="indicators: wanted none, the system has no modes"):
         kalman.run(times, y, indicators=np.zeros(3, int))
-    with pytest.raises(TypeError, match="modes: wanted whole numbers"):
+    with pytest.raises(ValueError, match=r"modes: wanted whole numbers of shape \(3,\), got None"):
         MAKE["known"]().run(times, y[:, :1], indicators=np.zeros(3, int))
+
+
+def test_one_time_has_an_interval_and_a_measurement():
+    """What a step and a forecast say, and a whole record in place of a measurement."""
+    kalman = MAKE["covariance"]()
+    state = kalman.step(kalman.initial(), 0.0, [1.0, 0.5])
+    for told in (kalman.report(state), kalman.forecast(state, 1.0)):
+        width = np.diff(told.interval(0.95), axis=0)[0]
+        np.testing.assert_allclose(width, 2 * 1.959963984540054 * np.sqrt(np.diag(told.cov)))
+    with pytest.raises(ValueError, match=r"y: wanted shape \(2, \*batch\), got \(9, 2\)"):
+        kalman.step(state, 1.0, np.zeros((9, 2)))
+    dates = np.array(["2026-01-01", "2026-01-02"], dtype="datetime64[h]")
+    with pytest.raises(TypeError, match=r"datetime64\[h\]; take time since the first in a unit"):
+        kalman.run(dates, np.zeros((2, 2)))
 
 
 def test_systems_say_their_sizes_alike():
