@@ -118,9 +118,9 @@ def _delay() -> Figure:
         "delay", "delay_loss",
         {"delay": ("delay N, steps", 2), "damping": ("radius of the oscillator's own motion", 2)},
         {
-            "printed": ("printed_loss", None),
+            "paper's filter": ("printed_loss", None),
             "without past innovations": ("memoryless_loss", None),
-            "greedy": ("greedy_loss", None),
+            "best gains": ("greedy_loss", None),
         },
         "Kalman filter with delay: losses against the optimum, exact.",
         ylabel="loss, %", logy=True,
