@@ -30,5 +30,8 @@ def setup(app) -> dict[str, bool]:
     """Called by Sphinx."""
     root = Path(app.srcdir)
     values = recorded(root)
-    app.config.myst_substitutions = values | strips(root) | pictures(root, values)
+    told = strips(root)
+    app.config.myst_substitutions = values | told | pictures(root, values)
+    line = f"seedslib {told['project__version']}, {told['project__date']}, BSD-3-Clause licence"
+    app.config.html_theme_options["extra_footer"] = f"<p>{line}</p>"
     return {"parallel_read_safe": True}

@@ -99,7 +99,8 @@ def _delay(recorded: Mapping[str, Any]) -> str:
         name: recorded[f"delay_printed__{key}_last"]
         for name, key in (("claimed", "claimed"), ("best possible", "optimal"), ("real", "true"))
     }
-    parts = [_axis(10, 66, 310), _text(160, 124, "mean-square error of the printed filter", "middle")]
+    told = "mean-square error of the printed filter"
+    parts = [_axis(10, 66, 310), _text(160, 124, told, "middle")]
     for place, (name, value) in enumerate(values.items()):
         up = place != 1
         parts += [
@@ -138,11 +139,11 @@ def _modes(recorded: Mapping[str, Any]) -> str:
     )
     parts = [
         _text(20, 20, "a second decision"),
-        f'<rect class="other" x="20" y="28" width="{x(least) - 20:.1f}" height="16"/>',
-        f'<rect class="faint" x="{x(least):.1f}" y="28" width="{x(most) - x(least):.1f}" height="16"/>',
+        _bar("other", 28, x(0), x(least)),
+        _bar("faint", 28, x(least), x(most)),
         _text(x(most) + 8, 41, f"{least:.1f} to {most:.1f} %"),
         _text(20, 70, "how certain the first one was"),
-        f'<rect class="main" x="20" y="78" width="{x(soft) - 20:.1f}" height="16"/>',
+        _bar("main", 78, x(0), x(soft)),
         _text(x(soft) + 8, 91, f"{soft:.1f} %", bold=True),
         _text(20, 118, "error saved by remembering it"),
     ]
@@ -156,8 +157,8 @@ def _volatility(recorded: Mapping[str, Any]) -> str:
         value, y = recorded[f"field_volatility__{key}"], 14 + 46 * row
         parts += [
             _text(20, y + 6, f"memory of {told}"),
-            f'<rect class="main" x="20" y="{y + 14}" width="{x(value) - 20:.1f}" height="16"/>',
-            _text(x(value) + 8, y + 27, f"{float(f'{value:.2g}'):,.0f}".replace(",", " "), bold=True),
+            _bar("main", y + 14, x(10), x(value)),
+            _text(x(value) + 8, y + 27, f"{float(f'{value:.2g}'):.0f}", bold=True),
         ]
     parts.append(_text(20, 118, "particles with the same error (logarithmic)"))
     return _svg("A memory of one number is worth 300 particles, of two 3000.", parts)
@@ -257,6 +258,11 @@ def _text(
 
 def _dot(x: float, y: float, kind: str = "main") -> str:
     return f'<circle class="{kind}" cx="{x:.1f}" cy="{y:.1f}" r="4.5"/>'
+
+
+def _bar(kind: str, y: float, start: float, end: float) -> str:
+    width = f"{end - start:.1f}"
+    return f'<rect class="{kind}" x="{start:.1f}" y="{y}" width="{width}" height="16"/>'
 
 
 def _axis(start: float, y: float, end: float) -> str:
