@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import yaml
 
-from bookkit import access, equations, plots, strips
+from bookkit import access, claims_page, equations, plots, strips
 from bookkit.numbers import recorded
 from bookkit.pictures import LETTERS, WIDTH, pictures
 
@@ -278,6 +278,15 @@ def test_what_the_theme_leaves_unsaid_is_said():
     assert '<summary aria-label="Pages of this chapter">' in mended
     assert mended.count('aria-label="Search"') == 1
     assert "Toggle hidden content" not in mended
+
+
+def test_a_box_leads_to_its_row_and_a_row_to_its_box():
+    box = '<div class="claim open" id="TS-E7"><b>TS-E7</b> open</div>'
+    assert '<b><a href="../book/claims.html#TS-E7">TS-E7</a></b>' in claims_page.linked(box)
+    page = claims_page.page(ROOT)
+    rows = re.findall(r'<tr id="([\w-]+)" data-verdict="(\w+)"><td><a href="[^"]+#([\w-]+)">', page)
+    assert len(rows) == len(set(rows)) == page.count("data-verdict") > 150
+    assert [row for row, _, box in rows if row != box] == []
 
 
 def test_the_contents_name_every_page_once():

@@ -9,12 +9,13 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
+_ARROW = '<span class="toctree-toggle"'
 MENDED = (
-    ('<summary><span class="toctree-toggle"', '<summary aria-label="Pages of this chapter"><span class="toctree-toggle"'),
+    (f"<summary>{_ARROW}", f'<summary aria-label="Pages of this chapter">{_ARROW}'),
     ('<summary aria-label="Toggle hidden content">', "<summary>"),
     ('<div role="list" class="citation-list">', '<div class="citation-list">'),
     (' role="doc-biblioentry"', ""),
-)  # fmt: skip
+)
 """What stands in a page and what stands there instead."""
 
 _SEARCH = re.compile(r'(<button class="btn search-button-field[^>]*?) aria-label="Search"')
