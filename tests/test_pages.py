@@ -178,30 +178,6 @@ def test_colours_that_are_too_near_are_seen():
     assert contrast(["#f0e442"]) < 3
 
 
-def verdict_colours():
-    """Colours of the verdicts' words and their panel, in the light and in the dark theme."""
-    css = (ROOT / "book" / "_static" / "claims.css").read_text()
-    for block in re.findall(r"(?:^:root|^html\[data-theme=\"dark\"\]) \{(.*?)\}", css, re.M | re.S):
-        found = dict(re.findall(r"--([\w-]+): (#\w{6})", block))
-        if "book-panel" in found:
-            words = (
-                "reproduced",
-                "checked",
-                "corrected",
-                "refuted",
-                "open",
-                "book-ink",
-                "book-quiet",
-            )
-            yield [found[word] for word in words], found["book-panel"]
-
-
-def test_verdicts_are_read_in_both_themes():
-    themes = list(verdict_colours())
-    assert len(themes) == 2
-    assert [contrast(words, panel).min() >= 4.5 for words, panel in themes] == [True, True]
-
-
 DRAWN = sorted(
     path for path in (ROOT / "book" / "_static").glob("*.svg") if path.stem != "innovations"
 )
