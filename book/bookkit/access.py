@@ -13,6 +13,10 @@ _ARROW = '<span class="toctree-toggle"'
 MENDED = (
     (f"<summary>{_ARROW}", f'<summary aria-label="Pages of this chapter">{_ARROW}'),
     ('<summary aria-label="Toggle hidden content">', "<summary>"),
+    (
+        '<div id="pst-primary-sidebar"',
+        '<div id="pst-primary-sidebar" role="navigation" aria-label="Book"',
+    ),
     ('<div role="list" class="citation-list">', '<div class="citation-list">'),
     (' role="doc-biblioentry"', ""),
 )
