@@ -263,6 +263,7 @@ def test_a_box_leads_to_its_row_and_a_row_to_its_box():
     rows = re.findall(r'<tr id="([\w-]+)" data-verdict="(\w+)"><td><a href="[^"]+#([\w-]+)">', page)
     assert len(rows) == len(set(rows)) == page.count("data-verdict") > 150
     assert [row for row, _, box in rows if row != box] == []
+    assert [row for row, *_ in rows if f"{{index}}`{row}`" not in page] == []  # found by a search
 
 
 def test_the_contents_name_every_page_once():

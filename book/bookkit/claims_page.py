@@ -59,8 +59,8 @@ def page(root: Path) -> str:
                 head = ["claim", "statement", "what was found", "verdict"]
                 marks = [f'id="{claim.id}" data-verdict="{claim.verdict}"' for claim in rows]
                 body = table(head, [_row(claim, recorded) for claim in rows], marks)
-                # Text of the page can be searched, and cells of a table in HTML cannot.
-                ids = f"{len(rows)}: {', '.join(claim.id for claim in rows)}."
+                # Cells of a table in HTML are not searched, and words of two letters never are.
+                ids = f"{len(rows)}: {', '.join(f'{{index}}`{claim.id}`' for claim in rows)}."
                 lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", ids, "", body]
     return "\n".join(lines) + "\n"
 
