@@ -1,8 +1,12 @@
-"""The claims page: the ledger for readers, the papers' claims first and ours apart."""
+"""The claims page: the ledger for readers, the papers' claims first and ours apart.
+
+As a Sphinx extension it links the box of each claim to its row.
+"""
 
 from __future__ import annotations
 
 import html
+import re
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
@@ -10,12 +14,19 @@ from pathlib import Path
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, Claim, read_ledger
 from bookkit.ledger import read_verdicts
 from bookkit.recording import evidence
+from bookkit.strips import strip
 from bookkit.tables import claim_link, table
 
 DECIDED = ("reproduced", "corrected", "refuted", "open")
 OURS = ("checked", "open")
 FIRST = ("refuted", "corrected", "open", "reproduced", "checked")
 """The order of rows: what a reader of the papers wants to know comes first."""
+
+FILTER = """```{raw} html
+<div id="claims-filter" role="group" aria-label="Show claims of one verdict"></div>
+<script src="../_static/claims.js" defer></script>
+```"""
+"""Where the buttons stand that a script makes; without it all rows are shown."""
 
 
 def page(root: Path) -> str:
@@ -29,11 +40,13 @@ def page(root: Path) -> str:
         f"The papers make {len(theirs)} claims: {_summary(theirs, DECIDED)}. {len(ours)} findings",
         f"of our own stand apart: {_summary(ours, OURS)}. Each verdict is computed by the notebook",
         "it links to, and a test fails when the notebook and the ledger differ. What the words",
-        "mean is said in [](reading.md).",
+        "mean is said in [](#verdicts).",
         "",
-        _counts(theirs, DECIDED),
+        _counts(theirs),
         "",
         f"Of the papers' claims {_origins(theirs)}.",
+        "",
+        FILTER,
     ]
     for title, chosen in (("What the papers claim", theirs), ("What we found ourselves", ours)):
         lines += ["", f"## {title}"]
@@ -44,8 +57,11 @@ def page(root: Path) -> str:
             )
             if rows:
                 head = ["claim", "statement", "what was found", "verdict"]
-                body = table(head, [_row(claim, recorded) for claim in rows])
-                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", body]
+                marks = [f'id="{claim.id}" data-verdict="{claim.verdict}"' for claim in rows]
+                body = table(head, [_row(claim, recorded) for claim in rows], marks)
+                # Cells of a table in HTML are not searched, and words of two letters never are.
+                ids = f"{len(rows)}: {', '.join(f'{{index}}`{claim.id}`' for claim in rows)}."
+                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", ids, "", body]
     return "\n".join(lines) + "\n"
 
 
@@ -60,13 +76,13 @@ def _origins(claims: Sequence[Claim]) -> str:
     return "; ".join(told)
 
 
-def _counts(claims: Sequence[Claim], words: Sequence[str]) -> str:
+def _counts(claims: Sequence[Claim]) -> str:
     rows = []
     for key, name in PAPERS.items():
         own = Counter(claim.verdict for claim in claims if claim.paper == key)
         if own:
-            rows.append([name, *(str(own[word]) for word in words)])
-    return table(["paper", *words], rows)
+            rows.append([name, strip(own)])
+    return table(["paper", "verdicts"], rows)
 
 
 def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
@@ -95,3 +111,22 @@ def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
 
 def _lines(texts: Iterable[str]) -> str:
     return "<br>".join(html.escape(" ".join(text.split())) for text in texts)
+
+
+_BOX = re.compile(r'(<div class="claim \w+" id="([\w-]+)"><b>)([\w-]+)(</b>)')
+
+
+def linked(body: str) -> str:
+    """The text of a page of `notebooks/` with each box of a claim linked to its row."""
+    return _BOX.sub(r'\1<a href="../book/claims.html#\2">\3</a>\4', body)
+
+
+def setup(app) -> dict[str, bool]:
+    """Called by Sphinx."""
+
+    def link(app, page: str, template: str, context: dict, tree: object) -> None:
+        if page.startswith("notebooks/") and "body" in context:
+            context["body"] = linked(context["body"])
+
+    app.connect("html-page-context", link)
+    return {"parallel_read_safe": True}

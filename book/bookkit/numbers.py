@@ -1,7 +1,8 @@
 """Recorded numbers in the text of any page: ``{{ '%.3f' % notebook__name }}``.
 
 A Sphinx extension. What a notebook recorded under a name is a substitution of MyST; the entries
-of a list are ``notebook__name_0`` and so on. Beside them stand the verdicts of the ledger.
+of a list are ``notebook__name_0`` and so on. Beside them stand the verdicts of the
+ledger, and the small pictures.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from bookkit.ledger import read_notebooks
+from bookkit.pictures import pictures
 from bookkit.strips import strips
 
 
@@ -27,5 +29,9 @@ def recorded(root: Path) -> dict[str, str | int | float]:
 def setup(app) -> dict[str, bool]:
     """Called by Sphinx."""
     root = Path(app.srcdir)
-    app.config.myst_substitutions = recorded(root) | strips(root)
+    values = recorded(root)
+    told = strips(root)
+    app.config.myst_substitutions = values | told | pictures(root, values)
+    line = f"seedslib {told['project__version']}, {told['project__date']}, BSD-3-Clause licence"
+    app.config.html_theme_options["extra_footer"] = f"<p>{line}</p>"
     return {"parallel_read_safe": True}

@@ -65,7 +65,10 @@ def _directive(name: str, thing: object) -> list[str]:
         lines = [f".. autoclass:: {name}"]
         lines += [f"   :members: {', '.join(members)}"] if members else []
         return lines + (["   :inherited-members:"] if set(members) - set(vars(thing)) else [])
-    return [f".. {'autofunction' if callable(thing) else 'autodata'}:: {name}"]
+    if callable(thing):
+        return [f".. autofunction:: {name}"]
+    # The value of a table of modules would be their places on this machine.
+    return [f".. autodata:: {name}", *(["   :no-value:"] if "<module" in repr(thing) else [])]
 
 
 def _told(thing: object) -> list[str]:

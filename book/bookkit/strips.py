@@ -1,10 +1,11 @@
-"""What the landing page shows of the ledger: the verdicts on each paper as a strip."""
+"""What pages show of the ledger and of the project: strips of verdicts, version, date, citation."""
 
 from __future__ import annotations
 
-import tomllib
 from collections import Counter
 from pathlib import Path
+
+import yaml
 
 from bookkit.claims import LEDGER, PAPERS, VERDICTS, read_ledger
 
@@ -23,9 +24,10 @@ def strips(root: Path) -> dict[str, str]:
     -------
     dict of str to str
         ``verdicts__two_step`` and so on for the papers' claims, ``findings__two_step`` for ours,
-        ``verdicts__fragments`` for both fragments, and ``project__version``.
+        ``verdicts__fragments`` for both fragments, and ``project__version``, ``project__date`` and
+        ``project__bibtex``.
     """
-    found = {"project__version": _version(root)}
+    found = project(root)
     claims = read_ledger(root / LEDGER)
     groups = {paper: (paper,) for paper in PAPERS} | {"fragments": FRAGMENTS}
     for group, papers in groups.items():
@@ -47,5 +49,24 @@ def strip(counts: Counter[str]) -> str:
     return f'<span class="strip"><span class="bar">{bar}</span>{told}</span>'
 
 
-def _version(root: Path) -> str:
-    return tomllib.loads((root / "pyproject.toml").read_text())["project"]["version"]
+def project(root: Path) -> dict[str, str]:
+    """Version, date and citation of the project, as `CITATION.cff` has them.
+
+    The date is the version's and not that of the build, so that a book built again is the same.
+    """
+    cited = yaml.safe_load((root / "CITATION.cff").read_text())
+    authors = " and ".join(f"{{{author['name']}}}" for author in cited["authors"])
+    date = str(cited["date-released"])
+    fields = {
+        "author": authors,
+        "title": f"{{{cited['title']}}}",
+        "year": date[:4],
+        "version": cited["version"],
+        "note": f"{cited['license']} licence",
+    }
+    lines = [f"  {key:<7} = {{{value}}}," for key, value in fields.items()]
+    return {
+        "project__version": cited["version"],
+        "project__date": date,
+        "project__bibtex": "\n".join(["```bibtex", "@software{seedslib,", *lines, "}", "```"]),
+    }

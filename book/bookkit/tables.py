@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from itertools import repeat
 
 from bookkit.claims import Claim
 
 
-def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """HTML of a table of cells that are HTML."""
-    body = "".join("<tr>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n" for row in rows)
+def table(
+    head: Sequence[str], rows: Iterable[Sequence[str]], marks: Iterable[str] | None = None
+) -> str:
+    """HTML of a table of cells that are HTML; `marks` are attributes of its rows."""
+    body = "".join(
+        f"<tr{mark and ' ' + mark}>" + "".join(f"<td>{c}</td>" for c in row) + "</tr>\n"
+        for row, mark in zip(rows, marks or repeat(""), strict=False)
+    )
     heads = "".join(f"<th>{c}</th>" for c in head)
     return (
         f'<table class="claims table">\n<thead><tr>{heads}</tr></thead>\n<tbody>\n{body}</tbody>\n'

@@ -48,3 +48,16 @@ def test_a_name_that_two_objects_have_leads_nowhere():
     assert known["smooth"] is entries["seedslib.filters.smooth"]
     assert known["diff"] is None
     assert "run" not in known
+
+
+def test_no_value_that_is_shown_names_a_place_on_this_machine():
+    values = {name: thing for room in reference.ROOMS for name, thing in reference.public(room)}
+    places = {
+        name
+        for name, thing in values.items()
+        if isinstance(thing, dict) and "<module" in repr(thing)
+    }
+    assert "seedslib.delay.RECURSIONS" in places
+    for name in places:
+        shown = reference.page(name.split(".")[1])
+        assert f".. autodata:: {name}\n   :no-value:\n" in shown
