@@ -14,10 +14,11 @@ from bookkit.numbers import recorded
 from bookkit.pictures import LETTERS, WIDTH, pictures
 
 ROOT = Path(__file__).resolve().parents[1]
-STYLED = [
-    ROOT / "book" / f"{name}.md"
-    for name in ("index", "notation", "map", "reading", "glossary", "known", "cite", "bibliography")
-]
+STYLED = sorted(
+    page
+    for page in [*ROOT.glob("book/*.md"), *ROOT.glob("notebooks/*.md")]
+    if page.stem not in ("claims", "where")
+)
 """Pages that keep to the notation of `book/notation.md` and to its widths."""
 
 PHONE = 358
@@ -78,7 +79,7 @@ def test_equations_fit_into_the_column(page):
 @pytest.mark.parametrize("page", STYLED, ids=lambda path: path.stem)
 def test_pages_keep_to_the_notation(page):
     found = notation_faults(page.read_text())
-    if page.stem == "glossary":
+    if page.stem == "glossary" or page.stem.startswith("errata"):
         found = [entry for entry in found if not ABBREVIATION.fullmatch(entry)]
     assert found == []
 
@@ -178,9 +179,7 @@ def test_colours_that_are_too_near_are_seen():
     assert contrast(["#f0e442"]) < 3
 
 
-DRAWN = sorted(
-    path for path in (ROOT / "book" / "_static").glob("*.svg") if path.stem != "innovations"
-)
+DRAWN = sorted((ROOT / "book" / "_static").glob("*.svg"))
 
 
 def smallest_letters(svg):

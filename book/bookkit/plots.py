@@ -35,6 +35,10 @@ FAMILIES = {
     "unscented Kalman filter": (BROWN, ":", "v"),
     "cubature Kalman filter": (BROWN, "--", "^"),
     "measurement filter": (GREEN, "-", "s"),
+    "repaired filter": (OCHRE, "-", "s"),
+    "paper's filter": (BLUE, "-", "o"),
+    "minimax filter": (PLUM, "-.", "D"),
+    "Gauss-Hermite filter": (GREEN, ":", "^"),
     "piecewise-linear filter": (BLUE, "-", "o"),
     "Gaussian sum": (OCHRE, "-.", "D"),
     "log-odds": (PLUM, "--", "D"),
@@ -46,6 +50,9 @@ FAMILIES = {
     "estimate filter": (BLUE, "-", "o"),
 }
 """Colour, dash and marker by what a filter's name says; the first that fits, longest first."""
+
+FIRST = ("log-odds", "indicator")
+"""What is remembered beside estimates: it tells filters apart before their number of estimates."""
 
 DOTS = 110
 """A figure's dots to the inch on the page; its picture has twice as many."""
@@ -100,7 +107,7 @@ def look(name: str) -> dict[str, Any]:
     ValueError
         A name without a family in `FAMILIES`.
     """
-    for family in sorted(FAMILIES, key=len, reverse=True):
+    for family in sorted(FAMILIES, key=lambda family: (family not in FIRST, -len(family))):
         if family.casefold() in name.casefold():
             return dict(zip(("color", "linestyle", "marker"), FAMILIES[family], strict=True))
     raise ValueError(f"name: got {name!r}, wanted one with any of {', '.join(FAMILIES)}")
