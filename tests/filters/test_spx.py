@@ -93,6 +93,10 @@ def test_the_committed_maximum_is_one(routes, returns, published):
     )
     middle = routes.root_cells(returns, best, 100)[0]
     assert middle > published[0] + 0.1
-    for move in (errors * np.eye(6)[5], errors * np.eye(6)[1]):
+    told = {row["parameter"]: row for row in rows("spx_sides.csv") if row["about"] == "best"}
+    for k, name in ((5, "sigma0"), (1, "kappa")):
+        move = errors * np.eye(6)[k]
         sides = [routes.root_cells(returns, best + sign * move, 100)[0] for sign in (-1, 1)]
         assert max(sides) < middle - 0.1
+        lost = [float(told[name][side]) for side in ("below", "above")]
+        assert [middle - side for side in sides] == pytest.approx(lost, abs=1e-5)
