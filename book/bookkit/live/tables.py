@@ -128,7 +128,10 @@ def _delay() -> Figure:
 
 
 def _switching() -> Figure:
-    names = {"exact": "exact, order 1", "aof_g": "AOF-G", "fbp_g": "FBP-G 1", "imm_ekf": "IMM-EKF"}
+    names = {
+        "exact": "one estimate, exact", "aof_g": "IMM, Gaussian means",
+        "fbp_g": "one estimate, Gaussian", "imm_ekf": "IMM, extended Kalman",
+    }  # fmt: skip
     return _table(
         "switching_noise", "switching_noise",
         {"rate": ("factor of the switching probabilities", 2),
