@@ -99,8 +99,8 @@ def _floats(name, value, missing):
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
     if array.dtype.kind in "mM":
         raise TypeError(
-            f"{name}: wanted real numbers, got an array of dtype {array.dtype}; take time since the "
-            "first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
+            f"{name}: wanted real numbers, got an array of dtype {array.dtype}; take time since "
+            "the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
         )
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
@@ -153,9 +153,10 @@ def as_covariance(
 ) -> np.ndarray:
     """Symmetric positive semidefinite (or definite) matrix, returned exactly symmetric.
 
-    A number is the matrix of one component. Eigenvalues are those of the matrix scaled to unit diagonal, so that units do not matter.
-    Negative ones within rounding (1e-10 of the largest) are accepted and left alone: nothing is
-    silently regularised. A negative variance is never rounding.
+    A number is the matrix of one component. Eigenvalues are those of the matrix scaled to unit
+    diagonal, so that units do not matter. Negative ones within rounding (1e-10 of the largest)
+    are accepted and left alone: nothing is silently regularised. A negative variance is never
+    rounding.
 
     Raises
     ------

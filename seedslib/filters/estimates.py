@@ -45,7 +45,8 @@ class Estimates(NamedTuple):
     def interval(self, level: float = 0.95) -> np.ndarray:
         """Intervals of this probability for each component, shape (2, K+1, n, *batch).
 
-        Of a single estimate or forecast, mean (n,), shape (2, n). They are those of a Gaussian law with the mean and the variance that the filter claims.
+        Of a single estimate or forecast, mean (n,), shape (2, n). They are those of a Gaussian
+        law with the mean and the variance that the filter claims.
 
         Raises
         ------
