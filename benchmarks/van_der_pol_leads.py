@@ -1,9 +1,10 @@
 """How far filters of the Van der Pol oscillator are ahead of the extended Kalman filter.
 
 Run by hand, ``python benchmarks/van_der_pol_leads.py``; writes ``benchmarks/van_der_pol_leads.csv``
-beside itself. Sixteen sets of 32 768 paths each, other than those of the designs; the lead is the RMS
-error of x1 of the extended filter less that of another on the same paths, after each measurement
-and a step of 0.01 before it. Object, extended filter and continuous forecast by Euler's method.
+beside itself. Sixteen sets of 32 768 paths each, other than those of the designs; the lead is the
+RMS error of x1 of the extended filter less that of another on the same paths, after each
+measurement and a step of 0.01 before it. Object, extended filter and continuous forecast by
+Euler's method.
 """
 
 from __future__ import annotations
