@@ -15,7 +15,7 @@ from bookkit.claims import LEDGER, ORIGINS, PAPERS, Claim, read_ledger
 from bookkit.ledger import read_verdicts
 from bookkit.recording import evidence
 from bookkit.strips import strip
-from bookkit.tables import claim_link, table
+from bookkit.tables import claim_link, table, typeset
 
 DECIDED = ("reproduced", "corrected", "refuted", "open")
 OURS = ("checked", "open")
@@ -110,7 +110,7 @@ def _row(claim: Claim, recorded: dict[str, dict[str, dict]]) -> list[str]:
 
 
 def _lines(texts: Iterable[str]) -> str:
-    return "<br>".join(html.escape(" ".join(text.split())) for text in texts)
+    return "<br>".join(typeset(" ".join(text.split())) for text in texts)
 
 
 _BOX = re.compile(r'(<div class="claim \w+" id="([\w-]+)"><b>)([\w-]+)(</b>)')

@@ -7,12 +7,12 @@ notebook's outputs, so reading needs nothing but this module.
 
 from __future__ import annotations
 
-import html
 import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from bookkit.claims import Claim, look_up
+from bookkit.tables import typeset
 
 MIME = "application/vnd.seedslib.record+json"
 GLUE = "application/papermill.record/"
@@ -248,8 +248,8 @@ def evidence(entry: Mapping) -> list[str]:
 
 def claim_html(name: str, entry: Mapping) -> str:
     """The box of a claim on a page."""
-    label, says = html.escape(name), html.escape(entry["says"])
-    detail = html.escape("; ".join(evidence(entry)))
+    label, says = typeset(name), typeset(entry["says"])
+    detail = typeset("; ".join(evidence(entry)))
     return (
         f'<div class="claim {entry["verdict"]}" id="{label}"><b>{label}</b> '
         f'<span class="verdict">{entry["verdict"]}</span> {says}<br>{detail}</div>'

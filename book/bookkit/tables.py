@@ -1,11 +1,15 @@
-"""Tables of the generated pages, and links from there to the boxes of claims."""
+"""Tables of the generated pages, texts as HTML, and links from there to the boxes of claims."""
 
 from __future__ import annotations
 
+import html
+import re
 from collections.abc import Iterable, Sequence
 from itertools import repeat
 
 from bookkit.claims import Claim
+
+_TEX = re.compile(r"\$([^$]+)\$")
 
 
 def table(
@@ -27,3 +31,8 @@ def claim_link(claim: Claim) -> str:
     """Link to the box of a claim."""
     page = claim.notebook.removesuffix(".md")
     return f'<a href="../{page}.html#{claim.id}">{claim.id}</a>'
+
+
+def typeset(text: str) -> str:
+    """A text as HTML; what stands between dollars is set by MathJax, on a page and in JupyterLab."""
+    return _TEX.sub(r'<span class="math">\\(\1\\)</span>', html.escape(text))
