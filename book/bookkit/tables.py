@@ -34,5 +34,5 @@ def claim_link(claim: Claim) -> str:
 
 
 def typeset(text: str) -> str:
-    """A text as HTML; what stands between dollars is set by MathJax, on a page and in JupyterLab."""
+    """A text as HTML; MathJax sets what stands between dollars, on a page and in JupyterLab."""
     return _TEX.sub(r'<span class="math">\\(\1\\)</span>', html.escape(text))
