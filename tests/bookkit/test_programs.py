@@ -1,5 +1,6 @@
 """Programs on pages: they run, a type checker reads them, and faults are named by their line."""
 
+import re
 import shutil
 from pathlib import Path
 
@@ -55,7 +56,13 @@ def test_every_line_of_a_notebook_that_is_code_is_looked_at():
         text = page.read_text()
         found = programs.program(text).splitlines()
         cells = jupytext.reads(text, fmt="md:myst").cells
-        code = [line for c in cells if c.cell_type == "code" for line in c.source.splitlines()]
+        parts = [
+            [c.source]
+            if c.cell_type == "code"
+            else re.findall(r"^```python\n(.*?)^```", c.source, re.M | re.S)
+            for c in cells
+        ]
+        code = [line for part in parts for text in part for line in text.splitlines()]
         assert [line for line in found if line] == [line for line in code if line], page.name
 
 
