@@ -99,8 +99,10 @@ def axes(
     return made
 
 
-def look(name: str) -> dict[str, Any]:
+def look(name: str, **changes: Any) -> dict[str, Any]:
     """How the filter of this name is drawn: colour, dash and marker, as options of `plot`.
+
+    `changes` take the place of some, or are added.
 
     Raises
     ------
@@ -109,7 +111,8 @@ def look(name: str) -> dict[str, Any]:
     """
     for family in sorted(FAMILIES, key=lambda family: (family not in FIRST, -len(family))):
         if family.casefold() in name.casefold():
-            return dict(zip(("color", "linestyle", "marker"), FAMILIES[family], strict=True))
+            known = dict(zip(("color", "linestyle", "marker"), FAMILIES[family], strict=True))
+            return known | changes
     raise ValueError(f"name: got {name!r}, wanted one with any of {', '.join(FAMILIES)}")
 
 
