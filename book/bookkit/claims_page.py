@@ -40,7 +40,7 @@ def page(root: Path) -> str:
         f"The papers make {len(theirs)} claims: {_summary(theirs, DECIDED)}. {len(ours)} findings",
         f"of our own stand apart: {_summary(ours, OURS)}. Each verdict is computed by the notebook",
         "it links to, and a test fails when the notebook and the ledger differ. What the words",
-        "mean is said in [](#verdicts).",
+        r"mean is said in [](#verdicts), what letters mean ($\hat x$, $P$) in [](notation.md).",
         "",
         _counts(theirs),
         "",
