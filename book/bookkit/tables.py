@@ -9,6 +9,9 @@ from itertools import repeat
 
 from bookkit.claims import Claim
 
+LONG = 40
+"""Signs of an equation that is cut into parts."""
+
 _TEX = re.compile(r"\$([^$]+)\$")
 
 
@@ -34,5 +37,24 @@ def claim_link(claim: Claim) -> str:
 
 
 def typeset(text: str) -> str:
-    """A text as HTML; MathJax sets what stands between dollars, on a page and in JupyterLab."""
-    return _TEX.sub(r'<span class="math">\\(\1\\)</span>', html.escape(text))
+    """A text as HTML; MathJax sets what stands between dollars, on a page and in JupyterLab.
+
+    Equations are cut before their signs, where a line may end.
+    """
+    return _TEX.sub(lambda found: " ".join(map(_set, _pieces(found[1]))), html.escape(text))
+
+
+def _set(tex: str) -> str:
+    return rf'<span class="math">\({tex}\)</span>'
+
+
+def _pieces(tex: str) -> list[str]:
+    """A long equation in parts, cut before the signs that stand outside of brackets."""
+    found, depth, begin = [], 0, 0
+    for i, sign in enumerate(tex):
+        depth += (sign in "([{") - (sign in ")]}")
+        if depth == 0 and len(tex) > LONG and tex[i : i + 3] in (" = ", " + ", " - "):
+            found.append(tex[begin:i])
+            begin = i
+    found.append(tex[begin:])
+    return [found[0], *("{}" + part.strip() for part in found[1:])]

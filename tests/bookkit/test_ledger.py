@@ -4,6 +4,7 @@ import pytest
 
 from bookkit import claims, claims_page, ledger
 from bookkit.recording import MIME
+from bookkit.tables import typeset
 
 
 def test_a_sound_project_has_no_faults(project):
@@ -215,3 +216,10 @@ def test_a_refuted_claim_shows_its_numbers(project, spoil):
 def test_a_fault_that_passes_is_named(project):
     record_of(project, missed=["one term less"])
     assert ledger.faults(project) == ["TS-X1: true as well with this fault: one term less"]
+
+
+def test_mathematics_of_a_statement_is_set_and_may_be_broken():
+    assert typeset("a < $x = 1$") == r'a &lt; <span class="math">\(x = 1\)</span>'
+    long = r"$P_k = AP_{k-1}A^{\mathsf T} + B(Q + R)B^{\mathsf T} - K_kSK_k^{\mathsf T}$"
+    begun = [part.partition(r"\(")[2][:6] for part in typeset(long).split("</span> ")]
+    assert begun == [r"P_k\)", "{}= AP", "{}+ B(", "{}- K_"]
