@@ -141,7 +141,8 @@ def test_the_page_counts_links_and_escapes(project, spoil):
     assert "The papers make 1 claims: 1 reproduced, 0 corrected, 0 refuted, 0 open." in page
     assert '<a href="../notebooks/tiny.html#TS-X1">TS-X1</a>' in page
     assert "terms &lt; 5" in page
-    assert "computed 7<br>printed 7 (± 1e-09)<br>Would fail with: one term less" in page
+    assert "computed 7<br>printed 7 (± 1e-09)<details>" in page
+    assert "</summary>Would fail with: one term less<br>" in page
 
 
 def test_an_empty_line_in_a_statement_does_not_end_the_table(project, spoil):

@@ -80,7 +80,10 @@ def test_step_by_step_is_the_run_and_forecasts_go_on():
     )
     with pytest.raises(ValueError, match=r"next measurement time 10\.25, got 10\.3"):
         lasting.predict(state, 10.3)
-    with pytest.raises(ValueError, match="times: wanted at most 6, got 10"):
+    with pytest.raises(
+        ValueError,
+        match="times: wanted at most 6, where the design ends, got 10",
+    ):
         made.run(grid, data.measurements)
 
 

@@ -176,7 +176,7 @@ def test_lasting_tables(filter, system):
     square = ((found.mean - data.states)[:, 0] ** 2)[20:].mean(axis=0)
     wanted = filter.predicted.rms[-1, 0] ** 2
     assert abs(square.mean() - wanted) < 4 * square.std() / 4000**0.5
-    with pytest.raises(ValueError, match="times: wanted at most 15, got 59"):
+    with pytest.raises(ValueError, match="times: wanted at most 15, where the design ends, got 59"):
         filter.run(long, data.measurements)
     with pytest.raises(ValueError, match="wanted all measurement times of the design, 16 is"):
         lasting.run([*range(16), 17], data.measurements[:17])
