@@ -30,7 +30,7 @@ def folder(tmp_path_factory):
     return made
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(rows=st.lists(st.lists(CELL, min_size=1, max_size=3), max_size=6),
        head=st.sampled_from(["t,y1", "t;y1", "y1", "t,y1,y1", "a b"]))  # fmt: skip
 def test_any_table_of_measurements(folder, rows, head):
@@ -83,7 +83,7 @@ def refused_or_equal(path, filter):
         np.testing.assert_array_equal(a, b)
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(data=st.data())
 def test_a_byte_that_changes_is_refused_or_does_no_harm(folder, filter, data):
     whole = (folder / "f.npz").read_bytes()
