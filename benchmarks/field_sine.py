@@ -27,6 +27,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 import sympy
 
+from bookkit.experiments import averaged
 from seedslib.design import synthesize
 from seedslib.designed import Memory
 from seedslib.filters import CovarianceFilter, ParticleFilter, smooth
@@ -158,20 +159,6 @@ def rao_blackwell(y, variance, count, seed):
 def with_signal(means):
     """Means (K, 3, runs) with the signal at them below."""
     return np.concatenate([means, means[:, 2:3] * np.sin(means[:, :1])], axis=1)
-
-
-def averaged(filter, times, y, others):
-    """Means of a filter of y whose covariances are, before each correction, means over others."""
-    state, other = (filter.initial((part.shape[2],)) for part in (y, others))
-    found = []
-    for k, t in enumerate(times):
-        state, other = filter.predict(state, t), filter.predict(other, t)
-        cov = other.cov if other.cov.ndim == 2 else other.cov.mean(axis=2)
-        wide = np.ascontiguousarray(np.broadcast_to(cov[..., None], (*cov.shape, y.shape[2])))
-        state = filter.correct(state._replace(cov=wide), y[k])
-        other = filter.correct(other, others[k])
-        found.append(state.mean)
-    return np.array(found)
 
 
 def of(values):

@@ -32,6 +32,7 @@ def setup(app) -> dict[str, bool]:
     values = recorded(root)
     told = strips(root)
     app.config.myst_substitutions = values | told | pictures(root, values)
-    line = f"seedslib {told['project__version']}, {told['project__date']}, BSD-3-Clause licence"
+    known = (told[f"project__{part}"] for part in ("version", "date", "licence"))
+    line = "seedslib {}, {}, {} licence".format(*known)
     app.config.html_theme_options["extra_footer"] = f"<p>{line}</p>"
     return {"parallel_read_safe": True}

@@ -24,8 +24,8 @@ def strips(root: Path) -> dict[str, str]:
     -------
     dict of str to str
         ``verdicts__two_step`` and so on for the papers' claims, ``findings__two_step`` for ours,
-        ``verdicts__fragments`` for both fragments, and ``project__version``, ``project__date`` and
-        ``project__bibtex``.
+        ``verdicts__fragments`` for both fragments, and ``project__version``, ``project__date``,
+        ``project__licence`` and ``project__bibtex``.
     """
     found = project(root)
     claims = read_ledger(root / LEDGER)
@@ -50,7 +50,7 @@ def strip(counts: Counter[str]) -> str:
 
 
 def project(root: Path) -> dict[str, str]:
-    """Version, date and citation of the project, as `CITATION.cff` has them.
+    """Version, date, licence and citation of the project, as `CITATION.cff` has them.
 
     The date is the version's and not that of the build, so that a book built again is the same.
     """
@@ -68,5 +68,6 @@ def project(root: Path) -> dict[str, str]:
     return {
         "project__version": cited["version"],
         "project__date": date,
+        "project__licence": cited["license"],
         "project__bibtex": "\n".join(["```bibtex", "@software{seedslib,", *lines, "}", "```"]),
     }

@@ -155,13 +155,13 @@ class CompiledFilter(CompiledRecords):
         """
         if state.batch or indicator is not None or self._alone is None:
             return self._many(state, t, y, indicator)
-        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.shape == self._shape:
-            given = self._time(t) + y.tobytes()
-        else:
-            try:
+        try:
+            if type(y) is np.ndarray and y.dtype is _DOUBLE and y.shape == self._shape:
+                given = self._time(t) + y.tobytes()
+            else:
                 given = self._pack(t, *y)  # type: ignore[misc]
-            except (struct.error, TypeError):
-                given = self._time(t) + self._measured(y, ()).tobytes()
+        except (struct.error, TypeError):
+            given = self._time(as_real("t", t, ndim=0)) + self._measured(y, ()).tobytes()
         out = bytes(self._size)  # nobody has seen it, so that C may write it
         if code := self._alone(state.raw, out, given):
             raise ValueError(REFUSED[code])

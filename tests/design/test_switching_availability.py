@@ -84,7 +84,7 @@ def test_two_modes_claim_the_errors_they_have():
     has, doubt = square.mean(axis=1), square.std(axis=1) / np.sqrt(8000)
     # claims are those of errors, which the normal laws of the modes alone are not
     ratio = one.cov[:, 0, 0].mean(axis=1) / has
-    assert (np.abs(ratio - 1) < 0.06 + 4 * doubt / has).all()
+    assert (np.abs(ratio - 1) < 0.02 + 4 * doubt / has).all()
     plain = two.cov[:, 0, 0].mean(axis=1) / has
     assert np.abs(plain - 1)[2:4].max() > 0.08
     assert np.sqrt(((one.mean - two.mean) ** 2).mean()) < 0.05 * np.sqrt(has.mean())

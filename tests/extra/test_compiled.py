@@ -275,3 +275,11 @@ def test_two_processes_at_once(tmp_path):
     said = [each.communicate()[0] for each in both]
     assert said[0] == said[1] != ""
     assert [path.suffix for path in (tmp_path / "seedslib").iterdir()] == [".so"]
+
+
+def test_a_time_that_is_none_is_named():
+    quick = compiled(extended_kalman(zoo.van_der_pol()))
+    for y in ([1.0, 0.5], np.array([1.0, 0.5])):
+        for t in ("noon", None, [0.0, 1.0]):
+            with pytest.raises((TypeError, ValueError), match="t: wanted"):
+                quick.step(quick.initial(), t, y)

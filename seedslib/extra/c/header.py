@@ -7,8 +7,8 @@
 # required  2.2   sums with a zero and products with a one, which sizes of the model make of indices
 #           9.3   { 0 } for a whole array
 #           10.1, 10.3, 10.4, 10.8   truth as int in a choice; signed sizes times sizeof; 1 << axes
-#           15.6  bodies of one statement without braces
 #           14.1, 14.2, 14.4   loops with two counters; isnan and isinf, which are int, as a test
+#           15.6  bodies of one statement without braces
 #           17.7  memcpy, memmove and memset, whose value is their first argument
 # advisory  2.5, 8.9   codes and tables that only a caller, or one function, uses
 #           12.1, 12.3   a ? b : c without brackets; several names in one declaration
