@@ -1,0 +1,34 @@
+"""The library's values are as near to the references as they have been, by stored bounds."""
+
+import pytest
+
+from references.comparison import found_errors, table
+
+BOUNDS = {key: float(row["bound"]) for key, row in table("errors.csv").items()}
+VALUES = table("values.csv")
+POOR = 1e-12
+WEAK = {}
+"""Cases in which more than that is lost than the condition number explains, and why."""
+
+
+@pytest.mark.parametrize("family", sorted({family for family, _, _ in VALUES}))
+def test_values_are_as_accurate_as_stored(family):
+    found = found_errors({family})
+    assert set(found) == {key for key in VALUES if key[0] == family}
+    worse = [
+        f"{' / '.join(key)}: error {error:.2g}, bound {BOUNDS[key]:.2g}"
+        for key, error in found.items()
+        if not error <= BOUNDS[key]
+    ]
+    assert not worse, "\n".join(worse)
+
+
+def test_every_value_has_its_bound_and_every_large_one_its_reason():
+    """A bound above 1e-12 is a matter of the problem, by its condition, or told to be weak."""
+    assert list(BOUNDS) == list(VALUES)
+    unexplained = {
+        key[:2]
+        for key, bound in BOUNDS.items()
+        if bound > POOR and bound > float(VALUES[key]["condition"] or 0) * 2.0**-48
+    }
+    assert unexplained == set(WEAK)
