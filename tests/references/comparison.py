@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterable
 from fractions import Fraction
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 HERE = Path(__file__).parent
@@ -41,3 +42,14 @@ def error(number: Any, row: dict[str, str]) -> float:
     except (ValueError, OverflowError):
         return float("inf")
     return float(abs(exact - Fraction(row["value"])) / Fraction(row["scale"]))
+
+
+def summary() -> list[tuple[str, int, float, float, str]]:
+    """For each family: number of values, worst and median error, provenance."""
+    told, measured = table("values.csv"), table("errors.csv")
+    rows = []
+    for family in dict.fromkeys(key[0] for key in told):
+        errors = [float(row["error"]) for key, row in measured.items() if key[0] == family]
+        provenance = next(row["provenance"] for key, row in told.items() if key[0] == family)
+        rows.append((family, len(errors), max(errors), median(errors), provenance))
+    return rows

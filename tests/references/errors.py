@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
+
 from references.high import about, density, family, integral, matrix, moment
 from references.means import NEARLY, larger, modulus_moments
 
@@ -20,9 +21,7 @@ def averaged(f: Any, mean: Any, var: Any, kink: Any) -> Any:
     if var == 0:
         return f(mean)
     s = mp.sqrt(var)
-    return integral(
-        lambda u: density((u - mean) / s) / s * f(u), about(mean, s, (mp.mpf(0), kink))
-    )
+    return integral(lambda u: density((u - mean) / s) / s * f(u), about(mean, s, (mp.mpf(0), kink)))
 
 
 @family(
@@ -78,9 +77,7 @@ def modulus_error(mean: Any, var: Any, error_var: Any) -> dict[str, Any]:
 )  # fmt: skip
 def sine_error(mean: Any, var: Any, error_var: Any) -> dict[str, Any]:
     with mp.workdps(140):
-        whole, seen = (
-            (1 - mp.exp(-2 * v) * mp.cos(2 * mean)) / 2 for v in (var, var - error_var)
-        )
+        whole, seen = ((1 - mp.exp(-2 * v) * mp.cos(2 * mean)) / 2 for v in (var, var - error_var))
         return {
             "optimal": whole - mp.exp(-error_var) * seen,
             "plugin": whole + seen - 2 * mp.exp(-error_var / 2) * seen,

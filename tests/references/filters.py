@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
-from references.high import STEP, column, family, law_values, matrix, relative
-from references.record import wave
 
-STEPS = 50
+from references.high import STEP, column, family, law_values, matrix, relative
+from references.record import STEPS, wave
+
 TREND = {"F": [[1.0, 0.5], [0.0, 0.875]], "Q": [[0.25, 0.0625], [0.0625, 0.125]],
          "H": [[1.0, 0.0]], "R": [[0.5]], "mean0": [0.5, -0.25],
          "cov0": [[1.0, 0.25], [0.25, 2.0]], "offset": 0.0, "size": 1.0}  # fmt: skip
@@ -120,12 +120,8 @@ def smoother(F: Any, Q: Any, H: Any, R: Any, mean0: Any, cov0: Any, offset: Any,
         return found
 
 
-def lower(cov: Any) -> Any:
-    return mp.cholesky(cov)
-
-
-def sines(mean: Any, cov: Any, bend: Any) -> tuple[Any, Any, Any]:
-    """Mean, covariance with the state and second central moment of (linear part) sin x1, exact."""
+def sines(mean: Any, cov: Any) -> tuple[Any, Any, Any]:
+    """Mean of sin x1, its covariance with the state, and its variance, exact."""
     p, blunt = cov[0, 0], mp.exp(-cov[0, 0] / 2)
     first = blunt * mp.sin(mean[0])
     lean = cov[:, 0] * blunt * mp.cos(mean[0])
@@ -136,7 +132,7 @@ def transformed(kind: str, mean: Any, cov: Any, slope: Any, bend: Any) -> tuple[
     """Mean, cross-covariance with x, and covariance of ``slope x + bend sin x1``."""
     n = len(mean)
     if kind == "exact":
-        first, lean, var = sines(mean, cov, bend)
+        first, lean, var = sines(mean, cov)
         cross = cov * slope.T + lean * bend.T
         both = slope * lean * bend.T
         out = slope * cov * slope.T + both + both.T + bend * bend.T * var
@@ -146,7 +142,7 @@ def transformed(kind: str, mean: Any, cov: Any, slope: Any, bend: Any) -> tuple[
         turn[:, 0] += bend * mp.cos(mean[0])
         return slope * mean + bend * mp.sin(mean[0]), cov * turn.T, turn * cov * turn.T
     reach = mp.mpf(3 if kind == "unscented" else n)
-    root = lower(cov) * mp.sqrt(reach)
+    root = mp.cholesky(cov) * mp.sqrt(reach)
     points = [mean + sign * root[:, k] for k in range(n) for sign in (1, -1)]
     weights = [1 / (2 * reach)] * (2 * n)
     if kind == "unscented":

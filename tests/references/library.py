@@ -13,6 +13,7 @@ import numpy as np
 import sympy
 
 from references import library_filters
+from references.record import INF
 from seedslib.filters.weights import normalised
 from seedslib.gaussian import (
     abs_errors,
@@ -35,9 +36,6 @@ from seedslib.gaussian.regions.twofold import Twofold
 
 x, y, z = sympy.symbols("x y z", real=True)
 NAMES = (x, y, z)
-INF = 1e300
-"""Stands for an infinite end."""
-
 law_values = library_filters.law_values
 
 
@@ -62,8 +60,12 @@ def polynomial(mean, cov, powers):
     return dict(zip(map(named, powers), made(mean, cov), strict=True))
 
 
-RULES = {"hermite": lambda n: quadrature.gauss_hermite(n, 5), "cubature": quadrature.cubature,
-         "unscented": lambda n: quadrature.unscented(n, 1.0), "fifth": quadrature.fifth_degree}  # fmt: skip
+RULES = {
+    "hermite": lambda n: quadrature.gauss_hermite(n, 5),
+    "cubature": quadrature.cubature,
+    "unscented": lambda n: quadrature.unscented(n, 1.0),
+    "fifth": quadrature.fifth_degree,
+}
 
 
 def rules(mean, cov, powers, rule):

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from references.record import wave
+from references.record import STEPS, wave
 from seedslib.delay import DelayKalmanFilter, DelaySystem, stationary_gains
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
@@ -32,7 +32,6 @@ from seedslib.models import (
 )
 from seedslib.two_step import KalmanBucyFilter, LinearDiffusion, TwoStepEstimator
 
-STEPS = 50
 x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
+
 from references.high import (
     Value,
     about,

@@ -5,10 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
-from references.filters import STEPS
+
 from references.high import Value, column, density, family, law_values, matrix, relative
 from references.motion import matrix_law
-from references.record import wave
+from references.record import STEPS, wave
 
 LEVEL = {"A": [[[0.5]], [[0.375]]], "delays": [0, 3], "C": [[1.0]], "Q": [[1.0]], "R": [[0.5]],
          "cov0": [[1.0]], "past": [[0.5]]}  # fmt: skip
@@ -158,7 +158,7 @@ def weights(score: Any) -> dict[str, Any]:
         name: {"count": count, "apart": apart, "r": r}
         for name, count, apart, r in (
             ("short", 4, 1.0, 1.0), ("ten", 11, 2.0, 1.0), ("thirty", 31, 4.0, 0.5),
-            ("fifty", 51, 6.0, 1e-6),
+            ("fifty", 51, 6.0, 1e-6), ("near", 20, 2.0**-20, 1.0), ("sharp", 3, 1.0, 1e-12),
         )
     },
 )  # fmt: skip

@@ -5,9 +5,10 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
+
 from references.errors import maximum_error, modulus_error, polynomial_error, sine_error
 from references.filters import corrected
-from references.high import Value, column, family, law_values, matrix, relative
+from references.high import Value, column, family, law_values, matrix
 from references.record import wave
 
 DAMPED = {"drift": [[0.0, 1.0], [-1.0, -0.5]], "diffusion": [[0.25, 0.0], [0.0, 1.0]]}

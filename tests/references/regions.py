@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import mpmath as mp
+
 from oracles.polygon_reference import reference
 from references.high import (
     Value,
@@ -18,9 +19,7 @@ from references.high import (
     matrix,
     relative,
 )
-
-INF = 1e300
-"""Stands for an infinite end."""
+from references.record import INF
 
 
 def mass_between(a: Any, b: Any) -> Any:
