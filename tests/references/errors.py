@@ -110,6 +110,7 @@ def polynomial_error(mean: Any, cov: Any, error_cov: Any, powers: Any) -> dict[s
             name, twice = "x^{}y^{}".format(*p), [2 * k for k in p]
             square = moment(twice, mean, cov)
             found[f"optimal {name}"] = square - moment([*p, *p], [*mean, *mean], joint(cov))
+            found[f"Hermite {name}"] = found[f"optimal {name}"]  # of the estimators of all degrees
             both = moment([*p, *p], [*mean, *mean], joint(seen))
             found[f"plugin {name}"] = square + moment(twice, mean, seen) - 2 * both
         return found

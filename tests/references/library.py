@@ -21,6 +21,7 @@ from seedslib.gaussian import (
     bivariate_normal_cdf,
     elevation_moments,
     expectation_function,
+    hermite_expansion,
     interval,
     max_errors,
     max_moments,
@@ -109,6 +110,8 @@ def polynomial_error(mean, cov, error_cov, powers):
     for p in powers:
         errors = mean_square_errors(product(p), (x, y))(mean, cov, error_cov)
         found |= pair(f"optimal {named(p)}", f"plugin {named(p)}", errors)
+        expansion = hermite_expansion(product(p), (x, y), mean, cov, error_cov)
+        found[f"Hermite {named(p)}"] = expansion.degree_errors()[-1, 0, 0]
     return found
 
 

@@ -89,7 +89,11 @@ def rows(name: str, case: str) -> list[list[str]]:
 
 def main() -> None:
     only = set(sys.argv[1:])
-    made = {case: rows(*case) for case in cases() if not only or case[0] in only}
+    made = {}
+    for name, case in cases():
+        if not only or name in only:
+            print(name, case, flush=True)
+            made[name, case] = rows(name, case)
     if only:
         with FILE.open(newline="") as file:
             for row in list(csv.reader(file))[1:]:
