@@ -28,7 +28,7 @@ def bound(family: str, error: float) -> float:
 
 def main() -> None:
     from bookkit.portable import settings
-    from references.comparison import found_errors, summary
+    from references.comparison import found_errors, summary, table
 
     if "--own" in sys.argv:
         for key, error in found_errors().items():
@@ -49,7 +49,11 @@ def main() -> None:
     with FILE.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["family", "case", "quantity", "error", "bound"])
-        writer.writerows([*key, f"{e:.1e}", f"{bound(key[0], e):.3g}"] for key, e in worst.items())
+        writer.writerows(
+            [*key, f"{e:.1e}", f"{bound(key[0], e):.3g}"]
+            for key in table("values.csv")
+            for e in [worst[key]]
+        )
     for family, count, largest, middle, provenance in summary():
         print(f"| {family} | {count} | {largest:.0e} | {middle:.0e} | {provenance} |")
 
