@@ -1,6 +1,6 @@
 """Write the references: ``python tests/references/make.py`` gives the same bytes each time.
 
-With names of families only these are made again. All of them take a quarter of an hour.
+With names of families only these are made again. All of them take about five minutes.
 
 Each value with 20 digits or more, the arguments it is for, where it comes from, what its error is
 relative to, and its condition number: the relative change of the value, in units of that scale,
