@@ -26,7 +26,7 @@ class DiffuseState(NamedTuple):
 
     ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, *batch, q). Of d the measurements
     say N(I⁻¹ s, I⁻¹), with the ``score`` s (q, *batch) and the ``information`` I (q, q, *batch).
-    ``total`` is the log-likelihood of the measurements at d = 0, ``loglik`` that of the last one.
+    ``loglik`` is that of the last measurement, d integrated out.
     """
 
     time: float | None
@@ -37,7 +37,6 @@ class DiffuseState(NamedTuple):
     effect: np.ndarray
     score: np.ndarray
     information: np.ndarray
-    total: np.ndarray | float
 
 
 class KalmanFilter(CovarianceFilter):
@@ -83,7 +82,7 @@ class KalmanFilter(CovarianceFilter):
         state.cov[self._diffuse, self._diffuse] = self._lent
         effect = np.zeros((self.n, *batch, q))
         effect[self._diffuse, ..., range(q)] = 1.0
-        nothing = np.zeros((q, *batch)), np.zeros((q, q, *batch)), np.zeros(batch)
+        nothing = np.zeros((q, *batch)), np.zeros((q, q, *batch))
         return DiffuseState(*state, effect, *nothing)
 
     def moved(self, state: Any, t: float) -> Any:
@@ -120,10 +119,15 @@ class KalmanFilter(CovarianceFilter):
         score = state.score + np.einsum("m...q,m...->q...", slope, weighed[..., 0])
         added = np.einsum("m...p,m...q->pq...", slope, weighed[..., 1:])
         now = state._replace(
-            **known._asdict(), effect=effect, score=score,
-            information=state.information + added, total=state.total + known.loglik,
-        )  # fmt: skip
-        now = now._replace(loglik=_diffuse_loglik(now) - _diffuse_loglik(state))
+            **known._asdict(), effect=effect, score=score, information=state.information + added
+        )
+        # at the best d: at zero the squares may be large, and their difference has no digits
+        best = _solved(now, score[..., None])
+        rest = errors[..., :1] - np.einsum("m...q,q...->m...", slope, best[..., 0])[..., None]
+        density = correct(still[..., :1], None, rest, (still[..., :1], unit, spread))[2][..., 0]
+        gap = (best - _solved(state, state.score[..., None]))[..., 0]
+        density = density - 0.5 * np.einsum("p...,pq...,q...->...", gap, state.information, gap)
+        now = now._replace(loglik=density + _narrowed(state) - _narrowed(now))
         if self._apart or not _all_told(now.information):
             return now
         mean, cov = settle(now.mean, now.cov, now.effect, now)
@@ -206,12 +210,10 @@ def _given(state: Any) -> FilterState:
     return FilterState(*state[:5])
 
 
-def _diffuse_loglik(state: DiffuseState) -> np.ndarray:
-    """Log-likelihood of all measurements so far, its unknown numbers integrated out."""
+def _narrowed(state: DiffuseState) -> np.ndarray:
+    """Half the logarithm of the information that there is of the unknown numbers."""
     root = np.einsum("ii...->i...", factor(state.information))
-    logs = np.log(np.where(root > 0, root, 1.0)).sum(axis=0)
-    value = _solved(state, state.score[..., None])[..., 0]
-    return state.total + 0.5 * (state.score * value).sum(axis=0) - logs
+    return np.log(np.where(root > 0, root, 1.0)).sum(axis=0)
 
 
 def _solved(told: DiffuseState, columns: np.ndarray) -> np.ndarray:

@@ -10,6 +10,8 @@ from seedslib.base.checks import as_bound, as_real
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
 FAR, TINY = 100.0, 1e-200
+NEAR = 0.99
+"""Correlations beyond this are near one of the ends."""
 
 
 def density(x: ArrayLike) -> np.ndarray:
@@ -66,7 +68,10 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
 
 def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray, root: np.ndarray) -> np.ndarray:
     zero = h == 0
-    slope = (k - rho * h) / np.where(zero, 1.0, h * root)
+    # near one of the ends k - rho h cancels, but what it is made of is exact
+    end = np.copysign(1.0, rho)
+    apart = np.where(np.abs(rho) > NEAR, (k - end * h) + (end - rho) * h, k - rho * h)
+    slope = apart / np.where(zero, 1.0, h * root)
     return owens_t(h, np.where(zero, np.copysign(np.inf, k), slope))
 
 

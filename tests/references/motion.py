@@ -1,0 +1,199 @@
+"""References: linear motion in continuous time, the Kalman-Bucy filter, what stands on it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mpmath as mp
+
+from references.errors import maximum_error, modulus_error, polynomial_error, sine_error
+from references.filters import corrected
+from references.high import Value, column, family, law_values, matrix
+from references.record import wave
+
+DAMPED = {"drift": [[0.0, 1.0], [-1.0, -0.5]], "diffusion": [[0.25, 0.0], [0.0, 1.0]]}
+STIFF = {"drift": [[-1000.0, 1.0], [0.0, -0.125]], "diffusion": [[1.0, 0.0], [0.0, 1e-6]]}
+DRIVEN = {"drift": [[0.0, 1.0], [0.0, 0.0]], "diffusion": [[0.0, 0.0], [0.0, 1.0]]}
+
+
+def matrix_law(found: Any, name: str) -> dict[str, Value]:
+    """Entries, relative to the largest of the matrix."""
+    scale = max(abs(found[i, j]) for i in range(found.rows) for j in range(found.cols))
+    return {
+        f"{name} {i}{j}": Value(found[i, j], scale)
+        for i in range(found.rows)
+        for j in range(found.cols)
+    }
+
+
+def moved(drift: Any, diffusion: Any, step: Any) -> tuple[Any, Any]:
+    """Transition and noise of a step, from the exponential of a matrix of twice the size."""
+    n = drift.rows
+    block = mp.zeros(2 * n)
+    block[:n, :n], block[:n, n:], block[n:, n:] = -drift, diffusion, drift.T
+    power = mp.expm(block * step, method="taylor")
+    move = power[n:, n:].T
+    return move, move * power[:n, n:]
+
+
+def digits(drift: Any, time: Any) -> int:
+    """Enough for the growth that cancels in such an exponential."""
+    return 100 + int(time * sum(abs(drift[i, j]) for i in range(2) for j in range(2)))
+
+
+@family(
+    "discretisation", "series",
+    damped={**DAMPED, "step": 0.5}, long={**DAMPED, "step": 20.0}, driven={**DRIVEN, "step": 0.25},
+    short={**DAMPED, "step": 1e-6}, stiff={**STIFF, "step": 0.5},
+)  # fmt: skip
+def discretisation(drift: Any, diffusion: Any, step: Any) -> dict[str, Any]:
+    drift, diffusion = matrix(drift), matrix(diffusion)
+    with mp.workdps(digits(drift, step)):
+        move, noise = moved(drift, diffusion, step)
+        root = [mp.sqrt(noise[i, i]) for i in range(2)]
+        spread = {f"noise {i}{j}": Value(noise[i, j], root[i] * root[j])
+                  for i in range(2) for j in range(i + 1)}  # fmt: skip
+        return {**matrix_law(move, "transition"), **spread}
+
+
+def hamiltonian(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> Any:
+    n = drift.rows
+    block = mp.zeros(2 * n)
+    block[:n, :n], block[n:, n:] = -drift.T, drift
+    block[:n, n:], block[n:, :n] = sensor.T * intensity**-1 * sensor, diffusion
+    return block
+
+
+SEEN = {"sensor": [[1.0, 0.0]], "intensity": [[0.25]]}
+STEADY = {
+    "damped": {**DAMPED, **SEEN}, "driven": {**DRIVEN, **SEEN},
+    "quiet": {**DRIVEN, "sensor": [[1.0, 0.0]], "intensity": [[1e-8]]},
+    "loud": {**DAMPED, "sensor": [[1.0, 0.0]], "intensity": [[1e8]]},
+    "unstable": {"drift": [[1.0, 2.0], [0.0, 0.5]], "diffusion": [[1.0, 0.5], [0.5, 1.0]], **SEEN},
+    "stiff": {**STIFF, "sensor": [[1.0, 1.0]], "intensity": [[1.0]]},
+}  # fmt: skip
+
+
+@family("Riccati equation", "invariant subspace", **STEADY)
+def riccati(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> dict[str, Any]:
+    """The steady covariance from the growing eigenvectors of the Hamiltonian matrix."""
+    with mp.workdps(90):
+        block = hamiltonian(*map(matrix, (drift, diffusion, sensor, intensity)))
+        values, vectors = mp.eig(block)
+        kept = [k for k in range(4) if mp.re(values[k]) > 0]
+        assert len(kept) == 2
+        upper, bottom = mp.zeros(2), mp.zeros(2)
+        for j, k in enumerate(kept):
+            upper[:, j], bottom[:, j] = vectors[:2, k], vectors[2:, k]
+        cov = (bottom * upper**-1).apply(mp.re)
+        return {k: v for k, v in law_values(column([1, 1]), cov).items() if k.startswith("cov")}
+
+
+BUCY = {
+    "damped": {**DAMPED, **SEEN, "mean0": [0.5, -0.25], "cov0": [[1.0, 0.25], [0.25, 2.0]],
+               "step": 0.0625},
+    "known": {**DAMPED, **SEEN, "mean0": [0.5, -0.25], "cov0": [[0.0, 0.0], [0.0, 0.0]],
+              "step": 0.0625},
+    "diffuse": {**DRIVEN, **SEEN, "mean0": [0.5, -0.25], "cov0": [[1e10, 0.0], [0.0, 1e8]],
+                "step": 0.0625},
+    "quiet": {**DAMPED, "sensor": [[1.0, 0.0], [0.0, 1.0]], "mean0": [1e6, 0.0], "step": 2.0**-10,
+              "intensity": [[1e-4, 0.0], [0.0, 1e-2]], "cov0": [[1e-6, 0.0], [0.0, 1e-6]]},
+}  # fmt: skip
+
+
+@family("Kalman-Bucy filter", "series", **BUCY)
+def kalman_bucy(
+    drift: Any, diffusion: Any, sensor: Any, intensity: Any, mean0: Any, cov0: Any, step: Any
+) -> dict[str, Any]:
+    """Mean x - P p and covariance V U⁻¹ from the linear flows of (p, x) and (U, V)."""
+    with mp.workdps(140):
+        drift, diffusion, sensor, intensity = map(matrix, (drift, diffusion, sensor, intensity))
+        block = hamiltonian(drift, diffusion, sensor, intensity)
+        whole = mp.zeros(6)
+        whole[:4, :4], whole[:4, 4:] = block, mp.eye(4)[:, :2]
+        power = mp.expm(whole * step, method="taylor")
+        move, push = power[:4, :4], power[:4, 4:]
+        mean, cov = column(mean0), matrix(cov0)
+        for k in range(50):
+            rate = column([mp.mpf(wave(k, j)) / 16 for j in range(sensor.rows)])
+            lean = -sensor.T * intensity**-1 * rate
+            start = mp.zeros(4, 3)
+            start[:2, :2], start[2:, :2], start[2:, 2] = mp.eye(2), cov, mean
+            flow = move * start
+            flow[:, 2] += push * lean
+            cov = flow[2:, :2] * flow[:2, :2] ** -1
+            mean = flow[2:, 2] - cov * flow[:2, 2]
+        return law_values(mean, cov)
+
+
+START = {"mean0": [0.5, -0.25], "cov0": [[1.0, 0.25], [0.25, 2.0]], **DAMPED}
+TWO = {**START, **SEEN}
+ONE = {**START, "sensor": [[1.0, 0.0]]}
+
+
+@family(
+    "two-step estimator", "quadrature", sensitive=False,
+    early={**TWO, "time": 0.25}, late={**TWO, "time": 8.0},
+    quiet={**TWO, "intensity": [[1e-8]], "time": 0.015625},
+)  # fmt: skip
+def two_step(
+    mean0: Any, cov0: Any, drift: Any, diffusion: Any, sensor: Any, intensity: Any, time: Any
+) -> dict[str, Any]:
+    """Errors of estimates of a product, a sine, a modulus and a maximum at one time."""
+    drift, diffusion, sensor, intensity = map(matrix, (drift, diffusion, sensor, intensity))
+    with mp.workdps(300):  # the flow grows by up to a hundred digits
+        move, noise = moved(drift, diffusion, time)
+        cov, mean = move * matrix(cov0) * move.T + noise, move * column(mean0)
+        power = mp.expm(hamiltonian(drift, diffusion, sensor, intensity) * time, method="taylor")
+        start = mp.zeros(4, 2)
+        start[:2, :], start[2:, :] = mp.eye(2), matrix(cov0)
+        flow = power * start
+        error = flow[2:, :] * flow[:2, :] ** -1
+    error = (error + error.T) / 2
+    law = list(mean), cov.tolist(), error.tolist()
+    scalar = mean[0], cov[0, 0], error[0, 0]
+    product = polynomial_error(*law, powers=[[1, 1]])
+    found = {
+        "product": {name: product[f"{name} x^1y^1"] for name in ("optimal", "plugin")},
+        "sine": sine_error(*scalar), "modulus": modulus_error(*scalar),
+        "maximum": maximum_error(*law),
+    }  # fmt: skip
+    return {f"{f} {name}": v for f, told in found.items() for name, v in told.items()}
+
+
+@family(
+    "designed filter", "recursion",
+    damped={**ONE, "step": 0.5, "noise": 0.25, "memory": 1},
+    short={**ONE, "step": 0.5, "noise": 0.25, "memory": -2},
+    longer={**ONE, "step": 0.125, "noise": 1e-4, "memory": -4},
+    quiet={**ONE, "diffusion": [[0.0, 0.0], [0.0, 1e-10]], "cov0": [[1e-8, 0.0], [0.0, 1e-8]],
+           "step": 0.5, "noise": 1e-12, "memory": -3},
+)  # fmt: skip
+def designed(
+    mean0: Any, cov0: Any, drift: Any, diffusion: Any, sensor: Any, step: Any,
+    noise: Any, memory: Any,
+) -> dict[str, Any]:  # fmt: skip
+    """Estimate from the last measurements; of all of them where an estimate is remembered.
+
+    A memory of -l is that of l measurements beside the present one, 1 that of an estimate.
+    """
+    with mp.workdps(120):
+        steps, row = 12, matrix(sensor)
+        move, spread = moved(matrix(drift), matrix(diffusion), step)
+        means, covs = [column(mean0)], [matrix(cov0)]
+        for _ in range(steps):
+            means.append(move * means[-1])
+            covs.append(move * covs[-1] * move.T + spread)
+        first = 0 if memory > 0 else steps + memory
+        used = range(first, steps + 1)
+        inner, error = mp.zeros(len(used)), mp.zeros(len(used), 1)
+        cross = mp.zeros(2, len(used))
+        for a, i in enumerate(used):
+            error[a] = mp.mpf(wave(i)) / 16 - (row * means[i])[0]
+            cross[:, a] = move ** (steps - i) * covs[i] * row.T
+            for b, j in enumerate(used):
+                late, soon = max(i, j), min(i, j)
+                inner[a, b] = (row * move ** (late - soon) * covs[soon] * row.T)[0]
+            inner[a, a] += noise
+        mean, cov, _ = corrected(means[-1], covs[-1], error, cross, inner)
+        return law_values(mean, cov)
