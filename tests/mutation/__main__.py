@@ -57,6 +57,7 @@ def judge(found: list[Mutant], touches: Touches, note, stages: int = len(STAGES)
 
 def command_run(args) -> int:
     """Run the draws of rooms; the table is written anew after each mutant."""
+    preload()
     rows = table.read()
     touches = Touches.read(TOUCHES)
     for room in args.rooms:
@@ -83,6 +84,7 @@ def command_run(args) -> int:
 
 def command_faults(args) -> int:
     """Plant the faults written by hand, one by one; every one has to be caught."""
+    preload()
     found, told = planted(), []
 
     def note(m, outcome):
@@ -108,6 +110,7 @@ def command_changed(args) -> int:
     print(f"{len(changed)} files have changed since the table was written", flush=True)
     if not changed:
         return 0
+    preload()
     touches = table.killers()
     ends, survived, tried = time.monotonic() + args.seconds, [], 0
     texts = {f: (ROOT / "seedslib" / f).read_text() for f in changed}
@@ -157,8 +160,6 @@ def main() -> int:
         run(FOLDER)
         TOUCHES.write_text(json.dumps(gathered(FOLDER)))
         return 0
-    if args.run is not command_sound:
-        preload()
     return args.run(args)
 
 

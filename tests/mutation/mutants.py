@@ -141,13 +141,12 @@ class _Collector(cst.CSTVisitor):
         before = self.module.code_for_node(node)
         if before.strip() != piece.strip() or after == before:
             return
-        lead = len(before) - len(before.lstrip())
-        after = after[lead:] if after[:lead].isspace() or not lead else after.lstrip()
+        after = after if before == piece else after.strip()  # some spans have the space before
         name = ".".join(self.names)
-        place = (name, operator, piece, after)
+        place = (name, operator, piece, after.strip())
         count = self.seen[place] = self.seen.get(place, -1) + 1
         # of the function's own text: a change elsewhere in the file leaves the name as it is
-        parts = (self.file, name, self.sources[-1], operator, piece, after, str(count))
+        parts = (self.file, name, self.sources[-1], operator, piece, after.strip(), str(count))
         key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12]
         start = len(self.data[: span.start].decode())
         self.found.append(
