@@ -591,7 +591,7 @@ def test_a_system_in_discrete_time(tmp_path):
         ({"components": 3}, ValueError, "components: wanted 1 to 2, got 3"),
         ({"components": 0}, ValueError, "components: wanted 1 to 2, got 0"),
         ({"times": [0, 1, 1]}, ValueError, "times: wanted strictly increasing"),
-        ({"nodes": -1}, ValueError, "nodes: wanted 0 to 10000000"),
+        ({"nodes": -1}, ValueError, "nodes: wanted at least 0"),
         ({"nodes": [[0.7], []]}, ValueError, "nodes: wanted times between 0 and 0.5"),
         ({"nodes": [[0.2]]}, ValueError, "nodes: wanted 2 lists"),
         ({"horizon": 0.9}, ValueError, "horizon: wanted a time after"),

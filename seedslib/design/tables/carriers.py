@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
-from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.blocks import BLOCK, as_seed_sequence, require_room, seed_record
 from seedslib.base.checks import as_count
-from seedslib.base.clock import MOST_STEPS
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import crew
 from seedslib.designed.memory import Memory, Past
@@ -125,7 +124,8 @@ class Carriers:
         self.times, self.root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.lost = as_count("paths", paths), 0
         # a system in discrete time has no states between
-        parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes, 1, MOST_STEPS) + 1
+        parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes) + 1
+        require_room("nodes", nodes, 8.0 * parts * len(self.times))
         self.stops: tuple[np.ndarray, ...] = tuple(
             np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
         )
