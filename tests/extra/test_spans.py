@@ -28,7 +28,8 @@ def test_in_c(filter, build, tmp_path):
     assert "One more than 10000000 integration steps ahead is refused, the state as it was" in text
     source = (
         '#include "f.h"\nint far(double t, double *mean)\n{\n    f_state s, before;\n'
-        "    int code;\n    double y[2] = {1.0, 2.0};\n    f_init(&s);\n    f_step(&s, 0.0, y);\n    before = s;\n"
+        "    int code;\n    double y[2] = {1.0, 2.0};\n    f_init(&s);\n    f_step(&s, 0.0, y);\n"
+        "    before = s;\n"
         "    code = f_step(&s, t, y);\n    if (memcmp(&before, &s, sizeof s)) return -1;\n"
         "    f_predict(&s, 0.5);\n    memcpy(mean, s.mean, sizeof s.mean);\n    return code;\n}\n"
     )
