@@ -11,7 +11,7 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -100,15 +100,21 @@ def execute(root: Path, chosen: Sequence[str] = (), *, force: bool = False) -> l
 
 def _outcomes(todo: Iterable[Path]) -> Iterable[Outcome]:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with ProcessPoolExecutor(2, get_context("spawn"), end_with_parent) as pool:
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(max_workers=2, mp_context=spawn, initializer=end_with_parent) as pool:
         running = {pool.submit(_execute_one, path): path for path in todo}
-        for future in as_completed(running):
-            try:
-                problem = future.result()
-            except BrokenProcessPool:
-                problem = "failed: the process that executed it, or its neighbour, was killed"
-            print(f"{running[future].name}: {problem or 'executed'}", flush=True)
-            yield Outcome(running[future], problem)
+        try:
+            for future in as_completed(running):
+                try:
+                    problem = future.result()
+                except BrokenProcessPool:
+                    problem = "failed: the process that executed it, or its neighbour, was killed"
+                print(f"{running[future].name}: {problem or 'executed'}", flush=True)
+                yield Outcome(running[future], problem)
+        except KeyboardInterrupt:
+            for process in active_children():  # the pool would wait for them
+                process.kill()
+            raise
 
 
 def _execute_one(source: Path) -> str:

@@ -117,8 +117,8 @@ def run_sweep(
     )
     if todo:
         with _client(scheduler, min(workers, len(todo))) as client:
-            wanted_now = {key: files[key] for key in todo}
-            _run(client, text, inputs, wanted_now, out, quiet, limits)
+            left = {key: files[key] for key in todo}
+            _run(client, text, inputs, left, out, quiet, limits)
     results = {key: _read(out, key, point) for key, point in files.items()}
     table = out / TABLE
     _write_table(table, files, results)
