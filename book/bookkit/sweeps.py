@@ -205,11 +205,10 @@ def _run(
         try:
             result = future.result()
         except Exception as error:
-            result = {
-                "notebook": "",
-                "problem": f"{type(error).__name__}: {error}",
-                "library": ours,
-            }
+            kind = type(error).__name__
+            lost = "its worker was lost again and again"  # where it was is no matter
+            problem = lost if kind == "KilledWorker" else f"{kind}: {error}"
+            result = {"notebook": "", "problem": problem, "library": ours}
         if future.cancelled():
             raise ValueError("the scheduler was lost; what was finished is kept: start it again")
         if result["library"] != ours:
@@ -218,6 +217,7 @@ def _run(
         if result["notebook"]:
             replace(out / f"{key}.ipynb", result["notebook"])
         replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
+        future.release()  # a worker that is lost later need not do it again
 
 
 def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
