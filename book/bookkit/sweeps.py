@@ -90,8 +90,7 @@ def run_sweep(
         raise ValueError(f"{notebook}: wanted an existing .ipynb notebook")
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ValueError(f"workers: wanted a whole number of at least 1, got {workers!r}")
-    limits = limits or Limits()
-    limits.check()
+    (limits := limits or Limits()).check()
     text = notebook.read_text()
     try:
         content = nbformat.reads(text, as_version=4)
@@ -195,29 +194,41 @@ def _run(
     from dask.distributed import as_completed
     from tqdm import tqdm
 
-    ours = library_of(json.loads(text))
-    running = {
-        client.submit(execute_point, text, point, inputs, limits, key=f"point-{k}", retries=2): k
-        for k, point in todo.items()
-    }
+    def submitted(key: str, name: str) -> Any:
+        work = text, todo[key], inputs, limits
+        return client.submit(execute_point, *work, key=f"{name}-{key}", retries=2)
+
+    ours, suspects = library_of(json.loads(text)), []
+    running = {submitted(key, "point"): key for key in todo}
     for future in tqdm(as_completed(running), total=len(running), unit="point", disable=quiet):
         key = running[future]
-        try:
-            result = future.result()
-        except Exception as error:
-            kind = type(error).__name__
-            lost = "its worker was lost again and again"  # where it was is no matter
-            problem = lost if kind == "KilledWorker" else f"{kind}: {error}"
-            result = {"notebook": "", "problem": problem, "library": ours}
-        if future.cancelled():
-            raise ValueError("the scheduler was lost; what was finished is kept: start it again")
-        if result["library"] != ours:
-            raise ValueError("a worker runs another version of seedslib: install this one there")
-        entry = _entry(todo[key], result)
-        if result["notebook"]:
-            replace(out / f"{key}.ipynb", result["notebook"])
-        replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
-        future.release()  # a worker that is lost later need not do it again
+        if not _kept(future, out, key, todo[key], ours, False):
+            suspects.append(key)
+    for key in suspects:  # it may only have waited beside one that kills its worker
+        _kept(submitted(key, "alone"), out, key, todo[key], ours, True)
+
+
+def _kept(future: Any, out: Path, key: str, point: Mapping, ours: str, alone: bool) -> bool:
+    """Whether what became of a point is written; not where it has lost its workers, with others."""
+    try:
+        result = future.result()
+    except Exception as error:
+        kind = type(error).__name__
+        if kind == "KilledWorker" and not alone:
+            return False
+        lost = "its worker was lost again and again"  # where it was is no matter
+        problem = lost if kind == "KilledWorker" else f"{kind}: {error}"
+        result = {"notebook": "", "problem": problem, "library": ours}
+    if future.cancelled():
+        raise ValueError("the scheduler was lost; what was finished is kept: start it again")
+    if result["library"] != ours:
+        raise ValueError("a worker runs another version of seedslib: install this one there")
+    entry = _entry(point, result)
+    if result["notebook"]:
+        replace(out / f"{key}.ipynb", result["notebook"])
+    replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
+    future.release()  # a worker that is lost later need not do it again
+    return True
 
 
 def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
