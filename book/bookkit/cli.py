@@ -35,8 +35,10 @@ def _execute(options: argparse.Namespace) -> int:
 
 
 def _sweep(options: argparse.Namespace) -> int:
+    from bookkit.limits import Limits
     from bookkit.sweeps import run_sweep
 
+    limits = Limits(options.seconds, options.memory)
     report = run_sweep(
         options.notebook,
         options.grid,
@@ -44,6 +46,8 @@ def _sweep(options: argparse.Namespace) -> int:
         scheduler=options.scheduler,
         workers=options.workers,
         retry=options.retry,
+        limits=limits,
+        most=options.points,
     )
     print(f"{report.total - report.failed} of {report.total} points done, table: {report.table}")
     if report.failed:
@@ -136,6 +140,9 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--scheduler", help="address of a running Dask scheduler")
     sweep.add_argument("--workers", type=int, default=2, help="local worker processes")
     sweep.add_argument("--retry", action="store_true", help="run failed points again")
+    sweep.add_argument("--seconds", type=float, default=3600, help="for a point (default 3600)")
+    sweep.add_argument("--memory", type=float, default=4, help="GB for a point (default 4)")
+    sweep.add_argument("--points", type=int, default=10_000, help="at most so many (10000)")
     sweep.set_defaults(run=_sweep)
 
     claims = commands.add_parser("claims", help="hold the ledger against notebooks and tests")

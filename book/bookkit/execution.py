@@ -11,22 +11,28 @@ import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from pathlib import Path
 from typing import NamedTuple
 
 import jupytext
 import nbformat
-from nbclient import NotebookClient
 from nbclient.exceptions import CellExecutionError, CellTimeoutError
 
 from bookkit import fingerprint
 from bookkit.claims import LEDGER, Claim, own_claims
 from bookkit.files import replace
+from bookkit.limits import Held, Limits, end_with_parent
 from bookkit.recording import read_records
+from bookkit.streams import merged
 
 KERNEL = "python3"
 TIMEOUT = 600
+"""Seconds for a cell."""
+
+LIMITS = Limits(memory=8.0)
+"""Of a chapter."""
+
 STAMP = "seedslib"
 
 _LOADED = (
@@ -94,15 +100,21 @@ def execute(root: Path, chosen: Sequence[str] = (), *, force: bool = False) -> l
 
 def _outcomes(todo: Iterable[Path]) -> Iterable[Outcome]:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    with ProcessPoolExecutor(max_workers=2, mp_context=get_context("spawn")) as pool:
+    spawn = get_context("spawn")
+    with ProcessPoolExecutor(max_workers=2, mp_context=spawn, initializer=end_with_parent) as pool:
         running = {pool.submit(_execute_one, path): path for path in todo}
-        for future in as_completed(running):
-            try:
-                problem = future.result()
-            except BrokenProcessPool:
-                problem = "failed: the process that executed it, or its neighbour, was killed"
-            print(f"{running[future].name}: {problem or 'executed'}", flush=True)
-            yield Outcome(running[future], problem)
+        try:
+            for future in as_completed(running):
+                try:
+                    problem = future.result()
+                except BrokenProcessPool:
+                    problem = "failed: the process that executed it, or its neighbour, was killed"
+                print(f"{running[future].name}: {problem or 'executed'}", flush=True)
+                yield Outcome(running[future], problem)
+        except KeyboardInterrupt:
+            for process in active_children():  # the pool would wait for them
+                process.kill()
+            raise
 
 
 def _execute_one(source: Path) -> str:
@@ -123,14 +135,14 @@ def _execute_source(source: Path) -> str:
     probe = nbformat.v4.new_code_cell(_LOADED)
     notebook.cells.append(probe)
     started: list[int] = [0]
-    client = NotebookClient(
+    client = Held(
         notebook,
+        limits=LIMITS,
         timeout=TIMEOUT,
         iopub_timeout=60,
         raise_on_iopub_timeout=True,
         kernel_name=KERNEL,
         record_timing=False,
-        coalesce_streams=True,
         extra_arguments=["--log-level=CRITICAL"],
         resources={"metadata": {"path": str(source.parent)}},
         on_cell_start=lambda cell, cell_index: started.append(cell_index),
@@ -143,6 +155,9 @@ def _execute_source(source: Path) -> str:
         return f"failed: cell {started[-1]}: {error.ename}: {error.evalue}"
     except RuntimeError as error:
         return f"failed: cell {started[-1]}: {_one_line(error)}"
+    for cell in notebook.cells:
+        if "outputs" in cell:
+            cell.outputs = merged(cell.outputs)
     library = json.loads(notebook.cells.pop().outputs[0]["text"])
     for index, cell in enumerate(notebook.cells):
         if noise := _on_stderr(cell):

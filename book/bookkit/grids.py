@@ -6,6 +6,7 @@ import ast
 import contextlib
 import io
 import itertools
+import math
 from pathlib import Path
 from types import ModuleType
 from typing import Annotated, Any
@@ -17,6 +18,9 @@ from bookkit.files import read_yaml
 from bookkit.parameters import explain
 
 _SHOWN = 10
+
+MOST_POINTS = 10_000
+"""Points of a grid, unless more are asked for: checking them takes seconds."""
 
 
 def _scalar_or_list(value: Any) -> Any:
@@ -39,9 +43,19 @@ class Grid(BaseModel):
         Field(min_length=1),
     ]
 
-    def points(self) -> list[dict[str, Any]]:
-        """All combinations, the first parameter slowest."""
-        names = list(self.grid)
+    def points(self, most: int = MOST_POINTS) -> list[dict[str, Any]]:
+        """All combinations, the first parameter slowest.
+
+        Raises
+        ------
+        ValueError
+            More than `most` of them.
+        """
+        names, size = list(self.grid), math.prod(map(len, self.grid.values()))
+        if size > most:
+            raise ValueError(
+                f"grid: wanted at most {most} points, got {size}; the option --points allows more"
+            )
         return [
             dict(zip(names, values, strict=True))
             for values in itertools.product(*self.grid.values())

@@ -6,16 +6,21 @@ import json
 import os
 import tempfile
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 from bookkit import fingerprint
 from bookkit.claims import LEDGER
 from bookkit.execution import STAMP
+from bookkit.limits import Held, Limits, Over
 
 
 def execute_point(
-    text: str, parameters: Mapping[str, Any], files: Mapping[str, str] | None = None
+    text: str,
+    parameters: Mapping[str, Any],
+    files: Mapping[str, str] | None = None,
+    limits: Limits | None = None,
 ) -> dict[str, Any]:
     """Run one point where this is called: on a worker. Failures are returned, not raised.
 
@@ -26,6 +31,8 @@ def execute_point(
     parameters : mapping
     files : mapping of str to str, optional
         Text of the data files that the notebook reads, by their names in the project.
+    limits : Limits, optional
+        What the point may take.
 
     Returns
     -------
@@ -36,7 +43,8 @@ def execute_point(
     import papermill
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    problem = ""
+    limits, problem = limits or Limits(), ""
+    papermill.engines.papermill_engines.register("held", _engine())
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder, "notebooks")
         home.mkdir()
@@ -52,16 +60,42 @@ def execute_point(
                 str(target),
                 parameters=dict(parameters),
                 kernel_name="python3",
+                engine_name="held",
+                limits=limits,
                 progress_bar=False,
                 cwd=str(home),
                 extra_arguments=["--log-level=CRITICAL"],
             )
         except papermill.PapermillExecutionError as error:
             problem = f"{error.ename}: {error.evalue}"
+            if error.ename == "MemoryError":
+                problem += f" (a point may take {limits.memory:g} GB)"
+        except Over as error:
+            problem = f"{error}, which is the limit of a point"
         except Exception as error:
             problem = f"{type(error).__name__}: {error}"
         done = target.read_text() if target.is_file() else ""
     return {"notebook": done, "problem": problem, "library": library_of(json.loads(text))}
+
+
+@cache
+def _engine() -> type:
+    """What papermill is to run notebooks with: its own engine, kept to limits."""
+    from papermill.clientwrap import PapermillNotebookClient
+    from papermill.engines import NBClientEngine
+
+    class Client(Held, PapermillNotebookClient):
+        pass
+
+    class Engine(NBClientEngine):
+        @classmethod
+        def execute_managed_notebook(cls, nb_man: Any, kernel_name: str, **options: Any) -> Any:
+            chosen = {name: options[name] for name in ("limits", "extra_arguments")}
+            timeout = options["start_timeout"]
+            client = Client(nb_man, kernel_name=kernel_name, startup_timeout=timeout, **chosen)
+            return client.execute()
+
+    return Engine
 
 
 def _ledger(text: str) -> str:

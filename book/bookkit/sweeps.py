@@ -20,7 +20,8 @@ import nbformat
 
 from bookkit import fingerprint
 from bookkit.files import replace
-from bookkit.grids import check_points, read_grid
+from bookkit.grids import MOST_POINTS, check_points, read_grid
+from bookkit.limits import Limits
 from bookkit.points import execute_point, library_of
 from bookkit.recording import plain, read_records
 
@@ -46,6 +47,8 @@ def run_sweep(
     workers: int = 2,
     retry: bool = False,
     quiet: bool = False,
+    limits: Limits | None = None,
+    most: int = MOST_POINTS,
 ) -> Report:
     """Run every point of a grid that is not yet done, and write the table of all of them.
 
@@ -65,6 +68,10 @@ def run_sweep(
         Run points again that failed before.
     quiet : bool
         No progress bar.
+    limits : Limits, optional
+        What each point may take; one that takes more is a failed point.
+    most : int
+        Points that a grid may have.
 
     Returns
     -------
@@ -83,6 +90,7 @@ def run_sweep(
         raise ValueError(f"{notebook}: wanted an existing .ipynb notebook")
     if isinstance(workers, bool) or not isinstance(workers, int) or workers < 1:
         raise ValueError(f"workers: wanted a whole number of at least 1, got {workers!r}")
+    (limits := limits or Limits()).check()
     text = notebook.read_text()
     try:
         content = nbformat.reads(text, as_version=4)
@@ -91,7 +99,7 @@ def run_sweep(
     wanted = read_grid(grid)
     if wanted.notebook and Path(wanted.notebook).stem != notebook.stem:
         raise ValueError(f"{grid}: is for {wanted.notebook}, not for {notebook}")
-    points = wanted.points()
+    points = wanted.points(most)
     check_points(content, points)
     inputs = _inputs(notebook, content)
     _make_folder(out)
@@ -108,7 +116,8 @@ def run_sweep(
     )
     if todo:
         with _client(scheduler, min(workers, len(todo))) as client:
-            _run(client, text, inputs, {key: files[key] for key in todo}, out, quiet)
+            left = {key: files[key] for key in todo}
+            _run(client, text, inputs, left, out, quiet, limits)
     results = {key: _read(out, key, point) for key, point in files.items()}
     table = out / TABLE
     _write_table(table, files, results)
@@ -179,34 +188,47 @@ def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | Non
 
 
 def _run(
-    client: Any, text: str, inputs: dict[str, str], todo: Mapping[str, dict], out: Path, quiet: bool
-) -> None:
+    client: Any, text: str, inputs: dict[str, str], todo: Mapping[str, dict], out: Path,
+    quiet: bool, limits: Limits | None = None,
+) -> None:  # fmt: skip
     from dask.distributed import as_completed
     from tqdm import tqdm
 
-    ours = library_of(json.loads(text))
-    running = {
-        client.submit(execute_point, text, point, inputs, key=f"point-{key}", retries=2): key
-        for key, point in todo.items()
-    }
+    def submitted(key: str, name: str) -> Any:
+        work = text, todo[key], inputs, limits
+        return client.submit(execute_point, *work, key=f"{name}-{key}", retries=2)
+
+    ours, suspects = library_of(json.loads(text)), []
+    running = {submitted(key, "point"): key for key in todo}
     for future in tqdm(as_completed(running), total=len(running), unit="point", disable=quiet):
         key = running[future]
-        try:
-            result = future.result()
-        except Exception as error:
-            result = {
-                "notebook": "",
-                "problem": f"{type(error).__name__}: {error}",
-                "library": ours,
-            }
-        if future.cancelled():
-            raise ValueError("the scheduler was lost; what was finished is kept: start it again")
-        if result["library"] != ours:
-            raise ValueError("a worker runs another version of seedslib: install this one there")
-        entry = _entry(todo[key], result)
-        if result["notebook"]:
-            replace(out / f"{key}.ipynb", result["notebook"])
-        replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
+        if not _kept(future, out, key, todo[key], ours, False):
+            suspects.append(key)
+    for key in suspects:  # it may only have waited beside one that kills its worker
+        _kept(submitted(key, "alone"), out, key, todo[key], ours, True)
+
+
+def _kept(future: Any, out: Path, key: str, point: Mapping, ours: str, alone: bool) -> bool:
+    """Whether what became of a point is written; not where it has lost its workers, with others."""
+    try:
+        result = future.result()
+    except Exception as error:
+        kind = type(error).__name__
+        if kind == "KilledWorker" and not alone:
+            return False
+        lost = "its worker was lost again and again"  # where it was is no matter
+        problem = lost if kind == "KilledWorker" else f"{kind}: {error}"
+        result = {"notebook": "", "problem": problem, "library": ours}
+    if future.cancelled():
+        raise ValueError("the scheduler was lost; what was finished is kept: start it again")
+    if result["library"] != ours:
+        raise ValueError("a worker runs another version of seedslib: install this one there")
+    entry = _entry(point, result)
+    if result["notebook"]:
+        replace(out / f"{key}.ipynb", result["notebook"])
+    replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
+    future.release()  # a worker that is lost later need not do it again
+    return True
 
 
 def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:

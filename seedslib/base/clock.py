@@ -17,6 +17,9 @@ SAME = 1e-9
 ROUNDING = 2.0**-50
 """Part of a time within which times are one: two to four units in its last place on each side."""
 
+MOST_STEPS = 10_000_000
+"""Steps that one span of time may be divided into: minutes of work, where more has no end."""
+
 
 def when(t: float) -> str:
     """A time in words: six digits, and three behind the point however many stand before it.
@@ -64,9 +67,16 @@ class Clock:
         return abs(t - other) <= max(self.tolerance, slack(self._interval, abs(other)))
 
     def prolonged(self, end: float, cycle: int) -> Clock:
-        """The same clock, which goes on to a later time with its last `cycle` intervals in turn."""
+        """The same clock, which goes on to a later time with its last `cycle` intervals in turn.
+
+        Raises
+        ------
+        ValueError
+            More times than `step_count` allows.
+        """
         count, last = len(self.times), self.times[-1]
         span = last - self.times[-1 - cycle]
+        step_count(last, end, span / cycle)
         most = count + cycle * max(0, math.ceil((end - last) / span) + 1)
         later = [self.moment(k, cycle) for k in range(count, most)]
         later = [t for t in later if t <= end + slack(self._interval, abs(end))]
@@ -104,8 +114,20 @@ class Clock:
 
 
 def step_count(start: float, stop: float, step: float) -> int:
-    """Number of equal steps of at most `step`, but for a billionth, between two times."""
-    return max(1, math.ceil((stop - start) / step - SAME))
+    """Number of equal steps of at most `step`, but for a billionth, between two times.
+
+    Raises
+    ------
+    ValueError
+        More than `MOST_STEPS` of them.
+    """
+    wanted = (stop - start) / step - SAME
+    if not wanted <= MOST_STEPS:
+        raise ValueError(
+            f"times: wanted at most {MOST_STEPS} steps in one interval, got {wanted:.3g} of "
+            f"{step:g} between {when(start)} and {when(stop)}"
+        )
+    return max(1, math.ceil(wanted))
 
 
 def lengths_alike(steps: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.blocks import require_room
 from seedslib.base.checks import as_count
 
 
@@ -36,6 +37,7 @@ class Axis:
 
     def __post_init__(self) -> None:
         count = as_count("count", self.count, 2)
+        require_room("count", self.count, 8.0 * count)
         try:
             low, high = float(self.low), float(self.high)
         except (TypeError, ValueError):
@@ -199,8 +201,9 @@ def locate(axes: Sequence[Axis | Labels], points: Sequence[np.ndarray]) -> Locat
 
 def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
     """Points of a product of axes, (size, points), the last axis the fastest; one for none."""
-    grid = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
     count = math.prod(axis.count for axis in axes)
+    require_room("axes", f"{count} nodes", 16.0 * len(axes) * count)  # the product, and its copy
+    grid = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
     return np.array(grid, dtype=float).reshape(len(axes), count)
 
 

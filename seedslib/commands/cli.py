@@ -31,6 +31,9 @@ def run_command(parser: argparse.ArgumentParser, name: str, arguments: Sequence[
     except (ValueError, OSError) as error:
         print(f"{name}: {error}", file=sys.stderr)
         return 2
+    except MemoryError as error:
+        print(f"{name}: not enough memory: {error or 'nobody says how much'}", file=sys.stderr)
+        return 2
     except ModuleNotFoundError as error:
         if error.name is None or error.name.startswith(("seedslib", "bookkit")):
             raise

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -14,7 +15,6 @@ from seedslib.designed.predictors import (
     Fit,
     Polynomial,
     PolynomialFit,
-    monomial_recipe,
     monomials,
     standardised,
 )
@@ -66,7 +66,8 @@ def fit_affine(gather: Callable[..., Scatter], targets: int, size: np.ndarray) -
 def coefficients_of(predictor: object, dimension: int) -> int:
     """Number of coefficients per target for a memory of this dimension."""
     if isinstance(predictor, Polynomial):
-        return len(monomial_recipe(dimension, max(predictor.mean_degree, predictor.cov_degree)))
+        degree = max(predictor.mean_degree, predictor.cov_degree)
+        return math.comb(dimension + degree, degree) - 1
     return dimension
 
 

@@ -90,8 +90,11 @@ def adaptive(
     that would need steps below 2**-20 of the interval is given up as NaN, so that it does not
     hold the others.
     """
+    step_count(start, stop, step)  # refuses a span without end
     span = stop - start
-    t, h = start, min(step, span)
+    # two times that are told apart: smaller steps would never arrive
+    least = max(min(step, 0.5 * SMALLEST * span), np.spacing(max(abs(start), abs(stop))))
+    t, h = start, max(min(step, span), least)
     first = rate(t, y)
     while t < stop:
         h = min(h, stop - t)
@@ -108,12 +111,12 @@ def adaptive(
         worst = np.max(np.broadcast_arrays(*sizes), axis=0)
         worst = np.where(alive, np.where(np.isfinite(worst), worst, np.inf), 0.0)
         largest = np.max(worst)
-        if largest > 1.0 and h <= SMALLEST * span:
+        if largest > 1.0 and h <= max(SMALLEST * span, least):
             moved = [np.where(worst > 1.0, np.nan, part) for part in moved]
             largest = 1.0
         if largest <= 1.0:
             t = stop if h >= stop - t else t + h
             y, first = moved, slopes[-1]
         growth = 5.0 if largest == 0.0 else 0.9 * largest**-0.2
-        h = max(min(step, h * min(5.0, max(0.2, growth))), 0.5 * SMALLEST * span)
+        h = max(min(step, h * min(5.0, max(0.2, growth))), least)
     return y

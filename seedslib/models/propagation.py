@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import count
 from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
-from seedslib.base.clock import lengths_alike, when
+from seedslib.base.clock import MOST_STEPS, lengths_alike, when
 from seedslib.base.values import current
 
 RTOL = 1e-11
@@ -215,14 +216,24 @@ def solve(
     Raises
     ------
     ValueError
-        The integration failed.
+        The integration failed, or has no end in sight: `MOST_STEPS` looks at `slope`.
     """
+    looks = count(1)
+
+    def watched(t: float, y: np.ndarray) -> np.ndarray:
+        if next(looks) > MOST_STEPS:
+            raise ValueError(
+                f"times: wanted at most {MOST_STEPS} looks at the equations of the moments, got "
+                f"more between {when(start)} and {when(stop)}"
+            )
+        return slope(t, y)
+
     # An absolute tolerance far below the size of the data keeps components that start at zero
     # accurate relative to what they become.
     size = max(np.abs(y0).max(initial=0.0), np.abs(slope(start, y0)).max() * (stop - start))
     with np.errstate(over="ignore", invalid="ignore"):
         atol = ATOL * (size or 1.0)
-        result = solve_ivp(slope, (start, stop), y0, "DOP853", times, rtol=RTOL, atol=atol)
+        result = solve_ivp(watched, (start, stop), y0, "DOP853", times, rtol=RTOL, atol=atol)
     if not result.success:
         raise ValueError(
             f"times: the equations of the moments could not be integrated from {when(start)} to "

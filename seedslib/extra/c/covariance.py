@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.checks import outside
+from seedslib.base.clock import MOST_STEPS
 from seedslib.base.correction import correct
 from seedslib.base.values import looked_at
 from seedslib.extra.c.points import FACTOR, SETTLE, point_rates
@@ -55,7 +56,7 @@ static inline void @name_init(@name_state *s)
 """
 
 _PREDICT = """\
-/* Forecast to a time; the first call only says when the initial law holds. */
+/* Forecast to a time; the first call only says when the initial law holds.@LIMIT */
 static inline int @name_predict(@name_state *s, double t@ALSO)
 {
     double z[@NAME_MOMENTS];
@@ -77,11 +78,14 @@ static inline int @name_predict(@name_state *s, double t@ALSO)
 }
 """
 
+_LIMIT = f"\n   One more than {MOST_STEPS} integration steps ahead is refused, the state as it was."
+
 _INTEGRATE = """\
 {
             const double steps = fmax(1.0, ceil((t - s->t) / @STEP - @NAME_SAME));
             const double h = (t - s->t) / steps;
             double k;
+            if (!(steps <= @MOST)) return @NAME_TIME;
             for (k = 0.0; k < steps; k += 1.0) @name_advance_(s->t + k * h, h, z@WITH);
         }"""
 
@@ -134,13 +138,15 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     text = constants("@name_mean0", np.asarray(system.mean0, dtype=float))
     text += constants("@name_cov0", np.asarray(system.cov0, dtype=float))
     advance = "@name_advance_(s->t, z@WITH);  /* dynamics are those of the time they leave */"
+    limit = ""
     if filter.continuous:
         advance = _INTEGRATE.replace("@STEP", literal(filter.integration_step))
+        advance, limit = advance.replace("@MOST", literal(float(MOST_STEPS))), _LIMIT
     told = told_of(system)
     sensed = [p for p in told if p.role == "input"]
     if sensed:
         macros["INPUTS"] = len(sensed)
-    predict = _PREDICT.replace("@ADVANCE", advance)
+    predict = _PREDICT.replace("@ADVANCE", advance).replace("@LIMIT", limit)
     # what is told from outside, and the length of a step, which is found inside
     first, _, rest = predict.partition("@LENGTH")
     length = "\n        const double dt = t - s->t;" if len(told) > len(sensed) else ""

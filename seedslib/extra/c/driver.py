@@ -171,7 +171,7 @@ REFUSED = {
     1: "t: wanted at most the last measurement time",
     2: "y: wanted finite numbers or NaN, got an infinite one",
     3: "y: wanted all components of a measurement and what the memory keeps, got some missing",
-    4: "t: wanted the next measurement time, or one after that of the state",
+    4: "t: wanted the next measurement time, or one after that of the state within 1e7 steps",
     5: "indicator: wanted one of the system, or -1 for a missing one",
     6: "y: wanted what the schedule of the design has, got a component of a measurement without it",
     7: "inputs: wanted values of the inputs of the model, got none",
