@@ -267,15 +267,25 @@ def _correct_numbers(mean, cov, error, cross, spread, missing):
         new_mean[k] = component
     new_cov = _mirror(lists[1], cov_batch, float)
     loglik = np.empty(mean_batch)
-    # one logarithm for two pivots, which cannot underflow above ABSOLUTE
-    pairs = [a * b for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
-    terms += [np.log(p) for p in [*pairs, *pivots[len(pivots) & ~1 :]]]
+    terms += _logarithms(pivots, everywhere)
     terms.append((len(pivots) - missing) * LOG_2PI)
     np.multiply(-0.5, reduce(add, terms), out=loglik)
     if flagged:
         bad = np.any(np.broadcast_arrays(*flagged), axis=0)
         pseudo_correct(parts, np.broadcast_to(bad, gain_batch), missing, new_mean, new_cov, loglik)
     return new_mean, new_cov, loglik
+
+
+def _logarithms(pivots, everywhere):
+    """Logarithms whose sum is that of all pivots: one for two of them where numbers allow it."""
+    found = []
+    for a, b in zip(pivots[::2], pivots[1::2], strict=False):
+        pair = a * b
+        if everywhere((pair > ABSOLUTE) & (pair < np.inf)):
+            found.append(np.log(pair))
+        else:
+            found += [np.log(a), np.log(b)]
+    return found + [np.log(p) for p in pivots[len(pivots) & ~1 :]]
 
 
 def _mirror(lower: list | None, batch: tuple[int, ...], dtype: type) -> np.ndarray | None:

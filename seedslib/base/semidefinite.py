@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -11,8 +12,8 @@ from numpy.typing import ArrayLike
 RELATIVE = 1e-13
 """A pivot at or below this fraction of its variance counts as zero: a redundant component."""
 
-ABSOLUTE = 1e-150
-"""A variance at or below this counts as zero whatever its scale."""
+ABSOLUTE = sys.float_info.min
+"""A variance at or below this counts as zero: smaller numbers have lost digits."""
 
 INDEFINITE = 1e-9
 """An eigenvalue of the innovation correlations below minus this is no rounding error."""
