@@ -25,7 +25,7 @@ from seedslib.design.paths.arguments import (
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
 from seedslib.design.paths.patterns import PatternPass
-from seedslib.design.paths.walk import Walk, crew
+from seedslib.design.paths.walk import Walk, crew, require_range
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
@@ -187,6 +187,7 @@ def synthesize(
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
     as_linearization(linearization, system)
+    require_range(system)
     if switching:
         from seedslib.design.paths.switching import synthesize_switching
 
