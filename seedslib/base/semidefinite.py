@@ -39,7 +39,8 @@ def logs(pivots: list, everywhere: Any) -> list:
     """Logarithms whose sum is that of all pivots: one for two of them where numbers allow it."""
     found = []
     for a, b in zip(pivots[::2], pivots[1::2], strict=False):
-        pair = a * b
+        with np.errstate(over="ignore", under="ignore"):
+            pair = a * b
         if everywhere((pair > ABSOLUTE) & (pair < np.inf)):
             found.append(np.log(pair))
         else:
