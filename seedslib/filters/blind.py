@@ -16,7 +16,7 @@ TIMES = (0.0, 0.7, 1.0, 10.0, 1e3)
 PLACES = (0.0, 0.37, -0.61, 1.53, -2.29)
 """Means in deviations from that of the initial law, each component in an order of its own."""
 
-DIFFUSE = 1.0, 1e70, 1e140
+DIFFUSE = 1.0, 1e70, 1e140, 1e-70, 1e-140
 """Deviations of components without a law; the first is that of those that are known."""
 
 NOTHING = 1e-14
@@ -51,7 +51,7 @@ def warn_blind(sensor: Any, system: AnySystem) -> None:
                 return  # matrices from a table, which need not have these times
             size = np.outer(spread, np.sqrt(np.abs(np.diagonal(square))))
             # what is not a number is no evidence
-            blind = blind & (np.abs(cross) <= NOTHING * size).all(axis=0)
+            blind = blind & ((np.abs(cross) <= NOTHING * size) & np.isfinite(size)).all(axis=0)
             if not blind.any():
                 return
     for j in np.flatnonzero(blind):
