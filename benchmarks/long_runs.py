@@ -3,9 +3,9 @@
 Run by hand, ``nice python benchmarks/long_runs.py``; writes ``benchmarks/long_runs.csv`` beside
 itself, row by row. Wants a C compiler for the rows in C.
 
-One path, step by step, 10^6 steps, or 10^5 where a step takes more than 100 microseconds, and
-2 10^4 where it takes more than 400: the
-state is one or two numbers, moved and seen with Gaussian noise. `asymmetry` is the largest
+One path, step by step; `steps` says how many: 10^6 in C and of the Kalman filter in Python, where
+the others take 10^5 or 2 10^4. The state is one or two numbers, moved and seen with Gaussian noise.
+`asymmetry` is the largest
 difference of a covariance and its transpose, `least_eigenvalue` the smallest ratio of eigenvalues
 of a covariance, `drift` how far covariances after the first 10^4 steps are from that of the last
 of them, in parts of it (where it does not depend on the data), `probability` how far those of modes
@@ -142,12 +142,8 @@ IN_C = (
     "unscented", "cubature", "Gauss-Hermite", "IMM", "design without an end",
     "table without an end",
 )  # fmt: skip
-SLOWEST = "IMM", "Rao-Blackwell, 20 histories", "piecewise linear"
-SLOW = (
-    "gated", "known modes", "particles, 100", "grid, 61 nodes", "unscented", "cubature",
-    "Gauss-Hermite", "Kalman, a diffuse start", *(f"delay, {method}" for method in RECURSIONS),
-)  # fmt: skip
-"""Filters in Python whose step takes more than 400 and 100 microseconds."""
+STEPS = {"Kalman": 10**6, "gated": 10**5, "design without an end": 10**5, "extended": 10**5}
+"""Steps in Python, of the others 2 10^4; in C they are 10^6."""
 EXACT = ("Kalman", "Kalman, a diffuse start", "extended", "unscented", "cubature", "Gauss-Hermite")
 STEADY = (*EXACT, *(f"delay, {method}" for method in RECURSIONS), "design without an end",
           "extended, in continuous time")  # fmt: skip
@@ -284,9 +280,7 @@ def measure(name: str, steps: int, language: str = "Python", block: int = BLOCK)
 def main():
     path, rows = Path(__file__).with_suffix(".csv"), []
     plan = [(name, "C", 10**6) for name in IN_C]
-    plan += [(name, "Python", 10**6) for name in FILTERS if name not in SLOW + SLOWEST]
-    plan += [(name, "Python", 2 * 10**4) for name in SLOWEST]
-    plan += [(name, "Python", 10**5) for name in SLOW]
+    plan += [(name, "Python", STEPS.get(name, 2 * 10**4)) for name in FILTERS]
     for name, language, steps in plan:
         row = measure(name, steps, language)
         told = [f"{v:.4g}" if isinstance(v, float) else "" if v is None else v for v in row]

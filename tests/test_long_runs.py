@@ -49,7 +49,7 @@ def test_a_million_steps():
     python = {row["filter"] for row in told if row["language"] == "Python"}
     assert python == set(program().FILTERS)
     assert {row["filter"] for row in told if row["language"] == "C"} == set(program().IN_C)
-    assert sum(int(row["steps"]) == 10**6 for row in told) >= 15
+    assert sum(int(row["steps"]) == 10**6 for row in told) > len(program().IN_C)
 
 
 @pytest.mark.parametrize("name", ["Kalman", "extended", "cubature", "design without an end"])
