@@ -285,9 +285,8 @@ class Filter(Shown):
                         cov[k, :, :, own] = part[..., None]
             shared = cov.reshape(*cov.shape[:3], *batch)
         found = {Estimates._fields[p]: w.reshape(*w.shape[:-1], *batch) for p, w in kept}
-        diverged = diverged.reshape(batch) | (found.get("loglik", np.zeros(1)) == -np.inf).any(
-            axis=0
-        )
+        impossible = found.get("loglik", np.zeros(1)) == -np.inf
+        diverged = diverged.reshape(batch) | impossible.any(axis=0)
         return self.completed(Estimates(**found, cov=shared, diverged=diverged))
 
 
