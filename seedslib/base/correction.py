@@ -16,7 +16,7 @@ import numpy as np
 from seedslib.base.checks import unmasked
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.diffuse import correct_diffuse, narrowed
-from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, pseudo_correct
+from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, logs, pseudo_correct
 
 __all__ = ["correct", "eliminate", "factor", "joint_shape"]
 
@@ -72,10 +72,10 @@ def correct(
     expressions (dtype object) are corrected by the same lines.
 
     A singular S is met by its Moore-Penrose inverse, on the items concerned. Its rank is decided
-    on the matrix scaled to unit diagonal: variances up to 1e-150 and eigenvalues up to 1e-13 are
-    zero; the likelihood is then the density on the range of S. Items whose S is clearly
-    indefinite (an eigenvalue of the scaled matrix below -1e-9), or that hold a NaN anywhere but
-    in `y`, come back as NaN.
+    on the matrix scaled to unit diagonal: variances below the normal numbers and eigenvalues up
+    to 1e-13 are zero; the likelihood is then the density on the range of S, and none (-inf) of
+    what is not in it. Items whose S is clearly indefinite (an eigenvalue of the scaled matrix
+    below -1e-9), or that hold a NaN anywhere but in `y`, come back as NaN.
     """
     mean, y = _numbers("mean", mean), _numbers("y", y)
     cov = None if cov is None else _numbers("cov", cov)
@@ -108,7 +108,9 @@ def correct(
         error, cross, spread, missing = _without_missing(present, error, cross, spread)
         if missing.any():
             cov_batch = joint_shape(cov_batch, y.shape[1:]) if cov is not None else ()
-    new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing)
+    new_mean, new_cov, loglik = _correct_numbers(
+        mean, cov, error, cross, spread, missing, lambda: _sizes(y, predicted, present)
+    )
     apart_known = noise is not None and cov is not None and len(error)
     if apart_known and (suspect := narrowed(cov, new_cov)).any():
         apart = _align(np.asarray(noise(), dtype=float), 2, depth)
@@ -236,7 +238,13 @@ def _correct_symbols(mean, cov, error, cross, spread):
     return np.array(lists[0], dtype=object), _mirror(lists[1], (), object), -sum(squares + logs) / 2
 
 
-def _correct_numbers(mean, cov, error, cross, spread, missing):
+def _sizes(y, predicted, present):
+    """Magnitudes that innovations are rounded to, of the components that some item has."""
+    found = np.abs(np.where(present, y, 0.0)) + np.abs(predicted)
+    return found[present.reshape(len(present), -1).any(axis=1)]
+
+
+def _correct_numbers(mean, cov, error, cross, spread, missing, sizes):
     """All parts with the same number of batch axes; `missing` counts dummy components."""
     gain_batch = joint_shape(cross.shape[2:], spread.shape[2:])
     mean_batch = joint_shape(mean.shape[1:], error.shape[1:], gain_batch)
@@ -267,14 +275,13 @@ def _correct_numbers(mean, cov, error, cross, spread, missing):
         new_mean[k] = component
     new_cov = _mirror(lists[1], cov_batch, float)
     loglik = np.empty(mean_batch)
-    # one logarithm for two pivots, which cannot underflow above ABSOLUTE
-    pairs = [a * b for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
-    terms += [np.log(p) for p in [*pairs, *pivots[len(pivots) & ~1 :]]]
+    terms += logs(pivots, everywhere)
     terms.append((len(pivots) - missing) * LOG_2PI)
     np.multiply(-0.5, reduce(add, terms), out=loglik)
     if flagged:
         bad = np.any(np.broadcast_arrays(*flagged), axis=0)
-        pseudo_correct(parts, np.broadcast_to(bad, gain_batch), missing, new_mean, new_cov, loglik)
+        bad = np.broadcast_to(bad, gain_batch)
+        pseudo_correct(parts, bad, missing, sizes(), new_mean, new_cov, loglik)
     return new_mean, new_cov, loglik
 
 

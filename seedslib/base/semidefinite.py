@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 import numpy as np
@@ -11,14 +12,20 @@ from numpy.typing import ArrayLike
 RELATIVE = 1e-13
 """A pivot at or below this fraction of its variance counts as zero: a redundant component."""
 
-ABSOLUTE = 1e-150
-"""A variance at or below this counts as zero whatever its scale."""
+ABSOLUTE = sys.float_info.min
+"""A variance at or below this counts as zero: smaller numbers have lost digits."""
 
 INDEFINITE = 1e-9
 """An eigenvalue of the innovation correlations below minus this is no rounding error."""
 
 NEGATIVE = 1e-12
 """A covariance with an eigenvalue below minus this, in units of the deviations, is mended."""
+
+LEVEL = 1e-6
+"""An innovation without variance up to this part of what it is a difference of is rounding."""
+
+FAINT = 1e-5
+"""The same as a part of a deviation: what `RELATIVE` counts as zero has deviations of 3e-7."""
 
 LOG_2PI = math.log(2.0 * math.pi)
 
@@ -28,11 +35,28 @@ def symmetrized(matrix: np.ndarray) -> np.ndarray:
     return 0.5 * (matrix + matrix.T)
 
 
+def logs(pivots: list, everywhere: Any) -> list:
+    """Logarithms whose sum is that of all pivots: one for two of them where numbers allow it."""
+    found = []
+    for a, b in zip(pivots[::2], pivots[1::2], strict=False):
+        with np.errstate(over="ignore", under="ignore"):
+            pair = a * b
+        if everywhere((pair > ABSOLUTE) & (pair < np.inf)):
+            found.append(np.log(pair))
+        else:
+            found += [np.log(a), np.log(b)]
+    return found + [np.log(p) for p in pivots[len(pivots) & ~1 :]]
+
+
 def pseudo_correct(
-    parts: Any, bad: np.ndarray, missing: np.ndarray, new_mean: np.ndarray, new_cov: np.ndarray,
-    loglik: np.ndarray,
+    parts: Any, bad: np.ndarray, missing: np.ndarray, sizes: np.ndarray, new_mean: np.ndarray,
+    new_cov: np.ndarray, loglik: np.ndarray,
 ) -> None:  # fmt: skip
-    """Write the Moore-Penrose correction over the flagged items."""
+    """Write the Moore-Penrose correction over the flagged items.
+
+    An innovation out of the range of its covariance, by more than the rounding of numbers of the
+    `sizes` (m, *batch) of measurement and forecast, is impossible: its loglik is -inf.
+    """
     mean, cov, error, cross, spread = parts
 
     def pick(part: np.ndarray, core: int, batch: tuple[int, ...]) -> np.ndarray:
@@ -51,6 +75,14 @@ def pseudo_correct(
     new_mean[:, chosen] = (pick(mean, 1, batch) + np.einsum("brk,br->bk", gain, whitened)).T
     count = rank - np.broadcast_to(missing, batch)[chosen]
     loglik[chosen] = -0.5 * ((whitened**2).sum(axis=1) + log_det + count * LOG_2PI)
+    # what of the innovation is not in the range of S
+    off = pick(error, 1, batch) - np.einsum(
+        "bij,brj,br->bi", pick(spread, 2, batch), root, whitened
+    )
+    variances = np.einsum("bii->bi", pick(spread, 2, batch))
+    least = LEVEL * (pick(sizes, 1, batch) + np.abs(pick(mean, 1, batch)).max(axis=1)[:, None])
+    impossible = (np.abs(off) > least + FAINT * np.sqrt(np.abs(variances))).any(axis=1)
+    loglik[chosen] = np.where(impossible, -np.inf, loglik[chosen])
     if cov is not None:
         batch = new_cov.shape[2:]
         if batch != loglik.shape:

@@ -24,6 +24,9 @@ from seedslib.models.maps import StochasticMap
 LARGEST_STATE = 4
 LARGEST_MEASUREMENT = 2
 
+WIDEST = 1e140
+"""Variances up to this and from its reciprocal: squares of covariances stay numbers."""
+
 
 def traced_correction(
     map: StochasticMap, linearization: Linearization, rows: int
@@ -58,6 +61,10 @@ def law_symbols(n: int) -> tuple[Any, ...]:
     mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
     lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
     return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
+
+
+def _moderate(variance):
+    return 1 / WIDEST < variance < WIDEST
 
 
 def _lower(cov):
@@ -122,7 +129,8 @@ class TracedCorrection:
         """Mean (rows,), covariance (rows, rows) or None, and log-likelihood.
 
         None for a measurement with missing components, where a component is redundant, and where
-        a variance falls too far; the general correction knows what to do then.
+        a variance falls too far or is out of the middle of the range of numbers; the general
+        correction knows what to do then.
         """
         m, rows, shown = self.map.size, self.rows, y.tolist()
         if any(math.isnan(value) for value in shown):
@@ -137,7 +145,7 @@ class TracedCorrection:
         except ZeroDivisionError:
             return None
         for pivot, variance in zip(found[:m], found[m : 2 * m], strict=True):
-            if not pivot > RELATIVE * variance + ABSOLUTE:
+            if not (pivot > RELATIVE * variance + ABSOLUTE and _moderate(variance)):
                 return None
         estimate, loglik = np.array(found[2 * m : 2 * m + rows]), found[2 * m + rows]
         if not spread:
@@ -148,6 +156,6 @@ class TracedCorrection:
             for j in range(i + 1):
                 now, before = next(entries)
                 rest[i, j] = rest[j, i] = now
-            if now < WIDE * before:
-                return None  # the noise has been rounded off
+            if now < WIDE * before or not (before == 0 or _moderate(before)):
+                return None  # the noise has been rounded off, or numbers end
         return estimate, rest, loglik

@@ -93,7 +93,7 @@ class Rauch(Smoother):
         columns, cov, last = part
         if columns.shape[-1] == 1:
             return Estimates(columns[..., 0], cov)
-        return Estimates(*settle(columns[..., 0], cov, columns[..., 1:], last))
+        return Estimates(*settle(columns[..., 0], cov, columns[..., 1:], last, self.filter.leaning))
 
 
 def stepped_back(

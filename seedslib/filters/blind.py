@@ -16,6 +16,9 @@ TIMES = (0.0, 0.7, 1.0, 10.0, 1e3)
 PLACES = (0.0, 0.37, -0.61, 1.53, -2.29)
 """Means in deviations from that of the initial law, each component in an order of its own."""
 
+DIFFUSE = 1.0, 1e70, 1e140, 1e-70, 1e-140
+"""Deviations of components without a law; the first is that of those that are known."""
+
 NOTHING = 1e-14
 """A correlation below this is rounding."""
 
@@ -34,11 +37,13 @@ def warn_blind(sensor: Any, system: AnySystem) -> None:
     -----
     UserWarning
     """
-    spread = np.sqrt(np.diagonal(system.cov0))
-    spread = np.where(spread > 0, spread, 1.0)
-    cov, blind = np.diag(spread**2), True
+    known, blind = np.sqrt(np.diagonal(system.cov0)), np.array(True)
+    # nobody knows in which units a diffuse component is large
+    units = DIFFUSE if getattr(system, "diffuse", ()) else DIFFUSE[:1]
     with np.errstate(all="ignore"):
-        for t, turn in product(TIMES, range(len(PLACES))):
+        for unit, t, turn in product(units, TIMES, range(len(PLACES))):
+            spread = np.where(known > 0, known, unit)
+            cov = np.diag(spread**2)
             place = np.array([PLACES[(turn + k) % len(PLACES)] for k in range(len(spread))])
             try:
                 _, cross, square = sensor(t, system.mean0 + spread * place, cov)
@@ -46,7 +51,7 @@ def warn_blind(sensor: Any, system: AnySystem) -> None:
                 return  # matrices from a table, which need not have these times
             size = np.outer(spread, np.sqrt(np.abs(np.diagonal(square))))
             # what is not a number is no evidence
-            blind = blind & (np.abs(cross) <= NOTHING * size).all(axis=0)
+            blind = blind & ((np.abs(cross) <= NOTHING * size) & np.isfinite(size)).all(axis=0)
             if not blind.any():
                 return
     for j in np.flatnonzero(blind):

@@ -21,6 +21,7 @@ from seedslib.filters.integration import adaptive, euler, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
+from seedslib.linearization.units import as_linearization
 from seedslib.models.derived import doubled
 from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps, mentioned
 
@@ -90,15 +91,13 @@ class CovarianceFilter(Filter, Remade):
         self, system: AnySystem, linearization: Linearization, *, step: float | None = None,
         integrator: str = "rk4", bound: float | None = None, rtol: float = 1e-6, atol: float = 1e-9,
     ) -> None:  # fmt: skip
-        if not isinstance(linearization, Linearization):
-            raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
         if integrator not in INTEGRATORS:
             raise ValueError(
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
             )
         as_system("system", system, *self._systems)
         self.system: Any = system
-        self.linearization: Linearization = linearization
+        self.linearization: Linearization = as_linearization(linearization, system)
         self.integrator: str = integrator
         self.continuous: bool = not in_steps(system)
         self.integration_step: float = float(getattr(system, "step", 1.0) if step is None else step)

@@ -27,14 +27,18 @@ LOST = 1e-6
 """Probability that leaves the nodes in a step, or that they are too coarse for, worth a warning."""
 
 
+ENDS = 0.99
+"""Probability of the outermost nodes from which on the state is not on the nodes."""
+
+
 class GridState(NamedTuple):
     """Law of mode and state on the nodes, and the last estimate.
 
     ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none is
     lost however small it becomes, L = 1 where there are none; ``law`` (L, S, *batch) is the law of
     the state in each mode. ``mode_prob`` has shape (L, *batch), ``mean`` (n, *batch), ``cov``
-    (n, n, *batch); ``diverged`` marks the records with a measurement that no node explains,
-    ``interval`` is the length of the first step.
+    (n, n, *batch); ``diverged`` marks the records with a measurement that no node explains
+    or that leaves only the outermost, ``interval`` is the length of the first step.
     """
 
     time: float | None
@@ -98,6 +102,8 @@ class GridBayesFilter(Filter):
             self.axes = self.chain.axes
         self._modes: int = self.chain.modes
         self._count: int = self.chain.values.shape[1] // self._modes
+        x = self.chain.values[: len(self.axes), : self._count]
+        self._ends: np.ndarray = ((x == x.min(1)[:, None]) | (x == x.max(1)[:, None])).any(axis=0)
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
@@ -170,10 +176,18 @@ class GridBayesFilter(Filter):
             loglik = np.where(lost, -np.inf, loglik)
             log_prob = np.where(lost, state.log_prob, log_prob)
         law = np.where((evidence == -np.inf)[:, None] | lost, state.law, law)
+        if not np.isnan(seen).all():
+            lost = lost | self._at_ends(log_prob, law)
         return GridState(
             state.time, log_prob, law, *self._moments(log_prob, law), loglik,
             state.diverged | lost, state.interval,
         )  # fmt: skip
+
+    def _at_ends(self, log_prob, law):
+        """Where nearly all that is left of the probability is on the outermost nodes, (*batch)."""
+        prob = np.exp(log_prob)
+        beyond = (prob * law[:, self._ends].sum(axis=1)).sum(axis=0)
+        return beyond > ENDS * prob.sum(axis=0)
 
     def accuracy(
         self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None

@@ -64,7 +64,7 @@ class KalmanFilter(CovarianceFilter):
     def __init__(self, system: LinearSystem, *, bound: float | None = None) -> None:
         super().__init__(system, Matrices(), bound=bound)
         self._diffuse = list(system.diffuse)
-        self._lent = _lent(system)
+        self.units: np.ndarray = _units(system) if self._diffuse else np.ones(self.n)
         self._apart = False
 
     def apart(self) -> KalmanFilter:
@@ -73,13 +73,21 @@ class KalmanFilter(CovarianceFilter):
         other._apart = True
         return other
 
+    @property
+    def leaning(self) -> np.ndarray:
+        """Ratios of the units of the state to those of the unknown numbers, (n, q)."""
+        root = np.sqrt(self.units)
+        return root[:, None] / root[self._diffuse]
+
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
         """State before any measurement; see `CovarianceFilter.initial`."""
         state = super().initial(batch)
         if not self._diffuse:
             return state
         q = len(self._diffuse)
-        state.cov[self._diffuse, self._diffuse] = self._lent
+        # a flat law plus N(0, c) is that flat law, so nothing depends on c; but with none a
+        # measurement without noise would have no density given what is unknown
+        state.cov[self._diffuse, self._diffuse] = self.units[self._diffuse]
         effect = np.zeros((self.n, *batch, q))
         effect[self._diffuse, ..., range(q)] = 1.0
         nothing = np.zeros((q, *batch)), np.zeros((q, q, *batch))
@@ -130,7 +138,7 @@ class KalmanFilter(CovarianceFilter):
         now = now._replace(loglik=density + _narrowed(state) - _narrowed(now))
         if self._apart or not _all_told(now.information):
             return now
-        mean, cov = settle(now.mean, now.cov, now.effect, now)
+        mean, cov = settle(now.mean, now.cov, now.effect, now, self.leaning)
         if np.isnan(cov).any():  # told by rounding only
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
@@ -143,27 +151,42 @@ class KalmanFilter(CovarianceFilter):
         """Mean and covariance; infinite variances of components that no measurement has told."""
         if not isinstance(state, DiffuseState):
             return super().report(state)
-        mean, cov = settle(state.mean, state.cov, state.effect, state)
+        mean, cov = settle(state.mean, state.cov, state.effect, state, self.leaning)
         return super().report(FilterState(state.time, mean, cov, state.loglik))
 
 
-def _lent(system: LinearSystem) -> float:
-    """A variance for the first law of the components of which nothing is known.
+def _units(system: LinearSystem) -> np.ndarray:
+    """A variance for each component of the state, (n,), that is neither wide nor narrow for it.
 
-    A flat law plus N(0, c) is that flat law, so nothing depends on c; but with none a measurement
-    without noise would have no density given what is unknown, and would tell nothing of it.
+    That of its own noise, or of the noise of what it moves or of what it is measured by.
     """
+    n = system.state_size
     try:
         with looked_at(system.mentions):
-            noises = [np.einsum("ii...->i...", part.cov_at(0.0)).max()
-                      for part in (system.dynamics, system.sensor)]  # fmt: skip
+            (F, q), (H, r) = (
+                (np.asarray(part.slope_at(0.0)), np.einsum("ii...->i...", part.cov_at(0.0)))
+                for part in (system.dynamics, system.sensor)
+            )
     except LookupError:  # matrices from a table, which need not have this time
-        noises = []
-    return next((float(c) for c in noises if c > 0), 1.0)
+        return np.ones(n)
+    found = np.array(q, dtype=float)
+    for _ in range(n):
+        for k in np.flatnonzero(found == 0):
+            known = found > 0
+            known[k] = False
+            told = np.concatenate([_seen_through(F[known, k], found[known]),
+                                   _seen_through(H[:, k], r)])  # fmt: skip
+            found[k] = told.max(initial=0.0)
+    return np.where(found > 0, found, 1.0)
+
+
+def _seen_through(slope: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    used = (slope != 0) & (variance > 0)
+    return (np.sqrt(variance[used]) / slope[used]) ** 2
 
 
 def settle(
-    mean: np.ndarray, cov: np.ndarray, effect: np.ndarray, told: Any
+    mean: np.ndarray, cov: np.ndarray, effect: np.ndarray, told: Any, leaning: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance with the unknown numbers at what the measurements say of them.
 
@@ -173,6 +196,8 @@ def settle(
         As in `DiffuseState`, of one time.
     told : DiffuseState
         Its score and information.
+    leaning : ndarray, shape (n, q)
+        What an effect is measured by, see `KalmanFilter.leaning`.
 
     Returns
     -------
@@ -189,8 +214,9 @@ def settle(
     spread = np.einsum("n...p,pq...,k...q->nk...", effect, inverse, effect)
     told_of = np.einsum("pk...,kq...->pq...", inverse, told.information)
     open_part = effect - np.einsum("n...p,pq...->n...q", effect, told_of)
-    size = np.abs(effect).max(axis=(0, -1), initial=0.0)
-    unknown = (np.abs(open_part) > UNKNOWN * size[..., None]).any(axis=-1)
+    scale = leaning.reshape(n, *(1,) * (effect.ndim - 2), q)
+    size = np.abs(effect / scale).max(axis=(0, -1), initial=0.0)
+    unknown = (np.abs(open_part / scale) > UNKNOWN * size[..., None]).any(axis=-1)
     cov = cov.reshape(n, n, *cov.shape[2:], *(1,) * (spread.ndim - cov.ndim)) + spread
     bad = unknown[:, None] | unknown[None, :]
     cov = np.where(bad, np.nan, cov)

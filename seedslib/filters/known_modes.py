@@ -15,6 +15,7 @@ from seedslib.filters.estimates import Estimates, as_modes, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Gaussian, Linearization
 from seedslib.linearization.points import PointRule
+from seedslib.linearization.units import as_linearization
 from seedslib.models.kinds import AnySystem, as_system
 
 
@@ -63,10 +64,8 @@ class KnownModeFilter(Filter, Remade):
             from seedslib.linearization.symbolic import Taylor
 
             linearization = Taylor()
-        if not isinstance(linearization, Linearization):
-            raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
         self.system: Any = system
-        self.linearization: Linearization = linearization
+        self.linearization: Linearization = as_linearization(linearization, system)
         self._moves = [
             [self._move(i, l, branch) for l, branch in enumerate(row)]
             for i, row in enumerate(system.branches)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -9,11 +10,16 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence, child
+from seedslib.base.checks import outside
 from seedslib.base.circle import Periods, nearest, wrapped
+from seedslib.base.clock import when
 from seedslib.filters.estimates import Estimates, as_seen
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
+
+FAR = 1000.0
+"""A density of the measurement below exp of minus this at every particle, for each component."""
 
 
 class ParticleState(NamedTuple):
@@ -119,6 +125,12 @@ class ParticleFilter(Filter):
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         weight, highest, lost = relative(log_weight, 0)
         weight = np.where(lost, 1.0, weight)
+        if (highest < -FAR * np.isfinite(y).sum(axis=0))[~lost].any():
+            warnings.warn(
+                f"y: no particle is near the measurement at time {when(state.time)}: wanted more "
+                "particles, or a measurement that the model allows",
+                stacklevel=outside(),
+            )
         total = weight.sum(axis=0)
         loglik = np.where(lost, -np.inf, highest + np.log(total / self.particles))
         weight = weight / total

@@ -269,7 +269,7 @@ class Filter(Shown):
                     cov[k, :, :, own] = said.cov
                 if said.diverged is not None:
                     diverged[own] |= said.diverged
-            # what is no number at some time is no number at the end
+            # what is no number once is no number at the end
             finite = np.isfinite(said.mean).all(axis=0) & np.isfinite(said.cov).all(axis=(0, 1))
             diverged[own] |= ~finite
             return own, common
@@ -285,7 +285,9 @@ class Filter(Shown):
                         cov[k, :, :, own] = part[..., None]
             shared = cov.reshape(*cov.shape[:3], *batch)
         found = {Estimates._fields[p]: w.reshape(*w.shape[:-1], *batch) for p, w in kept}
-        return self.completed(Estimates(**found, cov=shared, diverged=diverged.reshape(batch)))
+        impossible = found.get("loglik", np.zeros(1)) == -np.inf
+        diverged = diverged.reshape(batch) | impossible.any(axis=0)
+        return self.completed(Estimates(**found, cov=shared, diverged=diverged))
 
 
 def _shared(blocks: list) -> np.ndarray | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -74,6 +74,9 @@ class Weighted(NamedTuple):
 
 class Linearization(ABC):
     """How means of functions of a Gaussian state are taken."""
+
+    products: ClassVar[int] = 1
+    """How many values of a map are multiplied in a formula of its own."""
 
     @abstractmethod
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:

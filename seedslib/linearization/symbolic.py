@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import sympy
 
@@ -84,6 +84,8 @@ class ExactGaussian(Formulas):
     gives the normal-approximation (assumed-density) filters. The cross-covariance follows from
     Stein's identity, cov(x, y) = D (dE y / dm)ᵀ.
     """
+
+    products: ClassVar[int] = 2
 
     def formulas(
         self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True

@@ -68,7 +68,7 @@ def _in_range(constant: sympy.Expr) -> float:
         value = float(constant)
     except OverflowError:
         value = np.inf
-    if not np.isfinite(value):
+    if not np.isfinite(value) or (value == 0.0 and not constant.is_zero):
         raise ValueError(f"expressions: wanted numbers in the range of float64, got {constant}")
     return value
 

@@ -148,7 +148,8 @@ def balanced(
     common = np.ldexp(1.0, np.frexp(np.sqrt(square))[1])
     upper, lower = information * common * common, diffusion / common / common
     matrix = np.block([[-drift.T, upper], [lower, drift]])
-    scale = np.log2(matrix_balance(np.abs(matrix), permute=False, separate=True)[1][0])
+    with np.errstate(invalid="ignore"):  # of the permutation, which is not asked for
+        scale = np.log2(matrix_balance(np.abs(matrix), permute=False, separate=True)[1][0])
     unit = common * 2.0 ** np.round(0.5 * (scale[n:] - scale[:n]))
     column = unit[:, None]
     return unit, drift * (unit / column), information * column * unit, diffusion / column / unit

@@ -8,7 +8,7 @@ from oracles.drawn import covariances, vectors
 from seedslib.base.correction import correct
 from seedslib.linearization import Moments
 
-UNITS = st.sampled_from([1e-70, 1e-6, 1.0, 2.5, 1e8, 1e70])  # a variance below 1e-150 is zero
+UNITS = st.sampled_from([1e-150, 1e-70, 1e-6, 1.0, 2.5, 1e8, 1e70, 1e150])
 NOISE = st.integers(1, 32).map(lambda k: k / 8)
 
 

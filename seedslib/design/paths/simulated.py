@@ -25,13 +25,14 @@ from seedslib.design.paths.arguments import (
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
 from seedslib.design.paths.patterns import PatternPass
-from seedslib.design.paths.walk import Crew, Walk, crew
+from seedslib.design.paths.walk import Crew, Walk, crew, require_range
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous
 from seedslib.linearization.moments import Linearization
+from seedslib.linearization.units import as_linearization
 from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 from seedslib.models.simulation import Schedule
 
@@ -185,8 +186,8 @@ def synthesize(
             raise ValueError(f"{name}: wanted none for a switching system, got {given[name]!r}")
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-    if not isinstance(linearization, Linearization):
-        raise TypeError(f"linearization: wanted a Linearization, got {linearization!r}")
+    as_linearization(linearization, system)
+    require_range(system)
     if switching:
         from seedslib.design.paths.switching import synthesize_switching
 

@@ -32,6 +32,7 @@ from seedslib.filters.estimates import Estimates, first_step
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import most_probable
 from seedslib.linearization.moments import Linearization
+from seedslib.linearization.units import as_linearization
 from seedslib.models.kinds import as_system, elapsed
 
 
@@ -101,8 +102,7 @@ class SwitchingFilter(DesignedFilter):
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
-        if not isinstance(self.linearization, Linearization):
-            raise TypeError(f"linearization: wanted a Linearization, got {self.linearization!r}")
+        as_linearization(self.linearization, self.system)
         if self.memory is not None:
             self._check_memory()
         if self.rules is None:

@@ -23,9 +23,9 @@ from seedslib.extra.c.traced import told_of
 from seedslib.models.kinds import mentioned
 
 TOLERANCES = {
-    "RELATIVE": (RELATIVE, 1e-6), "ABSOLUTE": (ABSOLUTE, 1e-30), "INDEFINITE": (INDEFINITE, 1e-4),
-    "FAINT": (FAINT, 1e-30), "TURNED": (1e-36, 1e-14), "SAME": (SAME, 1e-4),
-    "ROUND": (ROUNDING, 2.0**-21),
+    "RELATIVE": (RELATIVE, 1e-6), "ABSOLUTE": (ABSOLUTE, float(np.finfo(np.float32).tiny)),
+    "INDEFINITE": (INDEFINITE, 1e-4), "FAINT": (FAINT, 1e-30), "TURNED": (1e-36, 1e-14),
+    "SAME": (SAME, 1e-4), "ROUND": (ROUNDING, 2.0**-21),
 }  # fmt: skip
 """What counts as zero, as faint, as one time: in double, and in float."""
 

@@ -228,8 +228,17 @@ def record_correction(
         entries = iter(lower)
         cov = [[next(entries) for _ in range(k + 1)] for k in range(rows)]
     terms, pivots = eliminate(mean, cov, error, cross, spread, reciprocal)
-    pairs = [a * b for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
-    terms += [np.log(p) for p in [*pairs, *pivots[len(pivots) & ~1 :]]]
+    for a, b in zip(pivots[::2], pivots[1::2], strict=False):
+        # one logarithm for two pivots where their product is a number
+        pair = a * b
+        terms.append(
+            tape.node(
+                "{0} > {1} && {0} < HUGE_VAL ? log({0}) : log({2}) + log({3})", pair, absolute, a, b
+            )
+            if isinstance(pair, Scalar)
+            else np.log(a) + np.log(b)
+        )
+    terms += [np.log(p) for p in pivots[len(pivots) & ~1 :]]
     counted = [
         tape.node("{0} && {1} ? 1.0 : 0.0", a, b)
         if isinstance(b, Scalar)

@@ -162,9 +162,9 @@ class DiscreteChain(Shown):
 def _want_spread(name: str, cov: np.ndarray) -> None:
     """Refuse covariances (n, n, S), or deviations (1, 1, S), that leave a component unmoved."""
     spread = np.einsum("iiS->iS", cov)
-    size = np.prod(spread, axis=0)
-    det = np.linalg.det(np.moveaxis(cov, -1, 0))
-    if not ((spread > 0).all() and (det > SINGULAR * size).all()):
+    unit = np.sqrt(np.where(spread > 0, spread, 1.0))
+    det = np.linalg.det(np.moveaxis(cov / unit[:, None] / unit[None, :], -1, 0))
+    if not ((spread > 0).all() and (det > SINGULAR).all()):
         raise ValueError(
             f"{name}: wanted noise of its own in every state component for a grid, got none in "
             "some direction"
