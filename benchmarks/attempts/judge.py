@@ -30,7 +30,7 @@ SPEAKS = re.compile(r"^\W*\w[^\n]*(: |wanted|argument)")
 FOREIGN = re.compile(
     r"^(operands|matmul|shapes|could not|cannot|setting an|array must|all the input|einstein|"
     r"unsupported operand|'\w+' object|object of type|only |ufunc|index |list index|invalid lit|"
-    r"float\(\)|int\(\)|must be real|bad operand|can't|'NoneType'|isfinite|iteration over|input op)"
+    r"float\(\)|unhashable|expected |dimensions in |Invalid |'[<>]=?' not|ufunc|Cannot |int\(\)|must be real|bad operand|can't|'NoneType'|isfinite|iteration over|input op)"
 )  # fmt: skip
 """How sentences of NumPy and Python begin, which do not know the caller's arguments."""
 
@@ -70,7 +70,7 @@ def judged(attempt: Attempt) -> tuple[str, str]:
                 return "right", ""
     except REFUSALS as error:
         text = str(error)
-        if not SPEAKS.match(text) or FOREIGN.match(text) or "\n" in text.strip():
+        if not SPEAKS.match(text) or FOREIGN.match(text) or not text.strip():
             return "crashed", f"unclear {type(error).__name__}: {text[:160]}"
         return ("wrongly_refused", text[:160]) if attempt.legal else ("refused", "")
     except (MemoryError, Hung) as error:
@@ -97,7 +97,8 @@ def numbers(value: object) -> Iterator[np.ndarray]:
     if value is None or isinstance(value, str):
         return
     if isinstance(value, np.ndarray | float | int | np.generic):
-        yield np.asarray(value)
+        if np.asarray(value).dtype.kind != "O":
+            yield np.asarray(value)
     elif isinstance(value, tuple | list):
         for part in value:
             yield from numbers(part)
@@ -124,7 +125,7 @@ def sane(value: object) -> bool:
     parts = list(numbers(value))
     if not all(np.isfinite(part).all() for part in parts if part.dtype.kind in "fc"):
         return False
-    cov = getattr(value, "cov", None)
+    cov = getattr(value, "cov", None) if hasattr(value, "diverged") else None
     if not isinstance(cov, np.ndarray) or cov.ndim < 3:
         return True
     return bool((np.einsum("jii...->ji...", cov) >= 0).all())

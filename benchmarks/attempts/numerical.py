@@ -8,7 +8,15 @@ from functools import partial
 import numpy as np
 
 from attempts.judge import Attempt, equal, sane
-from attempts.spoiled import no_counts, no_covariance, no_numbers, no_positives, no_times, same, spoiled
+from attempts.spoiled import (
+    no_counts,
+    no_covariance,
+    no_numbers,
+    no_positives,
+    no_times,
+    same,
+    spoiled,
+)
 from attempts.targets import FILTERS, TIMES, Target, Y, filtered, targets
 
 EXTREME = (0.0, 5e-324, 1e-310, 1e-60, 1e60, -1e60, 1e15)
@@ -37,7 +45,7 @@ def attempts() -> list[Attempt]:
     return found + extremes()
 
 
-OPTIONAL = {("simulate a diffusion", "step"), ("smooth", "lag"), ("step of a filter", "step"),
+OPTIONAL = {("correct", "cov"), ("simulate a diffusion", "step"), ("smooth", "lag"), ("step of a filter", "step"),
             ("Noise", "cov"), ("indicator", "indicator")}  # fmt: skip
 """Arguments that may be None."""
 
@@ -46,42 +54,39 @@ def as_before(target: Target, value: object) -> bool:
     return equal(value, target.call(**target.good))
 
 
-def changes(target: Target, argument: str, kind: str) -> Iterator[tuple[str, object, str]]:
+def changes(target: Target, argument: str, kinds: str) -> Iterator[tuple[str, object, str]]:
     """What it is, the value, and what is legal: nothing, anything sane, the same numbers."""
     good = target.good[argument]
-    kind, _, least = kind.partition(" ")
+    kind, *more = kinds.split() if kinds != "missing array" else [kinds]
     if kind in ("count", "seed"):
-        for what, value in no_counts(int(least or 0)):
+        for what, value in no_counts(int(more[0]) if more else 0):
             # NumPy takes lists and arrays of whole numbers as seeds
             if kind == "count" or what not in ("list", "array"):
                 yield what, value, ""
         yield "of numpy", np.int64(good), "same"
         return
     for what, value in no_numbers():
-        if kind in FREE and what in ("empty", "empty matrix", "nested", "range of none"):
+        # matrices may be functions of time there
+        if target.name in ("LinearSystem", "DelaySystem") and what in ("type", "function"):
             continue
-        if kind == "bound" and what.endswith("inf"):
-            continue
-        if kind == "formulas" and what in ("symbol",) or kind == "complex" and what.startswith("complex"):
-            continue
-        yield what, value, ""
-    if kind == "positive":
-        yield from ((what, value, "") for what, value in no_positives())
-    if kind in ("positive", "number", "probability"):
-        yield from ((what, value, "same") for what, value in same(good) if what == "scalar of numpy")
+        if what not in LEGAL.get(kind, ()) and not ("inf" in more and what == "inf"):
+            yield what, value, ""
+    if kind in ("positive", "nonnegative", "number", "probability"):
+        if kind != "number":
+            for what, value in no_positives():
+                if not ((what == "inf" and "inf" in more) or (what == "zero" and kind == "nonnegative")):
+                    yield what, value, ""
+        yield "scalar of numpy", np.float64(good), "same"
+        return
+    if kind == "primitive":
         return
     for what, value in spoiled(good, missing=kind == "missing"):
-        shape = what in SHAPES
-        if kind in FREE and shape or kind == "bound" and "inf" in what:
+        if what in SHAPES and kind in (*FREE, "broadcast", "rows", "vertices", "complex"):
             continue
-        if kind in ("broadcast", "rows", "vertices", "complex") and shape:
-            continue
-        if kind == "formulas" and what in ("objects",) or kind == "complex" and what in ("complex",):
-            continue
-        if argument == "vertices" and what == "doubled" or what == "one more" and kind == "vertices":
+        if (kind == "bound" and "inf" in what) or what in LEGAL.get(kind, ()):
             continue
         # another shape may be another number of paths, or of axes that are batches
-        yield what, value, "sane" if batch(target, argument, what) else ""
+        yield what, value, "sane" if what in BATCHES else ""
     if kind != "formulas":
         yield from ((what, value, "same") for what, value in same(good))
     if kind == "cov":
@@ -94,13 +99,18 @@ def changes(target: Target, argument: str, kind: str) -> Iterator[tuple[str, obj
         yield from ((what, value, "") for what, value in no_times(good))
 
 
+EMPTY = ("empty", "empty matrix", "nested", "range of none")
+EXACT = ("decimal", "fraction")
+LEGAL = {
+    **dict.fromkeys(FREE, EMPTY), "bound": (*EMPTY, "inf", "-inf"), "positive": EXACT,
+    "nonnegative": EXACT, "number": EXACT, "formulas": ("symbol", "objects", "fraction", "complex"),
+    "complex": ("complex", "complexes"),
+    "missing array": (*EMPTY, "masked", "fraction", "objects"),
+    "primitive": ("NaN", "inf", "-inf", "complexes", "decimal", "fraction", "nested", "empty"),
+}  # fmt: skip
+"""What is legal of each kind. A primitive of arithmetic passes on what is no number as NaN."""
 SHAPES = ("one axis more", "many axes", "one more", "doubled", "none", "flat and doubled", "cut", "turned")
 BATCHES = ("one axis more", "many axes")
-
-
-def batch(target: Target, argument: str, what: str) -> bool:
-    """Whether a changed shape means several records, laws or points."""
-    return what in BATCHES
 
 
 def extremes() -> list[Attempt]:

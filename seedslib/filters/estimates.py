@@ -167,8 +167,11 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
-    if record.dtype != np.float64:
+    try:
+        record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
+    except ValueError:  # a ragged list
+        record = None
+    if record is None or record.dtype != np.float64:
         record = as_real("measurements", measurements, nan=True)
     if record.ndim < 2 or record.shape[:2] != (count, size):
         raise ValueError(
