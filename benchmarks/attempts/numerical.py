@@ -74,16 +74,19 @@ def changes(target: Target, argument: str, kinds: str) -> Iterator[tuple[str, ob
     if kind in ("positive", "nonnegative", "number", "probability"):
         if kind != "number":
             for what, value in no_positives():
-                if not ((what == "inf" and "inf" in more) or (what == "zero" and kind == "nonnegative")):
+                if not (
+                    (what == "inf" and "inf" in more) or (what == "zero" and kind == "nonnegative")
+                ):
                     yield what, value, ""
         yield "scalar of numpy", np.float64(good), "same"
         return
     if kind == "primitive":
         return
-    for what, value in spoiled(good, missing=kind == "missing"):
+    for what, value in spoiled(good, missing=kind.startswith("missing")):
         if what in SHAPES and kind in (*FREE, "broadcast", "rows", "vertices", "complex"):
             continue
-        if (kind == "bound" and "inf" in what) or what in LEGAL.get(kind, ()):
+        free = kind in ("bound", "cells") and ("inf" in what or what in ("one more", "doubled"))
+        if free or what in LEGAL.get(kind, ()):
             continue
         # another shape may be another number of paths, or of axes that are batches
         yield what, value, "sane" if what in BATCHES else ""
@@ -105,11 +108,20 @@ LEGAL = {
     **dict.fromkeys(FREE, EMPTY), "bound": (*EMPTY, "inf", "-inf"), "positive": EXACT,
     "nonnegative": EXACT, "number": EXACT, "formulas": ("symbol", "objects", "fraction", "complex"),
     "complex": ("complex", "complexes"),
-    "missing array": (*EMPTY, "masked", "fraction", "objects"),
+    "lone": ("nested", "one axis more", "many axes"), "missing array": (*EMPTY, "masked", "fraction", "objects"),
     "primitive": ("NaN", "inf", "-inf", "complexes", "decimal", "fraction", "nested", "empty"),
 }  # fmt: skip
 """What is legal of each kind. A primitive of arithmetic passes on what is no number as NaN."""
-SHAPES = ("one axis more", "many axes", "one more", "doubled", "none", "flat and doubled", "cut", "turned")
+SHAPES = (
+    "one axis more",
+    "many axes",
+    "one more",
+    "doubled",
+    "none",
+    "flat and doubled",
+    "cut",
+    "turned",
+)
 BATCHES = ("one axis more", "many axes")
 
 
@@ -122,12 +134,16 @@ def extremes() -> list[Attempt]:
                 y = Y.copy()
                 y[row] = value
                 found.append(
-                    Attempt(f"{name}: measurement {value:g}", partial(filtered(make), TIMES, y), sane)
+                    Attempt(
+                        f"{name}: measurement {value:g}", partial(filtered(make), TIMES, y), sane
+                    )
                 )
         for rows in range(1, 2 ** len(Y)):
             gaps = np.where([[rows >> k & 1] for k in range(len(Y))], np.nan, Y)
             masked = np.ma.masked_invalid(np.where(np.isnan(gaps), -9999.0, Y))
             masked.mask = np.isnan(gaps)
-            right = partial(lambda wanted, found: equal(found, wanted()), partial(filtered(make), TIMES, gaps))
+            right = partial(
+                lambda wanted, found: equal(found, wanted()), partial(filtered(make), TIMES, gaps)
+            )
             found.append(Attempt(f"{name}: mask {rows}", partial(filtered(make), TIMES, masked), right, legal=True))  # fmt: skip
     return found

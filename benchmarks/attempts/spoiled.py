@@ -124,7 +124,10 @@ def no_covariance(good: object) -> Iterator[tuple[str, object]]:
         skew = cov.copy()
         skew[0, 1] += 0.3
         yield "asymmetric", skew
-        yield "antisymmetric", np.array(np.triu(np.ones((size, size))) - np.tril(np.ones((size,) * 2)))
+        yield (
+            "antisymmetric",
+            np.array(np.triu(np.ones((size, size))) - np.tril(np.ones((size,) * 2))),
+        )
 
 
 def no_times(good: object) -> Iterator[tuple[str, object]]:

@@ -99,7 +99,9 @@ def diffusion(**given):
     return JumpDiffusion((X, Z), [Z, -X - Z], [[0], [1]], [X + W], Noise((W,)), **given)
 
 
-def switching(switch=((0.75, 0.25), (0.5, 0.5)), probability=0.5, mean=(0.0,), cov=((1.0,),), **more):
+def switching(
+    switch=((0.75, 0.25), (0.5, 0.5)), probability=0.5, mean=(0.0,), cov=((1.0,),), **more
+):
     return SwitchingSystem(
         (X,), [[X / 2 + V], [X / 4 + V]], Noise((V,)), switch, [[X + W], [2 * X + W]], Noise((W,)),
         [(probability, mean, cov)] * 2, **more,
@@ -211,10 +213,14 @@ def functions():
     yield Target("abs_moments", abs_moments, one, kinds)
     yield Target("sine_moments", sine_moments, one, kinds)
     for function in (abs_errors, sine_errors):
-        yield Target(function.__name__, function, one | {"error_var": 0.5}, kinds | {"error_var": "variance"})
+        yield Target(
+            function.__name__, function, one | {"error_var": 0.5}, kinds | {"error_var": "variance"}
+        )
     law, matrix = {"mean": [0.5, 1.0], "cov": PLANE}, {"mean": "array", "cov": "cov"}
     yield Target("max_moments", max_moments, law, matrix)
-    yield Target("max_errors", max_errors, law | {"error_cov": PLANE / 2}, matrix | {"error_cov": "cov"})
+    yield Target(
+        "max_errors", max_errors, law | {"error_cov": PLANE / 2}, matrix | {"error_cov": "cov"}
+    )
     yield Target("norm_errors", norm_errors, {"cov": PLANE}, {"cov": "cov"})
     yield Target("norm_mean", norm_mean, law, matrix)
     yield Target("elevation_moments", elevation_moments, {"mean": [1.0, 0.5, 0.75], "cov": np.diag([1.0, 2.0, 0.5])}, matrix)  # fmt: skip
@@ -230,26 +236,37 @@ def functions():
         yield Target(f"posterior variance of {f}", lambda mean, cov, f=f: posterior_variance_function(f, [X, Z])(mean, cov), law, matrix)  # fmt: skip
         yield Target(f"errors of {f}", lambda mean, cov, error_cov, f=f: mean_square_errors(f, [X, Z])(mean, cov, error_cov),
                      law | {"error_cov": PLANE / 2}, matrix | {"error_cov": "cov"})  # fmt: skip
-    yield Target("mean_of", lambda mean, cov: mean_of(lambda x: x[0] * x[1], mean, cov, cubature(2)), law, matrix)
+    yield Target(
+        "mean_of",
+        lambda mean, cov: mean_of(lambda x: x[0] * x[1], mean, cov, cubature(2)),
+        law,
+        matrix,
+    )
     for rule in (cubature, fifth_degree):
         yield Target(rule.__name__, rule, {"n": 2}, {"n": "count 1"})
-    yield Target("gauss_hermite", gauss_hermite, {"n": 2, "order": 3}, {"n": "count 1", "order": "count 1"})
-    yield Target("unscented", unscented, {"n": 2, "kappa": 1.0}, {"n": "count 1", "kappa": "number"})
+    yield Target(
+        "gauss_hermite", gauss_hermite, {"n": 2, "order": 3}, {"n": "count 1", "order": "count 1"}
+    )
+    yield Target(
+        "unscented", unscented, {"n": 2, "kappa": 1.0}, {"n": "count 1", "kappa": "number"}
+    )
     yield Target("van_loan", van_loan, {"drift": -PLANE, "diffusion": PLANE, "step": 0.5},
                  {"drift": "array", "diffusion": "cov", "step": "nonnegative"})  # fmt: skip
     yield Target("Axis", Axis, {"low": -1.0, "high": 1.0, "count": 5}, {"low": "number", "high": "number", "count": "count 2"})  # fmt: skip
     yield Target("interpolate", lambda table, points: interpolate(table, [Axis(-1.0, 1.0, 3)], [points]),
-                 {"table": [[0.0, 1.0, 4.0]], "points": 0.5}, {"table": "array", "points": "elementwise"})  # fmt: skip
+                 {"table": [[0.0, 1.0, 4.0]], "points": 0.5}, {"table": "cells inf", "points": "elementwise"})  # fmt: skip
     gains = Moments(np.array([0.5]), np.array([[1.0], [0.5]]), np.array([[3.0]]))
     yield Target("correct", lambda mean, cov, y: correct(mean, cov, y, gains), law | {"y": [1.0]}, {"mean": "primitive", "cov": "primitive", "y": "missing array"})  # fmt: skip
-    yield Target("choose", choose, {"criteria": [[1.0, 2.0, 4.0], [4.0, 2.5, 1.0]]}, {"criteria": "rows"})
+    yield Target(
+        "choose", choose, {"criteria": [[1.0, 2.0, 4.0], [4.0, 2.5, 1.0]]}, {"criteria": "rows"}
+    )
     pair = [lambda x: float((x + 1) ** 2), lambda x: float((x - 1) ** 2)]
     for function, names in ((bisect, ("start", "end")), (compromise, ("lower", "upper"))):
         yield Target(function.__name__, lambda *, f=function, n=names, **a: f(pair, *(a[k] for k in n)),
                      dict(zip(names, (-1.0, 1.0), strict=True)), dict.fromkeys(names, "number"))  # fmt: skip
     yield Target("solve_riemann", lambda right: solve_riemann(np.ones(8), right), {"right": np.arange(8.0)}, {"right": "complex"})  # fmt: skip
     yield Target("wiener_gain", wiener_gain, {"transition": PLANE / 4, "sensor": [[1.0, 0.0]], "state_noise": PLANE, "sensor_noise": [[1.0]]},
-                 {"transition": "array", "sensor": "array", "state_noise": "cov", "sensor_noise": "cov"})  # fmt: skip
+                 {"transition": "array", "sensor": "array", "state_noise": "cov", "sensor_noise": "lone"})  # fmt: skip
 
 
 def designs():

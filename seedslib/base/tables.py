@@ -249,6 +249,8 @@ def interpolate(
     """
     table, axes = as_bound("table", table), tuple(axes)
     require_shape("table", table, (-1, *(axis.count for axis in axes)))
+    if not len(table):
+        raise ValueError("table: wanted at least one, got none")
     given = [as_real(f"points[{k}]", point) for k, point in enumerate(points)]
     if len(given) != len(axes):
         raise ValueError(f"points: wanted one for each of {len(axes)} axes, got {len(given)}")
