@@ -122,7 +122,7 @@ def equal(one: object, other: object, rtol: float = 0.0) -> bool:
 
 def sane(value: object) -> bool:
     """Finite numbers and no negative variance: all that can be said where nothing is known."""
-    if hasattr(value, "loglik"):  # the density of what is impossible is zero
+    if getattr(value, "loglik", None) is not None:  # the density of what is impossible is zero
         value = value._replace(loglik=np.maximum(value.loglik, -1e308))
     parts = list(numbers(value))
     if not all(np.isfinite(part).all() for part in parts if part.dtype.kind in "fc"):

@@ -139,6 +139,8 @@ def _require_progress(now):
     check_array("found.size", size, None)
     fits = [*found.fits, *(fit for row in found.node_fits for fit in row)]
     check_verbs([("found.fits", fit) for fit in fits], "forecast")
+    if not found.scores:
+        raise ValueError("found.scores: wanted some, got none")
     for time, rms, error in found.scores:
         if not isinstance(time, float | int):
             raise TypeError(f"found.scores: wanted times, got {time!r}")
