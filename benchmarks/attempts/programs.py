@@ -47,9 +47,11 @@ def attempts() -> list[Attempt]:
     found = []
     for name in dict.fromkeys((*INJECTIONS, *C_WORDS, *JS_WORDS, *OWN, *PYTHON)):
         for role in ("state", "noise", "parameter"):
-            found.append(Attempt(f"{role} called {name!r}"[:90], partial(named, name, role), as_plain, legal=True))
-        found.append(Attempt(f"in C and JavaScript: {name!r}"[:90], partial(exported, name), as_plain_text, legal=True))
+            found.append(Attempt(f"{role} called {name!r}"[:90], partial(named, name, role), as_plain, legal=name != "t"))
+        found.append(Attempt(f"in C and JavaScript: {name!r}"[:90], partial(exported, name), as_plain_text, legal=name != "t"))
     for name in INJECTIONS:
+        if "\x00" in name:  # SymPy itself does not take it
+            continue
         found.append(Attempt(f"function called {name!r}"[:90], partial(function_named, name)))
     for where, call in STRINGS.items():
         for text in (TRAP, "x", "1", "x**2", ""):
@@ -84,7 +86,7 @@ def named(name: str, role: str) -> object:
     w = W if "w" not in taken else sympy.Symbol("omega")
     if len(taken) < 3:  # another one has this name
         v, b, x = (s if str(s) == name and r == role else sympy.Symbol(f"{s}_other") for s, r in ((v, "noise"), (b, "parameter"), (x, "state")))  # fmt: skip
-    system = JumpDiffusion((x,), [-b * sympy.sin(x)], [[1]], [x + v], Noise((v,)), [0.0], [[1.0]], parameters={b: 2}, step=0.25)
+    system = JumpDiffusion((x,), [-b * sympy.sin(x) - sympy.sqrt(1 + x**2) + sympy.Max(x, sympy.pi) * sympy.exp(-(x**2))], [[1]], [x + v], Noise((v,)), [0.0], [[1.0]], parameters={b: 2}, step=0.25)
     seen = system.simulate(TIMES, 3, 1)
     del w
     found = extended_kalman(system).run(TIMES, seen.measurements)
@@ -145,12 +147,18 @@ def run(rule, make, f) -> object:
     return rule(make(f)).run(TIMES, Y)
 
 
+ALONE = (sympy.Lambda, sympy.MatrixExpr)
+"""Nothing can be added to these."""
+
+
 def moves(f):
-    return DiscreteSystem(StochasticMap((X,), [f + V], Noise((V,))), StochasticMap((X,), [X + W], Noise((W,))), [0.0], [[1.0]])
+    f = f + V if isinstance(f, sympy.Expr) and not isinstance(f, ALONE) else f
+    return DiscreteSystem(StochasticMap((X,), [f], Noise((V,))), StochasticMap((X,), [X + W], Noise((W,))), [0.0], [[1.0]])
 
 
 def shows(f):
-    return DiscreteSystem(StochasticMap((X,), [X / 2 + V], Noise((V,))), StochasticMap((X,), [f + W], Noise((W,))), [0.0], [[1.0]])
+    f = f + W if isinstance(f, sympy.Expr) and not isinstance(f, ALONE) else f
+    return DiscreteSystem(StochasticMap((X,), [X / 2 + V], Noise((V,))), StochasticMap((X,), [f], Noise((W,))), [0.0], [[1.0]])
 
 
 def drifts(f):
@@ -187,8 +195,8 @@ def mean_of(call, f) -> object:
 
 
 def finite(value: object) -> bool:
-    """A number or a formula of no symbols with a finite value."""
-    return bool(np.isfinite(complex(value)) if getattr(value, "is_number", False) else True)
+    """A formula of no symbols has a finite value."""
+    return getattr(value, "is_finite", True) is not False
 
 
 def _two_modes(**given):
@@ -233,6 +241,5 @@ def twice() -> dict[str, object]:
         "variables": lambda: expectation_function(X, [X, X]),
         "variable and parameter": lambda: expectation_function(X, [X], parameters=[X]),
         "state and noise of a map": lambda: StochasticMap((X,), [X], Noise((X,))),
-        "states of maps": lambda: DiscreteSystem(StochasticMap((X,), [X], Noise()), StochasticMap((V,), [V + W], noise), [0], [[1]]),
         "modes": lambda: SwitchingSystem((X,), [[X]] * 2, Noise((X,)), [[1, 0], [0, 1]], [[X + W]] * 2, noise, [(0.5, [0], [[1]])] * 2),
     }  # fmt: skip

@@ -229,11 +229,9 @@ def as_positive(name: str, value: object, *, zero: bool = False, infinite: bool 
     """
     try:
         array = np.asarray(unmasked(name, value))
-        number = float(array) if array.ndim == 0 and array.dtype.kind in "fiubO" else np.nan
+        number = float(array if array.dtype.kind in "fiubO" else None)
     except (TypeError, ValueError, OverflowError):
-        array, number = None, np.nan
-    if array is None or array.dtype.kind not in "fiubO":
-        raise TypeError(f"{name}: wanted a number, got {value!r}")
+        raise TypeError(f"{name}: wanted a number, got {value!r}") from None
     if not (0.0 < number < np.inf or (zero and number == 0.0) or (infinite and number == np.inf)):
         wanted = "nonnegative" if zero else "positive"
         raise ValueError(f"{name}: wanted a {wanted} number, got {value}")

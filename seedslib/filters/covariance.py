@@ -17,7 +17,7 @@ from seedslib.base.triangles import lower_triangle
 from seedslib.base.values import looked_at
 from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, require_time
-from seedslib.filters.integration import adaptive, euler, rk4
+from seedslib.filters.integration import adaptive, euler, finite_or_nan, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
@@ -114,9 +114,9 @@ class CovarianceFilter(Filter, Remade):
         if self.continuous:
             self._rate = linearization.rate(system)
             advance = INTEGRATORS[integrator]
-            self._integrate = (
-                partial(advance, rtol=rtol, atol=atol) if integrator == "adaptive" else advance
-            )
+            if integrator == "adaptive":
+                advance = partial(advance, rtol=rtol, atol=atol)
+            self._integrate = partial(finite_or_nan, advance)
         else:
             self._dynamics = linearization.transition(system.dynamics)
 
