@@ -20,8 +20,14 @@ from typing import NamedTuple
 import numpy as np
 
 VERDICTS = (
-    "refused", "right", "flagged", "silently_wrong", "wrongly_refused", "crashed", "hung",
-)  # fmt: skip
+    "refused",
+    "right",
+    "flagged",
+    "silently_wrong",
+    "wrongly_refused",
+    "crashed",
+    "hung",
+)
 SECONDS, BYTES = 20, 4_000_000_000
 REFUSALS = (ValueError, TypeError, OSError)
 """With their subclasses: what a library may raise for input that it does not take."""
@@ -31,7 +37,7 @@ FOREIGN = re.compile(
     r"^(operands|matmul|shapes|could not|cannot|setting an|array must|all the input|einstein|"
     r"unsupported operand|'\w+' object|object of type|only |ufunc|index |list index|invalid lit|"
     r"float\(\)|unhashable|expected |dimensions in |Invalid |'[<>]=?' not|ufunc|Cannot |int\(\)|must be real|bad operand|can't|'NoneType'|isfinite|iteration over|input op)"
-)  # fmt: skip
+)
 """How sentences of NumPy and Python begin, which do not know the caller's arguments."""
 
 
@@ -114,10 +120,13 @@ def equal(one: object, other: object, rtol: float = 0.0) -> bool:
     pairs = list(numbers(one)), list(numbers(other))
     return len(pairs[0]) == len(pairs[1]) and all(
         a.shape == b.shape
-        and (np.array_equal(a, b, equal_nan=True) if a.dtype.kind in "bOUS" or not rtol
-             else np.allclose(a, b, rtol=rtol, atol=rtol, equal_nan=True))
+        and (
+            np.array_equal(a, b, equal_nan=True)
+            if a.dtype.kind in "bOUS" or not rtol
+            else np.allclose(a, b, rtol=rtol, atol=rtol, equal_nan=True)
+        )
         for a, b in zip(*pairs, strict=True)
-    )  # fmt: skip
+    )
 
 
 def sane(value: object) -> bool:

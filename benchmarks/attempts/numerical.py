@@ -38,15 +38,24 @@ def attempts() -> list[Attempt]:
                 else:
                     found.append(Attempt(name, call, sane if legal == "sane" else None))
         found += [
-            Attempt(f"{target.name} without {argument}", partial(target.call, **target.good | {argument: None}))
+            Attempt(
+                f"{target.name} without {argument}",
+                partial(target.call, **target.good | {argument: None}),
+            )
             for argument, kind in target.kinds.items()
             if (target.name, argument) not in OPTIONAL
-        ]  # fmt: skip
+        ]
     return found + extremes()
 
 
-OPTIONAL = {("correct", "cov"), ("simulate a diffusion", "step"), ("smooth", "lag"), ("step of a filter", "step"),
-            ("Noise", "cov"), ("indicator", "indicator")}  # fmt: skip
+OPTIONAL = {
+    ("correct", "cov"),
+    ("simulate a diffusion", "step"),
+    ("smooth", "lag"),
+    ("step of a filter", "step"),
+    ("Noise", "cov"),
+    ("indicator", "indicator"),
+}
 """Arguments that may be None."""
 
 
@@ -105,12 +114,17 @@ def changes(target: Target, argument: str, kinds: str) -> Iterator[tuple[str, ob
 EMPTY = ("empty", "empty matrix", "nested", "range of none")
 EXACT = ("decimal", "fraction")
 LEGAL = {
-    **dict.fromkeys(FREE, EMPTY), "bound": (*EMPTY, "inf", "-inf"), "positive": EXACT,
-    "nonnegative": EXACT, "number": EXACT, "formulas": ("symbol", "objects", "fraction", "complex"),
+    **dict.fromkeys(FREE, EMPTY),
+    "bound": (*EMPTY, "inf", "-inf"),
+    "positive": EXACT,
+    "nonnegative": EXACT,
+    "number": EXACT,
+    "formulas": ("symbol", "objects", "fraction", "complex"),
     "complex": ("complex", "complexes"),
-    "lone": ("nested", "one axis more", "many axes"), "missing array": (*EMPTY, "masked", "fraction", "objects"),
+    "lone": ("nested", "one axis more", "many axes"),
+    "missing array": (*EMPTY, "masked", "fraction", "objects"),
     "primitive": ("NaN", "inf", "-inf", "complexes", "decimal", "fraction", "nested", "empty"),
-}  # fmt: skip
+}
 """What is legal of each kind. A primitive of arithmetic passes on what is no number as NaN."""
 SHAPES = (
     "one axis more",
@@ -145,5 +159,12 @@ def extremes() -> list[Attempt]:
             right = partial(
                 lambda wanted, found: equal(found, wanted()), partial(filtered(make), TIMES, gaps)
             )
-            found.append(Attempt(f"{name}: mask {rows}", partial(filtered(make), TIMES, masked), right, legal=True))  # fmt: skip
+            found.append(
+                Attempt(
+                    f"{name}: mask {rows}",
+                    partial(filtered(make), TIMES, masked),
+                    right,
+                    legal=True,
+                )
+            )
     return found

@@ -33,19 +33,45 @@ class Hostile:
 def no_numbers() -> Iterator[tuple[str, object]]:
     """What is no array of real numbers, whatever its shape should be."""
     yield from {
-        "text": "x", "empty text": "", "bytes": b"1", "object": object(), "type": float,
-        "dict": {}, "set": {1.0}, "function": abs, "symbol": sympy.Symbol("q"),
-        "ragged": [[1.0], [1.0, 2.0]], "list of none": [None], "list of text": ["1.0"],
-        "date": np.datetime64("2026-01-02"), "dates": np.array(["2026-01-02"], "M8[D]"),
-        "durations": np.array([1], "m8[s]"), "python date": datetime.date(2026, 1, 2),
-        "decimal": decimal.Decimal("1.5"), "fraction": [fractions.Fraction(1, 2)],
-        "complex": 1j, "complexes": np.array([[1 + 0j]]), "record": np.zeros(1, "f8,f8"),
-        "generator": (v for v in (1.0, 2.0)), "NaN": np.nan, "inf": np.inf, "-inf": -np.inf,
-        "masked": np.ma.masked_all((1, 1)), "masked constant": np.ma.masked,
-        "empty": [], "empty matrix": [[]], "module": np, "exception": ValueError("x"),
-        "sympy zoo": sympy.zoo, "sympy nan": sympy.nan, "void": np.void(b"ab"),
-        "ellipsis": ..., "slice": slice(3), "nested": [[[[[[1.0]]]]]], "range of none": range(0),
-    }.items()  # fmt: skip
+        "text": "x",
+        "empty text": "",
+        "bytes": b"1",
+        "object": object(),
+        "type": float,
+        "dict": {},
+        "set": {1.0},
+        "function": abs,
+        "symbol": sympy.Symbol("q"),
+        "ragged": [[1.0], [1.0, 2.0]],
+        "list of none": [None],
+        "list of text": ["1.0"],
+        "date": np.datetime64("2026-01-02"),
+        "dates": np.array(["2026-01-02"], "M8[D]"),
+        "durations": np.array([1], "m8[s]"),
+        "python date": datetime.date(2026, 1, 2),
+        "decimal": decimal.Decimal("1.5"),
+        "fraction": [fractions.Fraction(1, 2)],
+        "complex": 1j,
+        "complexes": np.array([[1 + 0j]]),
+        "record": np.zeros(1, "f8,f8"),
+        "generator": (v for v in (1.0, 2.0)),
+        "NaN": np.nan,
+        "inf": np.inf,
+        "-inf": -np.inf,
+        "masked": np.ma.masked_all((1, 1)),
+        "masked constant": np.ma.masked,
+        "empty": [],
+        "empty matrix": [[]],
+        "module": np,
+        "exception": ValueError("x"),
+        "sympy zoo": sympy.zoo,
+        "sympy nan": sympy.nan,
+        "void": np.void(b"ab"),
+        "ellipsis": ...,
+        "slice": slice(3),
+        "nested": [[[[[[1.0]]]]]],
+        "range of none": range(0),
+    }.items()
 
 
 def spoiled(good: object, *, missing: bool = False) -> Iterator[tuple[str, object]]:
@@ -144,18 +170,41 @@ def no_times(good: object) -> Iterator[tuple[str, object]]:
 def no_counts(least: int) -> Iterator[tuple[str, object]]:
     """What is no whole number of at least so many."""
     yield from {
-        "less": least - 1, "negative": -3, "huge negative": -(10**30), "half": least + 0.5,
-        "float": float(least), "text": str(least), "true": True, "list": [least], "nan": np.nan,
-        "inf": np.inf, "complex": least + 0j, "bytes": b"1", "object": object(),
-        "array": np.array([least]), "decimal": decimal.Decimal(least), "dict": {},
-        "float of numpy": np.float64(least), "symbol": sympy.Symbol("k"),
-    }.items()  # fmt: skip
+        "less": least - 1,
+        "negative": -3,
+        "huge negative": -(10**30),
+        "half": least + 0.5,
+        "float": float(least),
+        "text": str(least),
+        "true": True,
+        "list": [least],
+        "nan": np.nan,
+        "inf": np.inf,
+        "complex": least + 0j,
+        "bytes": b"1",
+        "object": object(),
+        "array": np.array([least]),
+        "decimal": decimal.Decimal(least),
+        "dict": {},
+        "float of numpy": np.float64(least),
+        "symbol": sympy.Symbol("k"),
+    }.items()
 
 
 def no_positives() -> Iterator[tuple[str, object]]:
     """What is no positive number."""
     yield from {
-        "zero": 0.0, "negative": -1.0, "nan": np.nan, "inf": np.inf, "-inf": -np.inf,
-        "text": "1", "complex": 1j, "list": [1.0, 2.0], "object": object(), "dict": {},
-        "bytes": b"1", "symbol": sympy.Symbol("k"), "date": np.datetime64("2026-01-02"),
-    }.items()  # fmt: skip
+        "zero": 0.0,
+        "negative": -1.0,
+        "nan": np.nan,
+        "inf": np.inf,
+        "-inf": -np.inf,
+        "text": "1",
+        "complex": 1j,
+        "list": [1.0, 2.0],
+        "object": object(),
+        "dict": {},
+        "bytes": b"1",
+        "symbol": sympy.Symbol("k"),
+        "date": np.datetime64("2026-01-02"),
+    }.items()
