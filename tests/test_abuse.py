@@ -8,16 +8,17 @@ import pytest
 from oracles.programs import BENCHMARKS
 
 sys.path.insert(0, str(BENCHMARKS))
-from attempts import commands, files, grids, numerical, programs  # noqa: E402
-from attempts.judge import VERDICTS, Attempt, judged  # noqa: E402
+from attempts import commands, files, grids, numerical, programs
+from attempts.judge import VERDICTS, Attempt, judged
 
 SAMPLES = {"numerical": 97, "grids": 4, "programs": 83, "commands": 97, "files": 103}
 """Each so many attempts one is repeated here."""
 
+MODULES = {m.__name__.rpartition(".")[2]: m for m in (commands, files, grids, numerical, programs)}
+
 
 def sample(name):
-    module = {m.__name__.split(".")[-1]: m for m in (commands, files, grids, numerical, programs)}[name]
-    listed = module.attempts(("plain",)) if name == "files" else module.attempts()
+    listed = MODULES[name].attempts(*[("plain",)] * (name == "files"))
     return [a for a in listed if "bomb" not in a.what][:: SAMPLES[name]]
 
 

@@ -36,7 +36,8 @@ SPEAKS = re.compile(r"^\W*\w[^\n]*(: |wanted|argument)")
 FOREIGN = re.compile(
     r"^(operands|matmul|shapes|could not|cannot|setting an|array must|all the input|einstein|"
     r"unsupported operand|'\w+' object|object of type|only |ufunc|index |list index|invalid lit|"
-    r"float\(\)|unhashable|expected |dimensions in |Invalid |'[<>]=?' not|ufunc|Cannot |int\(\)|must be real|bad operand|can't|'NoneType'|isfinite|iteration over|input op)"
+    r"float\(\)|unhashable|expected |dimensions in |Invalid |'[<>]=?' not|ufunc|Cannot |int\(\)|"
+    r"must be real|bad operand|can't|'NoneType'|isfinite|iteration over|input op)"
 )
 """How sentences of NumPy and Python begin, which do not know the caller's arguments."""
 

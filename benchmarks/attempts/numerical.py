@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from attempts.functions import designs, functions
 from attempts.judge import Attempt, equal, sane
 from attempts.spoiled import (
     no_counts,
@@ -28,7 +29,7 @@ FREE = ("elementwise", "variance", "bound", "correlation")
 def attempts() -> list[Attempt]:
     """All of them, in an order of their own."""
     found = []
-    for target in targets():
+    for target in (*targets(), *functions(), *designs()):
         for argument, kind in target.kinds.items():
             for what, value, legal in changes(target, argument, kind):
                 call = partial(target.call, **target.good | {argument: value})

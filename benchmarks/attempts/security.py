@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import ipaddress
 import os
 import socket
@@ -12,10 +13,13 @@ import tempfile
 from functools import partial
 from pathlib import Path
 
-from attempts.commands import DESIGN, FILTER, prepared
+from attempts.commands import prepared
 from attempts.judge import Attempt, command
+from attempts.tables import DESIGN, FILTER
 from seedslib.commands.cli import main
 from seedslib.designed import load
+
+HEAVY = ("requests", "distributed", "dask", "cloudpickle", "IPython", "papermill", "yaml")
 
 
 def attempts() -> list[Attempt]:
@@ -163,8 +167,11 @@ def spared(found: bytes) -> bool:
 def imported() -> list[str]:
     """What reading a table imports that can run, send or unpickle."""
     prepared()
-    code = "import sys\nfrom seedslib.designed import load\ntry:\n    load('f.npz')\nexcept ValueError:\n    pass\n"
-    code += "print(*[m for m in ('requests', 'distributed', 'dask', 'cloudpickle', 'IPython', 'papermill', 'yaml') if m in sys.modules])"
+    code = (
+        "import sys\nfrom seedslib.designed import load\n"
+        "try:\n    load('f.npz')\nexcept ValueError:\n    pass\n"
+        f"print(*[m for m in {HEAVY} if m in sys.modules])"
+    )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.split()
 
@@ -174,8 +181,6 @@ def scratch() -> list[str]:
     before = set(os.listdir(tempfile.gettempdir()))
     command(main, DESIGN)
     command(main, FILTER)
-    try:
+    with contextlib.suppress(ValueError):
         load("f.npz")
-    except ValueError:
-        pass
     return [n for n in set(os.listdir(tempfile.gettempdir())) - before if "seedslib" in n]
