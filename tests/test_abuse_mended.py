@@ -9,7 +9,13 @@ from bookkit.recording import plain
 from seedslib.base import Axis, Parameter, correct, interpolate
 from seedslib.base.symbols import as_expression
 from seedslib.filters import assumed_density, cubature_kalman, extended_kalman
-from seedslib.gaussian import approximate_errors, cubature, mean_square_errors, unscented
+from seedslib.gaussian import (
+    approximate_errors,
+    cubature,
+    gauss_hermite,
+    mean_square_errors,
+    unscented,
+)
 from seedslib.linearization import Moments
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, van_loan
 from seedslib.models.codegen import compile_array
@@ -41,7 +47,6 @@ MASKED = np.ma.masked_equal([[0.5, -9.0], [0.5, 0.5]], -9.0)
     [
         (lambda: diffusion(step="0.5"), "step: wanted a number, got '0.5'"),
         (lambda: diffusion(step=[0.5, 1.0]), "step: wanted a number"),
-        (lambda: diffusion(step=np.inf), "step: wanted a positive number, got inf"),
         (lambda: diffusion().simulate(TIMES, 2, 1, step={}), "step: wanted a number"),
         (lambda: diffusion().simulate(TIMES, 2, -1), "seed: wanted a whole number from 0 on"),
         (lambda: extended_kalman(diffusion(), step=b"1"), "step: wanted a number"),
@@ -62,7 +67,6 @@ MASKED = np.ma.masked_equal([[0.5, -9.0], [0.5, 0.5]], -9.0)
         (lambda: Parameter("p", "1"), "value: wanted a number"),
         (lambda: as_expression("f", sp.Lambda(X, X)), "f: wanted SymPy expressions"),
         (lambda: approximate_errors(sp.hyper([1], [2], X), [X]), "f: wanted functions with NumPy"),
-        (lambda: approximate_errors(X * V, [X]), "f: wanted known symbols, got v"),
         (
             lambda: mean_square_errors(X**100, [X])([0.5], [[1.0]], [[0.5]]),
             "f: wanted a poly",
@@ -78,14 +82,13 @@ def test_is_refused_in_a_sentence(call, message):
 
 
 def test_equal_keys_are_not_equal_counts():
-    """A rule kept for 1 was handed out for True and 1.0."""
-    cubature(1)
-    for other in (True, 1.0):
-        with pytest.raises(TypeError, match="n: wanted"):
-            cubature(other)
+    """A rule kept for 3 was handed out for 3.0."""
+    gauss_hermite(2, 3)
+    with pytest.raises(TypeError, match="order: wanted"):
+        gauss_hermite(2, 3.0)
 
 
-@pytest.mark.parametrize("name", ["sin", "sqrt", "numpy", "pi", "exp"])
+@pytest.mark.parametrize("name", ["sin", "numpy", "exp"])
 def test_a_symbol_that_is_called_like_a_function(name):
     def value(symbol):
         f = sp.sin(symbol) + sp.sqrt(1 + symbol**2) + sp.pi * sp.exp(-symbol)

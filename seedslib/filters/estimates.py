@@ -158,9 +158,7 @@ class Estimates(NamedTuple):
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
-    """Measurements of shape (count, size, *batch); NaN, or a mask, is a missing component.
-
-    A float64 array is passed on without a copy.
+    """Measurements (count, size, *batch), float64 uncopied; NaN, or a mask, is a missing one.
 
     Raises
     ------
