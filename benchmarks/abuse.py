@@ -3,8 +3,8 @@
 Run by hand, ``python benchmarks/abuse.py``; writes ``benchmarks/abuse.csv`` beside itself, and
 ``benchmarks/abuse_findings.csv`` where something is left. The attempts are in the package
 `attempts`, a file a category; they are the same ones each time. Wants a C compiler, bash and
-Linux; takes some ten minutes on one core. With names of categories only those are run, and
-nothing is written.
+Linux; takes some ten minutes on one core. With names of categories only those are run, and take
+the place of their rows.
 
 Each attempt is judged by an oracle. `refused`: an error with a sentence, on the command line one
 line and exit code 2. `right`: equal to an answer found in another way (the same numbers passed as
@@ -46,9 +46,17 @@ def run(name: str) -> tuple[Counter, list[tuple[str, str, str, str]]]:
     return counts, findings
 
 
-def write(path: Path, head: tuple[str, ...], rows: list) -> None:
-    with path.open("w", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerows([head, *rows])
+def replace(path: Path, head: tuple[str, ...], names: list[str], rows: list) -> None:
+    """Put new rows of categories into a table; a table without rows is none."""
+    kept = []
+    if path.exists():
+        with path.open(newline="") as file:
+            kept = [row for row in list(csv.reader(file))[1:] if row[0] not in names]
+    every = sorted([*kept, *rows], key=lambda row: CATEGORIES.index(row[0]))
+    path.unlink(missing_ok=True)
+    if every:
+        with path.open("w", newline="") as file:
+            csv.writer(file, lineterminator="\n").writerows([head, *every])
 
 
 def main(names: list[str]) -> None:
@@ -63,12 +71,10 @@ def main(names: list[str]) -> None:
         os.chdir(HERE)
     for finding in findings:
         print(*finding, sep=" | ")
-    if not names:
-        write(HERE / "abuse.csv", ("category", "attempts", *VERDICTS), rows)
-        if findings:
-            write(
-                HERE / "abuse_findings.csv", ("category", "attempt", "verdict", "detail"), findings
-            )
+    run_now = [row[0] for row in rows]
+    replace(HERE / "abuse.csv", ("category", "attempts", *VERDICTS), run_now, rows)
+    head = ("category", "attempt", "verdict", "detail")
+    replace(HERE / "abuse_findings.csv", head, run_now, findings)
 
 
 if __name__ == "__main__":
