@@ -11,8 +11,8 @@ line and exit code 2. `right`: equal to an answer found in another way (the same
 arrays, by hand, Python against C), or where there is none finite numbers and variances that are not
 negative. `flagged`: a warning, or NaN that is marked as diverged. What is left should be zero:
 `silently_wrong`, `wrongly_refused` (legal and refused), `crashed` (errors of another kind or
-without a sentence, tracebacks, signals) and `hung` (above 20 s or 4 GB, each in a process with
-limits).
+without a sentence, tracebacks, signals) and `hung` (above 20 s of the processor or 4 GB, each in a
+process with limits).
 """
 
 from __future__ import annotations

@@ -103,7 +103,7 @@ def doors(workers: int) -> list:
     """In a process of its own: workers of a sweep are started anew from it."""
     code = (
         "import os, sys; sys.path.insert(0, sys.argv[1])\n"
-        "from attempts.security import sweeps, listening, family\n"
+        "from attempts.security import family, listening\nfrom bookkit import sweeps\n"
         f"if __name__ == '__main__':\n"
         f"    with sweeps._client(None, {workers}) as client:\n"
         f"        client.wait_for_workers({workers})\n"
