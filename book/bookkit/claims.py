@@ -127,7 +127,9 @@ def read_ledger(path: Path) -> list[Claim]:
         raise ValueError(f"{path}: wanted a list of claims")
     claims, problems = [], []
     for position, entry in enumerate(entries):
-        name = entry.get("id", f"entry {position}") if isinstance(entry, dict) else str(entry)
+        name = f"entry {position}"
+        if isinstance(entry, dict | str):
+            name = entry.get("id", name) if isinstance(entry, dict) else entry
         try:
             claims.append(Claim.model_validate(entry))
         except ValidationError as error:

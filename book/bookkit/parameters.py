@@ -47,8 +47,15 @@ def explain(error: ValidationError) -> str:
         if fault["type"] == "missing":
             clauses.append(f"{name} is not set")
         else:
-            clauses.append(f"{name} = {fault['input']!r}: {wanted}")
+            clauses.append(f"{name} = {_shown(fault['input'])}: {wanted}")
     return "; ".join(clauses)
+
+
+def _shown(value: object) -> str:
+    try:
+        return repr(value)
+    except RecursionError:
+        return f"a {type(value).__name__} that is nested too deep"
 
 
 def check(namespace: Mapping[str, object], /, **fields: Any) -> None:

@@ -7,7 +7,7 @@ notebook's outputs, so reading needs nothing but this module.
 
 from __future__ import annotations
 
-import math
+import sys
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
@@ -47,8 +47,8 @@ def plain(name: str, value: object) -> object:
         return [plain(f"{name}[{index}]", item) for index, item in enumerate(value)]
     if not isinstance(value, bool | int | float | str):
         raise TypeError(f"{name}: wanted {_WANTED}, got {type(value).__name__}")
-    if isinstance(value, float) and not math.isfinite(value):
-        raise ValueError(f"{name}: wanted a finite number, got {value}")
+    if isinstance(value, int | float) and not abs(value) <= sys.float_info.max:
+        raise ValueError(f"{name}: wanted a finite number, got {str(value)[:40]}")
     return value
 
 

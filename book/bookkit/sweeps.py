@@ -175,14 +175,14 @@ def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | Non
         entry = json.loads(path.read_text())
         if not (isinstance(entry["values"], dict) and isinstance(entry["problem"], str)):
             return None
-    except (FileNotFoundError, ValueError, TypeError, KeyError):
+    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
         return None
     if entry.get("parameters") != json.loads(json.dumps(dict(point))):
         raise ValueError(f"{path}: wanted the point {dict(point)}, got another; remove the file")
     try:
         for name, value in entry["values"].items():
             plain(name, value)
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}; remove the file") from None
     return entry
 

@@ -81,7 +81,7 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
 
     Raises
     ------
-    TypeError
+    TypeError, ValueError
         Anything else, None included: a run that cannot be repeated is not wanted here.
     """
     if isinstance(seed, np.random.SeedSequence):
@@ -90,6 +90,8 @@ def as_seed_sequence(seed: object) -> np.random.SeedSequence:
     if isinstance(seed, np.random.Generator):
         return np.random.SeedSequence(seed.integers(0, 2**32, size=4, dtype=np.uint32).tolist())
     if is_whole(seed):
+        if seed < 0:
+            raise ValueError(f"seed: wanted a whole number from 0 on, got {seed}")
         return np.random.SeedSequence(int(seed))
     raise TypeError(f"seed: wanted an int, a SeedSequence or a Generator, got {seed!r}")
 

@@ -15,15 +15,8 @@ NEGATIVE_EIGENVALUE = 1e-10
 def unmasked(name: str, value: object, *, missing: float | None = None) -> object:
     """What was passed, without a mask: NumPy would drop it and pass on what lies under it.
 
-    Parameters
-    ----------
-    name : str
-        The caller's name of the argument, for the message.
-    value : array_like
-        What the caller passed; anything but a masked array, or a list of some, comes back as it
-        is.
-    missing : float, optional
-        What the argument has for a missing entry. Where it has none, a masked entry is refused.
+    Anything but a masked array, or a list of some, comes back as it is. `name` is the caller's
+    name of the argument; `missing` is what it has for a missing entry.
 
     Raises
     ------
@@ -55,7 +48,6 @@ def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = Fa
     name : str
         The caller's name of the argument, for the message.
     value : array_like
-        What the caller passed.
     ndim : int, optional
         Wanted number of axes.
     nan : bool
@@ -97,13 +89,10 @@ def _floats(name, value, missing):
         array = np.asarray(unmasked(name, value, missing=missing))
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
-    if array.dtype.kind in "mM":
-        raise TypeError(
-            f"{name}: wanted real numbers, got an array of dtype {array.dtype}; take time since "
-            "the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
-        )
     if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
+        hint = "; take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
+        text = f"{name}: wanted real numbers, got an array of dtype {array.dtype}"
+        raise TypeError(text + hint * (array.dtype.kind in "mM"))
     return array.astype(float)
 
 
@@ -228,6 +217,25 @@ def require_one_size(names: str, mean: np.ndarray, cov: np.ndarray) -> None:
 def is_whole(value: object) -> bool:
     """Whether a value is a whole number, of Python or NumPy; True and False are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def as_positive(name: str, value: object, *, zero: bool = False, infinite: bool = False) -> float:
+    """Positive number, zero or infinite where it may be; of any kind of number.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Anything else, such as text.
+    """
+    try:
+        array = np.asarray(unmasked(name, value))
+        number = float(array if array.dtype.kind in "fiubO" else None)
+    except (TypeError, ValueError, OverflowError):
+        raise TypeError(f"{name}: wanted a number, got {value!r}") from None
+    if not (0.0 < number < np.inf or (zero and number == 0.0) or (infinite and number == np.inf)):
+        wanted = "nonnegative" if zero else "positive"
+        raise ValueError(f"{name}: wanted a {wanted} number, got {value}")
+    return number
 
 
 def as_count(name: str, value: object, least: int = 1, most: int | None = None) -> int:

@@ -138,8 +138,12 @@ def joint_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
 def _numbers(name: str, value: object) -> np.ndarray:
     array = value
     if type(value) is not np.ndarray:
-        array = np.asarray(unmasked(name, value, missing=np.nan if name == "y" else None))
-    if array.dtype.kind not in "fiuO":
+        try:
+            array = np.asarray(unmasked(name, value, missing=np.nan if name == "y" else None))
+        except ValueError:
+            raise TypeError(f"{name}: wanted an array, got a ragged list") from None
+    foreign = array.dtype.kind == "O" and not all(hasattr(v, "__truediv__") for v in array.flat)
+    if foreign or array.dtype.kind not in "fiuO":
         raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
     return array
 

@@ -37,7 +37,9 @@ def as_expression(name: str, value: object) -> sympy.Expr:
         expression = sympy.sympify(value, strict=True)
     except (sympy.SympifyError, TypeError, ValueError) as error:
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
-    if not isinstance(expression, sympy.Expr):
+    # means of formulas are taken of what can be multiplied in any order
+    kinds = sympy.Lambda, sympy.UnevaluatedExpr
+    if not isinstance(expression, sympy.Expr) or expression.has(*kinds):
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}")
     return expression
 
@@ -163,3 +165,35 @@ def parameter_values(values: Mapping[Any, Any] | None) -> dict[Any, Any]:
     table = {} if values is None else dict(values)
     as_symbols("parameters", table.keys())
     return {s: as_expression(f"parameters[{s}]", value) for s, value in table.items()}
+
+
+def real_part(expression: sympy.Expr) -> sympy.Expr:
+    """Real part of an expression in real symbols, written without the imaginary unit.
+
+    Means of sines and cosines come as sums of complex exponentials whose imaginary parts cancel.
+    """
+    return _split(expression)[0]
+
+
+def _split(expression: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
+    if not expression.has(sympy.I):
+        return expression, sympy.S.Zero
+    if expression == sympy.I:
+        return sympy.S.Zero, sympy.S.One
+    if expression.is_Add:
+        real, imaginary = zip(*map(_split, expression.args), strict=True)
+        return sympy.Add(*real), sympy.Add(*imaginary)
+    if isinstance(expression, sympy.exp):
+        a, b = _split(expression.args[0])
+        return sympy.exp(a) * sympy.cos(b), sympy.exp(a) * sympy.sin(b)
+    if expression.is_Pow and expression.exp.is_Integer and expression.exp > 0:
+        factors = [expression.base] * int(expression.exp)
+    elif expression.is_Mul:
+        factors = expression.args
+    else:
+        return expression.as_real_imag()
+    real, imaginary = sympy.S.One, sympy.S.Zero
+    for factor in factors:
+        a, b = _split(factor)
+        real, imaginary = real * a - imaginary * b, real * b + imaginary * a
+    return real, imaginary

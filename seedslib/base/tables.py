@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import require_room
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_bound, as_count, as_real, require_shape
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,10 @@ class Axis:
         count = as_count("count", self.count, 2)
         require_room("count", self.count, 8.0 * count)
         try:
+            if isinstance(self.low, str | bytes) or isinstance(self.high, str | bytes):
+                raise TypeError
             low, high = float(self.low), float(self.high)
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             raise TypeError(
                 f"low, high: wanted numbers, got {self.low!r} and {self.high!r}"
             ) from None
@@ -242,5 +244,17 @@ def interpolate(
     Returns
     -------
     ndarray, shape (p, *batch)
+
+    Raises
+    ------
+    TypeError, ValueError
+        No numbers, or other shapes.
     """
-    return locate(axes, [np.asarray(point, dtype=float) for point in points]).rows(table)
+    table, axes = as_bound("table", table), tuple(axes)
+    require_shape("table", table, (-1, *(axis.count for axis in axes)))
+    if not len(table):
+        raise ValueError("table: wanted at least one, got none")
+    given = [as_real(f"points[{k}]", point) for k, point in enumerate(points)]
+    if len(given) != len(axes):
+        raise ValueError(f"points: wanted one for each of {len(axes)} axes, got {len(given)}")
+    return locate(axes, given).rows(table)

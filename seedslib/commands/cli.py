@@ -29,7 +29,7 @@ def run_command(parser: argparse.ArgumentParser, name: str, arguments: Sequence[
     try:
         return options.run(options)
     except (ValueError, OSError) as error:
-        print(f"{name}: {error}", file=sys.stderr)
+        print(f"{name}: {error}".replace("\n", " "), file=sys.stderr)
         return 2
     except MemoryError as error:
         print(f"{name}: not enough memory: {error or 'nobody says how much'}", file=sys.stderr)

@@ -77,7 +77,7 @@ def load_model(path: str | PathLike[str]) -> Model:
         system = getattr(module, "system", None)
         if callable(system):
             system = system()
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit, GeneratorExit) as error:
         raise ValueError(f"{path}: {_told(error, str(path))}") from None
     finally:
         sys.path.remove(str(path.resolve().parent))
@@ -110,7 +110,7 @@ def of_the_file(path: str, filter: Any) -> Any:
     """
     try:
         made = filter() if callable(filter) and not hasattr(filter, "run") else filter
-    except (Exception, SystemExit) as error:
+    except (Exception, SystemExit, GeneratorExit) as error:
         raise ValueError(f"{path}: {_told(error, path)}") from None
     if not (hasattr(made, "run") and hasattr(getattr(made, "system", None), "measurement_size")):
         raise ValueError(

@@ -108,7 +108,7 @@ def load(
         given["linearization"] = linearization
     else:
         given["linearization"] = _linearization(path, given["linearization"], sizes.state_size)
-    if system is not None and (reason := _other(system, sizes, known, points, **given)):
+    if system is not None and (reason := _other(path, system, sizes, known, points, **given)):
         raise ValueError(f"{path.name}: designed for another model{reason}")
     if not issubclass(KNOWN[kind], OutputFilter):
         given["rules"] = None
@@ -129,14 +129,18 @@ def _contradiction(path, error) -> ValueError:
     return ValueError(f"{path.name}: the file contradicts itself ({error})")
 
 
-def _other(system, sizes, known, points, linearization=None) -> str:
+def _other(path, system, sizes, known, points, linearization=None) -> str:
     """What differs between the model of a file and another, in words; empty where nothing does."""
     if switches(system) != switches(sizes):
         return ", one that has modes" if sizes.modes else ", one without modes"
     if apart := sizes.apart(UnknownModel.of(system)):
         word, one, two = apart
         return f": it has {one} {word}, not {two}"
-    reason = difference(known, probe(system, points, linearization), points)
+    found = probe(system, points, linearization)
+    try:
+        reason = difference(known, found, points)
+    except _FAULTS as error:
+        raise _contradiction(path, error) from None
     return reason and f": {reason}"
 
 

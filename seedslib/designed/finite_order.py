@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import as_count
 from seedslib.base.clock import Clock
 from seedslib.base.objects import by_fields
 from seedslib.base.values import Course
@@ -20,7 +21,7 @@ from seedslib.designed.memory import Memory, Past
 from seedslib.designed.patterns import PatternFit, chosen, regrouped, ways
 from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.designed.shapes import check_array, check_covariances, check_fields, check_nodes
+from seedslib.designed.shapes import check_covariances, check_nodes, check_start, check_verbs
 from seedslib.filters.estimates import Estimates
 from seedslib.linearization.moments import Linearization, Moments
 
@@ -106,14 +107,8 @@ class FiniteOrderFilter(BetweenFilter):
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""
         start, memory, components = self.start, self.memory, self.components
-        check_array("start.mean", start.mean, None)
-        n, intervals = len(start.mean), len(self.times) - 1
-        check_fields("start", start, cov=(n, n))
-        if not 1 <= components <= n:
-            raise ValueError(f"components: wanted 1 to {n}, got {components}")
-        check_array("start.moments.mean", start.moments.mean, None)
-        m = len(start.moments.mean)
-        check_fields("start.moments", start.moments, cross=(n, m), cov=(m, m))
+        (n, m), intervals = check_start("start", start), len(self.times) - 1
+        as_count("components", components, 1, n)
         check_covariances("start", (start.cov, start.moments.cov))
         if len(self.fits) != intervals:
             raise ValueError(f"fits: wanted {intervals}, got {len(self.fits)}")
@@ -131,6 +126,7 @@ class FiniteOrderFilter(BetweenFilter):
             regressions += [
                 (f"node_fits[{k}][{i}]", fit, targets, size) for i, fit in enumerate(fits)
             ]
+        check_verbs([row[:2] for row in regressions], "forecast")
         kinds = AffineFit | PolynomialFit if self.availability is None else PatternFit
         known = [row for row in regressions if isinstance(row[1], kinds)]
         for name, fit, *wanted in known:

@@ -252,4 +252,7 @@ def probe_values(arrays: dict[Any, Any], size: int) -> tuple[np.ndarray, dict[st
     if points.shape != (size + 1, POINTS) or not np.isfinite(points).all():
         raise ValueError(f"probe_x of shape {points.shape}")
     kept = {n.removeprefix(PROBED): part for n, part in arrays.items() if n.startswith(PROBED)}
+    for name, part in {"probe_x": points, **kept}.items():
+        if part.dtype != np.float64:
+            raise ValueError(f"{name} of dtype {part.dtype}")
     return points, kept

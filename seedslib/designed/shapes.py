@@ -33,6 +33,37 @@ def check_fields(name: str, thing: Any, **shapes: tuple[int | None, ...]) -> Non
         check_array(f"{name}.{part}", getattr(thing, part), *shape)
 
 
+def check_start(name: str, start: Any) -> tuple[int, int]:
+    """Sizes of the state and the first measurement of a `Start`, whose parts must fit them.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arrays of another shape or kind.
+    """
+    sizes = []
+    for part, mean in ((name, start.mean), (f"{name}.moments", start.moments.mean)):
+        check_array(f"{part}.mean", mean, None)
+        sizes.append(len(mean))
+    n, m = sizes
+    check_fields(name, start, cov=(n, n))
+    check_fields(f"{name}.moments", start.moments, cross=(n, m), cov=(m, m))
+    return n, m
+
+
+def check_verbs(parts: Iterable[tuple[str, Any]], verb: str) -> None:
+    """Refuse parts, given with their names, that do not know a verb.
+
+    Raises
+    ------
+    TypeError
+        The first one that is something else.
+    """
+    for name, part in parts:
+        if not callable(getattr(part, verb, None)):
+            raise TypeError(f"{name}: wanted something with {verb}, got {type(part).__name__}")
+
+
 def check_covariances(name: str, covariances: Iterable[np.ndarray]) -> None:
     """Refuse covariances (..., n, n) that are clearly indefinite.
 

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, as_positive
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
@@ -17,7 +17,7 @@ from seedslib.base.triangles import lower_triangle
 from seedslib.base.values import looked_at
 from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, require_time
-from seedslib.filters.integration import adaptive, euler, rk4
+from seedslib.filters.integration import adaptive, euler, finite_or_nan, rk4
 from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
@@ -100,11 +100,10 @@ class CovarianceFilter(Filter, Remade):
         self.linearization: Linearization = as_linearization(linearization, system)
         self.integrator: str = integrator
         self.continuous: bool = not in_steps(system)
-        self.integration_step: float = float(getattr(system, "step", 1.0) if step is None else step)
-        self.bound: float = np.inf if bound is None else float(bound)
-        for name, value in (("step", self.integration_step), ("bound", self.bound)):
-            if not value > 0:
-                raise ValueError(f"{name}: wanted a positive number, got {value}")
+        step = getattr(system, "step", 1.0) if step is None else step
+        self.integration_step: float = as_positive("step", step, infinite=True)
+        self.bound: float = np.inf if bound is None else as_positive("bound", bound, infinite=True)
+        rtol, atol = as_positive("rtol", rtol, zero=True), as_positive("atol", atol, zero=True)
         self.n: int = len(system.mean0)
         self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
@@ -114,9 +113,9 @@ class CovarianceFilter(Filter, Remade):
         if self.continuous:
             self._rate = linearization.rate(system)
             advance = INTEGRATORS[integrator]
-            self._integrate = (
-                partial(advance, rtol=rtol, atol=atol) if integrator == "adaptive" else advance
-            )
+            if integrator == "adaptive":
+                advance = partial(advance, rtol=rtol, atol=atol)
+            self._integrate = partial(finite_or_nan, advance)
         else:
             self._dynamics = linearization.transition(system.dynamics)
 

@@ -158,17 +158,18 @@ class Estimates(NamedTuple):
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
-    """Measurements of shape (count, size, *batch); NaN, or a mask, is a missing component.
-
-    A float64 array is passed on without a copy.
+    """Measurements (count, size, *batch), float64 uncopied; NaN, or a mask, is a missing one.
 
     Raises
     ------
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
-    if record.dtype != np.float64:
+    try:
+        record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
+    except ValueError:  # a ragged list
+        record = None
+    if record is None or record.dtype != np.float64:
         record = as_real("measurements", measurements, nan=True)
     if record.ndim < 2 or record.shape[:2] != (count, size):
         raise ValueError(

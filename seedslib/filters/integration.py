@@ -120,3 +120,11 @@ def adaptive(
         growth = 5.0 if largest == 0.0 else 0.9 * largest**-0.2
         h = max(min(step, h * min(5.0, max(0.2, growth))), least)
     return y
+
+
+def finite_or_nan(advance: Callable[..., Any], rate: Any, y: Any, *given: Any) -> Any:
+    """What an integrator finds; NaN where Python's numbers overflow, as arrays would go on."""
+    try:
+        return advance(rate, y, *given)
+    except (OverflowError, ZeroDivisionError):
+        return [np.full(np.shape(part), np.nan) for part in y]

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache, reduce
+from functools import lru_cache, reduce, wraps
 from itertools import combinations, product
 from typing import Any
 
@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, as_real
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import align, gaussian_arguments
 
@@ -47,7 +47,21 @@ class Rule:
             array.flags.writeable = False
 
 
-@cache
+def _kept(rule: Callable[..., Rule]) -> Callable[..., Rule]:
+    """The rule, made once for equal arguments; 1, 1.0 and True are not equal here."""
+    once = lru_cache(maxsize=None, typed=True)(rule)
+
+    @wraps(rule)
+    def kept(*given, **named):
+        try:
+            return once(*given, **named)
+        except TypeError:  # what cannot be a key is none of its arguments: it says so itself
+            return rule(*given, **named)
+
+    return kept
+
+
+@_kept
 def gauss_hermite(n: int, order: int) -> Rule:
     """Tensor product of Gauss-Hermite rules with `order` points on each of n axes.
 
@@ -76,7 +90,7 @@ def rule_of_rank(rank: int, order: int) -> tuple[np.ndarray, np.ndarray]:
     return rule.points, rule.weights
 
 
-@cache
+@_kept
 def cubature(n: int) -> Rule:
     """Third-degree rule of 2n equally weighted points at distance √n on the axes.
 
@@ -90,7 +104,7 @@ def cubature(n: int) -> Rule:
     return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n), 3)
 
 
-@cache
+@_kept
 def unscented(n: int, kappa: float) -> Rule:
     """Third-degree rule of 2n+1 points: the centre and points at distance √(n+kappa).
 
@@ -106,7 +120,8 @@ def unscented(n: int, kappa: float) -> Rule:
         Not a positive integer, or kappa not above -n.
     """
     n = as_count("n", n)
-    if not -n < kappa < np.inf:
+    kappa = as_real("kappa", kappa, ndim=0).item()
+    if not -n < kappa:
         raise ValueError(f"kappa: wanted a number above {-n}, got {kappa}")
     eye = np.sqrt(n + kappa) * np.eye(n)
     side = 0.5 / (n + kappa)
@@ -114,7 +129,7 @@ def unscented(n: int, kappa: float) -> Rule:
     return Rule(np.hstack([np.zeros((n, 1)), eye, -eye]), weights, 3)
 
 
-@cache
+@_kept
 def fifth_degree(n: int) -> Rule:
     """Fifth-degree rule of 2n²+1 points; some weights are negative for n above 4.
 

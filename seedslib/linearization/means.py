@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import sympy
 
+from seedslib.base.symbols import real_part
 from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.gaussian.means.formulas import mean_expression
-from seedslib.models.codegen import real_part
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import tidy
 

@@ -8,6 +8,8 @@ processor.
 
 from __future__ import annotations
 
+import builtins
+import re
 from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from itertools import count
@@ -15,11 +17,12 @@ from typing import Any
 
 import numpy as np
 import sympy
+from scipy import special
 from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
-from seedslib.base.checks import require_shape
+from seedslib.base.checks import require_shape, unmasked
 from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
@@ -48,6 +51,9 @@ class _Printer(SciPyPrinter):
     def _print_SincRatio(self, expr: sympy.Expr) -> str:
         k, x = expr.args
         return f"sinc_ratio({k}, {self._print(x)})"
+
+    def _print_KroneckerDelta(self, expr: sympy.Expr) -> str:
+        return self._print(expr.rewrite(sympy.Piecewise))
 
     def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))
@@ -113,7 +119,7 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     if isinstance(value, sympy.MatrixBase):
         value = value.tolist()
     try:
-        array = np.array(value, dtype=object)
+        array = np.array(unmasked(name, value), dtype=object)
     except ValueError as error:
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
     result = np.empty(array.shape, dtype=object)
@@ -153,38 +159,6 @@ def known_expressions(
     return array
 
 
-def real_part(expression: sympy.Expr) -> sympy.Expr:
-    """Real part of an expression in real symbols, written without the imaginary unit.
-
-    Means of sines and cosines come as sums of complex exponentials whose imaginary parts cancel.
-    """
-    return _split(expression)[0]
-
-
-def _split(expression: sympy.Expr) -> tuple[sympy.Expr, sympy.Expr]:
-    if not expression.has(sympy.I):
-        return expression, sympy.S.Zero
-    if expression == sympy.I:
-        return sympy.S.Zero, sympy.S.One
-    if expression.is_Add:
-        real, imaginary = zip(*map(_split, expression.args), strict=True)
-        return sympy.Add(*real), sympy.Add(*imaginary)
-    if isinstance(expression, sympy.exp):
-        a, b = _split(expression.args[0])
-        return sympy.exp(a) * sympy.cos(b), sympy.exp(a) * sympy.sin(b)
-    if expression.is_Pow and expression.exp.is_Integer and expression.exp > 0:
-        factors = [expression.base] * int(expression.exp)
-    elif expression.is_Mul:
-        factors = expression.args
-    else:
-        return expression.as_real_imag()
-    real, imaginary = sympy.S.One, sympy.S.Zero
-    for factor in factors:
-        a, b = _split(factor)
-        real, imaginary = real * a - imaginary * b, real * b + imaginary * a
-    return real, imaginary
-
-
 def compile_components(
     arguments: Sequence[object], expressions: Sequence[sympy.Expr],
     named: Sequence[tuple[Any, ...]] = (),
@@ -219,7 +193,9 @@ def compile_components(
     taken = {str(s) for s in known if not isinstance(s, sympy.Dummy)}
     free = (name for k in count() if (name := f"u{k}_") not in taken)
     parameters = parameters_of([*expressions, *(part for _, part in named)])
-    dummies = [s for s in listed if isinstance(s, sympy.Dummy)] + list(parameters)
+    every = [*expressions, *(part for _, part in named)]
+    dummies = [s for s in listed if isinstance(s, sympy.Dummy) or _hides(s, every)]
+    dummies += list(parameters)
     plain = {s: sympy.Symbol(next(free), **s.assumptions0) for s in dummies}
     arguments = [
         tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
@@ -231,6 +207,19 @@ def compile_components(
         arguments.append(tuple(plain[p] for p in parameters))
     function = _lambdified(tuple(arguments), tuple(expressions), tuple(named))
     return function if not parameters else lambda *given: function(*given, current(parameters))
+
+
+def _hides(symbol: sympy.Symbol, expressions: Sequence[sympy.Expr]) -> bool:
+    """Whether a symbol has the name of something that the code of the expressions calls."""
+    known = symbol.name in ("numpy", "scipy", "math")
+    if not (known or any(hasattr(module, symbol.name) for module in (np, builtins, special))):
+        return False
+    printer, other = _Printer({"fully_qualified_modules": False}), sympy.Dummy("other")
+    try:
+        code = " ".join(printer.doprint(e.xreplace({symbol: other})) for e in expressions)
+    except (PrintMethodNotImplementedError, ValueError):  # it is told where it is compiled
+        return False
+    return symbol.name in re.findall(r"[^\W\d]\w*", code)
 
 
 @lru_cache(maxsize=512)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source
-from seedslib.base.checks import as_covariance, as_shape
+from seedslib.base.checks import as_covariance, as_positive, as_shape
 from seedslib.base.objects import Travelling
 from seedslib.base.values import Inputs, looked_at, with_values
 from seedslib.models import stepping
@@ -172,9 +172,7 @@ class JumpDiffusion(Travelling, ShownModel):
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):
             raise ValueError(f"sensor, jump: wanted maps of a state of {n} components")
         self.state_size, self.wiener_size, self.measurement_size = n, wiener_size, self.sensor.size
-        self.step: float = float(step)
-        if not 0 < self.step < np.inf:
-            raise ValueError(f"step: wanted a positive number, got {step}")
+        self.step: float = as_positive("step", step)
 
     @property
     def symbolic(self) -> bool:

@@ -245,6 +245,12 @@ class UnknownModel:
     modes: int = 0
     indicators: int = 0
 
+    def __post_init__(self) -> None:
+        for part in fields(self):
+            if not is_whole(value := getattr(self, part.name)):
+                least = int(part.default is MISSING)
+                raise TypeError(f"{part.name}: wanted {least} to {MOST}, got {value!r}")
+
     def bounded(self) -> UnknownModel:
         """These sizes, where tables can have them.
 

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance, as_real, as_shape, is_whole
+from seedslib.base.checks import as_covariance, as_positive, as_real, as_shape, is_whole
 from seedslib.base.semidefinite import factor
 from seedslib.base.values import current
 from seedslib.models.discrete import DiscreteSystem
@@ -236,10 +236,8 @@ class LinearSystem(DiscreteSystem):
         steps = Discretised(drift, spread, push)
         if step is None:
             F, Q, B = (SteppedMatrix(steps, part) for part in range(3))
-        elif not step > 0:
-            raise ValueError(f"step: wanted a positive number, got {step}")
         else:
-            F, Q, B = steps(float(step))
+            F, Q, B = steps(as_positive("step", step))
         told = {"B": None if push.size == 0 else B, "D": D, "inputs": inputs}
         return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, **told)
 

@@ -142,9 +142,9 @@ class Noise:
             return self._quadratic_mean(polynomial)
         from sympy import Matrix
 
+        from seedslib.base.symbols import real_part
         from seedslib.gaussian.means.classes import NoClosedForm
         from seedslib.gaussian.means.formulas import mean_expression
-        from seedslib.models.codegen import real_part
 
         if not self.gaussian:
             raise NoClosedForm(

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
+from seedslib.base.checks import as_covariance, as_positive, as_real, require_shape
 from seedslib.base.clock import MOST_STEPS, lengths_alike, when
 from seedslib.base.values import current
 
@@ -40,10 +41,14 @@ def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
 
     Raises
     ------
-    ValueError
-        The moments overflow.
+    TypeError, ValueError
+        No numbers, other shapes, no covariance, no such step; the moments overflow.
     """
+    drift, diffusion = as_real("drift", drift, ndim=2), as_real("diffusion", diffusion)
     n = drift.shape[0]
+    require_shape("drift", drift, (n, n))
+    as_covariance("diffusion", diffusion, n)
+    step = as_positive("step", step, zero=True)
     unit, drift, _, diffusion = balanced(drift, np.zeros((n, n)), diffusion)
     doublings = halvings(np.linalg.norm(drift, 1) * step)
     short = step / 2**doublings

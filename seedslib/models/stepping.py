@@ -12,6 +12,7 @@ from numpy.random import Generator
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.bundles import Source, drawn, parts
+from seedslib.base.checks import as_positive
 from seedslib.base.clock import step_count, when
 from seedslib.base.values import on_paths
 
@@ -61,8 +62,7 @@ def advance(
     """
     if not stop > start:
         raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
-    if not step > 0:
-        raise ValueError(f"step: wanted a positive number, got {step:g}")
+    step = as_positive("step", step, infinite=True)
     increment = system.increment(scheme)
     steps = step_count(start, stop, step)
     h = (stop - start) / steps

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_count, as_positive, as_real
 from seedslib.pareto.result import Criteria, Evaluated
 
 
@@ -51,8 +51,7 @@ def bisect(
     low, high = as_real("start", start), as_real("end", end)
     if low.shape != high.shape or low.ndim > 1:
         raise ValueError(f"end: wanted the shape {low.shape} of start, got {high.shape}")
-    if not as_real("tolerance", tolerance, ndim=0) > 0:
-        raise ValueError(f"tolerance: wanted a positive number, got {tolerance}")
+    tolerance = as_positive("tolerance", tolerance)
     steps = as_count("steps", steps)
     unwrap = (lambda point: point.copy()) if low.ndim else float
     evaluate = Evaluated(criteria, unwrap(low))

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 import sympy
 
+from seedslib.base.symbols import real_part
 from seedslib.models.codegen import (
     as_expressions,
     compile_array,
     compile_components,
-    real_part,
     stack,
 )
 

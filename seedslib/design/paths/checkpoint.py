@@ -19,12 +19,14 @@ import numpy as np
 
 import seedslib
 from seedslib.base.blocks import seed_record
+from seedslib.base.checks import as_count
 from seedslib.base.values import looked_at
 from seedslib.design.paths.forward_pass import Found
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import KNOWN, packed, unpacked
 from seedslib.designed.finite_order_rules import FiniteOrderState
 from seedslib.designed.memory import Past
+from seedslib.designed.shapes import check_array, check_start, check_verbs
 from seedslib.models.kinds import mentioned
 from seedslib.models.simulation import simulate
 from seedslib.models.words import model_text
@@ -109,8 +111,9 @@ class Checkpoint:
             return
         try:
             header, arrays = read(self.path, FORMAT)
-            there, here = header["identity"], self.identity
+            there, here = dict(header["identity"]), self.identity
             now = unpacked(header["progress"], arrays, known=_KNOWN)
+            _require_progress(now)
         except (ValueError, KeyError, TypeError, AttributeError) as error:
             raise ValueError(
                 f"checkpoint: {self.path.name} is damaged or something else ({error}); remove it "
@@ -127,6 +130,31 @@ class Checkpoint:
             )
         forward.walk.resume(now.stop, list(now.states), list(now.alive))
         forward.resume(now.found, list(now.filters))
+
+
+def _require_progress(now):
+    """Refuse what is no `Progress` throughout: the design would stop on it later."""
+    found = now.found
+    size, (n, _) = found.size, check_start("found.start", found.start)
+    check_array("found.size", size, None)
+    fits = [*found.fits, *(fit for row in found.node_fits for fit in row)]
+    check_verbs([("found.fits", fit) for fit in fits], "forecast")
+    if not found.scores:
+        raise ValueError("found.scores: wanted some, got none")
+    for time, rms, error in found.scores:
+        if not isinstance(time, float | int):
+            raise TypeError(f"found.scores: wanted times, got {time!r}")
+        check_array("found.scores", rms, len(size), finite=False)
+        check_array("found.scores", error, len(size), finite=False)
+    for part in now.states:
+        check_array("states", part, n, None, finite=False)
+    for part in now.alive:
+        if not isinstance(part, np.ndarray) or part.dtype != bool or part.ndim != 1:
+            raise TypeError("alive: wanted marks")
+    for part in now.filters:
+        if not isinstance(part, FiniteOrderState):
+            raise TypeError("filters: wanted states of a filter")
+    as_count("stop", now.stop, 0)
 
 
 def identity(

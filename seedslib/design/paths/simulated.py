@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence, seed_record
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, as_positive
 from seedslib.base.values import Inputs
 from seedslib.design.paths.arguments import (
     check_available,
@@ -210,11 +210,9 @@ def synthesize(
             raise ValueError(
                 "system: horizon, exact_moments and Continuous want a system in continuous time"
             )
-        nodes = 0
+        nodes = 0 * as_count("nodes", nodes, 0)
     else:
-        size = float(system.step if step is None else step)
-        if not 0 < size < np.inf:
-            raise ValueError(f"step: wanted a positive number, got {step}")
+        size = as_positive("step", system.step if step is None else step)
         options = {"step": size, "scheme": scheme}
     grid = node_times(times, nodes, horizon, size if isinstance(predictor, Continuous) else None)
     rules = Rules.of(system, memory, predictor, linearization, components, measured_nodes)

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, as_positive
 from seedslib.designed.prediction import HeldOut
 from seedslib.designed.runs import DesignedFilter
 from seedslib.filters.estimates import Estimates
@@ -65,8 +65,7 @@ def stationary(
         raise TypeError(f"filter: wanted a filter with a design, got {filter!r}")
     if isinstance(filter.system, UnknownModel):
         raise ValueError("filter: wanted one with its model, got one that was loaded without")
-    if not tolerance > 0:
-        raise ValueError(f"tolerance: wanted a positive number, got {tolerance}")
+    tolerance = as_positive("tolerance", tolerance, infinite=True)
     last, depth = len(filter.times) - 1, max(1, filter.memory.depth)
     cycle, paths = as_count("cycle", cycle), as_count("paths", paths, 2)
     span = cycle * max(1, last // (4 * cycle))

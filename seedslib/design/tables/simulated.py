@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
+from seedslib.base.checks import as_positive
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, as_axes
 from seedslib.design.tables.carriers import Carriers
@@ -101,8 +102,7 @@ def simulated_synthesis(
         b is None or b.has_log_density for b in sensors_of(system)
     ):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    if not 0 < kernel < np.inf:
-        raise ValueError(f"kernel: wanted a positive number, got {kernel}")
+    kernel = as_positive("kernel", kernel)
     arguments = system, memory, times, components, paths, sets, nodes, seed, workers
     schedule = _schedule(system, times, measured, availability)
     if schedule is not None:

@@ -12,6 +12,7 @@ import numpy as np
 
 from seedslib.designed.arrivals import check_arrivals
 from seedslib.designed.outputs.lookup import Output, Table, step_axes
+from seedslib.designed.shapes import check_verbs
 
 
 class ByPattern(NamedTuple):
@@ -78,6 +79,9 @@ def check_patterns(filter: Any) -> None:
             axes = step_axes(system, memory, (None,) * m, (None,) * n, k, classes_at(filter, k))
             modes = getattr(system, "modes", 0)
             step.shown.check(f"steps[{k}].shown", axes[0], told, n, modes, memory)
+        elif filter.measured is None or step.shown is not None:
+            check_verbs([(f"steps[{k}].shown", step.shown)], "__call__")
+        check_verbs([(f"steps[{k}].blind", step.blind)], "__call__")
 
 
 def classes_at(filter: Any, k: int) -> int:

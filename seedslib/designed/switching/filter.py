@@ -19,6 +19,7 @@ from seedslib.designed.guards import freeze, want_corrected, want_forecast, want
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
 from seedslib.designed.runs import DesignedFilter
+from seedslib.designed.shapes import check_verbs
 from seedslib.designed.switching.fits import (
     CellFit,
     ClassFit,
@@ -127,6 +128,7 @@ class SwitchingFilter(DesignedFilter):
     def check_parts(self) -> None:
         """Laws of mode and state in the cells of the memory."""
         check_arrivals(self, self.system.state_size)
+        check_verbs([(f"fits[{k}]", fit) for k, fit in enumerate(self.fits)], "forecast")
         for k, fit in enumerate(self.fits):
             if isinstance(fit, ClassFit) != bool(self.arrivals):
                 raise ValueError(f"fits[{k}]: wanted laws of classes for an availability only")

@@ -186,7 +186,14 @@ def _judged(
 def _numeric(f: object, variables: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
     """Vectorised values (p, N) of f at points (n, N)."""
     expressions, _ = components_of(f)
-    function = sp.lambdify(variables, expressions, modules=["scipy", "numpy"], cse=True)
+    unknown = set().union(*(e.free_symbols for e in expressions)) - set(variables)
+    if unknown:
+        raise ValueError(f"f: wanted known symbols, got {', '.join(sorted(map(str, unknown)))}")
+    try:
+        function = sp.lambdify(variables, expressions, modules=["scipy", "numpy"], cse=True)
+        function(*np.zeros((len(variables), 2)))
+    except (NameError, NotImplementedError, ValueError):
+        raise ValueError(f"f: wanted functions with NumPy code, got {f}") from None
 
     def values(point: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):  # a pole is found by its value

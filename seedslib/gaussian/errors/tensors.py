@@ -33,10 +33,16 @@ def mean_derivatives(
     return result
 
 
+MOST_AXES, MOST_ENTRIES = 63, 10**8
+"""Of a tensor of derivatives."""
+
+
 def contracted(means: Mapping[Index, np.ndarray], order: int, factor: np.ndarray) -> np.ndarray:
     """Symmetric tensor ``E grad^k f`` with every axis contracted with the factor."""
     size = factor.shape[0]
     values = len(next(iter(means.values())))
+    if order > MOST_AXES or values * size**order > MOST_ENTRIES:
+        raise ValueError(f"f: wanted a polynomial of lower degree, got {order} in {size} variables")
     tensor = np.zeros((values, *(size,) * order))
     # a multi-index and the axes of a tensor entry meet in one code: digit i counts the axes i
     digits = (order + 1) ** np.arange(size)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_positive, as_real
 from seedslib.gaussian.arguments import align, blockwise
 from seedslib.gaussian.regions.edges import edge_moments
 from seedslib.gaussian.regions.geometry import outline
@@ -109,8 +109,7 @@ def polygon(
             "mean, cov, vertices, rays: wanted batch axes that broadcast, got "
             + ", ".join(map(str, shapes))
         ) from error
-    if not tolerance >= 0.0:
-        raise ValueError(f"tolerance: wanted a nonnegative number, got {tolerance}")
+    tolerance = as_positive("tolerance", tolerance, zero=True, infinite=True)
     shape = outline(_spread(vertices, 2, region_batch), _spread(rays, 2, region_batch))
     items = (mean, 1), (cov, 2), (shape.x, 1), (shape.y, 1), (shape.rays, 2), (shape.convex, 0)
     full = (_spread(item, axes, batch) for item, axes in items)
