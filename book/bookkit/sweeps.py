@@ -167,8 +167,8 @@ def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | Non
     Raises
     ------
     ValueError
-        A file that is whole and not what a sweep writes there: of another point, or with values
-        that no notebook records.
+        A file that is whole and not what a sweep writes there: of another point, changed by hand,
+        or with values that no notebook records.
     """
     path = out / f"{key}.json"
     try:
@@ -179,12 +179,20 @@ def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | Non
         return None
     if entry.get("parameters") != json.loads(json.dumps(dict(point))):
         raise ValueError(f"{path}: wanted the point {dict(point)}, got another; remove the file")
+    if entry != sealed(entry):
+        raise ValueError(f"{path}: was changed after the point was run; remove the file")
     try:
         for name, value in entry["values"].items():
             plain(name, value)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(f"{path}: {error}; remove the file") from None
     return entry
+
+
+def sealed(entry: Mapping[str, Any]) -> dict[str, Any]:
+    """What is kept of a point, with its checksum."""
+    parts = {name: entry.get(name) for name in ("parameters", "values", "problem")}
+    return {**parts, "checksum": fingerprint.digest(json.dumps(parts))}
 
 
 def _run(
@@ -244,7 +252,7 @@ def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any
             raise ValueError(f"{', '.join(twice)}: the name of another column of the table")
     except ValueError as error:
         values, problem = {}, problem or f"{type(error).__name__}: {error}"
-    return {"parameters": dict(point), "values": values, "problem": problem}
+    return sealed({"parameters": dict(point), "values": values, "problem": problem})
 
 
 @contextmanager

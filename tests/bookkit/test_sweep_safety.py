@@ -157,8 +157,11 @@ def test_points_that_were_changed_by_hand_are_refused(project, grid, notebook):
     one.write_text(json.dumps(edited))
     again("wanted the point")
     edited = json.loads(texts[0])
-    edited["values"]["total"] = float("nan")
+    edited["values"]["total"] += 1e-9
     one.write_text(json.dumps(edited))
+    again("was changed after the point was run; remove the file")
+    edited["values"]["total"] = float("nan")
+    one.write_text(json.dumps(sweeps.sealed(edited)))
     again("total: wanted a finite number, got nan; remove the file")
     report = run_sweep(notebook, grid, out, quiet=True, workers=1)
     assert (report.already, report.failed) == (2, 0)
