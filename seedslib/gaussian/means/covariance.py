@@ -16,12 +16,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import Any
 
 import sympy as sp
 
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.means.classes import Clash, NoClosedForm, Terms, folded, multiply
+from seedslib.gaussian.means.covariance_tilted import Wave, tilted_pair
 from seedslib.gaussian.means.exp_difference import ExpDifference
 from seedslib.gaussian.means.formulas import mean_formula, stand_ins
 from seedslib.gaussian.means.normal_cdf import NormalCDF
@@ -29,25 +30,6 @@ from seedslib.gaussian.means.parse import parse
 from seedslib.gaussian.means.polynomial import heat
 
 ZERO = sp.S.Zero
-
-
-class Wave(NamedTuple):
-    """``Re[(even + i odd) exp((growth + i phase)'x)]`` with real polynomials even and odd."""
-
-    even: sp.Poly
-    odd: sp.Poly
-    growth: tuple[sp.Expr, ...]
-    phase: tuple[sp.Expr, ...]
-
-    @property
-    def conjugate(self) -> Wave:
-        """The same wave, written with the opposite phase."""
-        return Wave(self.even, -self.odd, self.growth, tuple(-c for c in self.phase))
-
-    @property
-    def real(self) -> bool:
-        """Whether there is no sine in it."""
-        return not any(self.phase)
 
 
 def covariance_expression(
@@ -80,11 +62,11 @@ def _template(f: sp.Expr, g: sp.Expr, variables: tuple, parameters: tuple) -> tu
     """Formula in stand-ins for the mean and covariance, cached by (expressions, symbols)."""
     parsed = parse([f, g], variables, parameters)
     means, covs = stand_ins(len(variables))
-    plain, other = zip(*map(_apart, parsed.components), strict=True)
     m, p = sp.Matrix(means), sp.Matrix(covs)
-    total = sum((_pair(a, b, m, p) for a in _waves(plain[0]) for b in _waves(plain[1])), ZERO)
+    (calm_f, other_f), (calm_g, other_g) = map(_apart, parsed.components)
+    total = sum((_pair(a, b, m, p) for a in _waves(calm_f) for b in _waves(calm_g)), ZERO)
     try:
-        for left, right in ((plain[0], other[1]), (other[0], parsed.components[1])):
+        for left, right in ((calm_f, other_g), (other_f, parsed.components[1])):
             if left and right:
                 total += _difference(left, right, parsed.symbols, means, covs)
     except Clash as clash:
@@ -94,36 +76,36 @@ def _template(f: sp.Expr, g: sp.Expr, variables: tuple, parameters: tuple) -> tu
 
 
 def _apart(terms: Terms) -> tuple[Terms, Terms]:
-    """Polynomials times exponentials of affine functions, and the other terms."""
-    plain, other = {}, {}
+    """Terms without a plane whose quadratic exponents are real, and the others."""
+    calm, other = {}, {}
     for key, poly in terms.items():
         if key.norm is not None:
             raise NoClosedForm("the mean of a norm is an integral")
-        affine = all(sum(monomial) == 1 for monomial, _ in key.exponent)
-        (plain if affine and key.plane is None else other)[key] = poly
-    return plain, other
+        real = not any(sum(a) == 2 and sp.sympify(c).has(sp.I) for a, c in key.exponent)
+        (calm if real and key.plane is None else other)[key] = poly
+    return calm, other
 
 
 def _waves(terms: Terms) -> list[Wave]:
     """Terms as real functions: one of two that are conjugate, doubled."""
     found, done = [], set()
     for key, poly in terms.items():
-        linear = [ZERO] * len(poly.gens)
-        for monomial, c in key.exponent:
-            linear[monomial.index(1)] = c
-        parts = [_parts(c) for c in linear]
-        growth, phase = (tuple(sp.expand(c) for c in side) for side in zip(*parts, strict=True))
-        if (growth, tuple(sp.expand(-c) for c in phase)) in done:
+        n = len(poly.gens)
+        bend, linear = sp.zeros(n, n), sp.zeros(n, 1)
+        key.put(bend, linear)
+        bend = sp.ImmutableMatrix(bend)
+        growth, phase = (
+            sp.ImmutableMatrix([sp.expand(_parts(c)[k]) for c in linear]) for k in range(2)
+        )
+        if (bend, growth, -phase) in done:
             continue
+        done.add((bend, growth, phase))
         even, odd = (
             sp.Poly.from_dict({a: _parts(c)[k] for a, c in poly.terms()}, *poly.gens)
             for k in range(2)
         )
-        if any(phase):
-            done.add((growth, phase))
-            found.append(Wave(2 * even, 2 * odd, growth, phase))
-        else:
-            found.append(Wave(even, 0 * even, growth, phase))
+        wave = Wave(2 * even, 2 * odd, bend, growth, phase)
+        found.append(wave if any(phase) else wave._replace(even=even, odd=0 * even))
     return found
 
 
@@ -135,8 +117,9 @@ def _parts(number: sp.Expr) -> tuple[sp.Expr, sp.Expr]:
 
 def _pair(a: Wave, b: Wave, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     """Covariance of two waves, in products of sines and differences of exponentials."""
-    one, other = sp.Matrix(a.growth), sp.Matrix(b.growth)
-    turn, twist = sp.Matrix(a.phase), sp.Matrix(b.phase)
+    if any(a.bend) or any(b.bend):
+        return tilted_pair(a, b, m, p)
+    (one, turn), (other, twist) = a[-2:], b[-2:]
     w = _dot(one + other, m) + (_dot(one, p * one) + _dot(other, p * other)) / 2
     w = sp.expand(w - (_dot(turn, p * turn) + _dot(twist, p * twist)) / 2)
     phases = [sp.expand(_dot(t, m) + _dot(o, p * t)) for o, t in ((one, turn), (other, twist))]
@@ -183,8 +166,7 @@ def _less_one(
     w: sp.Expr, a: Wave, b: Wave, p: sp.Matrix, book: _Book, sign: int
 ) -> tuple[sp.Expr, sp.Expr]:
     """Real and imaginary part of ``e^w (e^s - 1)``, where s = a'Pb."""
-    one, turn = sp.Matrix(a.growth), sp.Matrix(a.phase)
-    other, twist = sp.Matrix(b.growth), sp.Matrix(b.phase)
+    (one, turn), (other, twist) = a[-2:], b[-2:]
     s = sp.expand(_dot(one, p * other) - _dot(turn, p * twist))
     angle = sp.expand(_dot(one, p * twist) + _dot(turn, p * other))
     if s == 0 and angle == 0:
@@ -205,9 +187,7 @@ def _less_one(
 
 def _means(a: Wave, b: Wave, m: sp.Matrix, p: sp.Matrix) -> tuple[Any, Any]:
     """Real and imaginary part of N and of N - D, the polynomials of E f g and of E f E g."""
-    shift_a, shift_b = (
-        p * (sp.Matrix(wave.growth) + sp.I * sp.Matrix(wave.phase)) for wave in (a, b)
-    )
+    shift_a, shift_b = (p * (wave.growth + sp.I * wave.phase) for wave in (a, b))
     first, second = (wave.even + sp.I * wave.odd for wave in (a, b))
     whole = _image(first * second, m + shift_a + shift_b, p)
     apart = sp.expand(_image(first, m + shift_a, p) * _image(second, m + shift_b, p))
