@@ -176,7 +176,8 @@ def _less_one(
         s = -sign * s
         up, down = sp.expand(w + s), sp.expand(w - s)
         root = book(ExpDifference(up / 2, down / 2, s))
-        return root**2 / 2 - sign * book(ExpDifference(up, down, 2 * s)) / 2, ZERO
+        both = book(sp.exp(up / 2)) + book(sp.exp(down / 2))
+        return root**2 / 2 - sign * root * both / 2, ZERO
     grow = book(ExpDifference(sp.expand(w + s), w, s))
     if angle == 0:
         return grow, ZERO

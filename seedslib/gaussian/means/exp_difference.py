@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import sympy as sp
+from sympy.codegen.cfunctions import expm1
 
 
 def exp_difference(first: Any, second: Any, gap: Any) -> Any:
@@ -24,12 +25,14 @@ class ExpDifference(sp.Function):
 
     @classmethod
     def eval(cls, first: Any, second: Any, gap: Any) -> Any:
-        """Nothing where the exponents are equal; numbers are evaluated."""
+        """Nothing where the exponents are equal; numbers are evaluated; of a known sign shorter."""
         if gap.is_zero:
             return sp.S.Zero
         if first.is_number and second.is_number and gap.is_number:
             return sp.Float(float(exp_difference(float(first), float(second), float(gap))))
-        return None
+        if gap.is_nonnegative:
+            return -sp.exp(first) * expm1(-gap)
+        return sp.exp(second) * expm1(gap) if gap.is_nonpositive else None
 
     def fdiff(self, argindex: int = 1) -> Any:
         """Derivatives: of the exponentials by their exponents, the gap is no argument of its own.
