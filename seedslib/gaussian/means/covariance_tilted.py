@@ -1,4 +1,4 @@
-"""Covariances of terms ``polynomial x exp(-x'Mx/2 + a'x)``, a complex, to full digits.
+"""Covariances of terms ``polynomial x exp(-x'Mx/2 + a'x)`` with complex a, to full digits.
 
 With ``K = I + P M`` and ``W = M K^-1`` the mean of a term is that of its polynomial under
 ``N(m + d, K^-1 P)``, d = P a - P W (m + P a), times ``|K|^(-1/2) e^X``. Of f g and of f and g apart
