@@ -10,9 +10,12 @@ import sympy
 
 from seedslib.base.symbols import real_part
 from seedslib.gaussian.means.classes import NoClosedForm
+from seedslib.gaussian.means.covariance import covariance_expression
 from seedslib.gaussian.means.formulas import mean_expression
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import tidy
+
+POINTS = "GaussHermite, Unscented and Cubature take this map"
 
 
 class Names:
@@ -87,6 +90,14 @@ def affine_part(
     return flat.jacobian(state), flat.subs(dict.fromkeys(state, 0)), rest
 
 
+def real_formula(expression: sympy.Expr, result: sympy.Expr) -> sympy.Expr:
+    """The mean of an expression without the imaginary unit; `NoClosedForm` where there is none."""
+    result = real_part(result)
+    if result.has(sympy.I, sympy.re, sympy.im):
+        raise NoClosedForm(f"no closed form without complex numbers for {expression}; {POINTS}")
+    return result
+
+
 def averager(
     state: Sequence[sympy.Symbol], mean: Sequence[Any], cov: sympy.Matrix
 ) -> Callable[[sympy.Expr], sympy.Expr]:
@@ -102,19 +113,31 @@ def averager(
             try:
                 result = mean_expression(expression, state, mean, cov, parameters=others)
             except NoClosedForm as error:
-                raise NoClosedForm(
-                    f"{error}; GaussHermite, Unscented and Cubature take this map"
-                ) from error
-            result = real_part(result)
-            if result.has(sympy.I, sympy.re, sympy.im):
-                raise NoClosedForm(
-                    f"no closed form without complex numbers for {expression}; GaussHermite, "
-                    "Unscented and Cubature take this map"
-                )
-            known[expression] = result
+                raise NoClosedForm(f"{error}; {POINTS}") from error
+            known[expression] = real_formula(expression, result)
         return known[expression]
 
     return average
+
+
+def covariances(
+    state: Sequence[sympy.Symbol], mean: Sequence[Any], cov: sympy.Matrix,
+    average: Callable[..., Any],
+) -> Callable[..., Any]:  # fmt: skip
+    """Covariance of two expressions of the state, whose means are given."""
+
+    def covariance(first: Any, second: Any, mean_1: sympy.Expr, mean_2: sympy.Expr) -> sympy.Expr:
+        first, second = sympy.sympify(first), sympy.sympify(second)
+        if first.is_polynomial(*state) and second.is_polynomial(*state):
+            return expand(average(expand(first * second)) - mean_1 * mean_2)
+        others = tuple((first.free_symbols | second.free_symbols) - set(state))
+        try:
+            result = covariance_expression(first, second, state, mean, cov, parameters=others)
+        except NoClosedForm as error:
+            raise NoClosedForm(f"{error}; {POINTS}") from error
+        return real_formula(first * second, result)
+
+    return covariance
 
 
 def expand(expression: sympy.Expr) -> sympy.Expr:
@@ -124,16 +147,16 @@ def expand(expression: sympy.Expr) -> sympy.Expr:
 
 def centred_square(
     average: Callable[..., Any], conditional: Sequence[Any], noise_cov: Sequence[Any],
-    mean: Sequence[Any],
+    mean: Sequence[Any], covariance: Callable[..., Any],
 ) -> sympy.Matrix:  # fmt: skip
     """Mean of cov(y | x) plus cov of E(y | x); what cancels does so before numbers are put in."""
     size = len(conditional)
     spread = sympy.zeros(size)
     for i in range(size):
         for j in range(i + 1):
-            product = average(expand(conditional[i] * conditional[j]))
             inner = average(noise_cov[i, j])
-            spread[i, j] = spread[j, i] = inner + expand(product - mean[i] * mean[j])
+            between = covariance(conditional[i], conditional[j], mean[i], mean[j])
+            spread[i, j] = spread[j, i] = inner + between
     return spread
 
 

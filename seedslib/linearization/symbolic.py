@@ -97,7 +97,8 @@ class ExactGaussian(Formulas):
         cross = cov * y.jacobian(mean).T
         if not spread:
             return y, cross, None
-        return y, cross, means.centred_square(average, conditional, noise_cov, y)
+        covariance = means.covariances(map.state, mean, cov, average)
+        return y, cross, means.centred_square(average, conditional, noise_cov, y, covariance)
 
     def branch(
         self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
@@ -115,7 +116,8 @@ class ExactGaussian(Formulas):
         average = means.averager(state, mean, cov)
         if not means.mentions(weight, state):
             y = sympy.Matrix([average(part) for part in expressions])
-            square = means.centred_square(average, expressions, spread, y)
+            covariance = means.covariances(state, mean, cov, average)
+            square = means.centred_square(average, expressions, spread, y, covariance)
             return BranchFormulas(
                 weight, sympy.Matrix(mean), cov, y, cov * y.jacobian(mean).T, square
             )

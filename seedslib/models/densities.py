@@ -22,13 +22,15 @@ def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, An
     mean = [average(sympy.expand(w * part)) / mass for part in y]
     # in a branch the means are quotients, which only their names keep from being multiplied out
     named = sympy.symbols(f"mean:{map.size}", cls=sympy.Dummy, real=True) if joint else mean
+    means = dict(zip(named, mean, strict=True))
     cov = np.empty((map.size, map.size), dtype=object)
     for i in range(map.size):
         for j in range(i + 1):
-            spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
-            if joint:
-                spread = spread.xreplace(dict(zip(named, mean, strict=True))) / mass
-            cov[i, j] = cov[j, i] = spread if joint else sympy.expand(spread)
+            spread = None if joint else map.noise.covariance(y[i], y[j])
+            if spread is None:
+                spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+                spread = sympy.expand(spread) if not joint else spread.xreplace(means) / mass
+            cov[i, j] = cov[j, i] = spread
     return np.array(mean, dtype=object), cov, mass if joint else map.weight_expression
 
 

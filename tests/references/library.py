@@ -34,6 +34,9 @@ from seedslib.gaussian import (
     sine_moments,
 )
 from seedslib.gaussian.regions.twofold import Twofold
+from seedslib.linearization import ExactGaussian
+from seedslib.models.maps import StochasticMap
+from seedslib.models.noise import Noise
 
 x, y, z = sympy.symbols("x y z", real=True)
 NAMES = (x, y, z)
@@ -98,6 +101,20 @@ def exponential(mean, cov):
     return dict(zip(EXPONENTIALS, found, strict=True))
 
 
+COVARIANCES = {
+    "sin x": sympy.sin(x), "cos 2x": sympy.cos(2 * x), "exp x/2": sympy.exp(x / 2),
+    "x exp -x": x * sympy.exp(-x), "exp -x/2 sin x": sympy.exp(-x / 2) * sympy.sin(x),
+    "exp -x^2": sympy.exp(-(x**2)),
+}  # fmt: skip
+
+
+def covariance(mean, var):
+    map = StochasticMap((x,), list(COVARIANCES.values()), Noise())
+    found = ExactGaussian().moments(map)(0.0, np.array([mean]), np.array([[var]])).cov
+    names = list(enumerate(COVARIANCES))
+    return {f"{g}, {f}": found[i, j] for i, f in names for j, g in names[: i + 1]}
+
+
 def elevation(mean, across=None, along=None, cov=None):
     whole = np.diag([across, across, along]) if cov is None else np.zeros((3, 3))
     if cov is not None:
@@ -160,6 +177,7 @@ CALLS: dict[str, Callable[..., dict[str, Any]]] = {
     "maximum": lambda mean, cov: pair("mean", "var", max_moments(mean, cov)),
     "modulus": lambda mean, var: pair("mean", "var", abs_moments(mean, var)),
     "sine": lambda mean, var: pair("mean", "var", sine_moments(mean, var)),
+    "covariance": covariance,
     "norm": norm,
     "polynomial": polynomial,
     "quadrature rules": rules,

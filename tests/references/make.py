@@ -19,7 +19,16 @@ from typing import Any
 import mpmath as mp
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from references import errors, filters, high, means, modes, motion, regions  # noqa: F401
+from references import (  # noqa: F401
+    covariances,
+    errors,
+    filters,
+    high,
+    means,
+    modes,
+    motion,
+    regions,
+)
 from references.high import STEP
 from references.record import STEPS
 

@@ -14,8 +14,6 @@ WEAK = {
     "taken from",
     ("nonlinear filters", "extended quiet"): "the first variances fall by a factor of 1e6",
     ("nonlinear filters", "unscented quiet"): "the first variances fall by a factor of 1e6",
-    ("nonlinear filters", "exact quiet"): "the variance of a sine is a difference of numbers of "
-    "the size of one, so its error is absolute",
 }
 """Cases in which more is lost than the condition number explains, and what loses it."""
 

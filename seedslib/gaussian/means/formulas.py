@@ -109,20 +109,24 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
                 f"no closed form in symbols for {expression}: the mean of a norm is an integral; "
                 "expectation_function gives its numbers"
             )
-    n = len(variables)
-    means = tuple(sp.Dummy(f"m{i}", real=True) for i in range(n))
-    upper = {
-        (i, j): sp.Dummy(f"P{i}{j}", real=True, nonnegative=True if i == j else None)
-        for i in range(n)
-        for j in range(i, n)
-    }
-    covs = tuple(tuple(upper[min(i, j), max(i, j)] for j in range(n)) for i in range(n))
+    means, covs = stand_ins(len(variables))
     back = dict(zip(parsed.parameters, parameters, strict=True))
     formulas = tuple(
         mean_formula(terms, parsed.symbols, means, covs).xreplace(back)
         for terms in parsed.components
     )
     return formulas, means, covs, scalar
+
+
+def stand_ins(n: int) -> tuple[tuple[sp.Symbol, ...], tuple[tuple[sp.Symbol, ...], ...]]:
+    """Symbols for a mean (n,) and a covariance (n, n)."""
+    means = tuple(sp.Dummy(f"m{i}", real=True) for i in range(n))
+    upper = {
+        (i, j): sp.Dummy(f"P{i}{j}", real=True, nonnegative=True if i == j else None)
+        for i in range(n)
+        for j in range(i, n)
+    }
+    return means, tuple(tuple(upper[min(i, j), max(i, j)] for j in range(n)) for i in range(n))
 
 
 def mean_formula(
