@@ -2,7 +2,7 @@
 
 Under every kernel of OpenBLAS and every set of loops of NumPy that this processor can pretend to
 have; `errors.csv` keeps the largest error of each value, and the bound that the test holds it to:
-twice that, and at least four units of the last place of one.
+twice that, and at least four units of the last place of one. `families.csv` sums it up.
 """
 
 from __future__ import annotations
@@ -54,8 +54,13 @@ def main() -> None:
             for key in table("values.csv")
             for e in [worst[key]]
         )
-    for family, count, largest, middle, provenance in summary():
-        print(f"| {family} | {count} | {largest:.0e} | {middle:.0e} | {provenance} |")
+    with FILE.with_name("families.csv").open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["family", "values", "worst error", "median error", "computed by"])
+        writer.writerows(
+            [family, count, f"{largest:.0e}", f"{middle:.0e}", provenance]
+            for family, count, largest, middle, provenance in summary()
+        )
 
 
 if __name__ == "__main__":
