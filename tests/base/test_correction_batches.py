@@ -73,7 +73,8 @@ def test_any_part_may_carry_a_batch(kind):
         of_cov = np.broadcast_shapes(shapes[1], gains)
         present = np.isfinite(y).reshape(M, -1)
         if not (present.all(axis=1) | ~present.any(axis=1)).all():
-            of_cov = np.broadcast_shapes(of_cov, shapes[2])
+            depth = max(len(batch), len(of_cov))  # axes of y stand where those of the mean do
+            of_cov = np.broadcast_shapes(of_cov, (1,) * (depth - len(shapes[2])) + shapes[2])
         assert found[0].shape == (N, *batch)
         assert found[1].shape == (N, N, *of_cov)
         assert found[2].shape == batch

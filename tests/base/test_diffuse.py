@@ -44,7 +44,7 @@ def assert_near(found, wanted):
     """In units of the deviations that there are, of which a wide one brings its rounding along."""
     unit = np.sqrt(np.diag(wanted))
     unit = np.where(unit > 0, unit, unit.max())
-    bound = 1e-13 + 1e-15 * unit.max() / unit.min()
+    bound = 1e-12 + 1e-15 * unit.max() / unit.min()
     assert np.abs((found - wanted) / np.outer(unit, unit)).max() < bound
     assert np.array_equal(found, found.T)
 
@@ -79,6 +79,28 @@ def test_wide_priors_are_corrected_to_the_last_digits(name, wide):
     if name == "a component that is known":
         assert not found[1].any()
     assert_near(found, wanted)
+
+
+def test_a_sensor_of_nothing_changes_nothing():
+    """One that always shows zero, without noise, beside others."""
+    wide, pick = 2.0**40 * SMALL, np.array([[1.0, 0, 0], [0, 0, 0], [0, 0, 1]])
+    for order in ([0, 1, 2], [1, 0, 2], [0, 2, 1]):
+        slope, noise = (pick @ SLOPE)[order], (pick @ NOISE @ pick)[np.ix_(order, order)]
+        found = corrected(wide, slope, noise, noise)
+        assert_near(found, posterior(wide, SLOPE[[0, 2]], NOISE[np.ix_([0, 2], [0, 2])]))
+
+
+def test_exact_sensors_are_left_to_the_usual_lines():
+    """The path on which nothing is noisy is as if the noise were unknown, whatever the others."""
+    cov, slope = np.stack([2.0**40 * SMALL] * 2, axis=-1), SLOPE[:1]
+    noise = np.array([[[0.0, 3.0]]])
+    spread = slope @ (2.0**40 * SMALL) @ slope.T
+    cross = cov[..., 0] @ slope.T
+    moments = Moments(np.zeros(1), cross, spread[..., None] + noise)
+    told = correct(np.zeros(3), cov, np.zeros(1), moments, noise=lambda: noise)[1]
+    plain = correct(np.zeros(3), cov, np.zeros(1), moments)[1]
+    np.testing.assert_array_equal(told[..., 0], plain[..., 0])
+    assert_near(told[..., 1], posterior(2.0**40 * SMALL, slope, [[3.0]]))
 
 
 def test_noise_in_whole_numbers():
