@@ -108,6 +108,7 @@ def test_negative_pivots_are_judged_by_a_scale():
         (-2.0 * INDEFINITE, [1.0, 1.0], True),
         (-2.0 * INDEFINITE, [1.0, 4.0], False),
         (-2.0 * INDEFINITE, [4.0, 1.0], True),
+        (-INDEFINITE, [1.0, 1.0], False),
         (-0.5 * INDEFINITE, None, True),
     ]:
         found = factor(np.diag([4.0, value]), None if judged is None else np.array(judged))
@@ -211,6 +212,14 @@ def test_negative_eigenvalues_are_raised_in_units_of_the_deviations():
     wanted = vectors * np.where(values < -NEGATIVE, NEGATIVE, values) @ vectors.T
     np.testing.assert_allclose(in_units(found[..., 0], 1 / own), wanted, atol=1e-14)
     assert count == 1
+
+
+def test_the_least_eigenvalue_that_is_rounding():
+    """-1e-12 of the variance before is none, the next number is a fault; variances are given."""
+    values = np.array([[[-4 * NEGATIVE, np.nextafter(-4 * NEGATIVE, -1.0), 0.0, 3.0]]])
+    found, count = mended(values, np.full((1, 4), 4.0))
+    assert count == 1
+    np.testing.assert_allclose(found[0, 0], [0.0, 4 * NEGATIVE, 0.0, 3.0], rtol=1e-15)
 
 
 @pytest.mark.parametrize(("least", "raised"), [(-0.5, False), (-5.0, True)])
