@@ -4,6 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
+import sympy
 
 from seedslib.base import correct
 from seedslib.base.correction import joint_shape
@@ -126,6 +127,14 @@ def test_a_variance_up_to_the_least_is_none(copies):
         assert loglik == pytest.approx(
             -0.5 * (1.0 + np.log(2 * np.pi * copies * variance)) if told else 0.0
         )
+
+
+def test_one_number_in_symbols():
+    m, p, y, h, c, s = sympy.symbols("m p y h c s")
+    mean, cov, loglik = correct([m], [[p]], [y], ([h], [[c]], [[s]]))
+    assert sympy.simplify(mean[0] - m - c * (y - h) / s) == 0
+    assert sympy.simplify(cov[0, 0] - p + c**2 / s) == 0
+    assert sympy.simplify(2 * loglik + (y - h) ** 2 / s + sympy.log(2 * sympy.pi * s)) == 0
 
 
 @pytest.mark.parametrize("periods", [(), ((1, 4.0),)])

@@ -90,6 +90,13 @@ def test_what_is_no_covariance_has_no_root():
     assert rank[1] == 1
 
 
+def test_a_component_of_the_least_variance_is_none():
+    for variance, rank in ((0.25 * ABSOLUTE, 1), (ABSOLUTE, 1), (4 * ABSOLUTE, 2)):
+        found = range_root(np.diag([variance, 1.0])[None])
+        assert found[2].tolist() == [rank]
+        assert found[1][0] == pytest.approx(np.log(variance) if rank == 2 else 0.0)
+
+
 @pytest.mark.parametrize("gap", [0.2, 5.0])
 def test_an_eigenvalue_up_to_1e_13_is_none(gap):
     """Two sensors of correlation 1 - g: of rank two where g is more than rounding."""
@@ -163,6 +170,11 @@ def test_least_pivots_of_a_root():
     for extra, zero in ((0.5, True), (4.0, False)):
         cov = np.array([[4.0, 6.0], [6.0, 9.0 * (1 + extra * RELATIVE)]])
         assert (square_root(cov)[1, 1] == 0.0) == zero
+    least = ABSOLUTE
+    for _ in range(3):
+        least = RELATIVE * least + ABSOLUTE
+    assert least == RELATIVE * least + ABSOLUTE  # the variance that is its own bound
+    assert square_root(np.array([[least]])) == factor(np.array([[least]])) == 0.0
     found = square_root(np.stack([np.diag([ABSOLUTE, 2.0]), np.diag([4 * ABSOLUTE, 2.0])]))
     assert (found[:, 0, 0] == 0.0).tolist() == [True, False]
 
@@ -255,7 +267,9 @@ def test_a_zero_variance_that_covaries_is_a_fault():
         cov[j, j], cov[i, j], cov[j, i] = 0.0, 0.5, 0.5
         found, count = mended(cov)
         assert count == 1
-        assert np.linalg.eigvalsh(found)[0] > 0
+        values, vectors = np.linalg.eigh(cov)  # a component without a deviation has the unit one
+        want = vectors * np.where(values < 0, NEGATIVE, values) @ vectors.T
+        np.testing.assert_allclose(found, want, atol=1e-14)
 
 
 # Places in triangles
