@@ -55,9 +55,9 @@ class _Printer(SciPyPrinter):
 
 def fold(expression: sympy.Expr) -> sympy.Expr:
     """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
-    parts = [p for p in sympy.preorder_traversal(expression) if p.is_number and p.is_real]
-    values = {part: sympy.Float(_in_range(part)) for part in parts}
-    return expression.xreplace({p: value for p, value in values.items() if not p.is_Rational})
+    parts = dict.fromkeys(sympy.preorder_traversal(expression))
+    values = {p: _in_range(p) for p in parts if p.is_number and p.is_real}
+    return expression.xreplace({p: sympy.Float(v) for p, v in values.items() if not p.is_Rational})
 
 
 def _in_range(constant: sympy.Expr) -> float:
