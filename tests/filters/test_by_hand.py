@@ -3,11 +3,18 @@
 import numpy as np
 import pytest
 
-from seedslib.filters import Gated, KalmanFilter, extended_kalman
+from seedslib.filters import (
+    Gated,
+    KalmanFilter,
+    ParticleFilter,
+    draw_trajectories,
+    extended_kalman,
+)
 from seedslib.filters.backward import gain_of, stepped_back, wide
 from seedslib.filters.covariance import BLOCK
 from seedslib.filters.estimates import as_record
 from seedslib.filters.mixture import mix
+from seedslib.filters.particle import _direction
 from seedslib.filters.weights import TIE, logarithm, most_probable, normalised, relative
 from seedslib.models import LinearSystem
 
@@ -154,3 +161,40 @@ def test_a_gate_shows_the_time_of_its_filter():
     assert state.time is None
     state = gated.predict(state, 3.5)
     assert state.time == 3.5
+
+
+# Where paths have gone
+
+
+@pytest.mark.parametrize("make", [KalmanFilter, extended_kalman])
+def test_a_mean_beyond_the_bound_has_diverged(make):
+    """One that is as far as the bound has not."""
+    filter = make(LinearSystem(np.eye(2), np.eye(2), np.eye(2), np.eye(2), [0, 0], np.eye(2)),
+                  bound=3.0)  # fmt: skip
+    state = filter.initial((4,))._replace(
+        mean=np.array([[3.0, -3.5, 1.0, 0.0], [2.0, 1.0, -3.0, np.nextafter(3.0, 4.0)]])
+    )
+    assert filter.report(state).diverged.tolist() == [False, True, False, True]
+
+
+def test_mean_directions_of_circular_components():
+    """The direction of the sum of the unit vectors, whatever turn the numbers are from."""
+    x = RNG.standard_normal((3, 5, 2)) + np.array([0.0, 3.9, -7.2])[:, None, None]
+    weight = RNG.random((5, 2))
+    weight /= weight.sum(axis=0)
+    found = _direction(x, weight, ((1, 7.0), (2, 5.0)))
+    np.testing.assert_array_equal(found[0], 0.0)
+    for k, period in ((1, 7.0), (2, 5.0)):
+        turn = np.angle((weight * np.exp(2j * np.pi * x[k] / period)).sum(axis=0))
+        np.testing.assert_allclose(found[k], period * turn / (2 * np.pi), rtol=1e-12)
+
+
+def test_trajectories_of_several_blocks_stand_side_by_side(monkeypatch):
+    filter = ParticleFilter(LinearSystem(0.5, 1, 1, 1, 0, 1), 8)
+    y = RNG.standard_normal((3, 1, 5))
+    whole = draw_trajectories(filter, np.arange(3.0), y, 4, seed=2)
+    assert whole.shape == (3, 1, 4, 5)
+    monkeypatch.setattr(ParticleFilter, "block", lambda *_: 2)
+    parts = draw_trajectories(filter, np.arange(3.0), y, 4, seed=2)
+    assert parts.shape == whole.shape
+    assert np.isfinite(parts).all()
