@@ -8,7 +8,7 @@ import pytest
 import sympy
 from scipy.stats import norm
 
-from seedslib.base import ELAPSED
+from seedslib.base import ELAPSED, Parameter, assigned
 from seedslib.models import (
     DiscreteChain,
     DiscreteSystem,
@@ -82,6 +82,31 @@ def test_the_likely_mode_stands_in_for_lost_paths():
     assert abs(drawn[0, told == 1].std() - np.sqrt(2.0)) < 0.15
     free = hybrid.initial_sample(np.random.default_rng(0), 4000)
     assert abs((free[-1] == 1).mean() - 0.8) < 0.03
+
+
+def test_density_of_a_measurement_with_its_indicator():
+    """Modes, times and parameters of each path; a missing indicator says nothing."""
+    a, tells = Parameter("a", 9.0), 1 / (1 + x**2)
+    system = modes(
+        sensor=[[x + a * t + w], [2 * x + w / 2]], indicator=[[tells, 1 - tells], [0.3, 0.7]]
+    )
+    state = np.array([[0.4, 0.4, -0.2, 1.1, 0.7], [0, 0, 0, 1, 1]])
+    shown = np.array([[1.3, 1.3, 0.2, 1.9, 2.2], [0, np.nan, 1, 1, np.nan]])
+    own = np.array([0.5, -0.3, 0.2, 5.0, 5.0])
+    x0, first = state[0], state[1] == 0
+    law = np.where(first, norm.logpdf(shown[0], x0 + own * 1.5, 1.0),
+                   norm.logpdf(shown[0], 2 * x0, 0.5))  # fmt: skip
+    chance = np.where(first, 1 / (1 + x0**2), 0.3)
+    told = np.where(shown[1] == 0, np.log(chance), np.log(1 - chance))
+    told[np.isnan(shown[1])] = 0.0
+    sensor = system.hybrid.sensor
+    with assigned({a: own}):
+        np.testing.assert_allclose(sensor.log_density(1.5, shown, state), law + told, rtol=1e-12)
+        many = np.repeat(state[:, None], 4000, axis=1)
+        near = sensor.sample(1.5, many, np.random.default_rng(4))
+    middle = np.where(first, x0 + own * 1.5, 2 * x0)
+    assert np.abs(near[0].mean(axis=0) - middle).max() < 0.07
+    assert np.abs((near[1] == 0).mean(axis=0) - chance).max() < 0.035
 
 
 # Sizes of a model that is not known
