@@ -122,7 +122,7 @@ class KalmanFilter(CovarianceFilter):
         effect, _, _ = correct(state.effect, None, zero, (slope, cross, spread))
         errors = np.concatenate([y - expected, np.where(np.isfinite(y), slope, np.nan)], axis=-1)
         m = len(errors)
-        still, unit = np.zeros_like(errors), np.eye(m).reshape(m, m, *(1,) * (errors.ndim - 1))
+        still, unit = np.zeros_like(errors), np.eye(m)
         weighed, _, _ = correct(still, None, errors, (still, unit, spread))  # S⁻¹ of each column
         score = state.score + np.einsum("m...q,m...->q...", slope, weighed[..., 0])
         added = np.einsum("m...p,m...q->pq...", slope, weighed[..., 1:])
@@ -245,7 +245,6 @@ def _narrowed(state: DiffuseState) -> np.ndarray:
 def _solved(told: DiffuseState, columns: np.ndarray) -> np.ndarray:
     """Information pseudo-inverse times columns (q, *batch, columns)."""
     still, whole = np.zeros_like(columns), np.eye(len(columns))
-    whole = whole.reshape(*whole.shape, *(1,) * (columns.ndim - 1))
     return correct(still, None, columns, (still, whole, told.information[..., None]))[0]
 
 

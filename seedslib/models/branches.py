@@ -157,7 +157,7 @@ class Branch:
     @cached_property
     def _residual_noise(self):
         """The noise as a function of (t, x, y) where the value is affine in it and invertible."""
-        found = noise_of(self.map) if self.whole.has_log_density else None
+        found = noise_of(self.map)
         if found is None:
             return None
         from seedslib.models.codegen import compile_array

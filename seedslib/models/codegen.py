@@ -62,12 +62,9 @@ class _Printer(SciPyPrinter):
 
 def fold(expression: sympy.Expr) -> sympy.Expr:
     """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
-    numbers = {
-        part: sympy.Float(_in_range(part))
-        for part in sympy.preorder_traversal(expression)
-        if part.is_number and part.is_real and not part.is_Rational
-    }
-    return expression.xreplace(numbers)
+    parts = dict.fromkeys(sympy.preorder_traversal(expression))
+    values = {p: _in_range(p) for p in parts if p.is_number and p.is_real}
+    return expression.xreplace({p: sympy.Float(v) for p, v in values.items() if not p.is_Rational})
 
 
 def _in_range(constant: sympy.Expr) -> float:

@@ -106,3 +106,34 @@ def test_what_is_named_is_remembered_and_nothing_else():
     for words in ({}, {"indicators": 1}):
         with pytest.raises(ValueError, match="wanted at least one estimate or measurement"):
             Memory(**words)
+
+
+def test_dimensions_of_what_is_remembered():
+    assert Memory(1, 1).dimension(0, 2) == 2
+    assert Memory(3, 2).dimension(1, 5, 7) == 5 * 2 + 7 * 2
+    assert Memory(3, 2).dimension(2, 5, 7) == 5 * 3 + 7 * 2
+    assert Memory(2, 1, log_odds=True).dimension(4, 5, 7, 3) == 7 * 2 + 7
+    assert Memory(2, 1).order(5) == 10
+    assert Memory(2, 3, 4).depth == 4
+    assert Memory(2, 5, 4).depth == 5
+    assert Memory(6, 5, 4).order(2, 3) == 12 + 15
+
+
+def test_words_of_a_memory():
+    assert str(Memory(1, 2, 3)) == "1 estimate, 2 measurements, 3 indicators"
+    assert str(Memory(2, log_odds=True)) == "2 estimates, log-odds of the modes"
+
+
+def test_modes_are_kept_where_none_is_told():
+    past = Memory(2).push(Past(), estimate=np.ones(2), mode=np.array(1))
+    assert Memory(2).push(past, estimate=np.ones(2)).modes == past.modes
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [({"measurement": 1.0, "indicator": 1}, "estimate"), ({"estimate": 1.0, "indicator": 1},
+     "measurement"), ({"estimate": 1.0, "measurement": 1.0}, "indicator")],
+)  # fmt: skip
+def test_a_block_that_is_kept_has_to_be_given(given, name):
+    with pytest.raises(ValueError, match=f"^{name}: wanted by this memory, got none"):
+        Memory(1, 1, 1).push(Past(), **given)
