@@ -65,9 +65,7 @@ def test_points_of_a_rule_that_is_not_symmetric():
     many = np.stack([root @ root.T, 4.0 * root @ root.T], axis=-1)
     found = points_of(mean, many, rule)
     assert found.shape == (2, 2, 2)
-    np.testing.assert_allclose(
-        found[..., 1], mean[:, None] + 2.0 * root @ rule.points, rtol=1e-14
-    )
+    np.testing.assert_allclose(found[..., 1], mean[:, None] + 2.0 * root @ rule.points, rtol=1e-14)
     with pytest.raises(ValueError, match="rule: wanted a rule for 3 variables, got 2"):
         points_of(np.zeros(3), np.eye(3), rule)
 
@@ -133,6 +131,13 @@ def test_batches_and_vector_functions():
     assert mean_of(lambda p: p[0], [1.0, 2.0], cov, rule).shape == ()
     ours = mean_of(lambda p: p[0] * p[1], mean[:, 0, 0], cov[..., None] * scale, rule)
     np.testing.assert_allclose(ours, mean[0, 0, 0] * mean[1, 0, 0] + 0.3 * scale, rtol=1e-13)
+
+
+def test_values_of_a_wrong_shape():
+    rule, mean, cov = cubature(2), [0.3, -0.4], np.eye(2)
+    for f in (lambda p: 1.0, lambda p: p[:, :3], lambda p: p[None], lambda p: p.T):
+        with pytest.raises(ValueError, match=r"f: wanted values of shape \(N,\) or \(p, N\)"):
+            mean_of(f, mean, cov, rule)
 
 
 def test_rules_cannot_be_changed():

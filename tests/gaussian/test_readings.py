@@ -97,6 +97,11 @@ def test_parameters_are_numbers_of_a_call():
     told = {a: 0.3, b: 1.7}
     wanted = by_panels(f.subs(told), (1.0, 1.7), (0.0,))
     assert function(MEAN, COV, 0.3, 1.7) == pytest.approx(wanted, rel=1e-12)
+    for bad in ([0.3], [[0.3]], np.nan, "a"):
+        with pytest.raises((TypeError, ValueError), match="a: wanted"):
+            function(MEAN, COV, bad, 1.7)
+    with pytest.raises(TypeError, match="wanted values of the parameters"):
+        function(MEAN, COV, 0.3)
     # the root of a square that is semidefinite for some parameters only
     with pytest.raises(NoClosedForm, match="sum of squares"):
         expectation_function(sp.sqrt(a * x**2 + y**2), VARIABLES, parameters=[a])
