@@ -104,7 +104,7 @@ def test_lost_paths():
 def test_modes():
     rate, error = np.array([0.2, 0.1, 0.05, 0.02]), np.array([0.009, 0.007, 0.005, 0.003])
     predicted = PREDICTED._replace(mode_rate=rate, mode_error=error)
-    modes = {"mode_rate": rate + [0.0, 0.0, -0.04, 0.06], "mode_error": error}
+    modes = {"mode_rate": rate + np.array([0.0, 0.0, -0.04, 0.06]), "mode_error": error}
     held = HeldOut(TIMES, RMS, ERROR, np.full((4, 2), 4.0), 2000, 0, **modes)
     (text,) = _findings(predicted, held, STATE, 1.0, None, False)
     assert "the part of wrong modes on 2000 other paths" in text
@@ -200,6 +200,15 @@ def test_functions_are_examined_on_the_set_after_their_own(carriers, sets):
     predicted = given.prediction()
     assert predicted.times.tolist() == np.linspace(0.0, 1.5, 7).tolist()
     assert given.covariances.shape == (4, 1, 1)
+
+
+def test_a_function_of_nothing_fills_the_paths(carriers):
+    given = carriers()
+    given.take(lambda points: Output(np.array([0.7])))
+    assert given.past(0).vector.shape == given.past(1).vector.shape == (1, 40)
+    square = (given.sets[1].states[0.0] - 0.7) ** 2
+    np.testing.assert_allclose(given.scores[0][1], square, rtol=1e-14)
+    np.testing.assert_allclose(given.covariances, [[[square.mean()]]], rtol=1e-14)
 
 
 def test_scores_are_errors_with_standard_errors():

@@ -1,4 +1,4 @@
-"""Filters of output functions where modes, gaps and times between come together; models told apart."""
+"""Filters of output functions: modes, gaps and times between together; models told apart."""
 
 import numpy as np
 import pytest
@@ -37,7 +37,7 @@ def patterned():
 
 def test_with_modes_all_times_are_those_of_measurements(switching):
     shown = np.array([[0.3], [np.nan], [-1.2], [0.8]])
-    with pytest.raises(ValueError, match="times: wanted those of measurements alone.* got 0.5"):
+    with pytest.raises(ValueError, match=r"times: wanted those of measurements alone.* got 0\.5"):
         switching.run([0.0, 0.5, 1.0, 2.0], shown)
     found = switching.run(TIMES, shown[[0, 2, 3]])
     assert np.isfinite(found.mean).all()

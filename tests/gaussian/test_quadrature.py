@@ -21,7 +21,7 @@ def powers_up_to(n, degree):
 
 
 @pytest.mark.parametrize(
-    "kind, arguments",
+    ("kind", "arguments"),
     [(gauss_hermite, (1, 5)), (gauss_hermite, (3, 4)), (cubature, (4,)), (unscented, (3, 0.0)),
      (unscented, (2, 1.0)), (unscented, (3, 0.7)), (unscented, (4, -1.3)), (fifth_degree, (1,)),
      (fifth_degree, (2,)), (fifth_degree, (5,)), (fifth_degree, (8,))],
@@ -37,7 +37,7 @@ def test_rules_are_exact_to_their_degree(kind, arguments):
         assert value == pytest.approx(moment(powers), abs=3e-12), powers
 
 
-@pytest.mark.parametrize("n, kappa", [(3, 0.7), (4, -1.3), (1, 2.0)])
+@pytest.mark.parametrize(("n", "kappa"), [(3, 0.7), (4, -1.3), (1, 2.0)])
 def test_sigma_points(n, kappa):
     """The centre, then both ends of each axis at distance sqrt(n + kappa)."""
     unscented.cache_clear()

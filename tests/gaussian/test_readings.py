@@ -129,7 +129,7 @@ def terms(**parts):
 
 
 def test_products_of_terms():
-    """Exponents add up, a half-space meets its opposite nowhere, a norm times itself is a square."""
+    """Exponents add up, a half-space never meets its opposite, a norm squared is a polynomial."""
     up = Plane((sp.S(1), sp.S(2)), sp.S(3), sp.S(0))
     down = Plane((sp.S(-1), sp.S(-2)), sp.S(-3), sp.S(1))
     square = sp.Poly(x**2 + y**2 + 1, x, y)

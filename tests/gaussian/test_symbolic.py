@@ -142,7 +142,7 @@ def test_half_space_across_three_variables_matches_simulation():
 
 @pytest.mark.parametrize("n", [1, 2, 3, 5, 9])
 def test_oscillating_quadratics_stay_on_the_right_branch(n):
-    # E exp(i k |x|^2) = (1 - 2 i k)^(-n/2): the argument of the determinant passes pi, of nine factors 3 pi
+    # E exp(i k |x|^2) = (1 - 2 i k)^(-n/2): the argument of the determinant passes pi, and 3 pi
     symbols = sp.symbols(f"x:{n}", real=True)
     for k in (0.4, 3.0, 40.0):
         exact = np.exp(-0.5 * n * np.log(1 - 2j * k))
