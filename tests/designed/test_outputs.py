@@ -206,18 +206,18 @@ def test_a_model_is_looked_at_with_an_input_of_its_own():
 
 def test_what_differs_is_named():
     points = np.array([[0.0, 1.0, 2.0], [0.3, -0.4, 0.6]])
-    one = {"drift": np.array([[1.0], [2.0], [np.nan]]), "diffusion": np.ones((3, 1, 1))}
+    one = {"drift": np.array([[0.1], [0.2], [np.nan]]), "diffusion": np.ones((3, 1, 1))}
     assert difference(one, dict(one), points) == ""
     less = {"drift": one["drift"]}
     assert difference(one, less, points) == "its diffusion is there in only one of them"
     assert difference(less, one, points) == "its diffusion is there in only one of them"
     wide = {**one, "drift": np.ones((3, 2))}
     assert difference(one, wide, points) == "its drift has shape (3, 2), not (3, 1)"
-    gap = {**one, "drift": np.array([[1.0], [np.nan], [np.nan]])}
+    gap = {**one, "drift": np.array([[0.1], [np.nan], [np.nan]])}
     wanted = "its drift has a value in only one of them at some points"
     assert difference(one, gap, points) == wanted
-    other = {**one, "drift": np.array([[1.0], [2.5], [np.nan]])}
-    assert difference(one, other, points) == "its drift differs by up to 0.5 of 2"
-    infinite = {**one, "drift": np.array([[1.0], [2.0], [np.inf]])}
+    other = {**one, "drift": np.array([[0.1], [0.25], [np.nan]])}
+    assert difference(one, other, points) == "its drift differs by up to 0.05 of 0.2"
+    infinite = {**one, "drift": np.array([[0.1], [0.2], [np.inf]])}
     assert "drift" in difference(one, infinite, points)
     assert difference(infinite, dict(infinite), points) == ""
