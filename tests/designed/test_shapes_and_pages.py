@@ -110,7 +110,7 @@ def test_errors_of_a_design():
     ):
         with pytest.raises(ValueError, match=match):
             check_errors(predicted, held, TIMES, 2)
-    with pytest.raises(TypeError, match="held_out.mode_rate"):
+    with pytest.raises(TypeError, match=r"held_out\.mode_rate"):
         check_errors(modes, HELD, TIMES, 2)
 
 
@@ -142,7 +142,8 @@ def test_the_page_of_a_filter():
     exact = filter(
         predicted=PREDICTED._replace(in_sample=False), cycle=2, held_out=HELD,
         design=Design(0, 0, None, (), exact=True), measured=np.array([[True, False]] * 3),
-        availability=np.array([0.5, 1.0]), fits=[SimpleNamespace(prob=np.ones(c)) for c in (2, 7, 3)],
+        availability=np.array([0.5, 1.0]),
+        fits=[SimpleNamespace(prob=np.ones(c)) for c in (2, 7, 3)],
     )  # fmt: skip
     assert finite_order_page(exact).splitlines()[4:] == [
         "  schedule     3 of 6 components are read",
