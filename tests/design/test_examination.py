@@ -163,11 +163,12 @@ def test_blocks_of_held_out_paths(monkeypatch):
 
 @pytest.fixture(scope="module")
 def carriers():
-    def made(system=None, sets=2, memory=Memory(1), **changes):  # noqa: B008
-        system = zoo.flip_process() if system is None else system
+    flip = zoo.flip_process()
+
+    def made(system=flip, sets=2, **changes):
         arguments = {"times": TIMES, "components": None, "paths": 40, "nodes": 1, "seed": 3,
                      "workers": 1, **changes}  # fmt: skip
-        return Carriers(system, memory, sets=sets, **arguments)
+        return Carriers(system, Memory(1), sets=sets, **arguments)
 
     return made
 
@@ -236,10 +237,13 @@ def test_axes_are_laid_about_the_paths(carriers):
     states = np.concatenate([given.sets[0].states[t] for t in TIMES], axis=1)
     reach = 0.1 * np.ptp(states)
     np.testing.assert_allclose([z[0].low, z[0].high], [states.min() - reach, states.max() + reach])
-    assert _axes(carriers(memory=Memory(2)), None, None)[0][0].count == 81
+    given.memory = Memory(2)
+    assert _axes(given, None, None)[0][0].count == 81
     # more arguments: as many nodes as a table has room for, and at least seven
-    assert _axes(carriers(memory=Memory(3)), None, None)[0][0].count == int((1 << 25) ** 0.225)
-    assert _axes(carriers(memory=Memory(9)), None, None)[0][0].count == 7
+    given.memory = Memory(3)
+    assert _axes(given, None, None)[0][0].count == int((1 << 25) ** 0.225)
+    given.memory = Memory(9)
+    assert _axes(given, None, None)[0][0].count == 7
     assert _about(np.array([3.0, 3.0]), 5).high == pytest.approx(3.0 + 3e-9, rel=1e-15)
     assert (_about(np.zeros(2), 5).low, _about(np.zeros(2), 5).high) == (-1.0, 1.0)
 

@@ -38,15 +38,19 @@ def by_panels(f, normal=(1.0, 0.0), kinks=()):
     masses = masses * np.exp(-0.5 * z**2) / np.sqrt(2 * np.pi)
     away = vectors[:, 1] * np.sqrt(values[1])
     points = (MEAN[:, None] + np.outer(slope, u - centre))[:, :, None] + away[:, None, None] * z
-    return weights @ sp.lambdify(VARIABLES, f, ["scipy", "numpy"])(*points) @ masses
+    return weights @ f(*points) @ masses
+
+
+def numeric(f):
+    return sp.lambdify(VARIABLES, f, ["scipy", "numpy"])
 
 
 KINDS = {
-    "powers": ((x - 2 * y + 0.3) ** 3 * (x + 0.2) ** 2, (1, 0), ()),
+    "powers": ((x - 2 * y + 0.3) ** 2 * (x + 0.2), (1, 0), ()),
     "decimal power": (sp.Pow(2 * x + y + 0.5, 2.0, evaluate=False) * x, (1, 0), ()),
     "number to a power": (sp.Float(1.3) ** (x - 0.5 * y) * y, (1, 0), ()),
-    "hyperbolic": (sp.sinh(0.4 * x + 0.1) * sp.cosh(0.3 * y - 0.2) * (x + 2), (1, 0), ()),
-    "power of a sine": (sp.sin(0.8 * x - 0.5 * y + 0.4) ** 3 * x, (1, 0), ()),
+    "hyperbolic": (sp.sinh(0.4 * x + 0.1) + sp.cosh(0.3 * y - 0.2) * x, (1, 0), ()),
+    "power of a sine": (sp.sin(0.8 * x - 0.5 * y + 0.4) ** 2 * x, (1, 0), ()),
     "waves": (sp.cos(0.3 * x * y + 0.2 * y) * sp.exp(0.2 * x), (1, 0), ()),
     "bell": ((x + 2 * y) * sp.exp(-0.4 * x**2 - 0.3 * x * y - 0.2 * y**2 + 0.3 * x), (1, 0), ()),
     "modulus": (abs(x - 2 * y + 0.3) * y**2, (1, -2), (-0.3,)),
@@ -77,17 +81,18 @@ KINDS = {
 def test_means(kind):
     f, normal, kinks = KINDS[kind]
     function = expectation_function(f, VARIABLES)
-    wanted = by_panels(f, normal, kinks)
+    value = numeric(f)
+    wanted = by_panels(value, normal, kinks)
     assert function(MEAN, COV) == pytest.approx(wanted, rel=1e-12, abs=1e-13)
     # the same at two places of a batch, each with a covariance of its own
     covs = np.stack([COV, 0.0 * COV], axis=-1)
     found = function(np.stack([MEAN, MEAN], axis=1), covs)
     assert found[0] == pytest.approx(wanted, rel=1e-12, abs=1e-13)
-    there = float(sp.lambdify(VARIABLES, f, ["scipy", "numpy"])(*MEAN))
+    there = float(value(*MEAN))
     assert found[1] == pytest.approx(there, rel=1e-12, abs=1e-13)
-    value = function.compiled().value(MEAN[:, None] * [1.0, -0.6])
-    other = float(sp.lambdify(VARIABLES, f, ["scipy", "numpy"])(*(-0.6 * MEAN)))
-    assert value[0].tolist() == pytest.approx([there, other], rel=1e-12, abs=1e-13)
+    other = float(value(*(-0.6 * MEAN)))
+    found = function.compiled().value(MEAN[:, None] * [1.0, -0.6])
+    assert found[0].tolist() == pytest.approx([there, other], rel=1e-12, abs=1e-13)
 
 
 def test_parameters_are_numbers_of_a_call():
@@ -95,7 +100,7 @@ def test_parameters_are_numbers_of_a_call():
     f = sp.exp(-a * x**2) * sp.Heaviside(x + b * y, 0.5) + b * sp.sin(a * y)
     function = expectation_function(f, VARIABLES, parameters=[a, b])
     told = {a: 0.3, b: 1.7}
-    wanted = by_panels(f.subs(told), (1.0, 1.7), (0.0,))
+    wanted = by_panels(numeric(f.subs(told)), (1.0, 1.7), (0.0,))
     assert function(MEAN, COV, 0.3, 1.7) == pytest.approx(wanted, rel=1e-12)
     for bad in ([0.3], [[0.3]], np.nan, "a"):
         with pytest.raises((TypeError, ValueError), match="a: wanted"):
