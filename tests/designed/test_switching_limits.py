@@ -80,6 +80,18 @@ def test_smoothing_with_the_new_mode_is_that_of_pairs_of_modes():
     assert_allclose(one.mode_prob[0], by_old[0], rtol=1e-9, atol=1e-12)
 
 
+def test_modes_that_always_change_swap_what_drives():
+    """The new mode is the other one, so that its moves are those of the other in the old timing."""
+    swap = [[0, 1], [1, 0]]
+    one = system(swap, LAWS, drives="new")
+    other = SwitchingSystem((x,), MOVES[1::-1], Noise((v,)), swap, SEES[:2], Noise((w,)), LAWS)
+    for run in (lambda s: SwitchingFilter(s, Taylor()).run(TIMES, Y, covariances=True),
+                lambda s: smooth(SwitchingFilter(s, Taylor()), TIMES, Y)):  # fmt: skip
+        found, wanted = run(one), run(other)
+        for name in ("mean", "cov", "mode_prob"):
+            assert_allclose(getattr(found, name), getattr(wanted, name), rtol=1e-9, atol=1e-12)
+
+
 def test_an_input_of_each_path():
     """A batch of records, each with its own course, is these records one by one."""
     u = Input("u")
