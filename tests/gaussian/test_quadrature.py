@@ -5,6 +5,7 @@ import pytest
 import sympy as sp
 
 from seedslib.gaussian import cubature, expectation, fifth_degree, gauss_hermite, mean_of, unscented
+from seedslib.gaussian.quadrature import Rule, points_of, rule_of_rank
 
 
 def moment(powers):
@@ -20,16 +21,62 @@ def powers_up_to(n, degree):
 
 
 @pytest.mark.parametrize(
-    "rule",
-    [gauss_hermite(1, 5), gauss_hermite(3, 4), cubature(4), unscented(3, 0.0), unscented(2, 1.0),
-     fifth_degree(1), fifth_degree(2), fifth_degree(5), fifth_degree(8)],
+    ("kind", "arguments"),
+    [(gauss_hermite, (1, 5)), (gauss_hermite, (3, 4)), (cubature, (4,)), (unscented, (3, 0.0)),
+     (unscented, (2, 1.0)), (unscented, (3, 0.7)), (unscented, (4, -1.3)), (fifth_degree, (1,)),
+     (fifth_degree, (2,)), (fifth_degree, (5,)), (fifth_degree, (8,))],
 )  # fmt: skip
-def test_rules_are_exact_to_their_degree(rule):
+def test_rules_are_exact_to_their_degree(kind, arguments):
+    kind.cache_clear()
+    rule = kind(*arguments)
     n = rule.points.shape[0]
+    assert n == arguments[0]
     assert rule.weights.sum() == pytest.approx(1.0, abs=1e-14)
     for powers in powers_up_to(n, min(rule.degree, 7 if n < 5 else 5)):
         value = rule.weights @ np.prod(rule.points ** np.array(powers)[:, None], axis=0)
         assert value == pytest.approx(moment(powers), abs=3e-12), powers
+
+
+@pytest.mark.parametrize(("n", "kappa"), [(3, 0.7), (4, -1.3), (1, 2.0)])
+def test_sigma_points(n, kappa):
+    """The centre, then both ends of each axis at distance sqrt(n + kappa)."""
+    unscented.cache_clear()
+    rule = unscented(n, kappa)
+    assert rule.degree == 3
+    ends = np.sqrt(n + kappa) * np.eye(n)
+    np.testing.assert_allclose(rule.points, np.hstack([np.zeros((n, 1)), ends, -ends]), rtol=1e-15)
+    weights = [kappa / (n + kappa), *[0.5 / (n + kappa)] * (2 * n)]
+    np.testing.assert_allclose(rule.weights, weights, rtol=1e-15)
+    fourth = rule.weights @ rule.points[0] ** 4
+    assert fourth == pytest.approx(n + kappa, rel=1e-14)  # 3 where kappa = 3 - n
+    for bad in (-n, np.inf, -n - 0.5):
+        with pytest.raises(ValueError, match=f"kappa: wanted a number above -{n}, got "):
+            unscented(n, float(bad))
+
+
+def test_points_of_a_rule_that_is_not_symmetric():
+    """A rule of two points of unlike weights: they lie at mean + root times point, not minus."""
+    rule = Rule(np.array([[-0.5, 2.0], [0.3, -1.2]]), np.array([0.8, 0.2]), 1)
+    mean, root = np.array([0.7, -1.1]), np.array([[2.0, 0.0], [0.6, 1.5]])
+    found = points_of(mean, root @ root.T, rule)
+    np.testing.assert_allclose(found, mean[:, None] + root @ rule.points, rtol=1e-14)
+    cubic = mean_of(lambda p: p[0] ** 3 + p[1], mean, root @ root.T, rule)
+    assert cubic == pytest.approx(rule.weights @ (found[0] ** 3 + found[1]), rel=1e-14)
+    many = np.stack([root @ root.T, 4.0 * root @ root.T], axis=-1)
+    found = points_of(mean, many, rule)
+    assert found.shape == (2, 2, 2)
+    np.testing.assert_allclose(found[..., 1], mean[:, None] + 2.0 * root @ rule.points, rtol=1e-14)
+    with pytest.raises(ValueError, match="rule: wanted a rule for 3 variables, got 2"):
+        points_of(np.zeros(3), np.eye(3), rule)
+
+
+def test_points_of_a_rank():
+    points, weights = rule_of_rank(0, 5)
+    assert points.shape == (0, 1)
+    assert weights.tolist() == [1.0]
+    points, weights = rule_of_rank(1, 4)
+    assert points.shape == (1, 4)
+    assert weights @ points[0] ** 6 == pytest.approx(15.0, rel=1e-13)
 
 
 def test_rules_are_not_exact_beyond_their_degree():
@@ -84,6 +131,13 @@ def test_batches_and_vector_functions():
     assert mean_of(lambda p: p[0], [1.0, 2.0], cov, rule).shape == ()
     ours = mean_of(lambda p: p[0] * p[1], mean[:, 0, 0], cov[..., None] * scale, rule)
     np.testing.assert_allclose(ours, mean[0, 0, 0] * mean[1, 0, 0] + 0.3 * scale, rtol=1e-13)
+
+
+def test_values_of_a_wrong_shape():
+    rule, mean, cov = cubature(2), [0.3, -0.4], np.eye(2)
+    for f in (lambda p: 1.0, lambda p: p[:, :3], lambda p: p[None], lambda p: p.T):
+        with pytest.raises(ValueError, match=r"f: wanted values of shape \(N,\) or \(p, N\)"):
+            mean_of(f, mean, cov, rule)
 
 
 def test_rules_cannot_be_changed():

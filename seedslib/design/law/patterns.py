@@ -153,7 +153,7 @@ class PatternLaw(JointLaw):
         mass = mass.sum(axis=others).reshape(-1, full.mass.shape[1])
         peak = mass.max(axis=1, keepdims=True)
         relative = np.divide(mass, peak, out=np.zeros_like(mass), where=peak > NEGLIGIBLE)
-        return Seen(relative, mass, full.defect)
+        return full._replace(relative=relative, mass=mass)
 
     def _ways(self, k: int) -> Iterator[tuple[int, Any, float]]:
         """Number among those that may be missing, key of the view, and probability of a pattern."""

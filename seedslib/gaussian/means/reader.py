@@ -99,7 +99,7 @@ class Reader:
         if not base.has(*self.symbols):
             return self._exponential(sp.exp, power * sp.log(base), node)
         if power.is_Integer and power > 0:
-            return reduce(multiply, [self.read(base)] * int(power), self.one)
+            return reduce(multiply, [self.read(base)] * int(power))
         if (2 * power).is_Integer and power > 0 and base.is_polynomial(*self.symbols):
             whole = self.constant(sp.S.One)
             if power > 1:
@@ -162,10 +162,8 @@ class Reader:
 
     def _step(self, argument: sp.Expr, edge: sp.Expr, node: sp.Expr) -> Terms:
         """Indicator of ``argument > 0``, in a normal form that recognises equal planes."""
-        if not argument.has(*self.symbols):
-            return self.constant(sp.Heaviside(argument, edge))
         poly = self._affine(argument, node)
-        if poly.total_degree() <= 0:  # the variables cancel
+        if poly.total_degree() <= 0:  # no variables, or they cancel
             return self.constant(sp.Heaviside(poly.as_expr(), edge))
         normal = [poly.coeff_monomial(x) for x in self.symbols]
         lead = next(c for c in normal if c != 0)
@@ -179,8 +177,6 @@ class Reader:
 
     def _normal_cdf(self, node: sp.Expr) -> Terms:
         """Error functions by ``Phi(u) = E 1{u > U}``, in the form with a positive leading sign."""
-        if not node.has(*self.symbols):
-            return self.constant(node)
         argument = node.args[0] * (1 if isinstance(node, NormalCDF) else sp.sqrt(2))
         poly = self._affine(sp.expand(argument), node)
         if poly.total_degree() <= 0:
