@@ -36,9 +36,7 @@ def singular_moments(cases: Cases) -> FlatMoments:
     lead, unit = np.where(larger == 0, deviation[0], deviation[1]), np.where(larger == 0, gx, gy)
     lead = np.where(point, 1.0, lead)
     position = np.sort(np.where(crossed, position * (unit / lead), np.inf), axis=0)
-    pairs = position.shape[0] // 2
-    lower, upper = position[0 : 2 * pairs : 2], position[1 : 2 * pairs : 2]
-    return _along_line(mean, deviation, point, lower, upper)
+    return _along_line(mean, deviation, point, position[:-1:2], position[1::2])
 
 
 def _crossings(
