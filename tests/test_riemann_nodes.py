@@ -61,7 +61,11 @@ def test_odd_and_even_numbers_of_nodes(nodes, index):
     np.testing.assert_allclose(
         homogeneous.plus, np.exp(0.3 * t + 0.4) * np.polyval(p[::-1], t), atol=1e-13
     )
-    if index <= 0:
+    if index > 0:
+        large = solve_riemann(g, np.zeros(nodes), 1e9 * p)
+        assert 0.0 < large.residual <= 1e-14
+        assert 0.0 < large.defect <= 1e-14
+    else:
         np.testing.assert_allclose(found.plus, plus, atol=1e-13)
         np.testing.assert_allclose(found.minus, minus, atol=1e-13)
     assert found.defect <= 1e-13
@@ -247,3 +251,25 @@ def test_a_filter_takes_the_tail_that_was_asked_for():
     assert wiener_gain([[0.1]], **law, lags=19, nodes=40).nodes == 40
     with pytest.raises(ValueError, match="lags: wanted at most 1048576 nodes"):
         wiener_gain([[0.8]], **law, lags=2**19)
+
+
+def test_a_row_is_a_sensor_and_bad_numbers_are_named():
+    row = wiener_gain(**{**LATE, "sensor": [[1.3]]}, sensor_noise=[[0.4]])
+    assert row.innovation == wiener_gain(**LATE, sensor_noise=0.4).innovation
+    good = {**LATE, "sensor_noise": 0.4}
+    for name, wrong in (("transition", [[np.nan]]), ("sensor", [np.nan]), ("state_noise", [["a"]]),
+                        ("sensor_noise", np.nan), ("sensor", [[1.0, 2.0]]), ("lags", 1.5),
+                        ("nodes", 2.5), ("sensor_noise", [1.0, 2.0]), ("transition", [[]]),
+                        ("transition", np.zeros((1, 0, 0)))):  # fmt: skip
+        with pytest.raises((TypeError, ValueError), match=f"^{name}: "):
+            wiener_gain(**{**good, name: wrong})
+    for name, wrong in (("coefficient", "x"), ("right", "x"), ("polynomial", "x")):
+        data = {"coefficient": circle(8), "right": circle(8), "polynomial": [1.0], name: wrong}
+        with pytest.raises(TypeError, match=f"^{name}: "):
+            solve_riemann(**data)
+    with pytest.raises(TypeError, match="^z: "):
+        solve_riemann(circle(32), 1 / (circle(32) - 9)).inside("x")
+    with pytest.raises(TypeError, match="^coefficients: "):
+        solve_rotations("x", circle(8))
+    with pytest.raises(TypeError, match="^right: "):
+        solve_rotations(np.ones((1, 8)), "x")

@@ -30,7 +30,7 @@ def singular_moments(cases: Cases) -> FlatMoments:
     gx = np.where(larger == 0, cov[0, 0], cov[0, 1])
     gy = np.where(larger == 0, cov[0, 1], cov[1, 1])
     scale = binary_scale(np.maximum(np.abs(gx), np.abs(gy)))
-    gx, gy = np.where(point, 1.0, gx / scale), np.where(point, 0.0, gy / scale)
+    gx, gy = np.where(point, 1.0, gx / scale), gy / scale
     position, crossed = _crossings(mean, gx, gy, x, y)
     # from multiples of (gx, gy) to standard deviations of the coordinate along the line
     lead, unit = np.where(larger == 0, deviation[0], deviation[1]), np.where(larger == 0, gx, gy)
