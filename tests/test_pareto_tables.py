@@ -164,6 +164,25 @@ def test_least_points_of_a_box_and_their_ties():
     assert settled
 
 
+def test_a_search_in_a_box_stays_in_the_valley_where_it_starts():
+    lower, upper = np.array([-3.0]), np.array([7.0])
+    wells = lambda x: float((x[0] + 1.2) ** 2 * (x[0] - 5.1) ** 2 + 0.4 * x[0])  # noqa: E731
+    for start, end in ((-2.0, -1.205), (5.9, 5.095)):
+        x, good = least_in_box(wells, wells, lower, upper, np.array([[start]]))
+        assert x[0] == pytest.approx(end, abs=2e-3)
+        point, ended, _ = minimax_in_box(
+            lambda x: np.array([wells(x), wells(x) - 0.1]), lower, upper, [np.array([start])]
+        )
+        assert point[0] == pytest.approx(end, abs=2e-3)
+        assert good
+        assert ended
+    # of two starts the better end
+    point = minimax_in_box(
+        lambda x: np.array([wells(x)] * 2), lower, upper, [np.array([5.9]), np.array([-2.0])]
+    )[0]
+    assert point[0] == pytest.approx(-1.205, abs=2e-3)
+
+
 def test_bisection_in_the_plane_and_its_trace():
     first, second = np.array([0.0, 1.0]), np.array([2.0, -1.0])
     criteria = [lambda x: ((x - first) ** 2).sum() + 1.0, lambda x: 3 * np.abs(x - second).sum()]

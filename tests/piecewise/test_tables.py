@@ -97,8 +97,9 @@ def test_a_line_without_noise_against_points_of_the_start():
 
 
 def test_an_impossible_reading_leaves_the_other_data_sets_alone():
-    system = PiecewiseLinearSystem(**TENT)
-    y = np.array([[[np.nan] * 3], [[0.9, 1e200, -0.2]], [[-0.3, 0.1, 0.4]]])
+    weak = {"sensor": ([[0.2, 0.0, -0.1]], [[[-0.07, 0.12, 0.08]]]), "sensor_noise": [[0.02]]}
+    system = PiecewiseLinearSystem(**{**TENT, **weak})
+    y = np.array([[[np.nan] * 3], [[0.1, 1.7e308, -0.2]], [[-0.03, 0.1, 0.04]]])
     found = PiecewiseLinearFilter(system).run(2, y)
     for n in (0, 2):
         alone = PiecewiseLinearFilter(system).run(2, y[..., n])

@@ -54,7 +54,7 @@ def test_options_are_named():
         TwoStepEstimator(SYSTEM, X * Y, [X, Y])
     with pytest.raises(TypeError, match="positional"):
         TwoStepEstimator(SYSTEM, X * Y, 0.3)
-    with pytest.raises(TypeError, match="quadrature: wanted a Rule.*got str"):
+    with pytest.raises(TypeError, match=r"quadrature: wanted a Rule.*got str"):
         TwoStepEstimator(SYSTEM, X * Y, variables=[X, Y], quadrature="hermite")
 
 
