@@ -47,7 +47,7 @@ def improving(values, errors):
 def test_noisy_tables_against_plain_loops(columns):
     rng = np.random.default_rng(columns)
     several = 0
-    for _ in range(60):
+    for _ in range(30):
         values = rng.gamma(2.0, size=(7, columns)) * np.array([3.0, 0.2, 11.0])[:columns]
         errors = rng.uniform(0.01, 0.2, size=(7, columns)) * np.array([3.0, 0.1, 2.0])[:columns]
         found, kept = choose(values, errors=errors), improving(values, errors)
@@ -70,7 +70,7 @@ def test_noisy_tables_against_plain_loops(columns):
         }
         plain = choose(values)
         assert plain.sensitivity == tuple(sorted(left - {plain.index}))
-    assert several > 20
+    assert several > 10
 
 
 def test_draws_against_the_scatter_of_their_differences():
@@ -201,7 +201,7 @@ def test_bisection_in_the_plane_and_its_trace():
 
 def test_of_several_balances_the_least_is_named():
     found = compromise([lambda x: np.cos(x), lambda x: np.sin(x) + 0.1 * x], 0.0, 9.0, scan=41)
-    x = np.linspace(0.0, 9.0, 900001)
+    x = np.linspace(0.0, 9.0, 90001)
     values = np.stack([np.cos(x), np.sin(x) + 0.1 * x])
     low, ends = values.min(axis=1), values.argmin(axis=1)
     losses = (values - low[:, None]) / (values[:, ends].max(axis=1) - low)[:, None]
@@ -209,7 +209,7 @@ def test_of_several_balances_the_least_is_named():
     roots = x[:-1][gap[:-1] * gap[1:] < 0]
     worst = np.interp(roots, x, losses[0])
     assert len(roots) > 2
-    assert found.balanced == pytest.approx(roots[worst.argmin()], abs=2e-5)
-    assert found.x == pytest.approx(x[losses.max(axis=0).argmin()], abs=2e-5)
-    np.testing.assert_allclose(found.utopia, low, atol=1e-9)
-    np.testing.assert_allclose(found.minimizers, x[ends], atol=2e-5)
+    assert found.balanced == pytest.approx(roots[worst.argmin()], abs=2e-4)
+    assert found.x == pytest.approx(x[losses.max(axis=0).argmin()], abs=2e-4)
+    np.testing.assert_allclose(found.utopia, low, atol=1e-7)
+    np.testing.assert_allclose(found.minimizers, x[ends], atol=2e-4)

@@ -155,23 +155,23 @@ def test_either_argument_of_a_lift_may_carry_the_batch(whose):
 def test_a_law_on_a_line_counts_its_points(vertices, rays, way):
     """Of a law on a line, the mass is that of the parts of the line whose points are inside."""
     mean, way = [0.4, 0.3], np.array(way)
-    t = np.linspace(-6.0, 6.0, 2401)
+    t = np.linspace(-6.0, 6.0, 801)
     points = np.array(mean)[:, None] + way[:, None] * t
     dense = polygon(points, np.zeros((2, 2)), vertices, rays=rays)
     weight = np.exp(-0.5 * t**2) * dense.mass
     total = weight.sum()
     found = polygon(mean, np.outer(way, way), vertices, rays=rays)
-    assert found.mass == pytest.approx(total * (t[1] - t[0]) / np.sqrt(2 * np.pi), abs=4e-3)
+    assert found.mass == pytest.approx(total * (t[1] - t[0]) / np.sqrt(2 * np.pi), abs=1.2e-2)
     if total == 0.0:
         return
     centre = (weight * t).sum() / total
-    np.testing.assert_allclose(found.mean, mean + way * centre, atol=8e-3)
+    np.testing.assert_allclose(found.mean, mean + way * centre, atol=2.5e-2)
     spread = (weight * (t - centre) ** 2).sum() / total
-    np.testing.assert_allclose(found.cov, spread * np.outer(way, way), atol=1e-2)
+    np.testing.assert_allclose(found.cov, spread * np.outer(way, way), atol=3e-2)
     # whether a point is inside, from a law that is all but a point
-    some = points[:, ::40]
+    some = points[:, ::100]
     near = polygon(some, 1e-12 * np.eye(2), vertices, rays=rays)
-    np.testing.assert_array_equal(dense.mass[::40], np.round(near.mass))
+    np.testing.assert_array_equal(dense.mass[::100], np.round(near.mass))
 
 
 def test_regions_are_tables():
