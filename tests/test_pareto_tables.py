@@ -176,7 +176,10 @@ def test_a_search_in_a_box_stays_in_the_valley_where_it_starts():
         assert point[0] == pytest.approx(end, abs=2e-3)
         assert good
         assert ended
-    # of two starts the better end
+    # of two starts the better end, whatever breaks ties
+    scan = np.array([[5.9], [-2.0]])
+    x = least_in_box(wells, lambda x: -x[0], lower, upper, scan)[0]
+    assert x[0] == pytest.approx(-1.205, abs=2e-3)
     point = minimax_in_box(
         lambda x: np.array([wells(x)] * 2), lower, upper, [np.array([5.9]), np.array([-2.0])]
     )[0]
@@ -213,3 +216,17 @@ def test_of_several_balances_the_least_is_named():
     assert found.x == pytest.approx(x[losses.max(axis=0).argmin()], abs=2e-4)
     np.testing.assert_allclose(found.utopia, low, atol=1e-7)
     np.testing.assert_allclose(found.minimizers, x[ends], atol=2e-4)
+
+
+def test_what_is_given_when_nothing_is_said():
+    criteria = [lambda x: np.cos(x) + 0.1 * x, lambda x: np.sin(x) + 0.1 * x]
+    plain, said = compromise(criteria, 0.0, 9.0), compromise(criteria, 0.0, 9.0, scan=33)
+    assert (plain.x, plain.evaluations) == (said.x, said.evaluations)
+    trace = bisect([lambda x: x, lambda x: (1 - x) ** 3], 0.0, 1.0)
+    assert len(trace.points) < 60
+    assert abs(trace.gaps[-1]) <= 1e-12 < abs(trace.gaps[:-1]).min()
+    step = bisect([lambda x: x, lambda x: float(x < 0.7)], 0.0, 1.0)
+    assert (len(step.points), step.converged) == (60, False)
+    for wrong in (lambda x: [[x, 1 - x]], lambda x: x):
+        with pytest.raises((TypeError, ValueError), match="criteria"):
+            compromise(wrong, 0.0, 1.0)
