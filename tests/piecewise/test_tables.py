@@ -5,7 +5,7 @@ import pytest
 
 from seedslib.piecewise import PiecewiseLinearFilter, PiecewiseLinearSystem
 from seedslib.piecewise.cells import Intervals, line_cells
-from seedslib.piecewise.geometry import IntervalRegions
+from seedslib.piecewise.geometry import IntervalRegions, PolygonRegions
 from seedslib.piecewise.weights import prune
 
 INF = np.inf
@@ -37,6 +37,28 @@ def test_pieces_of_regions_hold_the_points_that_lie_in_their_cells(known):
         for k in np.flatnonzero(parent == b):
             held[(pieces.lower[k] <= s) & (s < pieces.upper[k])] = cell[k]
         np.testing.assert_array_equal(held, wanted)
+
+
+@pytest.mark.parametrize("size", [1, 2])
+def test_bounds_of_masses_lie_above_them_and_are_met_by_small_and_large_regions(size):
+    """Width or area, the whole, and half of it at the distance of the nearest edge."""
+    unit = np.array([[-0.3, 0.9, 0.2], [-0.7, 0.1, 0.8]])[:size]
+    mean = np.repeat(np.array([[0.4], [-1.1]])[:size, :, None], 4, axis=1)
+    cov = np.array([[1.7, 0.5], [0.5, 0.6]])[:size, :size, None, None] * np.ones((4, 1))
+    # about the mean and small; about the mean and large; two at a distance, small and large
+    shapes = [(1e-3, 0.0), (60.0, 0.0), (1e-3, 2.6), (40.0, 70.0)]
+    parts = [mean[:, 0] + scale * unit + away * np.eye(2)[:size, :1] for scale, away in shapes]
+    if size == 1:
+        regions = IntervalRegions(*np.array([[p.min(), p.max()] for p in parts]).T)
+    else:
+        regions = PolygonRegions(tuple(parts))
+    bound = regions.log_mass_bound(mean, cov)[:, 0]
+    exact = regions.moments(np.arange(4), mean[..., 0], cov[..., 0]).log_mass
+    assert (bound >= exact - 1e-12).all()
+    np.testing.assert_allclose(bound[:2], exact[:2], atol=3e-3)
+    assert bound[2] - exact[2] < (0.02 if size == 1 else 0.5)
+    assert bound[3] < -100.0
+    assert exact[3] < bound[3] < 0.5 * exact[3]
 
 
 @pytest.mark.parametrize("keep", [None, 3])
