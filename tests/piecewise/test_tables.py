@@ -59,6 +59,15 @@ def test_bounds_of_masses_lie_above_them_and_are_met_by_small_and_large_regions(
     assert bound[2] - exact[2] < (0.02 if size == 1 else 0.5)
     assert bound[3] < -100.0
     assert exact[3] < bound[3] < 0.5 * exact[3]
+    # just beside the mean, half of the law
+    if size == 1:
+        beside = IntervalRegions(np.array([0.401]), np.array([60.0]))
+    else:
+        sides = np.array([[0.401, 60.0, 60.0, 0.401], [-60.0, -60.0, 60.0, 60.0]])
+        beside = PolygonRegions((sides,))
+    assert beside.log_mass_bound(mean[:, :1], cov[:, :, :1]).item() == pytest.approx(
+        -np.log(2.0), abs=1e-6
+    )
 
 
 @pytest.mark.parametrize("keep", [None, 3])
