@@ -111,9 +111,10 @@ def prune(weight: np.ndarray, share: float, keep: int | None) -> tuple[np.ndarra
     # in single precision, so that of weights that differ by rounding the smallest index goes first
     order = np.argsort(weight.astype(np.float32), axis=0, kind="stable")
     held = np.take_along_axis(weight, order, axis=0).cumsum(axis=0)
-    dropped, small = np.empty(weight.shape, dtype=bool), held <= share
+    small = held <= share
     if keep is not None:
         small[: max(0, len(weight) - keep)] = True
+    dropped = np.empty_like(small)
     np.put_along_axis(dropped, order, small, axis=0)
     return dropped, np.where(dropped, weight, 0.0).sum(axis=0)
 

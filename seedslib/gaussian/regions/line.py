@@ -30,15 +30,13 @@ def singular_moments(cases: Cases) -> FlatMoments:
     gx = np.where(larger == 0, cov[0, 0], cov[0, 1])
     gy = np.where(larger == 0, cov[0, 1], cov[1, 1])
     scale = binary_scale(np.maximum(np.abs(gx), np.abs(gy)))
-    gx, gy = np.where(point, 1.0, gx / scale), np.where(point, 0.0, gy / scale)
+    gx, gy = np.where(point, 1.0, gx / scale), gy / scale
     position, crossed = _crossings(mean, gx, gy, x, y)
     # from multiples of (gx, gy) to standard deviations of the coordinate along the line
     lead, unit = np.where(larger == 0, deviation[0], deviation[1]), np.where(larger == 0, gx, gy)
     lead = np.where(point, 1.0, lead)
     position = np.sort(np.where(crossed, position * (unit / lead), np.inf), axis=0)
-    pairs = position.shape[0] // 2
-    lower, upper = position[0 : 2 * pairs : 2], position[1 : 2 * pairs : 2]
-    return _along_line(mean, deviation, point, lower, upper)
+    return _along_line(mean, deviation, point, position[:-1:2], position[1::2])
 
 
 def _crossings(

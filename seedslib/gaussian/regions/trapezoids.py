@@ -76,8 +76,7 @@ def _partners(
     at = x + (middle - y) * slope
     crossing = up | down
     order = np.lexsort((at.lo, np.where(crossing, at.hi, np.inf)), axis=1)
-    pairs = x.hi.shape[0] // 2
-    left, right = order[:, 0 : 2 * pairs : 2], order[:, 1 : 2 * pairs : 2]
+    left, right = order[:, :-1:2], order[:, 1::2]
     thick = ((levels[1:] - levels[:-1]).hi > 0.0)[:, None]
     valid = np.take_along_axis(crossing, left, axis=1) & thick
     sound = np.take_along_axis(down, left, axis=1) & np.take_along_axis(up, right, axis=1)
