@@ -126,7 +126,8 @@ class FiniteOrderFilter(BetweenFilter):
             regressions += [
                 (f"node_fits[{k}][{i}]", fit, targets, size) for i, fit in enumerate(fits)
             ]
-        check_verbs([row[:2] for row in regressions], "forecast")
+        verb = "forecast" if self.availability is None else "one"
+        check_verbs([row[:2] for row in regressions], verb)
         kinds = AffineFit | PolynomialFit if self.availability is None else PatternFit
         known = [row for row in regressions if isinstance(row[1], kinds)]
         for name, fit, *wanted in known:

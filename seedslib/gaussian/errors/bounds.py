@@ -191,7 +191,8 @@ def _numeric(f: object, variables: Sequence[sp.Symbol]) -> Callable[[np.ndarray]
         raise ValueError(f"f: wanted known symbols, got {', '.join(sorted(map(str, unknown)))}")
     try:
         function = sp.lambdify(variables, expressions, modules=["scipy", "numpy"], cse=True)
-        function(*np.zeros((len(variables), 2)))
+        with np.errstate(all="ignore"):  # zero may be a pole
+            function(*np.zeros((len(variables), 2)))
     except (NameError, NotImplementedError, ValueError):
         raise ValueError(f"f: wanted functions with NumPy code, got {f}") from None
 
