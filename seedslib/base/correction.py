@@ -23,7 +23,7 @@ __all__ = ["correct", "eliminate", "factor", "joint_shape"]
 
 def correct(
     mean: np.ndarray, cov: np.ndarray, y: np.ndarray, moments: Any, rows: Any = None,
-    noise: Any = None, periods: Periods = (),
+    noise: Any = None, periods: Periods = (), exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
     """Correct a predicted mean and covariance by one measurement.
 
@@ -50,6 +50,8 @@ def correct(
         variance falls below 1e-8 of itself: there the noise has been rounded off in cov y.
     periods : tuple
         Components of y on a circle, from `as_periods`: the innovation is the shortest way round.
+    exact : bool
+        Whether an innovation out of the range of cov y is impossible; a fit may leave some out.
 
     Returns
     -------
@@ -73,9 +75,9 @@ def correct(
 
     A singular S is met by its Moore-Penrose inverse, on the items concerned. Its rank is decided
     on the matrix scaled to unit diagonal: variances below the normal numbers and eigenvalues up
-    to 1e-13 are zero; the likelihood is then the density on the range of S, and none (-inf) of
-    what is not in it. Items whose S is clearly indefinite (an eigenvalue of the scaled matrix
-    below -1e-9), or that hold a NaN anywhere but in `y`, come back as NaN.
+    to 1e-13 are zero; the likelihood is then the density on the range of S (-inf for what is
+    impossible). Items whose S is clearly indefinite (an eigenvalue of the scaled matrix below
+    -1e-9), or that hold a NaN anywhere but in `y`, come back as NaN.
     """
     mean, y = _numbers("mean", mean), _numbers("y", y)
     cov = None if cov is None else _numbers("cov", cov)
@@ -108,9 +110,8 @@ def correct(
         error, cross, spread, missing = _without_missing(present, error, cross, spread)
         if missing.any():
             cov_batch = joint_shape(cov_batch, y.shape[1:]) if cov is not None else ()
-    new_mean, new_cov, loglik = _correct_numbers(
-        mean, cov, error, cross, spread, missing, lambda: _sizes(y, predicted, present)
-    )
+    told = (y, predicted, present) if exact else None
+    new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing, told)
     apart_known = noise is not None and cov is not None and len(error)
     if apart_known and (suspect := narrowed(cov, new_cov)).any():
         apart = _align(np.asarray(noise(), dtype=float), 2, depth)
@@ -248,7 +249,7 @@ def _sizes(y, predicted, present):
     return found[present.reshape(len(present), -1).any(axis=1)]
 
 
-def _correct_numbers(mean, cov, error, cross, spread, missing, sizes):
+def _correct_numbers(mean, cov, error, cross, spread, missing, told):
     """All parts with the same number of batch axes; `missing` counts dummy components."""
     gain_batch = joint_shape(cross.shape[2:], spread.shape[2:])
     mean_batch = joint_shape(mean.shape[1:], error.shape[1:], gain_batch)
@@ -285,7 +286,8 @@ def _correct_numbers(mean, cov, error, cross, spread, missing, sizes):
     if flagged:
         bad = np.any(np.broadcast_arrays(*flagged), axis=0)
         bad = np.broadcast_to(bad, gain_batch)
-        pseudo_correct(parts, bad, missing, sizes(), new_mean, new_cov, loglik)
+        sizes = _sizes(*told) if told else None
+        pseudo_correct(parts, bad, missing, sizes, new_mean, new_cov, loglik)
     return new_mean, new_cov, loglik
 
 

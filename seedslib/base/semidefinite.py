@@ -49,13 +49,14 @@ def logs(pivots: list, everywhere: Any) -> list:
 
 
 def pseudo_correct(
-    parts: Any, bad: np.ndarray, missing: np.ndarray, sizes: np.ndarray, new_mean: np.ndarray,
-    new_cov: np.ndarray, loglik: np.ndarray,
+    parts: Any, bad: np.ndarray, missing: np.ndarray, sizes: np.ndarray | None,
+    new_mean: np.ndarray, new_cov: np.ndarray, loglik: np.ndarray,
 ) -> None:  # fmt: skip
     """Write the Moore-Penrose correction over the flagged items.
 
     An innovation out of the range of its covariance, by more than the rounding of numbers of the
-    `sizes` (m, *batch) of measurement and forecast, is impossible: its loglik is -inf.
+    `sizes` (m, *batch) of measurement and forecast, is impossible: its loglik is -inf. Without
+    sizes nothing is.
     """
     mean, cov, error, cross, spread = parts
 
@@ -75,20 +76,25 @@ def pseudo_correct(
     new_mean[:, chosen] = (pick(mean, 1, batch) + np.einsum("brk,br->bk", gain, whitened)).T
     count = rank - np.broadcast_to(missing, batch)[chosen]
     loglik[chosen] = -0.5 * ((whitened**2).sum(axis=1) + log_det + count * LOG_2PI)
-    # what of the innovation is not in the range of S
-    off = pick(error, 1, batch) - np.einsum(
-        "bij,brj,br->bi", pick(spread, 2, batch), root, whitened
-    )
-    variances = np.einsum("bii->bi", pick(spread, 2, batch))
-    least = LEVEL * (pick(sizes, 1, batch) + np.abs(pick(mean, 1, batch)).max(axis=1)[:, None])
-    impossible = (np.abs(off) > least + FAINT * np.sqrt(np.abs(variances))).any(axis=1)
-    loglik[chosen] = np.where(impossible, -np.inf, loglik[chosen])
+    if sizes is not None:
+        picked = (
+            pick(part, k, batch) for part, k in ((error, 1), (spread, 2), (mean, 1), (sizes, 1))
+        )
+        loglik[chosen] = np.where(_outside(*picked, root, whitened), -np.inf, loglik[chosen])
     if cov is not None:
         batch = new_cov.shape[2:]
         if batch != loglik.shape:
             _, gain, _, _ = gains(batch)
         reduced = pick(cov, 2, batch) - np.einsum("brk,brq->bkq", gain, gain)
         new_cov[:, :, np.broadcast_to(bad, batch)] = np.moveaxis(reduced, 0, -1)
+
+
+def _outside(error, spread, mean, sizes, root, whitened):
+    """Items whose innovation is not in the range of S, by more than rounding."""
+    off = error - np.einsum("bij,brj,br->bi", spread, root, whitened)
+    deviations = np.sqrt(np.abs(np.einsum("bii->bi", spread)))
+    least = LEVEL * (sizes + np.abs(mean).max(axis=1)[:, None]) + FAINT * deviations
+    return (np.abs(off) > least).any(axis=1)
 
 
 def range_root(spread: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

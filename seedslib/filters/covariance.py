@@ -208,6 +208,7 @@ class CovarianceFilter(Filter, Remade):
             mean, cov, loglik = correct(
                 state.mean, state.cov, y, moments,
                 noise=lambda: self._sensor(state.time, state.mean, np.zeros_like(state.cov)).cov,
+                exact=True,
                 periods=self.system.sensor.period,
             )  # fmt: skip
             if self._by_points:

@@ -162,6 +162,7 @@ class KnownModeFilter(Filter, Remade):
                     *found, loglik[here] = correct(
                         *prior, y[:, here], moments, periods=self.system.sensors[i].period,
                         noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
+                        exact=True,
                     )  # fmt: skip
                 if isinstance(self.linearization, PointRule):
                     found[1] = settled(found[1], prior[1])

@@ -174,6 +174,7 @@ class RaoBlackwellFilter(Filter, Remade):
             mean[:, i], square, score[i] = correct(
                 *prior, y[:, None], sense(t, *prior), periods=self.system.sensors[i].period,
                 noise=lambda f=sense, m=prior[0], d=prior[1]: f(t, m, np.zeros_like(d)).cov,
+                exact=True,
             )  # fmt: skip
             cov[:, :, i] = _wide(square, mean[:, i])
             if shown is not None:

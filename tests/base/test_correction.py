@@ -153,7 +153,7 @@ def test_singular_innovation_gets_the_pseudo_inverse(m, rank):
         np.testing.assert_allclose(got[0][:, i], mean, rtol=1e-7, atol=1e-8)
         np.testing.assert_allclose(got[1][..., i], cov, rtol=1e-7, atol=1e-8)
         if rank == 0:
-            assert got[2][i] == -np.inf  # what has no variance cannot be off
+            assert got[2][i] == 0
     if rank:
         # the likelihood is the density on the range: compare where y lies in it
         mean, cov, _, moments = item(case, 0)
