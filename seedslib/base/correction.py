@@ -72,12 +72,10 @@ def correct(
     -----
     Batch axes come last, broadcast against each other and may be absent. Arrays of SymPy
     expressions (dtype object) are corrected by the same lines.
-
     A singular S is met by its Moore-Penrose inverse, on the items concerned. Its rank is decided
     on the matrix scaled to unit diagonal: variances below the normal numbers and eigenvalues up
-    to 1e-13 are zero; the likelihood is then the density on the range of S (-inf for what is
-    impossible). Items whose S is clearly indefinite (an eigenvalue of the scaled matrix below
-    -1e-9), or that hold a NaN anywhere but in `y`, come back as NaN.
+    to 1e-13 are zero; the likelihood is then the density on the range of S (-inf where impossible).
+    Items whose scaled S has an eigenvalue below -1e-9, or with a NaN but in `y`, become NaN.
     """
     mean, y = _numbers("mean", mean), _numbers("y", y)
     cov = None if cov is None else _numbers("cov", cov)
