@@ -150,8 +150,13 @@ class Slot:
             return Outcome("survived", "", len(self.tests))
         if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
             return Outcome("slow", "", len(self.tests))
-        by = self.note.read_text() if self.note.exists() else "process"
-        return Outcome("killed", by, len(self.tests))
+        if self.note.exists():
+            return Outcome("killed", self.note.read_text(), len(self.tests))
+        if os.WIFSIGNALED(status):
+            return Outcome("killed", "crash", len(self.tests))
+        raise RuntimeError(  # such as a test that is not there any more
+            f"no test failed and pytest ended with {os.WEXITSTATUS(status)}: note the tests anew"
+        )
 
     def _resident(self) -> int:
         """Bytes in memory (an address space cannot be limited: sanitizers want terabytes of it)."""
