@@ -121,7 +121,7 @@ def write_rooms(rows: list[Row]) -> None:
     whole = Score(*map(sum, zip(*scores.values(), strict=True)))
     with SUMMARY.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["room", "mutants", "tried", "equivalent", "caught", "%"])
+        writer.writerow(["room", "mutants", "tried", "equivalent", "caught", "per cent"])
         for room, found in scores.items():
             writer.writerow([room, populations[room], *found.words()])
         writer.writerow(["all", sum(populations.values()), *whole.words()])

@@ -87,7 +87,7 @@ def test_nine_of_ten_fresh_mutants_are_caught():
         score = table.score(found, room, 2)
         assert score.tried == 100
         assert score.killed >= 0.85 * (score.tried - score.equivalent), room
-        words = [told[room][word] for word in ("tried", "equivalent", "caught", "%")]
+        words = [told[room][word] for word in ("tried", "equivalent", "caught", "per cent")]
         assert words == score.words()
         whole.append(score)
     tried, alike, killed = map(sum, zip(*whole, strict=True))
