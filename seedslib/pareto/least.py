@@ -86,6 +86,9 @@ def _polished(f: Function, node: float, lower: float, upper: float) -> float:
         found.append(float(minimize_scalar(f, bracket, method="golden", options=options).x))
     least = min(map(f, found))
     noise = ROUNDING * abs(least) + 1e-13 * (max(f(lower), f(upper)) - least)
+    # where f is a difference of larger numbers its values are rougher than they are large
+    close = np.clip(x * (1.0 + np.finfo(float).eps * np.arange(-4, 5)), lower, upper)
+    noise = max(noise, 2.0 * float(np.ptp([f(y) for y in close.tolist()])))
     return next(x for x in found if f(x) <= least + noise)
 
 
