@@ -1,15 +1,12 @@
 """Illegal and extreme input: nothing is silently wrong, crashes or hangs."""
 
 import csv
-import sys
 
 import pytest
-
-from oracles.programs import BENCHMARKS
-
-sys.path.insert(0, str(BENCHMARKS))
 from attempts import commands, files, grids, numerical, programs
 from attempts.judge import VERDICTS, Attempt, judged
+
+from oracles.programs import BENCHMARKS
 
 SAMPLES = {"numerical": 97, "grids": 4, "programs": 83, "commands": 97, "files": 103}
 """Each so many attempts one is repeated here."""

@@ -15,6 +15,7 @@ from pathlib import Path
 
 from attempts.commands import prepared
 from attempts.judge import Attempt, command
+from attempts.sockets import is_local, listening
 from attempts.tables import DESIGN, FILTER
 from seedslib.commands.cli import main
 from seedslib.designed import load
@@ -67,43 +68,11 @@ def attempts() -> list[Attempt]:
     return found
 
 
-def listening(pids) -> list:
-    """Addresses on which processes listen, from the tables of the kernel."""
-    inodes = set()
-    for pid in pids:
-        for file in Path(f"/proc/{pid}/fd").iterdir():
-            try:
-                name = os.readlink(file)
-            except FileNotFoundError:
-                continue
-            inodes |= {name[8:-1]} if name.startswith("socket:[") else set()
-    found = []
-    for kind in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{kind}").read_text().splitlines()[1:]:
-            cells = line.split()
-            if cells[3] == "0A" and cells[9] in inodes:
-                packed = bytes.fromhex(cells[1].split(":")[0])
-                found.append(
-                    ipaddress.ip_address(
-                        b"".join(packed[i : i + 4][::-1] for i in range(0, len(packed), 4))
-                    )
-                )
-    return found
-
-
-def family(pid) -> list:
-    found = [pid]
-    for task in Path(f"/proc/{pid}/task").iterdir():
-        for child in (task / "children").read_text().split():
-            found += family(int(child))
-    return found
-
-
 def doors(workers: int) -> list:
     """In a process of its own: workers of a sweep are started anew from it."""
     code = (
         "import os, sys; sys.path.insert(0, sys.argv[1])\n"
-        "from attempts.security import family, listening\nfrom bookkit import sweeps\n"
+        "from attempts.sockets import family, listening\nfrom bookkit import sweeps\n"
         f"if __name__ == '__main__':\n"
         f"    with sweeps._client(None, {workers}) as client:\n"
         f"        client.wait_for_workers({workers})\n"
@@ -120,9 +89,7 @@ def doors(workers: int) -> list:
 
 
 def all_local(found: list) -> bool:
-    return len(found) >= 2 and all(
-        (getattr(a, "ipv4_mapped", None) or a).is_loopback for a in found
-    )
+    return len(found) >= 2 and all(map(is_local, found))
 
 
 def open_door() -> bool:
