@@ -14,6 +14,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import pytest
@@ -65,8 +66,20 @@ class _First:
 OURS = ("seedslib", "bookkit", "tests", "oracles", "mutants", "__main__")
 
 
-def preload() -> None:
-    """Import once what every process would import: all but the library, the book and the tests."""
+class _Names:
+    """Plugin that keeps the names of all tests."""
+
+    names: Sequence[str] = ()
+
+    def pytest_collection_finish(self, session):
+        self.names = [item.nodeid for item in session.items]
+
+
+def preload() -> set[str]:
+    """Import once what every process would import: all but the library, the book and the tests.
+
+    Returns the names of the tests that there are.
+    """
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
@@ -75,21 +88,24 @@ def preload() -> None:
             os.dup2(quiet, 1)
             os.dup2(quiet, 2)
             os.chdir(ROOT)
-            pytest.main(["--collect-only", "-qq", "-n0", "-p", "no:cacheprovider", "tests"])
+            found = _Names()
+            flags = ["--collect-only", "-qq", "-n0", "-p", "no:cacheprovider"]
+            pytest.main([*flags, "tests"], plugins=[found])
             with os.fdopen(writing, "w") as pipe:
-                pipe.write("\n".join(sys.modules))
+                json.dump([list(sys.modules), list(found.names)], pipe)
         finally:
             os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
-        names = pipe.read().split()
+        modules, tests = json.load(pipe)
     os.waitpid(child, 0)
-    for name in names:
+    for name in modules:
         if not name.startswith(OURS):
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
     assert not any(n.startswith("seedslib") for n in sys.modules), "a mutant is imported anew"
     gc.freeze()
+    return set(tests)
 
 
 class Slot:
@@ -220,11 +236,20 @@ class Touches:
     seconds: list[float]
 
     @classmethod
-    def read(cls, path: Path) -> Touches:
-        """Read what `touches` has written."""
+    def read(cls, path: Path, there: set[str]) -> Touches:
+        """Read what `touches` has written, of the tests that are there still."""
         found = json.loads(path.read_text())
-        lines = {f: {int(k): v for k, v in rows.items()} for f, rows in found["lines"].items()}
+        known = {k for k, test in enumerate(found["tests"]) if test in there}
+        lines = {
+            file: {int(line): [t for t in tests if t in known] for line, tests in rows.items()}
+            for file, rows in found["lines"].items()
+        }
         return cls(lines, found["tests"], found["seconds"])
+
+    @cached_property
+    def took(self) -> dict[str, float]:
+        """Seconds by test."""
+        return dict(zip(self.tests, self.seconds, strict=True))
 
     def of(self, file: str, first: int, last: int) -> list[str]:
         """Tests that run one of these lines, the fastest modules first."""
@@ -250,21 +275,19 @@ class Touches:
 
     def chosen(self, tests: Sequence[str], room: str, seconds: float, modules: int) -> list[str]:
         """Tests that fit into so many seconds and modules, those of the room and the fast first."""
-        known = dict(zip(self.tests, self.seconds, strict=True))
         near = f"tests/{room}"
         spent, taken, used = 0.0, set(), set()
-        for test in sorted(tests, key=lambda t: (not t.startswith(near), known[t], t)):
+        for test in sorted(tests, key=lambda t: (not t.startswith(near), self.took[t], t)):
             module = test.partition("::")[0]
-            if taken and spent + known[test] > seconds:
+            if taken and spent + self.took[test] > seconds:
                 continue
             if module not in used and len(used) >= modules:
                 continue
             used.add(module)
             taken.add(test)
-            spent += known[test]
+            spent += self.took[test]
         return [test for test in tests if test in taken]
 
     def spent(self, tests: Sequence[str]) -> float:
         """Seconds that tests take in all."""
-        known = dict(zip(self.tests, self.seconds, strict=True))
-        return sum(known[t] for t in tests)
+        return sum(self.took[t] for t in tests)

@@ -130,20 +130,24 @@ def write_rooms(rows: list[Row]) -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["room", "where", "what stands there", "instead", "why no test can tell"])
         for r in rows:
-            if r.verdict == "survived":
+            if r.verdict == "survived" and r.draw == FRESH:
                 where = f"`{r.file}` {r.function}"
                 writer.writerow(
                     [r.room, where, f"`{r.before}`", f"`{r.after}`", known.get(r.key, "")]
                 )
 
 
-def killers() -> Callable[[str], list[str]]:
-    """Function that names tests to try on a file: those that caught mutants of it or its room."""
-    rows = [r for r in read() if "::" in r.by]
+def killers(there: set[str]) -> Callable[[str], list[str]]:
+    """Function that names tests to try on a file: those that caught mutants of it or its room.
+
+    Of the tests that there are.
+    """
+    rows = [r for r in read() if r.by in there]
+    rooms = {file: room for room in ROOMS for file in files_of(room)}
 
     def of(file: str) -> list[str]:
-        room = next(r for r in ROOMS if file in files_of(r))
-        near = [r.by for r in rows if r.file == file] + [r.by for r in rows if r.room == room]
+        near = [r.by for r in rows if r.file == file]
+        near += [r.by for r in rows if r.room == rooms[file]]
         return list(dict.fromkeys(near))[:40]
 
     return of

@@ -2,10 +2,15 @@
 
 import ast
 import csv
+from argparse import Namespace
+from pathlib import Path
 
 import mutants
 import pytest
+import runner
 import table
+
+from oracles.programs import load
 
 TEXT = '''"""Words: 1 + 1."""
 
@@ -92,6 +97,37 @@ def test_nine_of_ten_fresh_mutants_are_caught():
         whole.append(score)
     tried, alike, killed = map(sum, zip(*whole, strict=True))
     assert killed >= 0.9 * (tried - alike)
+
+
+def test_mutants_of_every_changed_file_are_tried(monkeypatch, capsys):
+    """A file with few mutants does not end it, and tests that are gone are not asked for."""
+    program = load("__main__", Path(table.__file__).parent)
+    few, many = "pareto/result.py", "riemann/problem.py"
+    known = {f: mutants.fingerprint(f) for r in mutants.ROOMS for f in mutants.files_of(r)}
+    monkeypatch.setattr(table, "fingerprints", lambda: known | {few: "", many: ""})
+    there = {row.by for row in table.read() if row.room == "riemann"}
+    monkeypatch.setattr(program, "preload", lambda: there)
+    monkeypatch.setattr(
+        program, "sample", lambda files, *_: mutants.sample(files, 0, 2 if files == [few] else 5)
+    )
+    asked = []
+
+    def tried(jobs, folder):
+        for m, file, text, tests, _ in jobs:
+            asked.append((file, set(tests) <= there, text == m.applied(library_text(file))))
+            yield m, runner.Outcome("killed" if file == few else "survived", "", len(tests))
+
+    monkeypatch.setattr(program, "outcomes", tried)
+    assert program.command_changed(Namespace(seconds=60.0, each=5)) == 0
+    assert sorted(asked) == [(few, True, True)] * 2 + [(many, True, True)] * 5
+    told = capsys.readouterr().out.splitlines()
+    assert told[0] == "2 files have changed since the table was written"
+    assert [line.startswith(f"not caught: {many}:") for line in told[1:-1]] == [True] * 5
+    assert told[-1] == "2 of 7 mutants of changed files were caught"
+
+
+def library_text(file):
+    return (mutants.ROOT / "seedslib" / file).read_text()
 
 
 def test_every_planted_fault_is_caught():
