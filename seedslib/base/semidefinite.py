@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
@@ -38,13 +39,12 @@ def symmetrized(matrix: np.ndarray) -> np.ndarray:
 def logs(pivots: list, everywhere: Any) -> list:
     """Logarithms whose sum is that of all pivots: one for two of them where numbers allow it."""
     found = []
-    for a, b in zip(pivots[::2], pivots[1::2], strict=False):
-        with np.errstate(over="ignore", under="ignore"):
-            pair = a * b
-        if everywhere((pair > ABSOLUTE) & (pair < np.inf)):
-            found.append(np.log(pair))
-        else:
-            found += [np.log(a), np.log(b)]
+    # numbers of Python say nothing when they overflow
+    with nullcontext() if everywhere is bool else np.errstate(over="ignore", under="ignore"):
+        pairs = [(a, b, a * b) for a, b in zip(pivots[::2], pivots[1::2], strict=False)]
+    for a, b, both in pairs:
+        sound = everywhere((both > ABSOLUTE) & (both < np.inf))
+        found += [np.log(both)] if sound else [np.log(a), np.log(b)]
     return found + [np.log(p) for p in pivots[len(pivots) & ~1 :]]
 
 

@@ -48,7 +48,12 @@ def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
     n = drift.shape[0]
     require_shape("drift", drift, (n, n))
     as_covariance("diffusion", diffusion, n)
-    step = as_positive("step", step, zero=True)
+    return stepped(drift, diffusion, as_positive("step", step, zero=True))
+
+
+def stepped(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
+    """`van_loan` of arrays that were checked when their system was made."""
+    n = len(drift)
     unit, drift, _, diffusion = balanced(drift, np.zeros((n, n)), diffusion)
     doublings = halvings(np.linalg.norm(drift, 1) * step)
     short = step / 2**doublings
@@ -94,7 +99,7 @@ class Discretised:
         """The three matrices for a step of this length."""
         known, n = self._last, self.size
         if known[0] != step:
-            move, spread = van_loan(self._drift, self._diffusion, step)
+            move, spread = stepped(self._drift, self._diffusion, step)
             known = step, (move[:n, :n], spread[:n, :n], move[:n, n:])
             self._last = known
         return known[1]

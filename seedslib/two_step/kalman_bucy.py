@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, as_vectors
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import as_system
-from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, van_loan
+from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, stepped
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, LinearMoments, make_design
 from seedslib.two_step.linear import LinearDiffusion, Matrices
 from seedslib.two_step.riccati import information_rate, riccati_step
@@ -248,7 +248,7 @@ class KalmanBucyFilter:
         information = information_rate(known, np.ones(system.measurement_size, bool))
         grid = times if times[0] == 0 else np.concatenate([[0.0], times])
         lengths, index = distinct_steps(grid)
-        moves = [van_loan(known.drift, known.diffusion, h) for h in lengths]
+        moves = [stepped(known.drift, known.diffusion, h) for h in lengths]
         riccati = [riccati_step(known.drift, information, known.diffusion, h) for h in lengths]
         mean = np.empty((grid.size, system.state_size))
         cov, error_cov = np.empty((2, grid.size, system.state_size, system.state_size))

@@ -24,7 +24,7 @@ from seedslib.base.checks import (
 )
 from seedslib.base.clock import when
 from seedslib.base.semidefinite import square_root
-from seedslib.models.propagation import distinct_steps, integrated, van_loan
+from seedslib.models.propagation import distinct_steps, integrated, stepped
 
 Coefficient = ArrayLike | Callable[[float], ArrayLike]
 COEFFICIENTS = ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input")
@@ -150,7 +150,7 @@ class LinearDiffusion:
                 f"start, stop: wanted 0 <= start <= stop, got {when(start)}, {when(stop)}"
             )
         if self.constant:
-            return van_loan(*self.matrices(start)[:2], stop - start)
+            return stepped(*self.matrices(start)[:2], stop - start)
         return integrated(lambda t: self.matrices(t)[:2], start, stop)
 
     def simulate(self, times: ArrayLike, paths: int, seed: object) -> DiffusionPaths:
@@ -205,7 +205,7 @@ class LinearDiffusion:
         """For each step (transition, noise factor) of the state and the increment together."""
         if self.constant:
             lengths, index = distinct_steps(times)
-            known = [self._drawn(*van_loan(*self._joint(times[0]), step)) for step in lengths]
+            known = [self._drawn(*stepped(*self._joint(times[0]), step)) for step in lengths]
             return [known[j] for j in index]
         pairs = pairwise(times)
         return [self._drawn(*integrated(self._joint, start, stop)) for start, stop in pairs]

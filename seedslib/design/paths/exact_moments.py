@@ -19,7 +19,7 @@ from seedslib.designed.memory import Past
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import AnySystem
-from seedslib.models.propagation import integrated, van_loan
+from seedslib.models.propagation import integrated, stepped
 
 
 def linear_design(
@@ -125,7 +125,7 @@ class _Linear:
             return drift, diffusion
 
         if self.constant:
-            matrix, noise = van_loan(*extended(start), stop - start)
+            matrix, noise = stepped(*extended(start), stop - start)
         else:
             matrix, noise = integrated(extended, start, stop)
         return matrix[:-1, :-1], matrix[:-1, -1], noise[:-1, :-1]
