@@ -22,7 +22,7 @@ test: setup style
 	@$(MAKE) --no-print-directory --jobs=2 types checks
 
 checks: setup
-	@$(PY) -m pytest -q -n 3 --dist=loadscope --processor=$(PROCESSOR)
+	@$(PY) -m pytest -q -n 2 --dist=loadscope --processor=$(PROCESSOR)
 
 # Everything that draws random numbers, as on other processors; about ten minutes a setting.
 portable: setup
