@@ -58,3 +58,17 @@ def test_path_that_explodes_is_given_up_and_does_not_hold_the_others():
         (got,) = adaptive(lambda t, y: [y[0] * y[0]], [start], 0.0, 1.0, 0.1)
     assert got[0] == pytest.approx(0.1 / 0.9, rel=1e-6)
     assert np.isnan(got[1:]).all()
+
+
+def test_dormand_and_prince_are_of_order_five():
+    """Steps of a given size, with tolerances that no step exceeds; y' = y cos t, z' = y z."""
+
+    def error(step):
+        y, z = adaptive(
+            lambda t, y: [y[0] * np.cos(t), y[1] * np.cos(t) * y[0]], [1.0, 1.0], 0.0, 2.0, step,
+            rtol=1e9,
+        )  # fmt: skip
+        y_true = np.exp(np.sin(2.0))
+        return np.abs(np.array([y / y_true, z / np.exp(y_true - 1.0)]) - 1.0)
+
+    assert np.log2(error(0.05) / error(0.025)) == pytest.approx([5, 5], abs=0.4)

@@ -129,3 +129,10 @@ def test_empty_and_constant_polynomials():
     assert polynomial_value({}, np.zeros((2, 7)), 3).shape == (3, 7)
     constant = {(0, 0): np.array([2.0])}
     assert_allclose(polynomial_value(constant, np.zeros((2, 4)), 1), np.full((1, 4), 2.0))
+
+
+def test_indices_that_a_recursion_visits_are_those_of_its_moments():
+    wanted = [(2, 1), (0, 3)]
+    found = predecessors(wanted)
+    assert len(set(found)) == len(found)
+    assert set(found) == set(monomial_means(wanted, [1.0, 2.0], np.eye(2).tolist()))

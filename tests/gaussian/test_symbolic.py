@@ -289,6 +289,7 @@ def test_classes(f, kind):
         sp.Piecewise((x, (x > 0) & (y > 0)), (0, True)),
         sp.exp(sp.sin(x)),
         sp.cos(sp.sqrt(x**2 + y**2)),
+        sp.sqrt(x**3 + y**2),
     ],
     ids=str,
 )
