@@ -443,3 +443,18 @@ def test_a_measurement_is_remembered_as_it_was():
     np.testing.assert_array_equal(state.mean, made.run(times, y).mean[-1])
     with pytest.raises(ValueError, match="indicators: wanted none"):
         made.run(times, y, indicators=np.zeros(4, dtype=int))
+
+
+def test_steps_of_a_design_keep_what_was_predicted_of_them():
+    """All steps are the design; without one, its predictions are gone and later ones move up."""
+    design = synthesize(
+        zoo.van_der_pol(), Memory(1), Taylor(), 0.5 * np.arange(5), paths=300, seed=1, nodes=2
+    )
+    whole = design.taking([0, 1, 2, 3, 4])
+    assert np.array_equal(whole.predicted.times, design.predicted.times)
+    assert np.array_equal(whole.predicted.rms, design.predicted.rms)
+    some = design.taking([0, 1, 3, 4])
+    kept = (design.predicted.times <= 0.5) | (design.predicted.times > 1.0)
+    assert np.array_equal(some.predicted.rms, design.predicted.rms[kept])
+    np.testing.assert_allclose(some.predicted.times, np.arange(10) / 6, atol=1e-15)
+    assert np.array_equal(some.times, 0.5 * np.arange(4))
