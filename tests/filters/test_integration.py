@@ -61,7 +61,7 @@ def test_path_that_explodes_is_given_up_and_does_not_hold_the_others():
 
 
 def test_dormand_and_prince_are_of_order_five():
-    """Steps of a given size, with tolerances that no step exceeds; y' = y cos t, z' = y z."""
+    """Steps of a given size, with tolerances that no step exceeds; y' = y cos t, z' = y z cos t."""
 
     def error(step):
         y, z = adaptive(
