@@ -76,7 +76,7 @@ def command_run(args) -> int:
         print(f"{room}: {table.score(rows, room, args.draw)}", flush=True)
     table.write(rows)
     table.write_files()
-    table.write_rooms(rows)
+    table.write_rooms()
     return 0
 
 

@@ -111,8 +111,9 @@ def score(rows: list[Row], room: str, draw: int) -> Score:
     return Score(len(here), alike, len(here) - alike - survived)
 
 
-def write_rooms(rows: list[Row]) -> None:
+def write_rooms() -> None:
     """Write the score of each room in the fresh draw, of all together, and what survived."""
+    rows = read()
     populations = dict.fromkeys(ROOMS, 0)
     with FILES.open(newline="") as file:
         for found in csv.DictReader(file):
