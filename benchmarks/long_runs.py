@@ -3,16 +3,15 @@
 Run by hand, ``nice python benchmarks/long_runs.py``; writes ``benchmarks/long_runs.csv`` beside
 itself, row by row. Wants a C compiler for the rows in C.
 
-One path, step by step; `steps` says how many: 10^6 in C and of the Kalman filter in Python, where
-the others take 10^5 or 2 10^4. The state is one or two numbers, moved and seen with Gaussian noise.
-`asymmetry` is the largest
-difference of a covariance and its transpose, `least_eigenvalue` the smallest ratio of eigenvalues
-of a covariance, `drift` how far covariances after the first 10^4 steps are from that of the last
-of them, in parts of it (where it does not depend on the data), `probability` how far those of modes
-are from sum one. `nees` is the mean of eᵀ P⁻¹ e over the number of components, e the error of the
-mean: one for a filter that knows its errors; `nis` is the same of the innovations of the
-filters that are Kalman filters here. Errors are from blocks of 10^4 steps. `kilobytes` is what the
-process has grown by after the first 10^4 steps.
+One path of 10^6 steps, step by step, each filter in a process of its own. The state is one or two
+numbers, moved and seen with Gaussian noise. `asymmetry` is the largest difference of a covariance
+and its transpose, `least_eigenvalue` the smallest ratio of eigenvalues of a covariance, `drift` how
+far covariances after the first 10^4 steps are from that of the last of them, in parts of it (where
+it does not depend on the data), `probability` how far those of modes are from sum one. `nees` is
+the mean of eᵀ P⁻¹ e over the number of components, e the error of the mean: one for a filter that
+knows its errors; `nis` is the same of the innovations of the filters that are Kalman filters here.
+Errors are from blocks of 10^4 steps. `kilobytes` is what the process has grown by after the first
+10^4 steps.
 """
 
 from __future__ import annotations
@@ -21,6 +20,8 @@ import csv
 import math
 import os
 import warnings
+from concurrent.futures import ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 from typing import NamedTuple
 
@@ -142,8 +143,6 @@ IN_C = (
     "unscented", "cubature", "Gauss-Hermite", "IMM", "design without an end",
     "table without an end",
 )  # fmt: skip
-STEPS = {"Kalman": 10**6, "gated": 10**5, "design without an end": 10**5, "extended": 10**5}
-"""Steps in Python, of the others 2 10^4; in C they are 10^6."""
 EXACT = ("Kalman", "Kalman, a diffuse start", "extended", "unscented", "cubature", "Gauss-Hermite")
 STEADY = (*EXACT, *(f"delay, {method}" for method in RECURSIONS), "design without an end",
           "extended, in continuous time")  # fmt: skip
@@ -279,15 +278,14 @@ def measure(name: str, steps: int, language: str = "Python", block: int = BLOCK)
 
 def main():
     path, rows = Path(__file__).with_suffix(".csv"), []
-    plan = [(name, "C", 10**6) for name in IN_C]
-    plan += [(name, "Python", STEPS.get(name, 2 * 10**4)) for name in FILTERS]
-    for name, language, steps in plan:
-        row = measure(name, steps, language)
-        told = [f"{v:.4g}" if isinstance(v, float) else "" if v is None else v for v in row]
-        rows.append(told)
-        print(*told, flush=True)
-        with path.open("w", newline="") as file:
-            csv.writer(file, lineterminator="\n").writerows([Row._fields, *rows])
+    plan = [(name, 10**6, "C") for name in IN_C] + [(name, 10**6, "Python") for name in FILTERS]
+    with ProcessPoolExecutor(2, get_context("spawn"), max_tasks_per_child=1) as pool:
+        for row in pool.map(measure, *zip(*plan, strict=True)):
+            told = [f"{v:.4g}" if isinstance(v, float) else "" if v is None else v for v in row]
+            rows.append(told)
+            print(*told, flush=True)
+            with path.open("w", newline="") as file:
+                csv.writer(file, lineterminator="\n").writerows([Row._fields, *rows])
 
 
 if __name__ == "__main__":
