@@ -14,7 +14,7 @@ from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import JumpDiffusion, Noise
 
 x, v, t = sympy.symbols("x v t", real=True)
-LENGTH = 2000
+LENGTH = 400
 
 
 def tide():
@@ -55,7 +55,7 @@ def close(found, wanted, part=1e-11):
 
 
 @pytest.mark.parametrize("name", DESIGNS)
-def test_two_thousand_steps(name, compiled):
+def test_many_laps(name, compiled):
     filter = lasting(name)
     times = np.array([filter.clock.moment(k, filter.cycle) for k in range(LENGTH)])
     y = filter.system.simulate(times, 3, 5).measurements

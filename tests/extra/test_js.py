@@ -31,7 +31,7 @@ pytestmark = [
 ]
 
 a, b, u, v, w = sympy.symbols("a b u v w", real=True)
-LENGTH = 1000
+LENGTH = 300
 
 RUN = """
 import * as filter from './made.mjs';
@@ -125,7 +125,7 @@ FILTERS = {
 
 
 @pytest.mark.parametrize("name", FILTERS)
-def test_a_thousand_steps(name, tmp_path):
+def test_many_steps(name, tmp_path):
     filter = FILTERS[name]()
     carried = getattr(filter, "memory", None) is None
     times = 0.5 * np.arange(LENGTH + 1.0)
@@ -133,7 +133,7 @@ def test_a_thousand_steps(name, tmp_path):
         times = np.array([filter.clock.moment(k, filter.cycle) for k in range(LENGTH + 1)])
     data = filter.system.simulate(times[:LENGTH], 1, 2)
     y, told = data.measurements[..., 0].copy(), data.indicators
-    y[[3, 700]] = np.nan
+    y[[3, 200]] = np.nan
     y[9] = 60.0  # absurd, where the filter has been told so far what it knows
     options = {} if told is None else {"indicators": told[:, 0]}
     more = {"covariances": True} if "covariances" in filter.takes else {}

@@ -99,7 +99,7 @@ def test_new_coordinates_of_plane_regions_change_nothing(monkeypatch):
 
 def test_long_record_of_a_plane_map():
     """Sixty steps stretch by 1e14 and shrink by 1e32; the estimates stay consistent."""
-    runs = routes.lozi().simulate(60, 6, 4)
+    runs = routes.lozi().simulate(60, 3, 4)
     filter_ = PiecewiseLinearFilter(routes.lozi(), keep=30)
     found = filter_.run(60, runs.measurements)
     error = (runs.states - found.mean)[1:, 0] ** 2 / found.cov[1:, 0, 0]
