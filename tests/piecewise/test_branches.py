@@ -89,14 +89,17 @@ def one_branch(cell):
 
 @pytest.mark.parametrize("lead", [1.7, -1.2, 0.3, -0.4, 0.01, 0.0])
 @pytest.mark.parametrize("cell", [0, 1])
-@pytest.mark.parametrize("depth", [1, 3])
-def test_a_move_carries_the_law_and_cuts_the_region(lead, cell, depth):
+@pytest.mark.parametrize(("depth", "other"), [(1, False), (3, False), (3, True)])
+def test_a_move_carries_the_law_and_cuts_the_region(lead, cell, depth, other):
     """Three components, noise in two of them; the first row expands, contracts or collapses."""
     rng = np.random.default_rng(7)
     matrix, noise = rng.standard_normal((3, 3, 2, 1)), rng.standard_normal((3, 2, 2, depth))
     matrix[0, 1:], matrix[0, 0], noise[0] = 0.0, 5.0, 0.0
     matrix[0, 0, cell] = lead
     offset = rng.standard_normal((3, 2, 1)) * np.append(1.0, rng.uniform(1, 2, depth - 1))
+    if other:  # coefficients of every data set in the matrix and not in the offset
+        offset, matrix = offset[..., :1], matrix * np.append(1.0, rng.uniform(1, 2, depth - 1))
+        matrix[0] = matrix[0, ..., :1]
     offset[0] = 0.2
     old, ends = one_branch(cell)
     new = move(old, CELLS, Coefficients(offset, matrix, noise))
@@ -112,7 +115,8 @@ def test_a_move_carries_the_law_and_cuts_the_region(lead, cell, depth):
         x = new.shift[0, k] + new.slope[0, 0, k] * np.array([inner])
         assert (CELLS.locate(x) == i).all()
         for n in range(3):
-            a, A = offset[:, cell, min(n, depth - 1)], matrix[..., cell, 0]
+            a = offset[:, cell, min(n, offset.shape[-1] - 1)]
+            A = matrix[:, :, cell, min(n, matrix.shape[-1] - 1)]
             G = noise[..., cell, min(n, depth - 1)]
             mean, cov = unrestricted(old, 0, n)
             found = unrestricted(new, k, n)

@@ -92,6 +92,16 @@ def test_points_of_any_batch_are_located():
     assert plane.locate(points[:, 1, 1]) == 3
 
 
+def test_one_cell_may_be_the_whole_plane():
+    whole = line_cells(np.empty((2, 0)), [])
+    assert whole.count == 1
+    assert whole.locate(np.zeros((2, 3, 4))).tolist() == [[0] * 4] * 3
+    triangle = [[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]
+    for table in ([triangle], np.array([triangle])):
+        with pytest.raises(ValueError, match="regions: wanted cells that cover the plane"):
+            as_cells(table)
+
+
 def test_a_common_edge_belongs_to_the_first_cell():
     for cells, wanted in (((LEFT, RIGHT), [0, 0, 1]), ((RIGHT, LEFT), [1, 0, 0])):
         points = np.array([[-1.0, 0.0, 1.0], [4.0, 5.0, 6.0]])
@@ -142,7 +152,12 @@ def test_plane_cells_that_are_refused(cells, message):
 
 
 def test_kinds_that_are_no_partition_are_named():
-    for thing, name in ((lambda x: x, "function"), (None, "NoneType"), ({1: LEFT}, "dict")):
+    for thing, name in (
+        (lambda x: x, "function"),
+        (None, "NoneType"),
+        ({1: LEFT}, "dict"),
+        (3.0, "float"),
+    ):
         with pytest.raises(TypeError, match=f"regions: wanted edges, pairs .*, got {name}$"):
             as_cells(thing)
     with pytest.raises(TypeError, match=r"regions\[0\]: wanted real numbers"):
@@ -184,7 +199,7 @@ def test_normals_have_length_one_whatever_was_given():
 def test_the_square_about_a_partition_reaches_beyond_every_crossing_and_line():
     """Four times as far as the farthest of them, and one unit more."""
     rng = np.random.default_rng(2)
-    for _ in range(20):
+    for _ in range(6):
         normals, offsets = rng.standard_normal((2, 4)), rng.standard_normal(4)
         crossings = [
             np.linalg.solve(normals[:, pair].T, offsets[list(pair)])

@@ -59,6 +59,7 @@ ONE = np.ones
             (1.0, ONE((1, 4)), ONE((1, 1))), 1,
             r"sensor \(offset\): wanted shape \(1,\) and the cells, got \(\)$",
         ),
+        ((1.0, ONE((1, 4)), ONE((1, 1))), None, r"sensor \(offset\): wanted shape"),
         (
             (ONE((2, 3, 1, 1)), ONE((2, 4)), ONE((2, 1))), None,
             r"sensor \(offset\): wanted shape \(2,\) and the cells, got \(2, 3, 1, 1\)$",

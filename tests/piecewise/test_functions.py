@@ -109,6 +109,8 @@ def test_a_map_without_noise_has_none():
     system = line(dynamics=[sp.sin(X)], noise=V)
     assert system.dynamics_at(0.0).noise.shape == (1, 0, 2, 1)
     assert system.sensor_at(0.0).noise.shape == (1, 1, 2, 1)
+    silent = line(dynamics=[X], sensor=[X], noise=None)
+    assert silent.sensor_at(0.0).noise.shape == (1, 0, 2, 1)
 
 
 @pytest.mark.parametrize("noise", [V, (V,), [V], Noise((V,))])
@@ -142,6 +144,10 @@ def test_correlated_noises_with_means_enter_by_mean_and_covariance():
         ({"sensor": [X + V**2]}, r"sensor: wanted noise that enters linearly, got \[v\*\*2 \+ x"),
         ({"dynamics": [W * W]}, r"dynamics: wanted noise that enters linearly, got \[w\*\*2\]$"),
         ({"noise": Noise(2)}, "noise: wanted Gaussian noise with named components$"),
+        (
+            {"noise": Noise((V, W), cov=[[1.0, 0.5], [0.5, 1.0]])},
+            "noise: wanted independent noises in the dynamics and in the sensor$",
+        ),
         ({"noise": None}, "(dynamics|sensor|noise): wanted"),
         ({"breakpoints": [1.0]}, "breakpoints: wanted at least two strictly increasing edges$"),
         ({"breakpoints": [0.0, 1.0, 1.0]}, "breakpoints: wanted at least two strictly increasing"),

@@ -137,3 +137,45 @@ def test_regions_of_the_prior_on_a_plane_end_forty_deviations_from_the_mean():
     index, regions = prior_regions(QUARTERS, np.array([50.0, 0.0]), np.diag([1.0, 0.0]))
     assert index.tolist() == [2, 3]
     assert [area(piece) for piece in regions.vertices] == [80.0 * 40.0] * 2
+
+
+def test_the_bound_of_the_mass_of_an_interval():
+    """exp(-d^2 / 2) times the least of 1, or 1/2 beside the mean, and the width by sqrt(2 pi)."""
+    ends = np.array([(-9.0, 9.0), (-0.3, 0.5), (3.0, INF), (-INF, -3.0), (3.0, 3.2), (-3.5, -3.0)])
+    mean, cov = np.full((1, 6, 1), 0.4), np.full((1, 1, 6, 1), 0.25)
+    found = IntervalRegions(*ends.T).log_mass_bound(mean, cov)[:, 0]
+    root = np.sqrt(2 * np.pi)
+    wanted = [
+        0.0, np.log(1.6 / root), np.log(0.5) - 0.5 * 5.2**2, np.log(0.5) - 0.5 * 6.8**2,
+        np.log(0.4 / root) - 0.5 * 5.2**2, np.log(1.0 / root) - 0.5 * 6.8**2,
+    ]  # fmt: skip
+    np.testing.assert_allclose(found, wanted, rtol=1e-13)
+    several = IntervalRegions(*ends[:2].T).log_mass_bound(
+        np.array([[[0.4, 9.5], [0.4, 1.0]]]), np.array([[[[0.25, 0.25], [0.25, 1.0]]]])
+    )
+    np.testing.assert_allclose(several[:, 0], wanted[:2], rtol=1e-13, atol=1e-15)
+    beside = [np.log(0.5) - 0.5, np.log(0.8 / root) - 0.125]
+    np.testing.assert_allclose(several[:, 1], beside, rtol=1e-13)
+
+
+def test_the_bound_of_the_mass_of_a_polygon():
+    """The same with the farthest edge line and the area by 2 pi and the root of the determinant."""
+    squares = (
+        box(np.zeros(2), np.full(2, 50.0)), box(np.zeros(2), np.array([0.1, 0.2])),
+        box(np.array([60.0, 0.0]), np.full(2, 50.0)), box(np.array([6.0, 9.0]), np.ones(2)),
+    )  # fmt: skip
+    cov = np.array([[4.0, 1.0], [1.0, 1.0]])[:, :, None, None] * np.ones((4, 1))
+    found = PolygonRegions(squares).log_mass_bound(np.zeros((2, 4, 1)), cov)[:, 0]
+    wanted = [
+        0.0, np.log(0.08 / (2 * np.pi * np.sqrt(3.0))), np.log(0.5) - 0.5 * (10 / 2) ** 2,
+        np.log(4.0 / (2 * np.pi * np.sqrt(3.0))) - 0.5 * 8.0**2,
+    ]  # fmt: skip
+    np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-15)
+
+
+def test_a_law_without_spread_lies_in_a_region_or_not():
+    nothing = np.zeros((2, 2, 2, 1))
+    line = IntervalRegions(np.array([-1.0, 1.0]), np.array([1.0, 3.0]))
+    assert line.log_mass_bound(np.zeros((1, 2, 1)), nothing[:1, :1]).tolist() == [[0.0], [-INF]]
+    plane = PolygonRegions((SQUARE, SQUARE + 3.0))
+    assert plane.log_mass_bound(np.zeros((2, 2, 1)), nothing).tolist() == [[0.0], [-INF]]

@@ -32,7 +32,8 @@ def test_nothing_is_measured_at_the_first_time_whatever_is_asked():
 def test_paths_of_a_start_and_a_grid_of_times():
     """A deterministic map with a coefficient that grows with the time it leaves."""
     system = routes.tent(
-        dynamics=lambda t: ([t], [[2.0]]), sensor_noise=lambda t: {7.0: [[0.0]]}[t]
+        dynamics=lambda t: ({1.0: [1.0], 4.0: [4.0]}[t], [[2.0]]),
+        sensor_noise=lambda t: {7.0: [[0.0]]}[t],
     )
     found = system.simulate([1.0, 4.0, 7.0], 3, 5, start=[0.5], measured=[2])
     assert found.states[:, 0].tolist() == [[0.5] * 3, [2.0] * 3, [8.0] * 3]
