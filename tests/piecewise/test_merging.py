@@ -138,6 +138,16 @@ def test_a_dropped_piece_between_two_keeps_them_apart():
     assert merge(old, log_weight, 9.0)[0] is old
 
 
+def test_a_piece_beside_two_others_goes_with_one_of_them():
+    """Two laws on (0, 1), and two pieces that continue one of them."""
+    ends = [(0.0, 1.0), (1.0, 3.0), (0.0, 1.0), (3.0, 4.0)]
+    old, log_weight = branches(ends, [0.4, 0.4, 9.0, 0.4], 0.6, [0.25, 0.125, 0.5, 0.125])
+    new, weight, _ = merge(old, log_weight, 9.0)
+    assert sorted(ends_of(new)) == [(0.0, 1.0), (0.0, 4.0)]
+    np.testing.assert_allclose(np.exp(weight).sum(), 1.0, rtol=1e-14)
+    np.testing.assert_allclose(new.mean[0, :, 0], [9.0, 0.4], rtol=1e-14)
+
+
 def test_chains_end_where_the_law_changes():
     """Six adjoining pieces, given out of order: two, three and one."""
     ends = np.array([(0, 1), (1, 2), (2, 3), (3, 4), (4, 5), (5, 6)])
