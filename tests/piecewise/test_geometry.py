@@ -79,6 +79,19 @@ def test_a_region_that_collapses_to_a_line_is_cut_where_the_line_is():
             assert QUARTERS.locate(point + 1e-9) == i
 
 
+def test_an_edge_belongs_to_the_interval_above_it():
+    """A region that begins or ends on an edge, and one that collapses onto it."""
+    cells, ends = Intervals([-INF, 0.0, 2.0, INF]), (np.array([0.0]), np.array([2.0]))
+    regions, still = IntervalRegions(*ends), np.zeros((1, 1))
+    parent, cell, pieces = regions.split(cells, np.ones((1, 1, 1)), still)
+    assert (parent.tolist(), cell.tolist()) == ([0], [1])
+    assert (pieces.lower[0], pieces.upper[0]) == (0.0, 2.0)
+    for shift, wanted in ((0.0, 1), (2.0, 2), (-1e-300, 0), (1.0, 1)):
+        parent, cell, pieces = regions.split(cells, np.zeros((1, 1, 1)), still + shift)
+        assert (parent.tolist(), cell.tolist()) == ([0], [wanted])
+        assert (pieces.lower[0], pieces.upper[0]) == (0.0, 2.0)
+
+
 def test_slivers_are_no_pieces():
     """Below eight units of rounding of the ends, and below 1e-15 of the area."""
     eps = np.finfo(float).eps

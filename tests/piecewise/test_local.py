@@ -116,6 +116,17 @@ def test_a_law_beside_its_region_is_given_its_distance_more(mean, distance):
     np.testing.assert_allclose(high, np.minimum(center + 40.0 + distance, 1e5), rtol=1e-12)
 
 
+def test_every_data_set_is_given_its_own_reach():
+    """One law in the middle, one beside the region; what the branch was stays as it was."""
+    old = plane([square(1e5)], [[0.0, 1e5 + 30.0], [0.0, 0.0]], np.eye(2))
+    before = [part.copy() for part in (old.mean, old.cov, old.slope, old.shift)]
+    low, high = reach(localise(old))
+    np.testing.assert_allclose(low, [-40.0, -70.0], rtol=1e-12)
+    np.testing.assert_allclose(high, [1e5, 70.0], rtol=1e-12)
+    for part, copy in zip((old.mean, old.cov, old.slope, old.shift), before, strict=True):
+        assert (part == copy).all()
+
+
 def test_data_sets_without_the_branch_do_not_count():
     mean = np.array([[0.0, 300.0], [0.0, 500.0]])
     old = plane([square(1e5)], mean, np.eye(2), alive=[[True, False]])

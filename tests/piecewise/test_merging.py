@@ -218,6 +218,15 @@ def test_every_data_set_is_merged_by_itself(stacks, touching):
         assert (new.log_unit[weight[:, n] == -INF, n] == -INF).all()
 
 
+def test_merging_leaves_what_it_was_given_as_it_was():
+    old, log_weight = several(5, 3, datasets=2)
+    parts = old.mean, old.cov, old.log_unit, old.regions.lower, old.regions.upper, log_weight
+    before = [part.copy() for part in parts]
+    assert (merge(old, log_weight, 0.6)[2] > 0.0).all()
+    for part, copy in zip(parts, before, strict=True):
+        np.testing.assert_array_equal(part, copy)
+
+
 def test_the_distance_bounds_what_merging_has_changed():
     """The variation of the log-ratio of the two laws, and the total variation between them."""
     shares = []

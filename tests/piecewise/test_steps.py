@@ -275,6 +275,8 @@ def test_matching_works_on_fewer_records_together_the_more_pairs_of_cells_there_
         assert [filter_.block(times, p, 1) for p in (0, 7, 10**7)] == [1, 7, 500_000]
     many = PiecewiseLinearFilter(routes.wave(2000))
     assert many.block(times, 50, 1) == 1
+    begun = PiecewiseLinearFilter(routes.tent(noise=lambda t: {5.0: [[0.1]]}[t]))  # at 5 only
+    assert begun.block(times + 5.0, 10**7, 1) == 500_000
 
 
 def test_the_report_is_that_of_the_state():

@@ -6,7 +6,10 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal, norm, truncnorm
 
 from oracles.piecewise_branches import branches
+from seedslib.piecewise.branches import Branches
+from seedslib.piecewise.clipping import box
 from seedslib.piecewise.coefficients import Coefficients
+from seedslib.piecewise.geometry import PolygonRegions
 from seedslib.piecewise.weights import (
     CellLaw,
     Weighed,
@@ -99,6 +102,36 @@ def test_moments_of_a_branch_in_coordinates_of_an_earlier_time(depth):
         np.testing.assert_allclose(found.cov[:, :, f], second, rtol=1e-7, atol=1e-10)
         mass = norm.cdf(ends[b], m[0], sd)
         np.testing.assert_allclose(found.log_joint[b, n], np.log(np.diff(mass))[0], rtol=1e-12)
+
+
+def test_moments_of_plane_branches():
+    """Rectangles and independent components, so that SciPy knows the law of s; x3 follows it."""
+    rng = np.random.default_rng(2)
+    center, half = np.array([[0.3, -1.0], [0.5, 1.5]]), np.array([[0.5, 0.8], [1.0, 0.3]])
+    slope, shift = rng.standard_normal((2, 2, 2)), rng.standard_normal((2, 2))
+    mean, along = rng.standard_normal((3, 2, 2)), np.array([0.4, -0.7])
+    cov = np.diag([0.5, 1.5, 2.0])
+    cov[2, :2] = cov[:2, 2] = along * [0.5, 1.5]
+    regions = PolygonRegions(tuple(box(center[b], half[b]) for b in range(2)))
+    found = weigh_branches(
+        Branches(np.array([0, 1]), regions, slope, shift, mean,
+                 cov[:, :, None, None] * np.ones((2, 1)), np.array([[0.1, 0.2], [0.3, -0.4]])),
+        1e-30,
+    )  # fmt: skip
+    assert len(found.branch) == 4
+    for f, (b, n) in enumerate(zip(found.branch, found.dataset, strict=True)):
+        m, sd = mean[:2, b, n], np.sqrt([0.5, 1.5])
+        low, high = (center[b] - half[b] - m) / sd, (center[b] + half[b] - m) / sd
+        law = truncnorm(low, high, m, sd)
+        lead = np.concatenate([slope[:, :, b], along[None]])
+        first = np.append(shift[:, b], mean[2, b, n] - along @ m) + lead @ law.mean()
+        second = lead @ np.diag(law.var()) @ lead.T
+        second[2, 2] += 2.0 - along**2 @ [0.5, 1.5]
+        np.testing.assert_allclose(found.mean[:, f], first, rtol=1e-9, atol=1e-11)
+        np.testing.assert_allclose(found.cov[:, :, f], second, rtol=1e-8, atol=1e-10)
+        mass = np.log(norm.cdf(high) - norm.cdf(low)).sum()
+        unit = np.array([[0.1, 0.2], [0.3, -0.4]])[b, n]
+        np.testing.assert_allclose(found.log_joint[b, n], unit + mass, rtol=1e-11)
 
 
 @pytest.mark.parametrize("moved", [{"slope": np.array([1.0, 2.0])}, {"shift": np.array([0.0, 3])}])
