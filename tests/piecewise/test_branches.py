@@ -155,6 +155,21 @@ def test_intervals_become_their_images_as_long_as_these_are_wide():
     assert followed(1.0, (1000.0, 1000.0 + 1e-9), [1.0])
 
 
+@pytest.mark.parametrize("cell", [0, 1])
+def test_rounding_does_not_move_a_branch_out_of_a_cell_that_keeps_to_itself(cell):
+    """``x <- 1 + x / 2`` near 2, which is an edge, with all digits of the distance in s."""
+    cells, sign = Intervals([-INF, 2.0, INF]), (-1.0, 1.0)[cell]
+    old = branches([(0.5, 5.0)], [1.0], 1.0, [0.5], cell=cell, slope=sign * 1e-20,
+                   shift=2.0 - sign * 4e-16)[0]  # fmt: skip
+    new = move(old, cells, dynamics([1.0], [[0.5]], np.zeros((1, 0))))
+    assert new.cell.tolist() == [cell]
+    assert (new.regions.lower[0], new.regions.upper[0]) == (0.5, 5.0)
+    assert new.slope.item() == sign * 0.5e-20
+    away = move(old._replace(shift=np.array([[2.0 - sign]])), cells,
+                dynamics([1.0], [[(0.9, 0.2)[cell]]], np.zeros((1, 0))))  # fmt: skip
+    assert away.cell.tolist() == [1 - cell]  # not all of the cell stays in it
+
+
 def test_plane_regions_become_their_images_where_these_are_as_large():
     old = prior_branches(routes.lozi(), 1)
     for matrix, kept in (
@@ -209,7 +224,10 @@ def test_plane_cells_reach_forty_deviations_beyond_every_predicted_mean():
     corners = np.concatenate(found.regions.vertices, axis=1)
     np.testing.assert_allclose(corners.min(axis=1), [-3.0 - 20.0, 5.0 - 12.0], rtol=1e-13)
     np.testing.assert_allclose(corners.max(axis=1), [2.0 + 20.0, 8.0 + 12.0], rtol=1e-13)
-    assert len(found.cell) == 16
+    assert found.cell.tolist() == [0, 1, 2, 3] * 4
+    for k in range(16):
+        assert (found.mean[:, k] == mean[:, k // 4]).all()
+        assert (found.cov[:, :, k] == cov[:, :, k // 4]).all()
     away = spread_out(QUARTERS, c, np.zeros((4, 2)), mean + 100.0, cov)
     assert away.cell.tolist() == [3, 3, 3, 3]
 

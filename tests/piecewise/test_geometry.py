@@ -184,6 +184,13 @@ def test_the_bound_of_the_mass_of_a_polygon():
         np.log(4.0 / (2 * np.pi * np.sqrt(3.0))) - 0.5 * 8.0**2,
     ]  # fmt: skip
     np.testing.assert_allclose(found, wanted, rtol=1e-13, atol=1e-15)
+    mean = np.random.default_rng(0).standard_normal((2, 4, 3))
+    for several in (cov, cov * np.array([1.0, 2.0, 0.5])):
+        found = PolygonRegions(squares).log_mass_bound(mean, several)
+        for n in range(3):
+            part = several[..., min(n, several.shape[-1] - 1)]
+            alone = PolygonRegions(squares).log_mass_bound(mean[..., n : n + 1], part[..., None])
+            np.testing.assert_allclose(found[:, n], alone[:, 0], rtol=1e-13)
 
 
 def test_a_law_without_spread_lies_in_a_region_or_not():
