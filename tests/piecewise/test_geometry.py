@@ -114,6 +114,8 @@ def test_cells_of_a_line_that_are_mapped_into_one():
     assert whole_images(cells, offset[None], slope[None, None]).tolist() == [0, 1, -1]
     slope, offset = np.array([-1.0, 1.0, -2.0]), np.array([0.0, 0.5, 1.0])
     assert whole_images(cells, offset[None], slope[None, None]).tolist() == [2, -1, 0]
+    slope, offset = np.array([0.5, 1.0, 1.0]), np.array([-1.0, -2.0, -1.0])
+    assert whole_images(cells, offset[None], slope[None, None]).tolist() == [0, 0, -1]
 
 
 @pytest.mark.parametrize(("away", "fits"), [(4.0, True), (40.0, False)])
