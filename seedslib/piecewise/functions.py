@@ -14,7 +14,7 @@ from seedslib.base.semidefinite import factor
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.piecewise.cells import Intervals, Polygons, as_cells
-from seedslib.piecewise.clipping import box, centroid, clip_all
+from seedslib.piecewise.clipping import HalfPlanes, box, centroid, clip_all
 
 Numeric = Callable[[float, np.ndarray], np.ndarray]
 
@@ -150,7 +150,8 @@ def _slopes(name: str, map_: StochasticMap) -> tuple[Numeric, Numeric, Numeric]:
 
 def _cells(breakpoints: object) -> tuple[Intervals | Polygons, np.ndarray]:
     """Cells that cover the space, and the middles (k1, n) of those given; infinite without one."""
-    if not isinstance(breakpoints, Intervals | Polygons) and np.ndim(breakpoints[0]) == 0:
+    whole = isinstance(breakpoints, Intervals | Polygons)
+    if not whole and not isinstance(breakpoints[0], HalfPlanes) and np.ndim(breakpoints[0]) == 0:
         edges = as_real("breakpoints", breakpoints, ndim=1)
         if edges.size < 2 or (np.diff(edges) <= 0.0).any():
             raise ValueError("breakpoints: wanted at least two strictly increasing edges")

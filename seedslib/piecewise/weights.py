@@ -47,7 +47,7 @@ def weigh_branches(branches: Branches, neglect: float) -> Weighed:
     """Masses and conditioned moments of the branches that can matter.
 
     Each log-weight is first bounded from above without an integral. The best branches are
-    evaluated; then all whose bounds are not below a share ``neglect / B`` of the mass found, so
+    evaluated; then all whose bounds are above a share ``neglect / B`` of the mass found, so
     that what is left out is at most `neglect` of the whole, for every data set by itself.
     """
     size, count = len(branches.shift), len(branches.log_unit)

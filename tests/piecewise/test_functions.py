@@ -9,6 +9,7 @@ import sympy as sp
 from seedslib.models import Noise
 from seedslib.piecewise import PiecewiseLinearSystem
 from seedslib.piecewise.cells import Intervals, line_cells
+from seedslib.piecewise.clipping import HalfPlanes
 from seedslib.piecewise.functions import _cells
 
 INF = np.inf
@@ -181,3 +182,16 @@ def test_points_of_a_plane_lie_each_in_its_cell():
         plane(support=[-1.0, -2.0, 3.0, 4.0])
     with pytest.raises(ValueError, match="support: an unbounded cell has no centroid"):
         plane(support="centroid")
+
+
+def test_plane_cells_may_be_given_as_half_planes_or_as_their_partition():
+    cells = line_cells([[1.0, 0.3], [0.0, 1.0]], [0.2, -0.1])
+    listed = [(cell.normals, cell.offsets) for cell in cells.cells]
+    middle = np.array([[0.7, 0.7, -0.3, -0.3], [-0.6, 0.4, -0.6, 0.4]])
+    support = middle[:, np.argsort(cells.locate(middle))]
+    one, other = (
+        plane(breakpoints=given, support=support)
+        for given in (cells, [HalfPlanes(*pair) for pair in listed])
+    )
+    for a, b in zip(one.dynamics_at(0.0), other.dynamics_at(0.0), strict=True):
+        np.testing.assert_array_equal(a, b)
