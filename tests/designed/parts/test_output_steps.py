@@ -61,6 +61,7 @@ def test_states_from_step_to_step():
     assert start.mean.shape == (1, 3)
     assert np.isnan(start.mean).all()
     assert start.gap is start.corrected is False
+    assert start.group == 0
     first = filter.predict(start, 0.0)
     assert (first.index, first.time, first.before) == (0, 0.0, None)
     assert_array_equal(first.mean, [[0.25, 0.25, 0.25]])
@@ -230,6 +231,18 @@ def test_some_steps_of_a_design():
     assert_array_equal(later.times, [0.0 + 1.0, 3.0])
     assert later.node_times == ()
     assert later.predicted is None
+
+
+def test_what_the_schedule_leaves_out_is_refused_by_the_name_of_the_argument():
+    mask = np.array([[True, True], [True, False], [True, True], [True, True]])
+    filter = made(measured=mask)
+    state = filter.predict(filter.step(filter.initial(), 0.0, [1.0, 0.0]), 1.0)
+    match = r"^y: wanted what the schedule of the design has, got component 1 of a measurement"
+    with pytest.raises(ValueError, match=match):
+        filter.correct(state, [1.0, 0.0])
+    match = r"^measurements: wanted what the schedule of the design has, got component 1 .* row 1$"
+    with pytest.raises(ValueError, match=match):
+        filter.run(TIMES, np.zeros((4, 2)))
 
 
 def test_arguments_in_the_order_of_the_axes():

@@ -11,8 +11,8 @@ from seedslib import zoo
 from seedslib.base.tables import Axis, Labels
 from seedslib.design import grid_synthesis, minimax_synthesis
 from seedslib.designed import Memory, TableFilter
-from seedslib.designed.outputs.lookup import Step, Table
-from seedslib.designed.outputs.minimax import BoundedFit, BoundedPolynomial, MinimaxFit
+from seedslib.designed.outputs.lookup import Output, Step, Table
+from seedslib.designed.outputs.minimax import BoundedFit, BoundedPolynomial, Minimax, MinimaxFit
 from seedslib.designed.outputs.patterns import ByPattern
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -138,7 +138,52 @@ def test_tables_of_patterns_of_another_shape():
         ByPattern(good.tables[:2]).check("t", axes, 0, 1, 0, Memory(1))
 
 
+@pytest.mark.filterwarnings("ignore:y. the axes miss")
+def test_tables_of_patterns_of_a_system_without_modes_have_none(table):
+    """Of one component there is one pattern, and the table of it."""
+    steps = table.steps
+    shown = steps[1].shown
+
+    def make(shown):
+        pattern = Step(ByPattern((shown,)), steps[1].blind)
+        return replace(table, steps=put(steps, 1, pattern))
+
+    assert make(shown).steps[1].shown.fullest is shown
+    with refused(r"steps\[1\]\.shown\.tables\[0\]\.mode: a number that is no mode"):
+        make(shown._replace(mode=np.zeros(shown.estimate.shape[1:], np.int8)))
+    with refused(r"steps\[1\]\.shown\.tables\[0\]\.estimate: wanted shape"):
+        make(shown._replace(estimate=np.zeros(3)))
+    with refused(r"steps\[1\]\.shown: wanted 1 tables"):
+        replace(table, steps=put(steps, 1, Step(ByPattern((shown,) * 3), steps[1].blind)))
+
+
+def test_a_table_of_what_was_found_at_all_nodes():
+    """In the order of the axes; probabilities of the modes where they are wanted."""
+    axes = Axis(0.0, 1.0, 3), Labels(2)
+    found = Output(np.arange(6.0), np.array([0, 1, 1, 0, 1, 0]), np.arange(12.0).reshape(2, 6))
+    made = Table.of(axes, found)
+    assert made.axes is axes
+    np.testing.assert_array_equal(made.estimate, [[[0, 1], [2, 3], [4, 5]]])
+    np.testing.assert_array_equal(made.mode, [[0, 1], [1, 0], [1, 0]])
+    assert made.prob is None
+    more = Table.of(axes, found, True)
+    np.testing.assert_array_equal(more.prob, np.arange(12.0).reshape(2, 3, 2))
+    bare = Table.of(axes, Output(np.arange(6.0)), True)
+    assert bare.mode is bare.prob is None
+
+
 # Regressions
+
+
+def test_words_for_how_a_filter_was_regressed():
+    text = "conditionally minimax regression on {}, then on {}"
+    for prediction, first in ((None, "the mean of the dynamics"), (min, "a given function")):
+        for correction, second in (
+            (None, "the residual"),
+            (max, "a given function"),
+            (BoundedPolynomial(2), "bounded polynomials of degree 2"),
+        ):
+            assert str(Minimax(prediction, correction)) == text.format(first, second)
 
 
 p, v, w = sympy.symbols("p v w", real=True)

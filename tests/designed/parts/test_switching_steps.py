@@ -186,6 +186,38 @@ def test_forecasts_with_negative_variances_are_mended_and_counted():
     assert_allclose(found.loglik, wanted.loglik, rtol=1e-12)
 
 
+def test_what_rounding_leaves_of_a_state_that_is_known_is_no_fault():
+    """Two components measured without noise: in units of the law before, nothing is negative."""
+    other = sympy.Symbol("y", real=True)
+    known = SwitchingSystem(
+        (X, other), [[X, other]], Noise(()), [[1]], [[X + 2 * other, X - other]], Noise(()),
+        [(1, [0, 0], np.eye(2))],
+    )  # fmt: skip
+    rules, root = SwitchingRules(known, Taylor()), rng.normal(size=(2, 2, 300))
+    cov = np.einsum("iab...,jab...->ij...", root[:, :, None], root[:, :, None])
+    start = rules.start((300,))
+    state = start._replace(index=0, time=0.0, law=start.law._replace(cov=cov[:, :, None, None]))
+    found = rules.correct(state, np.full((2, 300), [[3.0], [0.0]]), None, None)
+    assert found.mended == 0
+    assert_allclose(found.mean, 1.0, rtol=1e-6)
+    assert_allclose(found.law.cov, 0.0, atol=1e-9)
+
+
+def test_a_masked_indicator_is_a_missing_one(told):
+    state = told.predict(told.initial((2,)), 0.0)
+    y, hidden = np.array([[0.4, 0.4]]), np.ma.array([1, 1], mask=[False, True])
+    found, wanted = (told.correct(state, y, shown) for shown in (hidden, np.array([1, -1])))
+    assert_array_equal(found.mean, wanted.mean)
+    assert_array_equal(found.loglik, wanted.loglik)
+    for bad, message in (
+        (np.array([3, 0]), "wanted 0 to 2, or -1 for a missing one, got 3"),
+        (np.array([0.5, 0.0]), "wanted whole numbers"),
+        (None, "wanted, the system has an indicator; got none"),
+    ):
+        with pytest.raises((TypeError, ValueError), match=f"^indicator: {message}"):
+            told.correct(state, y, bad)
+
+
 def test_laws_that_a_measurement_changes_by_bayes():
     """Two modes, one component, in plain numbers; and what no mode explains changes nothing."""
     rules = SwitchingRules(system(), Taylor())
