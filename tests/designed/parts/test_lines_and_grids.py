@@ -117,9 +117,9 @@ def test_roots_on_the_range_of_a_covariance():
     assert_allclose(root @ root.T, cov, atol=1e-13)
     assert_allclose(back.T @ root, np.eye(2), atol=1e-13)
     assert range_roots(np.zeros((2, 2)))[0].shape == (2, 0)
-    small = np.diag([1.0, 2e-13])
-    assert range_roots(small)[0].shape == (2, 2)
-    assert range_roots(np.diag([1.0, 0.5e-13]))[0].shape == (2, 1)
+    for unit in (1e-30, 1.0, 1e30):  # in any unit
+        assert range_roots(unit * np.diag([1.0, 2e-13]))[0].shape == (2, 2)
+        assert range_roots(unit * np.diag([1.0, 0.5e-13]))[0].shape == (2, 1)
 
 
 # Grids
