@@ -46,3 +46,19 @@ def test_what_is_known_exactly_is_no_wide_prior():
     filter = synthesize(exact, large_order(1), Taylor(), TIMES, nodes=0, paths=1000, seed=1)
     assert (filter.run(TIMES, [[5.0], [5.0], [5.0]], covariances=True).cov == 0).all()
     synthesize(exact, large_order(1), Taylor(), TIMES, nodes=0, exact_moments=True)
+
+
+def test_the_noise_beside_a_wide_prior_is_that_of_its_time():
+    """Measured at the time 1 with a deviation of 2e-4, at 2 with one of 3e-4."""
+    t = sympy.Symbol("t")
+    system = JumpDiffusion(
+        (x,), [0], [[0]], [x + (1 + t) * v], Noise((v,), cov=[[1e-8]]), [0.0], [[1e20]], step=0.5,
+        time=t,
+    )  # fmt: skip
+    times = np.array([1.0, 2.0])
+    filter = synthesize(system, large_order(1), Taylor(), times, nodes=0, paths=4000, seed=1)
+    wanted = pytest.approx([4e-8, 1 / (1 / 4e-8 + 1 / 9e-8)], rel=0.05)
+    alone = filter.run(times, [[5.0], [6.0]], covariances=True)
+    many = filter.run(times, np.full((2, 1, 3), [[[5.0]], [[6.0]]]), covariances=True)
+    assert alone.cov[:, 0, 0] == wanted
+    assert many.cov[:, 0, 0].reshape(2, -1)[:, -1] == wanted
