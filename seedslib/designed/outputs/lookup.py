@@ -103,7 +103,7 @@ class Table(NamedTuple):
         if self.prob is not None:
             check_array(f"{name}.prob", self.prob, modes, *shape)
         if mode is None:
-            if modes and name.endswith(".shown"):
+            if modes and ".shown" in name:
                 raise ValueError(f"{name}.mode: wanted the decided modes, got none")
             return
         if mode.shape != shape or mode.dtype != np.int8:

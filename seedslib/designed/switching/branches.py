@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
 from seedslib.models.branches import Branch
 from seedslib.models.kinds import AnySystem, inputs_of
@@ -44,7 +45,7 @@ def forecast_row(
         found = _row_moments(branches, linearization)
         return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
     table = [
-        [branch and _seen_branch(branch, reading) for reading in system.readings[l]]
+        [branch and _seen_branch(system, branch, reading) for reading in system.readings[l]]
         for l, branch in enumerate(branches)
     ]
     try:
@@ -105,7 +106,7 @@ def plain_moments(
     return f
 
 
-def _seen_branch(branch, reading):
+def _seen_branch(system, branch, reading):
     """Move to the next state together with what the indicator will show there."""
     if reading is None:
         return None
@@ -120,6 +121,12 @@ def _seen_branch(branch, reading):
             "split: an indicator whose probability depends on an input cannot split the forecast, "
             "which is told the input of the time before; use split=False"
         )
+    moving = told.has(shown.time) if told is not None else _moves(system, reading)
+    if moving:
+        raise ValueError(
+            "split: an indicator whose probability depends on state and time cannot split the "
+            "forecast; use split=False"
+        )
     if told is None:
         return StochasticMap.from_functions(
             move.state_size, move.size, move.value, move.noise,
@@ -127,11 +134,14 @@ def _seen_branch(branch, reading):
                 move.weight(t, x, v) * reading.probability(t, move.value(t, x, v))
             ),
         )  # fmt: skip
-    if told.has(shown.time):
-        raise ValueError(
-            "split: an indicator whose probability depends on state and time cannot split the "
-            "forecast; use split=False"
-        )
     there = dict(zip(shown.state, move.expressions, strict=True))
     weight = move.weight_expression * told.subs(there, simultaneous=True)
     return StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
+
+
+def _moves(system, reading):
+    """Whether a probability without a formula changes with time, at states about the first law."""
+    times = (0.0, 1e-3, 0.37, 1.0, 7.3, 100.0)
+    states = probe_points(system, 0.0, 1.0)[1:]
+    first, *others = (reading.probability(t, states) for t in times)
+    return not all(np.array_equal(first, other, equal_nan=True) for other in others)

@@ -133,6 +133,7 @@ def _corrected(log_prob, both, spread, later):
     _, middle, whole = mix_logs(log_prob, mean, cov)
     variances = np.einsum("ii...->i...", whole)
     loss, _ = mended(whole - later.cov, variances)
+    excess = later.cov - (whole - loss)
     root = factor(loss, variances)
     value = _solved(root, later.mean - middle)
     slope = gain_of(np.swapaxes(root, 0, 1), whole)[:, :, None]
@@ -141,6 +142,7 @@ def _corrected(log_prob, both, spread, later):
     change = np.einsum("ij...,jk...,lk...->il...", slope, cov - whole[:, :, None], slope)
     unit = np.eye(n).reshape(n, n, *(1,) * (change.ndim - 2))
     found, less, loglik = correct(mean, cov, value[:, None], (expected, cross, unit + change))
+    less = less + excess[:, :, None]
     columns, before = stepped_back(
         both[:n, ..., None], spread[:n, :n], mean[..., None], cov,
         gain_of(spread[:n, n:], cov), found[..., None], less,

@@ -110,6 +110,10 @@ def test_tables_of_modes_have_them():
         make(0, shown=first._replace(mode=None))
     with refused(r"steps\[1\]\.shown\.mode: a number that is no mode"):
         make(1, shown=second._replace(mode=second.mode + np.int8(2)))
+    axes, bare = (labels, axis, *held), second._replace(mode=None)
+    assert ByPattern((second,)).check("t.shown", axes, 0, 1, 2, Memory(1)) is None
+    with refused(r"t\.shown\.tables\[0\]\.mode: wanted the decided modes, got none"):
+        ByPattern((bare,)).check("t.shown", axes, 0, 1, 2, Memory(1))
     with refused(r"steps\[1\]\.blind has other axes than the memory 1 estimate"):
         make(1, blind=of(labels, Labels(3), axis))
     assert make(1, blind=steps[1].blind._replace(mode=None, prob=None)).horizon == 1.0

@@ -74,6 +74,19 @@ def test_one_pair_takes_the_step_back_of_rauch(n):
         assert_allclose(cov[..., 0, path], less, rtol=1e-8, atol=1e-10)
 
 
+@pytest.mark.parametrize("n", [1, 2])
+def test_what_a_smoothed_law_is_wider_than_its_forecast_is_added(n):
+    """No likelihood makes it so; with one pair it is the step of Rauch all the same."""
+    both, spread = rng.normal(size=(2 * n, 1, 3)), joint(n, 1, 3)
+    later = ModeLaw(np.zeros(3), both[n:, 0], 1.3 * spread[n:, n:, 0])
+    _, mean, cov = _corrected(np.zeros((1, 3)), both, spread, later)
+    assert_allclose(mean, both[:n], rtol=1e-12)
+    for path in range(3):
+        p = spread[..., 0, path]
+        gain = p[:n, n:] @ np.linalg.inv(p[n:, n:])
+        assert_allclose(cov[..., 0, path], p[:n, :n] + 0.3 * gain @ p[n:, n:] @ gain.T, rtol=1e-9)
+
+
 def test_pairs_without_later_measurements_stay_as_they_are():
     """Where the smoothed law is the forecast mixture itself; a pair of no mass keeps none."""
     logs = np.log(np.array([[0.5], [0.3], [0.2], [1.0]]))
