@@ -21,6 +21,7 @@ SMOOTH = {
     "sines that swing together": (sp.cos(x + sp.Rational(1, 3)), sp.cos(2 * x + y)),
     "sines that swing against each other": (sp.sin(x + 2 * y), sp.cos(x - 3 * y)),
     "sines beside powers": (x * sp.sin(y), y * sp.cos(x) + sp.sin(x)),
+    "sums": (sp.sin(x) + sp.cos(2 * y) * x + sp.exp(x / 3), sp.cos(x - y) - sp.sin(x)),
     "a sine and a power": (sp.cos(y + 1) * x, x**2 - y),
     "exponentials": (sp.exp(x / 3), x * sp.exp(-y / 2)),
     "exponentials of one sign": (sp.exp(x / 3), sp.exp(x / 2 - y)),
@@ -101,6 +102,10 @@ def test_formulas_in_symbols():
     told = {a: 0.7, b: -1.3, m: 0.4, P: 0.9}
     exact = np.exp(-0.6 * 0.4 + (0.49 + 1.69) * 0.45) * np.expm1(-0.91 * 0.9)
     assert float(found.subs(told)) == pytest.approx(exact, rel=1e-14)
+    rate, rate_0 = a * (b + 1), 0.7 * (1 - 1.3)
+    wave = covariance_expression(sp.cos(rate * x), x, [x], [m], sp.Matrix([[P]]), parameters=[a, b])
+    exact = -0.9 * rate_0 * np.exp(-(rate_0**2) * 0.45) * np.sin(rate_0 * 0.4)
+    assert float(wave.subs(told)) == pytest.approx(exact, rel=1e-14)
     sine = covariance_expression(sp.sin(x), x, [x], [m], sp.Matrix([[P]]))
     assert sp.expand(sine - P * sp.exp(-P / 2) * sp.cos(m)) == 0
     square = covariance_expression(x**2, x**2, [x], [m], sp.Matrix([[P]]))

@@ -196,6 +196,31 @@ def test_arguments_of_a_formula():
         expectation([x, sp.sqrt(x**2 + y**2)], [x, y], [0, 0], sp.eye(2))
 
 
+@pytest.mark.parametrize(
+    "f",
+    [
+        x**2 * y - 3 * y + 1,
+        x * sp.sin(x - 2 * y + 1) * sp.exp(y / 3),
+        (x + y) * sp.exp(-(x**2) / 2 - x * y / 3 + y),
+        x * sp.cos(x * y / 2 + y),
+        sp.sin(x**2 / 3 - y**2 / 2 + x * y) * y,
+        sp.exp(-(x**2) / 3) * sp.cos(x * y / 2),
+        x**2 * y * sp.Heaviside(x - 2 * y + 1, 0),
+        abs(x + y) * sp.exp(y / 2 - x**2 / 4),
+        sp.Heaviside(y, 0) * sp.cos(x - y),
+        x * y * sp.erf(x - y / 2 + 1),
+        sp.erfc(x) * sp.exp(x / 2 - y**2 / 3),
+    ],
+    ids=str,
+)
+def test_a_formula_and_the_numbers_of_the_function_agree(f):
+    """Two routes: a recursion of symbols, and NumPy's linear algebra."""
+    exact = [sp.Rational(2, 5), -sp.Rational(7, 10)], sp.Matrix(COV).applyfunc(sp.nsimplify)
+    formula = expectation(f, VARIABLES, *exact)
+    assert complex(formula.evalf(17)).imag == pytest.approx(0.0, abs=1e-14)
+    assert complex(formula.evalf(17)).real == pytest.approx(mean(f), rel=1e-12)
+
+
 def test_the_probabilities_of_a_formula_are_error_functions():
     """`expectation` writes SymPy's own erf, in every component of a vector."""
     m, P = sp.symbols("m P", real=True)
