@@ -162,6 +162,12 @@ def test_rules_are_made_once_and_cannot_be_written():
             with pytest.raises(ValueError, match="read-only"):
                 array[...] = 0.0
     assert cubature(n=3).points.shape == (3, 6)
+    assert gauss_hermite(1, 3).points.shape == (1, 3)
+    for n, order in ((True, 3), (1, 3.0), (1.0, 3)):
+        with pytest.raises(TypeError, match=r"(n|order): wanted a whole number"):
+            gauss_hermite(n, order)
+    rules = [cubature(n) for n in range(1, 150)]
+    assert all(cubature(n) is rule for n, rule in enumerate(rules, 1))
     # equal as numbers, but one of them is no count
     for count in (True, 1.0, [1]):
         assert cubature(1).degree == 3

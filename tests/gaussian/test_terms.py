@@ -102,6 +102,14 @@ def test_decimal_powers_are_roots_and_squares():
             mean(square**power)
 
 
+def test_powers_of_numbers_are_numbers():
+    wave = mean(sp.sin(x))
+    assert mean(sp.sqrt(2) + sp.sin(x)) == pytest.approx(np.sqrt(2) + wave, rel=1e-15)
+    assert mean(sp.cbrt(5) * sp.sin(x)) == pytest.approx(5 ** (1 / 3) * wave, rel=1e-14)
+    growth = mean(sp.exp(x * sp.log(3) / 2))
+    assert mean(sp.sqrt(3) ** x) == mean(3 ** (x / 2)) == pytest.approx(growth, rel=1e-14)
+
+
 def test_edges_and_signs_of_switching_functions():
     """On the boundary each keeps its own value; a step down is one less a step up."""
     at = np.zeros(2), np.zeros((2, 2))
@@ -137,6 +145,7 @@ u, v = sp.symbols("u v")
         (sp.sqrt(u**3 + v**2), r"sqrt\(u\*\*3 \+ v\*\*2\): wanted the root of a sum of squares"),
         (sp.exp(u**3), r"exp\(u\*\*3\): wanted an exponent that is a polynomial"),
         (sp.sin(u * v**2), r"sin\(u\*v\*\*2\): wanted an exponent that is a polynomial"),
+        (3 ** (u**3), r"3\*\*\(u\*\*3\): wanted an exponent that is a polynomial"),
         (sp.exp(sp.cos(v)), r"exp\(cos\(v\)\): wanted an exponent that is a polynomial"),
         (sp.exp(abs(u) - abs(v)), r"exp\(.*\): wanted an exponent that is a polynomial"),
         (sp.cos(sp.erf(u)), r"cos\(erf\(u\)\): wanted an exponent that is a polynomial"),
