@@ -177,6 +177,40 @@ def test_waves_of_several_components():
     assert_allclose(compiled.value(MEAN), [2 * np.cos(0.4), -0.7], rtol=1e-14)
 
 
+def test_roots_of_expanded_squares_are_moduli():
+    """Without a constant as well; and to the third power."""
+    for line, cube in [(x + 2 * y - 3, False), (2 * y - x, False), (x - y / 2 + 1, True)]:
+        root = sp.expand(line**2) ** (sp.Rational(3, 2) if cube else sp.S.Half)
+        modulus = abs(line) ** (3 if cube else 1)
+        found, wanted = (expectation_function(f, VARIABLES)(MEAN, COV) for f in (root, modulus))
+        assert found == pytest.approx(wanted, rel=1e-14)
+
+
+def test_exponents_on_one_side_of_a_plane():
+    """e^(y 1{x > 0}) is e^y on one side and one on the other."""
+    step = sp.Heaviside(x, sp.S.Half)
+    apart = step * sp.exp(y) + 1 - step
+    found, wanted = (
+        expectation_function(f, VARIABLES)(MEAN, COV) for f in (sp.exp(y * step), apart)
+    )
+    assert found == pytest.approx(wanted, rel=1e-14)
+
+
+def test_equal_half_spaces_are_one():
+    """Whatever they were multiplied by; where no variable is left the edge is the value."""
+    one, other = sp.Heaviside(3 * x - y, 0), sp.Heaviside(x - y / 3, 0)
+    found = expectation_function([one, one * other], VARIABLES)(MEAN, COV)
+    assert found[0] == found[1]
+    gone = sp.Heaviside(x * (x + 1) - x**2 - x, sp.Rational(1, 4))
+    assert expectation_function(gone, VARIABLES)(MEAN, COV) == 0.25
+
+
+def test_equal_exponentials_cancel():
+    """cosh(x + y) - e^x cosh y = (e^(-x - y) - e^(x - y)) / 2, where e^(x + y) is too large."""
+    function = expectation_function(sp.cosh(x + y) - sp.exp(x) * sp.cosh(y), VARIABLES)
+    assert function([400.0, 400.0], np.zeros((2, 2))) == -0.5
+
+
 def test_coefficients_that_are_no_numbers():
     a = sp.Symbol("a")
     with pytest.raises(ValueError, match=r"f: wanted numbers as coefficients, got _?a$"):

@@ -27,7 +27,6 @@ SMOOTH = {
     "exponentials of one sign": (sp.exp(x / 3), sp.exp(x / 2 - y)),
     "an exponential and a power": (x**2, sp.exp(y - x)),
     "an exponential and a sine": (sp.exp(x / 3) * y, sp.sin(2 * y - x)),
-    "a growing sine and a sine": (sp.exp(x / 3) * sp.cos(2 * y), sp.sin(x) * y),
     "two growing sines": (sp.exp(x / 3) * sp.cos(2 * y), y * sp.exp(y / 4) * sp.sin(x)),
     "hyperbolic": (sp.sinh(x / 2), sp.cosh(y / 3) * x),
     "a bell and a power": (sp.exp(-(x**2)) * y, x - y**2),
@@ -43,7 +42,6 @@ SMOOTH = {
 }  # fmt: skip
 OTHERS = {
     "a step and a power": (sp.Heaviside(x - HALF, HALF), x * y),
-    "a larger one and a power": (sp.Max(x, y), x - 2 * y),
     "a larger one and itself": (sp.Max(x, y), sp.Max(x, y)),
     "a modulus and a step": (abs(x) * y, sp.Heaviside(-x, HALF)),
     "a modulus and a sine": (abs(x), sp.cos(x)),

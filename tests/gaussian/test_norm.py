@@ -4,6 +4,7 @@ import pytest
 from scipy.special import ellipe, elliprg, erf, gammaln, hyp1f1, hyp2f1
 
 from seedslib.gaussian import norm_errors, norm_mean
+from seedslib.gaussian.means.norm import NODES, WEIGHTS
 
 PAPER = np.array([[1.5, -0.5], [-0.5, 1.5]])
 
@@ -128,6 +129,16 @@ def test_every_member_of_a_large_batch_is_as_good_as_alone():
     # an eigenvalue of minus a rounding counts as zero
     thin = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-16]])
     assert norm_mean([0, 0], thin) == pytest.approx(np.sqrt(4 / np.pi), rel=2e-15)
+
+
+def test_a_batch_of_two_axes_and_a_number():
+    scales = np.array([[0.5, 1.0, 2.0], [3.0, 0.1, 0.7]])
+    found = norm_mean([0.0, 0.0], np.multiply.outer(PAPER, scales))
+    alone = norm_mean([0.0, 0.0], PAPER)
+    assert isinstance(alone, float)
+    np.testing.assert_allclose(found, alone * np.sqrt(scales), rtol=4e-15)
+    assert norm_mean([3e-200, -4e-200], np.zeros((2, 2))) == pytest.approx(5e-200, rel=2e-15)
+    assert NODES.shape == WEIGHTS.shape == (153,)
 
 
 def test_the_mean_length_of_one_number():

@@ -148,6 +148,7 @@ u, v = sp.symbols("u v")
         (3 ** (u**3), r"3\*\*\(u\*\*3\): wanted an exponent that is a polynomial"),
         (sp.exp(sp.cos(v)), r"exp\(cos\(v\)\): wanted an exponent that is a polynomial"),
         (sp.exp(abs(u) - abs(v)), r"exp\(.*\): wanted an exponent that is a polynomial"),
+        (sp.exp(sp.Heaviside(u) * v**3), r"exp\(.*\): wanted an exponent that is a polynomial"),
         (sp.cos(sp.erf(u)), r"cos\(erf\(u\)\): wanted an exponent that is a polynomial"),
         (sp.exp(sp.sqrt(u**2 + v**2)), r"exp\(.*\): wanted an exponent that is a polynomial"),
         (abs(u * v), r"Abs\(u\*v\): wanted an affine switching function, got u\*v"),
