@@ -186,6 +186,14 @@ def test_roots_of_expanded_squares_are_moduli():
         assert found == pytest.approx(wanted, rel=1e-14)
 
 
+def test_a_difference_that_is_affine_switches():
+    """max(√2 (x + sin y), √2 sin y) = √2 (max(x, 0) + sin y)."""
+    root = sp.sqrt(2)
+    both = sp.Max(root * (x + sp.sin(y)), root * sp.sin(y)), root * (sp.Max(x, 0) + sp.sin(y))
+    found, wanted = (expectation_function(f, VARIABLES)(MEAN, COV) for f in both)
+    assert found == pytest.approx(wanted, rel=1e-14)
+
+
 def test_exponents_on_one_side_of_a_plane():
     """e^(y 1{x > 0}) is e^y on one side and one on the other."""
     step = sp.Heaviside(x, sp.S.Half)
