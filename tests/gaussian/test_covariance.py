@@ -119,6 +119,13 @@ def test_formulas_in_symbols():
     assert covariance_expression(sp.S(3), sp.exp(x), [x], [m], sp.Matrix([[P]])) == 0
 
 
+def test_means_and_covariances_of_waves_are_written_in_real_numbers():
+    law = [x, y], sp.symbols("m n", real=True), sp.Matrix(2, 2, sp.symbols("P Q Q R", real=True))
+    for f in (sp.exp(y) * sp.cos(x) * x, sp.sin(x - y)):
+        assert not expectation(f, *law).has(sp.I)
+        assert not covariance_expression(f, x * y, *law).has(sp.I)
+
+
 def test_the_variance_of_a_sine_of_any_size():
     """(1 - e^-9P) (1 + e^-9P cos 6m) / 2 for variances of 1e-300 to 1e300, by the code of it."""
     formula = covariance_expression(sp.sin(3 * x), sp.sin(3 * x), [x], [m], sp.Matrix([[P]]))
