@@ -1,9 +1,10 @@
 import mpmath as mp
 import numpy as np
 import pytest
-from scipy.special import ellipe, elliprg, gammaln, hyp1f1, hyp2f1
+from scipy.special import ellipe, elliprg, erf, gammaln, hyp1f1, hyp2f1
 
 from seedslib.gaussian import norm_errors, norm_mean
+from seedslib.gaussian.means.norm import NODES, WEIGHTS
 
 PAPER = np.array([[1.5, -0.5], [-0.5, 1.5]])
 
@@ -91,7 +92,7 @@ def test_degenerate_laws():
     assert norm_mean([0, 0], np.diag([4.0, 0.0])) == pytest.approx(np.sqrt(8 / np.pi), rel=2e-15)
     assert norm_mean([3e180, 4e180], np.eye(2)) == pytest.approx(5e180, rel=2e-15)
     assert norm_mean([3e-200, 0], 1e-300 * np.eye(2)) == pytest.approx(
-        np.sqrt(np.pi / 2) * 1e-150, rel=2e-15
+        np.sqrt(np.pi / 2) * 1e-150, rel=2e-15, abs=0
     )
 
 
@@ -106,6 +107,48 @@ def test_batches():
     assert ours.shape == (3, 400)
     assert ours[2, 9] == pytest.approx(float(norm_mean(mean[:, 2, 9], cov[..., 9])), rel=1e-15)
     assert norm_mean(np.empty((2, 0)), PAPER).shape == (0,)
+
+
+def test_every_member_of_a_large_batch_is_as_good_as_alone():
+    """Blocks of a batch are joined without a seam; a point of no spread may lie among them."""
+    mean = np.random.default_rng(3).normal(size=(2, 700))
+    mean[:, [0, 255, 256, 699]] = 0.0
+    scales = np.linspace(0.5, 2.0, 700)
+    scales[[0, 256]] = 0.0
+    cov = PAPER[..., None] * scales
+    ours = norm_mean(mean, cov)
+    pieces = [norm_mean(mean[:, k : k + 70], cov[..., k : k + 70]) for k in range(0, 700, 70)]
+    np.testing.assert_allclose(ours, np.concatenate(pieces), rtol=1e-14)
+    assert ours[0] == ours[256] == 0.0
+    alone = float(norm_mean([0.0, 0.0], PAPER))
+    assert ours[255] == pytest.approx(alone * np.sqrt(scales[255]), rel=1e-14)
+    # one mean of many covariances
+    many = norm_mean([0.3, -0.4], cov)
+    assert many[0] == pytest.approx(0.5, rel=1e-15)
+    assert many[9] == pytest.approx(float(norm_mean([0.3, -0.4], cov[..., 9])), rel=1e-14)
+    # an eigenvalue of minus a rounding counts as zero
+    thin = np.array([[1.0, 1.0], [1.0, 1.0 - 1e-16]])
+    assert norm_mean([0, 0], thin) == pytest.approx(np.sqrt(4 / np.pi), rel=2e-15)
+
+
+def test_a_batch_of_two_axes_and_a_number():
+    scales = np.array([[0.5, 1.0, 2.0], [3.0, 0.1, 0.7]])
+    found = norm_mean([0.0, 0.0], np.multiply.outer(PAPER, scales))
+    alone = norm_mean([0.0, 0.0], PAPER)
+    assert isinstance(alone, float)
+    np.testing.assert_allclose(found, alone * np.sqrt(scales), rtol=4e-15)
+    assert norm_mean([3e-200, -4e-200], np.zeros((2, 2))) == pytest.approx(5e-200, rel=2e-15, abs=0)
+    assert NODES.shape == WEIGHTS.shape == (153,)
+
+
+def test_the_mean_length_of_one_number():
+    """E |X| = m erf(m / sqrt(2 P)) + sqrt(2 P / pi) exp(-m² / (2 P)), in a batch of both."""
+    m, P = np.array([0.0, 0.3, -2.0, 9.0]), np.array([1.0, 0.0, 0.7, 4.0])
+    exact = [np.sqrt(2 / np.pi), 0.3]
+    for a, b in zip(m[2:], P[2:], strict=True):
+        bell = np.sqrt(2 * b / np.pi) * np.exp(-a * a / (2 * b))
+        exact.append(a * erf(a / np.sqrt(2 * b)) + bell)
+    np.testing.assert_allclose(norm_mean(m[None], P[None, None]), exact, rtol=4e-15)
 
 
 def test_errors_of_the_length():

@@ -136,3 +136,53 @@ def test_indices_that_a_recursion_visits_are_those_of_its_moments():
     found = predecessors(wanted)
     assert len(set(found)) == len(found)
     assert set(found) == set(monomial_means(wanted, [1.0, 2.0], np.eye(2).tolist()))
+
+
+def test_few_indices_are_visited_beside_the_wanted_ones():
+    """The smallest exponent is lowered first, so that the powers of one variable are shared."""
+    assert predecessors([(3,)]) == ((0,), (1,), (2,), (3,))
+    assert predecessors([(0, 0)]) == ((0, 0),)
+    assert set(predecessors([(5, 1)])) == {(5, 1), *((k, 0) for k in range(6))}
+    assert set(predecessors([(1, 2, 0)])) == {(1, 2, 0), (0, 2, 0), (0, 1, 0), (0, 0, 0)}
+    degrees = [sum(index) for index in predecessors([(2, 3), (4, 0)])]
+    assert degrees == sorted(degrees)
+
+
+def test_moments_of_half_a_normal_law():
+    """Mass 1/2 and a boundary at the mean: M_1 = phi(0), M_2 = 1/2, M_3 = 2 phi(0)."""
+    bell = 1 / np.sqrt(2 * np.pi)
+    edge = ([2.0], {(0,): bell / 2, (1,): 0.0, (2,): 0.0})
+    means = monomial_means([(3,)], [0.0], [[4.0]], zeroth=0.5, boundary=edge)
+    wanted = {(0,): 0.5, (1,): 2 * bell / 2, (2,): 4 * 0.5, (3,): 8 * bell}
+    assert means.keys() == wanted.keys()
+    assert [means[k] for k in wanted] == pytest.approx(list(wanted.values()), rel=1e-15)
+
+
+def test_derivatives_and_values_of_a_polynomial_map():
+    """(x² y + 3, 2 y² - x) and its partial derivatives (2 x y, -1) and (x², 4 y)."""
+    polynomial = {
+        (2, 1): np.array([1.0, 0.0]), (0, 0): np.array([3.0, 0.0]),
+        (0, 2): np.array([0.0, 2.0]), (1, 0): np.array([0.0, -1.0]),
+    }  # fmt: skip
+    x, y = point = np.array([[0.5, -2.0, 3.0], [1.5, 0.0, -1.0]])
+    assert_allclose(polynomial_value(polynomial, point, 2), [x**2 * y + 3, 2 * y**2 - x])
+    along = [derivative(polynomial, axis) for axis in (0, 1)]
+    assert_allclose(polynomial_value(along[0], point, 2), [2 * x * y, -1 + 0 * x])
+    assert_allclose(polynomial_value(along[1], point, 2), [x**2, 4 * y])
+    assert (0, 0) not in along[1]
+    turned = polynomial_value({(1, 0): np.array([1j, 0.0])}, point, 2)
+    assert turned.tolist() == [(1j * x).tolist(), [0, 0, 0]]
+    complex_means = polynomial_mean({(1,): np.array([2.0])}, {(1,): np.array([1j, 3.0])}, (2,))
+    assert complex_means.tolist() == [[2j, 6.0]]
+
+
+def test_powers_of_the_heat_operator_that_are_left_out():
+    """x⁴ under variance P: x⁴, then 6 P x², then 3 P²; 2 x y³ with a covariance c as well."""
+    P, c = sp.symbols("P c")
+    parts = {0: {(4,): 1, (2,): 6 * P, (0,): 3 * P**2}, 1: {(2,): 6 * P, (0,): 3 * P**2},
+             2: {(0,): 3 * P**2}, 3: {}}  # fmt: skip
+    for first, wanted in parts.items():
+        assert heat({(4,): sp.S.One}, [[P]], first=first) == wanted
+    assert heat({(1, 3): sp.S(2)}, [[7, c], [c, P]], first=1) == {
+        (1, 1): 6 * P, (0, 2): 6 * c, (0, 0): 6 * P * c,
+    }  # fmt: skip

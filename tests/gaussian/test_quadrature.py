@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from seedslib.gaussian import cubature, expectation, fifth_degree, gauss_hermite, mean_of, unscented
+from seedslib.gaussian import (
+    cubature,
+    expectation,
+    fifth_degree,
+    gauss_hermite,
+    mean_of,
+    quadrature,
+    unscented,
+)
 from seedslib.gaussian.quadrature import Rule, points_of, rule_of_rank
 
 
@@ -143,6 +151,103 @@ def test_values_of_a_wrong_shape():
 def test_rules_cannot_be_changed():
     with pytest.raises(ValueError, match="read-only"):
         cubature(3).points[0, 0] = 1.0
+
+
+def test_rules_are_made_once_and_cannot_be_written():
+    for make in (lambda: gauss_hermite(2, 3), lambda: cubature(3), lambda: unscented(2, 0.5),
+                 lambda: fifth_degree(2)):  # fmt: skip
+        rule = make()
+        assert make() is rule
+        for array in (rule.points, rule.weights):
+            with pytest.raises(ValueError, match="read-only"):
+                array[...] = 0.0
+    assert cubature(n=3).points.shape == (3, 6)
+    assert gauss_hermite(1, 3).points.shape == (1, 3)
+    for n, order in ((True, 3), (1, 3.0), (1.0, 3)):
+        with pytest.raises(TypeError, match=r"(n|order): wanted a whole number"):
+            gauss_hermite(n, order)
+    rules = [cubature(n) for n in range(1, 150)]
+    assert all(cubature(n) is rule for n, rule in enumerate(rules, 1))
+    # equal as numbers, but one of them is no count
+    for count in (True, 1.0, [1]):
+        assert cubature(1).degree == 3
+        with pytest.raises(TypeError, match="n: wanted a whole number"):
+            cubature(count)
+
+
+def test_order_of_the_points():
+    """Of a product the last axis runs fastest; then the centre, plus and minus, axis by axis."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(3)
+    grid = [[a, b] for a in nodes for b in nodes]
+    rule = gauss_hermite.__wrapped__(2, 3)
+    np.testing.assert_allclose(rule.points.T, grid, atol=1e-14)
+    mass = weights / weights.sum()
+    np.testing.assert_allclose(rule.weights, np.outer(mass, mass).ravel(), rtol=1e-13)
+    assert [gauss_hermite.__wrapped__(1, k).degree for k in (1, 2, 5)] == [1, 3, 9]
+    root = np.sqrt(2.0)
+    rule = cubature.__wrapped__(2)
+    np.testing.assert_allclose(rule.points, [[root, 0, -root, 0], [0, root, 0, -root]])
+    assert rule.weights.tolist() == [0.25] * 4
+    third = np.sqrt(3.0) * np.array([
+        [0, 1, -1, 0, 0, 1, 1, -1, -1], [0, 0, 0, 1, -1, 1, -1, 1, -1]
+    ])  # fmt: skip
+    rule = fifth_degree.__wrapped__(2)
+    np.testing.assert_allclose(rule.points, third, rtol=1e-15)
+    np.testing.assert_allclose(rule.weights, [4 / 9, *[1 / 9] * 4, *[1 / 36] * 4], rtol=1e-14)
+    assert rule.degree == 5
+
+
+def test_limit_on_the_number_of_points(monkeypatch):
+    told = r"order: wanted at most 2000000 points, got 1415\*\*2; use fifth_degree or cubature"
+    with pytest.raises(ValueError, match=told):
+        gauss_hermite(2, 1415)
+    monkeypatch.setattr(quadrature, "MOST_POINTS", 64)
+    assert gauss_hermite.__wrapped__(3, 4).points.shape == (3, 64)
+    with pytest.raises(ValueError, match=r"order: wanted at most 64 points, got 65\*\*1; "):
+        gauss_hermite.__wrapped__(1, 65)
+
+
+def test_means_of_values_in_the_shapes_of_the_batch():
+    """One law of many covariances, and means of more batch axes than the covariances."""
+    rule, scale = cubature(2), np.array([1.0, 4.0, 9.0])
+    cov = np.array([[1.0, 0.3], [0.3, 0.5]])[..., None] * scale
+
+    def f(p):
+        return np.stack([p[0] ** 2, p[0] * p[1], p[1]])
+
+    found = mean_of(f, [0.5, -1.0], cov, rule)
+    wanted = [0.25 + scale, -0.5 + 0.3 * scale, -1 + 0 * scale]
+    np.testing.assert_allclose(found, wanted, rtol=1e-14)
+    means = np.multiply.outer([0.5, -1.0], np.ones((2, 3)))
+    np.testing.assert_allclose(mean_of(f, means, cov, rule), np.stack([wanted] * 2, axis=1))
+    assert points_of(means, cov, rule).shape == (2, 4, 2, 3)
+    assert points_of(means[:, 0, 0], cov[..., None], rule).shape == (2, 4, 3, 1)
+    assert isinstance(mean_of(lambda p: p[0], [0.5, -1.0], np.eye(2), rule), float)
+    with pytest.raises(ValueError, match=r"f: wanted .* with N = 12, got \(4,\)"):
+        mean_of(lambda p: p[0, :4], [0.5, -1.0], cov, rule)
+
+
+def test_arguments_of_rules_are_named():
+    for make in (
+        cubature,
+        fifth_degree,
+        lambda n: unscented(n, 1.0),
+        lambda n: gauss_hermite(n, 2),
+    ):
+        with pytest.raises(ValueError, match="n: wanted at least 1, got 0"):
+            make(0)
+        with pytest.raises(TypeError, match="n: wanted a whole number"):
+            make(2.5)
+    with pytest.raises(ValueError, match="order: wanted at least 1, got 0"):
+        gauss_hermite(2, 0)
+    with pytest.raises(ValueError, match="kappa: wanted 0 axes"):
+        unscented(2, (0.5,))
+    with pytest.raises(TypeError, match="kappa: wanted real numbers"):
+        unscented(2, 1j)
+    with pytest.raises(ValueError, match="mean: wanted finite numbers"):
+        points_of([np.nan, 0.0], np.eye(2), cubature(2))
+    with pytest.raises(ValueError, match="cov: wanted"):
+        mean_of(lambda p: p[0], [0.0, 0.0], -np.eye(2), cubature(2))
 
 
 def test_bad_input():
