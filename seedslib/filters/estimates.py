@@ -224,7 +224,7 @@ def first_step(state: object, t: float, system: object) -> float:
     step = t - state.time
     if state.interval is None:
         return step
-    if in_even_steps(system):
+    if step != state.interval and in_even_steps(system):
         steps = np.array([state.interval, step])
         require_even("t", steps, [state.time - state.interval, state.time, t])
     return state.interval

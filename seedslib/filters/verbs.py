@@ -251,13 +251,13 @@ class Filter(Shown):
             state = self.initial((own.stop - own.start,) if wide else (), stream, **first)
             for k, t in enumerate(times):
                 shown = () if seen is None else (seen[k, own],)
-                told = () if true is None else (true[k, own],)
+                told = {} if true is None else {"mode": true[k, own]}
                 row = flat[k, :, own] if wide else y[k]
                 if not held.values:
-                    state = self.correct(self.predict(state, t, *told), row, *shown)
+                    state = self.step(state, t, row, *shown, **told)
                 else:
                     with held.at(max(k - 1, 0)):
-                        state = self.predict(state, t, *told)
+                        state = self.predict(state, t, *told.values())
                     with held.at(k):
                         state = self.correct(state, row, *shown)
                 said = self.kept(state)

@@ -249,7 +249,13 @@ def _require_code(printer: _Printer, expressions: Sequence[sympy.Expr]) -> None:
 
 def batch_shape(*arguments: object) -> tuple[int, ...]:
     """Broadcast shape of the components of vectors (lists or arrays, components first)."""
-    return joint_shape(*[np.shape(c) for argument in arguments for c in argument])
+    shapes: list[tuple[int, ...]] = []
+    for argument in arguments:
+        if isinstance(argument, np.ndarray) and argument.dtype != object and len(argument):
+            shapes.append(argument.shape[1:])  # those of its components, looked at once
+        else:
+            shapes += [np.shape(c) for c in argument]
+    return joint_shape(*shapes)
 
 
 def stack(
