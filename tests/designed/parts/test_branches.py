@@ -166,24 +166,25 @@ def test_indicators_that_cannot_split_a_forecast():
 def test_array_functions_whose_probability_changes_with_time_cannot_split_a_forecast():
     """They would be asked at the time that the step leaves."""
 
-    def shown(rate):
+    def shown(more):
         return [
             StochasticMap.from_functions(
                 1, 1, lambda t, x, w: x + w, Noise((w,)),
-                weight=lambda t, x, w, k=k: abs(k - 1 / (2 + x[0] ** 2 + rate * t)),
+                weight=lambda t, x, w, k=k: abs(k - 1 / (2 + x[0] ** 2 + more(t))),
             )
             for k in (0, 1)
         ]  # fmt: skip
 
     move = StochasticMap((x,), [x / 2 + v], Noise((v,)), sympy.Integer(1))
-    still, moving = (
-        SwitchingSystem.from_maps([[move]], [shown(rate)], [(1, [0.3], [[1.0]])], indicator=True)
-        for rate in (0.0, 1e-9)
+    still, *moving = (
+        SwitchingSystem.from_maps([[move]], [shown(more)], [(1, [0.3], [[1.0]])], indicator=True)
+        for more in (lambda t: 0.0, lambda t: 1e-9 * t, lambda t: (0.0, 1.0)[int(t)])
     )
     assert SwitchingFilter(still, GaussHermite(3)).rules.split is True
-    with pytest.raises(ValueError, match=r"^split: .* depends on state and time cannot split"):
-        SwitchingFilter(moving, GaussHermite(3))
-    assert SwitchingFilter(moving, GaussHermite(3), split=False).rules.split is False
+    for system in moving:
+        with pytest.raises(ValueError, match=r"^split: .* depends on state and time cannot split"):
+            SwitchingFilter(system, GaussHermite(3))
+        assert SwitchingFilter(system, GaussHermite(3), split=False).rules.split is False
 
 
 def test_moves_of_array_functions_split_a_forecast_alike():
