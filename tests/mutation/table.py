@@ -121,7 +121,8 @@ def write_rooms() -> None:
     with FILES.open(newline="") as file:
         for found in csv.DictReader(file):
             populations[found["room"]] += int(found["mutants"])
-    scores = {room: score(rows, room, fresh(rows, room)) for room in ROOMS}
+    last = {room: fresh(rows, room) for room in ROOMS}
+    scores = {room: score(rows, room, draw) for room, draw in last.items()}
     whole = Score(*map(sum, zip(*scores.values(), strict=True)))
     with SUMMARY.open("w", newline="") as file:
         writer = csv.writer(file, lineterminator="\n")
@@ -134,7 +135,7 @@ def write_rooms() -> None:
         writer = csv.writer(file, lineterminator="\n")
         writer.writerow(["room", "where", "what stands there", "instead", "why no test can tell"])
         for r in rows:
-            if r.verdict == "survived" and r.draw == fresh(rows, r.room):
+            if r.verdict == "survived" and r.draw == last[r.room]:
                 where = f"`{r.file}` {r.function}"
                 writer.writerow(
                     [r.room, where, f"`{r.before}`", f"`{r.after}`", known.get(r.key, "")]

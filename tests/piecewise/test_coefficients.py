@@ -5,7 +5,7 @@ import pytest
 from scipy.stats import multivariate_normal
 
 from seedslib.piecewise import PiecewiseLinearSystem
-from seedslib.piecewise.cells import Intervals
+from seedslib.piecewise.cells import Intervals, line_cells
 from seedslib.piecewise.coefficients import affine_map, as_coefficients
 
 INF = np.inf
@@ -170,8 +170,6 @@ def test_priors_that_are_refused(changes, message):
 
 
 def test_a_plane_needs_a_state_of_two_components():
-    from seedslib.piecewise.cells import line_cells
-
     told = "mean0: wanted at least 2 components for these regions, got 1$"
     with pytest.raises(ValueError, match=told):
         system(regions=line_cells([[1.0], [0.0]], [0.0]), mean0=[0.3], cov0=[[1.0]])
