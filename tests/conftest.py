@@ -8,6 +8,7 @@ import re
 import subprocess
 import sys
 from pathlib import Path
+from unittest.mock import patch
 
 import numpy as np
 import pytest
@@ -48,6 +49,13 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     """What was imported stays: to look through it again and again takes time."""
     gc.freeze()
+
+
+@pytest.fixture(scope="module", autouse=True)
+def environment_as_it_was():
+    """What a module does to the environment, such as a cluster of Dask, is not for the next one."""
+    with patch.dict(os.environ):
+        yield
 
 
 @pytest.fixture

@@ -43,6 +43,8 @@ def execute_point(
     import papermill
 
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # Dask tells its workers to give memory back at once: every array would be faulted in again.
+    os.environ.pop("MALLOC_TRIM_THRESHOLD_", None)
     limits, problem = limits or Limits(), ""
     papermill.engines.papermill_engines.register("held", _engine())
     with tempfile.TemporaryDirectory() as folder:

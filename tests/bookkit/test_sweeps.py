@@ -100,8 +100,9 @@ def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, se
 
 
 def test_after_a_kill_the_finished_points_are_there(project, served, capsys, monkeypatch):
-    slow = nbformat.read(notebook(project), as_version=4)
-    slow.cells[3].source = "import time\ntime.sleep(2)\n" + slow.cells[3].source
+    slow, go = nbformat.read(notebook(project), as_version=4), project / "go"
+    wait = f"if gain > 1.0 and not os.path.exists({str(go)!r}):\n    time.sleep(60)\n"
+    slow.cells[3].source = f"import os\nimport time\n\n{wait}" + slow.cells[3].source
     nbformat.write(slow, notebook(project))
     grid = project / "grid.yaml"
     grid.write_text("grid: {gain: [1.0, 2.0, 3.0, 4.0], count: [1]}\n")
@@ -116,11 +117,11 @@ def test_after_a_kill_the_finished_points_are_there(project, served, capsys, mon
         time.sleep(0.1)
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
-    finished = len(list((project / "out").glob("*.json")))
-    assert 1 <= finished < 4
+    assert len(list((project / "out").glob("*.json"))) == 1
+    go.touch()
     monkeypatch.chdir(project)
     assert main([*arguments[3:-2], "--scheduler", served]) == 0
-    assert f"4 points, {finished} already done, {4 - finished} to run" in capsys.readouterr().out
+    assert "4 points, 1 already done, 3 to run" in capsys.readouterr().out
     assert [float(r["total"]) for r in rows(project / "out" / "results.csv")] == [1.0] * 4
 
 
@@ -148,6 +149,14 @@ def test_an_unreachable_scheduler_is_named(project, grid, monkeypatch):
         run_sweep(
             notebook(project), grid, project / "out", scheduler="tcp://127.0.0.1:9", quiet=True
         )
+
+
+def test_a_kernel_keeps_the_memory_of_its_arrays(project, monkeypatch):
+    """What Dask tells its workers would cost a notebook full of arrays half of its speed."""
+    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
+    content = nbformat.read(notebook(project), as_version=4)
+    content.cells[3].source = "import os\n\nassert 'MALLOC_TRIM_THRESHOLD_' not in os.environ"
+    assert execute_point(nbformat.writes(content), {"gain": 1.0})["problem"] == ""
 
 
 def test_a_point_that_cannot_start_says_why(project):
