@@ -47,8 +47,9 @@ def pytest_collection_modifyitems(items):
 
 
 def pytest_collection_finish():
-    """What was imported stays: to look through it again and again takes time."""
+    """What was imported stays: to look through it, and formulas, again and again takes time."""
     gc.freeze()
+    gc.set_threshold(100_000, 20, 100)
 
 
 @pytest.fixture(scope="module", autouse=True)

@@ -44,24 +44,24 @@ def faults(html_root: Path) -> list[str]:
     """
     html_root = html_root.resolve()
     pages = {
-        path: BeautifulSoup(path.read_bytes(), "html.parser")
+        path: BeautifulSoup(path.read_bytes(), "html.parser").find_all(True)
         for path in sorted(html_root.rglob("*.html"))
         if "_static" not in path.relative_to(html_root).parts
     }
     if not pages:
         raise ValueError(f"{html_root}: no built page here")
-    anchors = {path: _anchors(soup) for path, soup in pages.items()}
+    anchors = {path: _anchors(tags) for path, tags in pages.items()}
     found = []
-    for path, soup in pages.items():
-        if _redirects(soup):
+    for path, tags in pages.items():
+        if _redirects(tags):
             continue
         name = path.relative_to(html_root).as_posix()
         problems = [
-            *_page(soup),
-            *_external(soup),
-            *_files(soup, path, html_root),
-            *_images(soup, path, html_root),
-            *_links(soup, path, html_root, anchors),
+            *_page(tags),
+            *_external(tags),
+            *_files(tags, path, html_root),
+            *_images(tags, path, html_root),
+            *_links(tags, path, html_root, anchors),
         ]
         found += [f"{name}: {problem}" for problem in dict.fromkeys(problems)]
     for path in sorted(html_root.rglob("*.css")):
@@ -70,52 +70,58 @@ def faults(html_root: Path) -> list[str]:
     return found
 
 
-def _redirects(soup: BeautifulSoup) -> bool:
+def _with(tags: list[Tag], attribute: str, *kinds: str) -> list[Tag]:
+    """Those of a page's tags that have an attribute; of some kinds, or of any."""
+    return [tag for tag in tags if attribute in tag.attrs and (not kinds or tag.name in kinds)]
+
+
+def _redirects(tags: list[Tag]) -> bool:
     """Whether this is no page but the door to one, made by the builder."""
-    return (
-        soup.find("meta", attrs={"http-equiv": lambda v: v and v.lower() == "refresh"}) is not None
-    )
+    return any(tag["http-equiv"].lower() == "refresh" for tag in _with(tags, "http-equiv", "meta"))
 
 
-def _anchors(soup: BeautifulSoup) -> set[str]:
-    return {tag["id"] for tag in soup.find_all(id=True)} | {
-        tag["name"] for tag in soup.find_all("a", attrs={"name": True})
+def _anchors(tags: list[Tag]) -> set[str]:
+    return {tag["id"] for tag in _with(tags, "id")} | {
+        tag["name"] for tag in _with(tags, "name", "a")
     }
 
 
-def _page(soup: BeautifulSoup) -> list[str]:
+def _page(tags: list[Tag]) -> list[str]:
     found = []
-    if soup.html is None or not soup.html.get("lang"):
+    if not any(tag["lang"] for tag in _with(tags, "lang", "html")):
         return ["no language on the html element"]
-    if soup.find(class_="math") and not any(
-        "mathjax" in str(s.get("src", "")).lower() for s in soup.find_all("script")
+    classed = _with(tags, "class")
+    if any("math" in tag["class"] for tag in classed) and not any(
+        "mathjax" in tag["src"].lower() for tag in _with(tags, "src", "script")
     ):
         found.append("equations, but no MathJax script in the book")
-    for text in soup.find_all(class_="problematic"):
-        found.append(f"a reference was not resolved: {text.get_text()[:60]!r}")
+    for tag in classed:
+        if "problematic" in tag["class"]:
+            found.append(f"a reference was not resolved: {tag.get_text()[:60]!r}")
     return found
 
 
-def _external(soup: BeautifulSoup) -> list[str]:
+def _external(tags: list[Tag]) -> list[str]:
     found = [
         f"loads {tag[attribute]} from the network"
         for kind, attribute in _LOADING
-        for tag in soup.find_all(kind, attrs={attribute: True})
+        for tag in _with(tags, attribute, kind)
         if _is_external(tag[attribute])
     ]
-    for tag in soup.find_all("link", href=True):
+    for tag in _with(tags, "href", "link"):
         if _LOADING_LINKS & set(tag.get("rel", [])) and _is_external(tag["href"]):
             found.append(f"loads {tag['href']} from the network")
-    for tag in soup.find_all(srcset=True):
+    for tag in _with(tags, "srcset"):
         for candidate in tag["srcset"].split(","):
             if candidate.strip() and _is_external(candidate.split()[0]):
                 found.append(f"loads {candidate.split()[0]} from the network")
-    for tag in soup.find_all(style=True):
+    for tag in _with(tags, "style"):
         found += _style(tag["style"])
-    for tag in soup.find_all(["script", "style"], src=False):
-        text = tag.string or ""
-        found += [f"{tag.name} with {m} in it" for m in ("@import", "import(") if m in text]
-        found += _style(text) if tag.name == "style" else []
+    for tag in tags:
+        if tag.name in ("script", "style") and "src" not in tag.attrs:
+            text = tag.string or ""
+            found += [f"{tag.name} with {m} in it" for m in ("@import", "import(") if m in text]
+            found += _style(text) if tag.name == "style" else []
     return found
 
 
@@ -123,12 +129,12 @@ def _style(text: str) -> list[str]:
     return [f"loads {address} from the network" for address in _STYLE_LOADS.findall(text)]
 
 
-def _files(soup: BeautifulSoup, page: Path, root: Path) -> list[str]:
+def _files(tags: list[Tag], page: Path, root: Path) -> list[str]:
     """Scripts and styles of the book's own that are not there."""
     return [
         f"file is missing: {tag[attribute]}"
         for kind, attribute in _OWN_FILES
-        for tag in soup.find_all(kind, attrs={attribute: True})
+        for tag in _with(tags, attribute, kind)
         if (kind == "script" or _LOADING_LINKS & set(tag.get("rel", [])))
         and not _is_external(tag[attribute])
         and _scheme(tag[attribute]) != "data"
@@ -136,9 +142,9 @@ def _files(soup: BeautifulSoup, page: Path, root: Path) -> list[str]:
     ]
 
 
-def _images(soup: BeautifulSoup, page: Path, root: Path) -> list[str]:
+def _images(tags: list[Tag], page: Path, root: Path) -> list[str]:
     found = []
-    for image in soup.find_all("img"):
+    for image in (tag for tag in tags if tag.name == "img"):
         source, alt = image.get("src", ""), (image.get("alt") or "").strip()
         if not alt or alt.lower().endswith(_PICTURES):
             found.append(f"image without alt text: {source[-60:]}")
@@ -148,11 +154,11 @@ def _images(soup: BeautifulSoup, page: Path, root: Path) -> list[str]:
     return found
 
 
-def _links(soup: BeautifulSoup, page: Path, root: Path, anchors: dict[Path, set[str]]) -> list[str]:
+def _links(tags: list[Tag], page: Path, root: Path, anchors: dict[Path, set[str]]) -> list[str]:
     if page.name in _UNCHECKED:
         return []
     found = []
-    for link in soup.find_all(["a", "area"], href=True):
+    for link in _with(tags, "href", "a", "area"):
         href = link["href"]
         if _is_external(href) or href in ("#", "") or _scheme(href) in _NO_LINKS:
             continue
