@@ -6,7 +6,6 @@ of 1.5 MB for icons that the theme's own style sheet draws with a font as well.
 
 from __future__ import annotations
 
-import gc
 import json
 import re
 from pathlib import Path
@@ -109,7 +108,5 @@ def setup(app) -> dict[str, bool]:
         if error is None and app.builder.name == "html":
             prune(Path(app.outdir))
 
-    # Trees of pages are no garbage: to look through them as often as usual is a sixth of a build.
-    gc.set_threshold(200_000, 20, 100)
     app.connect("build-finished", finished)
     return {"parallel_read_safe": True}
