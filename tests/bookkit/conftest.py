@@ -2,10 +2,12 @@
 
 import shutil
 from pathlib import Path
+from unittest.mock import patch
 
 import pytest
+from jupyter_client.provisioning import local_provisioner
 
-from bookkit import execution
+from bookkit import execution, kernels
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -65,6 +67,13 @@ PLACES = """two-step:
   at: ["notebooks/tiny.md#A small notebook"]
   claims: [TS-X1]
 """
+
+
+@pytest.fixture(scope="module")
+def kernels_at_once():
+    """Kernels are forked from one process: not how they start is tested."""
+    with patch.object(local_provisioner, "launch_kernel", kernels.launch):
+        yield
 
 
 @pytest.fixture(scope="session")

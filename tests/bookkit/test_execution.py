@@ -11,6 +11,8 @@ import pytest
 from bookkit import execution, files, fingerprint
 from bookkit.recording import read_records
 
+pytestmark = pytest.mark.usefixtures("kernels_at_once")
+
 
 def source(project):
     return project / "notebooks" / "tiny.md"

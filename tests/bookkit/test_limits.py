@@ -21,6 +21,8 @@ from bookkit.limits import Limits
 from bookkit.points import execute_point
 from bookkit.streams import merged, shown
 
+pytestmark = pytest.mark.usefixtures("kernels_at_once")
+
 LAUGHS = "a0: &a0 [x, x]\n" + "".join(f"a{i}: &a{i} [*a{i - 1}, *a{i - 1}]\n" for i in range(1, 99))
 
 

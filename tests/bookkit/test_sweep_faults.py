@@ -15,6 +15,8 @@ from bookkit import recording, run_sweep, sweeps
 from bookkit.cli import main
 from bookkit.points import library_of
 
+pytestmark = pytest.mark.usefixtures("kernels_at_once")
+
 
 def rows(folder):
     with (folder / "results.csv").open() as file:

@@ -12,6 +12,8 @@ from attempts.sockets import family, is_local, listening
 
 from bookkit import recording, run_sweep, sweeps
 
+pytestmark = pytest.mark.usefixtures("kernels_at_once")
+
 linux = pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="the sockets of Linux")
 
 

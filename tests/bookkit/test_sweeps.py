@@ -16,6 +16,8 @@ from bookkit import execution, run_sweep, sweeps
 from bookkit.cli import main
 from bookkit.points import execute_point
 
+pytestmark = pytest.mark.usefixtures("kernels_at_once")
+
 GRID = "grid:\n  gain: [1.0, 3.0]\n  count: [2, 3]\n"
 
 
@@ -44,7 +46,7 @@ def served(tmp_path_factory):
     scheduler = subprocess.Popen(
         [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
     )
-    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard"]
+    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", "forked_kernels"]
     worker = subprocess.Popen([*dask, "worker", address, *alone], **common)
     yield address
     for process in (worker, scheduler):
