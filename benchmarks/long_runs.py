@@ -139,9 +139,9 @@ FILTERS = {
     "table without an end": table,
 }
 IN_C = (
-    "Kalman", "extended", "extended, a nonlinear turn", "assumed density, a nonlinear turn",
-    "unscented", "cubature", "Gauss-Hermite", "IMM", "design without an end",
-    "table without an end",
+    "Kalman", "extended", "extended, a nonlinear turn", "extended, in continuous time",
+    "assumed density, a nonlinear turn", "unscented", "cubature", "Gauss-Hermite", "IMM",
+    "design without an end", "table without an end",
 )  # fmt: skip
 EXACT = ("Kalman", "Kalman, a diffuse start", "extended", "unscented", "cubature", "Gauss-Hermite")
 STEADY = (*EXACT, *(f"delay, {method}" for method in RECURSIONS), "design without an end",
