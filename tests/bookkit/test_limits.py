@@ -129,11 +129,7 @@ def test_streams_are_merged_as_a_terminal_shows_them():
     ("code", "limits", "problem"),
     [
         ("import time; time.sleep(60)", {"seconds": 1.0}, "took longer than 1 s, which is"),
-        (
-            "import time\nwhile True:\n    print('x' * 10**5)\n    time.sleep(0.001)",
-            {"shown": 5.0},
-            "showed more than 5 MB, which is",
-        ),
+        ("while True: print('x' * 10**5)", {"shown": 5.0}, "showed more than 5 MB, which is"),
         ("a = bytearray(10**10)", {"memory": 1.0}, "MemoryError: .*a point may take 1 GB"),
     ],
 )
