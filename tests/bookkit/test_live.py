@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 NODE = shutil.which("node")
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser")
 NAMES = [name for names in live.PAGES.values() for name in names]
-NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e[-+]?\d+|(?<=[[,])-?0(?=[],])")
+NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e[-+]?\d+|(?<=[\[,])-?0(?=[\],])")
 """Numbers with a fraction or an exponent, and zeros in lists: rounding may have left something."""
 pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node")
