@@ -82,7 +82,8 @@ class ExactGaussian(Formulas):
 
     (6.1) and (8.3) of the jump-diffusion paper, (6.22) and (6.36) of the switching paper. It
     gives the normal-approximation (assumed-density) filters. The cross-covariance follows from
-    Stein's identity, cov(x, y) = D (dE y / dm)ᵀ.
+    Stein's identity, cov(x, y) = D (dE y / dm)ᵀ. A state that is known to be where the map jumps
+    is on either side with probability one half: the limit of a variance that vanishes.
     """
 
     products: ClassVar[int] = 2

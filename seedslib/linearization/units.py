@@ -62,7 +62,8 @@ def _least_product(map: StochasticMap, scale: np.ndarray) -> Any:
 
     logs = {x: math.log10(s) for x, s in zip(map.state, scale, strict=True) if s > 0}
     least = None
-    for part in (node for e in map.expressions for node in sympy.preorder_traversal(e)):
+    nodes = (node for e in map.expressions for node in sympy.preorder_traversal(e))
+    for part in (node for node in nodes if isinstance(node, sympy.Expr)):
         factors = [f.as_base_exp() for f in sympy.Mul.make_args(part) if f.free_symbols & set(logs)]
         powers = [(b, float(e)) for b, e in factors if e.is_Rational and e > 0]
         if sum(e for _, e in powers) < 2:

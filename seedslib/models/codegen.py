@@ -28,10 +28,12 @@ from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.base.values import current
 from seedslib.gaussian.means.exp_difference import exp_difference
+from seedslib.gaussian.means.normal_cdf import spread
 from seedslib.models.sinc import sinc_ratio, with_ratios
 
 LARGEST_POWER = 40
-MODULES = [{"sinc_ratio": sinc_ratio, "exp_difference": exp_difference}, "scipy", "numpy"]
+OWN = {"sinc_ratio": sinc_ratio, "exp_difference": exp_difference, "spread": spread}
+MODULES = [OWN, "scipy", "numpy"]
 
 _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)
 

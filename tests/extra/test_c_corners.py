@@ -15,7 +15,7 @@ from seedslib.designed import Memory
 from seedslib.extra import to_c
 from seedslib.extra.c.source import constants
 from seedslib.extra.c.tape import Tape
-from seedslib.filters import extended_kalman
+from seedslib.filters import assumed_density, extended_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
@@ -218,3 +218,21 @@ def test_bearings_across_the_cut(compiled):
         library = filter.run(times, record)
         np.testing.assert_allclose(mean, library.mean, rtol=1e-9, atol=1e-9)
         np.testing.assert_allclose(loglik, library.loglik, rtol=1e-8, atol=1e-8)
+
+
+@pytest.mark.parametrize("place", [0.0, 0.5])
+def test_a_filter_that_starts_from_a_known_state_on_a_kink(compiled, place):
+    """The code divides by the variance of what switches, which is zero to begin with."""
+    x, v, w = sympy.symbols("x v w", real=True)
+    system = DiscreteSystem(
+        StochasticMap([x], [sympy.Abs(x) + sympy.sign(x) + v / 2], Noise([v])),
+        StochasticMap([x], [sympy.Min(x, 0) + w], Noise([w])),
+        mean0=place, cov0=0.0,
+    )  # fmt: skip
+    times, y = np.arange(5.0), np.array([np.nan, 0.3, -0.2, np.nan, -1.0])[:, None, None]
+    filter = assumed_density(system)
+    wanted = filter.run(times, y)
+    assert np.isfinite(wanted.cov).all()
+    mean, cov, loglik, _ = compiled(filter).run(times, y)
+    for found, given in ((mean, wanted.mean), (cov, wanted.cov), (loglik, wanted.loglik)):
+        np.testing.assert_allclose(found, given, rtol=1e-13, atol=1e-13)

@@ -31,15 +31,22 @@ class Switched(NamedTuple):
 
 
 def switched(groups: Sequence[Group], size: int) -> Switched:
-    """Collect the groups of a polynomial or piecewise function."""
-    behind = [group for group in groups if group.plane]
-    return Switched(
-        size,
-        _total((group.polynomial, 1.0) for group in groups if not group.plane),
-        _total((group.polynomial, 1.0) for group in behind),
-        _total((group.polynomial, group.plane.edge) for group in behind),
-        behind[-1].plane if behind else None,
-    )
+    """Collect the groups of a polynomial or piecewise function; p 1{-u > 0} is p - p 1{u > 0}."""
+    planes = [group.plane for group in groups if group.plane]
+    plane = planes[-1] if planes else None
+    base, jump, edge = [], [], []
+    for group in groups:
+        p = group.polynomial
+        if group.plane is None:
+            base.append((p, 1.0))
+        elif np.array_equal(group.plane.normal, plane.normal):
+            jump.append((p, 1.0))
+            edge.append((p, group.plane.edge))
+        else:
+            base.append((p, 1.0))
+            jump.append((p, -1.0))
+            edge.append((p, group.plane.edge - 1.0))
+    return Switched(size, _total(base), _total(jump), _total(edge), plane)
 
 
 def _total(parts: Iterable[tuple[Coefficients, float]]) -> Coefficients:

@@ -39,6 +39,11 @@ class Plane(NamedTuple):
         """The half-space without its boundary."""
         return self.normal, self.offset, self.blurred
 
+    @property
+    def boundary(self) -> frozenset[tuple[Any, ...]]:
+        """Both half-spaces of the plane."""
+        return frozenset((self.place, opposite(self).place))
+
 
 class Key(NamedTuple):
     """What multiplies the polynomial of a term.
@@ -115,17 +120,26 @@ def opposite(plane: Plane) -> Plane:
 
 
 def folded(terms: Terms) -> Terms:
-    """The same sum with ``p - p 1{u > U}`` written as ``p 1{-u > -U}``.
+    """The same sum with ``p - p 1{u > 0}`` written as ``p 1{-u > 0}``, blurred or not.
 
-    The mean of a tail then keeps its digits, which the difference from one would lose.
+    The mean of a tail then keeps its digits, which the difference from the whole would lose.
     """
     result = dict(terms)
-    for key, poly in terms.items():
-        whole = key._replace(plane=None)
-        if key.plane and key.plane.blurred and whole in result and (result[whole] + poly).is_zero:
-            del result[key]
-            other = key._replace(plane=opposite(key.plane))
-            result = add_terms(result, {whole: poly, other: -poly})
+    for whole, poly in terms.items():
+        if whole.plane is not None:
+            continue
+        sides: dict[tuple[Any, ...], Terms] = {}  # those that differ on the boundary together
+        for key, part in terms.items():
+            if key.plane and key._replace(plane=None) == whole:
+                sides.setdefault(key.plane.place, {})[key] = part
+        for side in sides.values():
+            if sum(side.values(), poly).is_zero:
+                del result[whole]
+                for key, part in side.items():
+                    del result[key]
+                    other = key._replace(plane=opposite(key.plane))
+                    result = add_terms(result, {other: -part})
+                break
     return result
 
 

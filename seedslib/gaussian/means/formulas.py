@@ -11,7 +11,7 @@ import sympy as sp
 
 from seedslib.base.symbols import as_expression, as_symbols
 from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
-from seedslib.gaussian.means.normal_cdf import NormalCDF
+from seedslib.gaussian.means.normal_cdf import NormalCDF, Spread
 from seedslib.gaussian.means.parse import components_of, parse
 from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
 
@@ -227,6 +227,8 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     direction = p * normal
     location = (normal.T * m)[0] + key.plane.offset
     variance = (normal.T * direction)[0] + int(key.plane.blurred)
+    if not key.plane.blurred:
+        variance = _never_zero(variance, normal, p, location)
     mass = NormalCDF(location / sp.sqrt(variance))
     height = sp.exp(-(location**2) / (2 * variance)) / sp.sqrt(2 * sp.pi * variance)
     gain = direction / variance
@@ -237,3 +239,12 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     boundary = (list(direction), {a: height * value for a, value in on_plane.items()})
     means = monomial_means(indices, list(m), p.tolist(), zeroth=mass, boundary=boundary)
     return sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)
+
+
+def _never_zero(variance: sp.Expr, normal: sp.Matrix, p: sp.Matrix, location: sp.Expr) -> sp.Expr:
+    """The variance of a switching function as `Spread`: zero is what rounding leaves of it."""
+    squares = sum((c**2 * p[i, i] for i, c in enumerate(normal)), sp.S.Zero)
+    least = sp.Float(1e-96)  # its third power is a number
+    if sp.expand(variance - squares) != 0:
+        least += sp.Float(1e-15) * squares
+    return Spread(variance, least, location**2)

@@ -1,9 +1,10 @@
-"""The normal distribution function as a SymPy function whose code keeps the digits of its tail."""
+"""SymPy functions for switching planes, whose code keeps the digits of a tail and a known state."""
 
 from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 import sympy as sp
 
 from seedslib.base.tables import AxesLike
@@ -38,3 +39,42 @@ class NormalCDF(sp.Function):
         erfc = printer._module_format("scipy.special.erfc")
         argument = printer._print(sp.Float(-(0.5**0.5)) * self.args[0])
         return f"(0.5*{erfc}({argument}))"
+
+
+def spread(variance: Any, least: Any, square: Any) -> Any:
+    """Variance, or where it is no larger than `least` what leaves the side of a plane certain.
+
+    The mean of the switching function, whose square is given, is then a hundred deviations from
+    the plane, or on it.
+    """
+    certain = np.minimum(1e-4 * square, 1e300) + (square <= least)
+    return np.maximum(variance, (variance <= least) * certain)
+
+
+class Spread(sp.Function):
+    """Variance of a switching function by which one may divide where the state is known.
+
+    The second argument is what counts as zero, the third the square of the mean of the function.
+    Terms that have the covariance as a factor vanish where the variance does.
+    """
+
+    nargs = 3
+    is_positive = True
+
+    @classmethod
+    def eval(cls, variance: Any, least: Any, square: Any) -> Any:
+        """What is known to be positive is itself."""
+        return variance if variance.is_positive else None
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        """Derivative: that of the variance."""
+        return sp.S.One if argindex == 1 else sp.S.Zero
+
+    def _eval_rewrite_as_erf(self, variance, least, square, **options):
+        return variance
+
+    def _eval_evalf(self, prec):
+        return self.args[0]._eval_evalf(prec)
+
+    def _numpycode(self, printer):
+        return f"spread({', '.join(printer._print(part) for part in self.args)})"

@@ -64,7 +64,8 @@ def class_of(parsed: Parsed) -> FunctionClass:
     """Class of a parsed function."""
     keys: set[Key] = {key for terms in parsed.components for key in terms}
     exponents = {key.exponent for key in keys} - {()}
-    planes = {key.plane.place for key in keys if key.plane}
+    planes = {key.plane.boundary for key in keys if key.plane}
+    blurred = any(key.plane.blurred for key in keys if key.plane)
     norms = {key for key in keys if key.norm is not None}
     if norms:
         rest = [t for terms in parsed.components for k, t in terms.items() if k not in norms]
@@ -72,7 +73,7 @@ def class_of(parsed: Parsed) -> FunctionClass:
         constant = all(poly.total_degree() <= 0 for poly in rest)
         return FunctionClass.NORM if alone and constant else FunctionClass.MIXED
     if planes:
-        plain = not exponents and len(planes) == 1 and not any(blurred for *_, blurred in planes)
+        plain = not exponents and len(planes) == 1 and not blurred
         return FunctionClass.PIECEWISE if plain else FunctionClass.MIXED
     if any(sum(monomial) == 2 for exponent in exponents for monomial, _ in exponent):
         return FunctionClass.TILT
