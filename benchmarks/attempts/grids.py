@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 
 from attempts.judge import Attempt
-from bookkit import sweeps
+from bookkit import kept
 from bookkit.claims import read_ledger
 from bookkit.grids import read_grid
 
 SEED = 99
 POINT = {"gain": 1.0, "count": 2}
-ENTRY = sweeps.sealed(
+ENTRY = kept.sealed(
     {"parameters": POINT, "values": {"total": 3.0, "terms": [1.0, 2.0]}, "problem": ""}
 )
 ODD = (
@@ -163,7 +163,7 @@ def points() -> list[Attempt]:
             place[path[-1]] = value
             name = f"point, {'/'.join(path)} = {value!r}"[:90]
             found.append(Attempt(name, partial(point, json.dumps(entry)), as_it_was))
-            again = json.dumps(sweeps.sealed(entry))
+            again = json.dumps(kept.sealed(entry))
             found.append(Attempt(f"{name}, summed anew", partial(point, again), a_point))
     for text in (
         "",
@@ -225,7 +225,7 @@ def ledger(text: str):
 
 def point(text: str):
     Path("key.json").write_text(text)
-    return sweeps._read(Path(), "key", POINT)
+    return kept.read_entry(Path(), "key", POINT)
 
 
 def as_it_was(entry: dict | None) -> bool:

@@ -7,8 +7,6 @@ goes on where it stopped.
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import os
 from collections.abc import Mapping
@@ -21,12 +19,11 @@ import nbformat
 from bookkit import fingerprint
 from bookkit.files import replace
 from bookkit.grids import MOST_POINTS, check_points, read_grid
+from bookkit.kept import entry_of, read_entry, write_table
 from bookkit.limits import Limits
 from bookkit.points import execute_point, library_of
-from bookkit.recording import plain, read_records
 
 TABLE = "results.csv"
-PROBLEM = "problem"
 
 
 class Report(NamedTuple):
@@ -104,7 +101,7 @@ def run_sweep(
     inputs = _inputs(notebook, content)
     _make_folder(out)
     files = {_key(notebook, content, point): point for point in points}
-    finished = {key: _read(out, key, point) for key, point in files.items()}
+    finished = {key: read_entry(out, key, point) for key, point in files.items()}
     failed_before = [k for k, r in finished.items() if r is not None and r["problem"]]
     todo = [k for k, r in finished.items() if r is None or (retry and r["problem"])]
     already = len(files) - len(todo)
@@ -118,9 +115,9 @@ def run_sweep(
         with _client(scheduler, min(workers, len(todo))) as client:
             left = {key: files[key] for key in todo}
             _run(client, text, inputs, left, out, quiet, limits)
-    results = {key: _read(out, key, point) for key, point in files.items()}
+    results = {key: read_entry(out, key, point) for key, point in files.items()}
     table = out / TABLE
-    _write_table(table, files, results)
+    write_table(table, files, results)
     failed = sum(1 for r in results.values() if r is None or r["problem"])
     return Report(len(files), already, failed, table)
 
@@ -161,40 +158,6 @@ def _make_folder(out: Path) -> None:
         raise ValueError(f"{out}: wanted a folder that can be written to")
 
 
-def _read(out: Path, key: str, point: Mapping[str, Any]) -> dict[str, Any] | None:
-    """What is kept of a point; None when there is nothing, or nothing whole.
-
-    Raises
-    ------
-    ValueError
-        A file that is whole and not what a sweep writes there: of another point, changed by hand,
-        or with values that no notebook records.
-    """
-    path = out / f"{key}.json"
-    try:
-        entry = json.loads(path.read_text())
-        if not (isinstance(entry["values"], dict) and isinstance(entry["problem"], str)):
-            return None
-    except (FileNotFoundError, ValueError, TypeError, KeyError, RecursionError):
-        return None
-    if entry.get("parameters") != json.loads(json.dumps(dict(point))):
-        raise ValueError(f"{path}: wanted the point {dict(point)}, got another; remove the file")
-    if entry != sealed(entry):
-        raise ValueError(f"{path}: was changed after the point was run; remove the file")
-    try:
-        for name, value in entry["values"].items():
-            plain(name, value)
-    except (TypeError, ValueError, OverflowError) as error:
-        raise ValueError(f"{path}: {error}; remove the file") from None
-    return entry
-
-
-def sealed(entry: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of a point, with its checksum."""
-    parts = {name: entry.get(name) for name in ("parameters", "values", "problem")}
-    return {**parts, "checksum": fingerprint.digest(json.dumps(parts))}
-
-
 def _run(
     client: Any, text: str, inputs: dict[str, str], todo: Mapping[str, dict], out: Path,
     quiet: bool, limits: Limits | None = None,
@@ -231,28 +194,12 @@ def _kept(future: Any, out: Path, key: str, point: Mapping, ours: str, alone: bo
         raise ValueError("the scheduler was lost; what was finished is kept: start it again")
     if result["library"] != ours:
         raise ValueError("a worker runs another version of seedslib: install this one there")
-    entry = _entry(point, result)
+    entry = entry_of(point, result)
     if result["notebook"]:
         replace(out / f"{key}.ipynb", result["notebook"])
     replace(out / f"{key}.json", json.dumps(entry, indent=1) + "\n")
     future.release()  # a worker that is lost later need not do it again
     return True
-
-
-def _entry(point: Mapping[str, Any], result: Mapping[str, Any]) -> dict[str, Any]:
-    """What is kept of a point that ran: its parameters, its values, its problem."""
-    values: dict[str, Any] = {}
-    problem = result["problem"]
-    try:
-        if result["notebook"]:
-            values = read_records(json.loads(result["notebook"])).values
-        names = [*_columns(point), *(name for v in values for name in _columns({v: values[v]}))]
-        twice = [n for n in dict.fromkeys(names) if names.count(n) > 1 or n == PROBLEM]
-        if twice:
-            raise ValueError(f"{', '.join(twice)}: the name of another column of the table")
-    except ValueError as error:
-        values, problem = {}, problem or f"{type(error).__name__}: {error}"
-    return sealed({"parameters": dict(point), "values": values, "problem": problem})
 
 
 @contextmanager
@@ -280,29 +227,3 @@ def _client(scheduler: str | None, workers: int):
         Client(cluster) as client,
     ):
         yield client
-
-
-def _write_table(
-    path: Path, points: Mapping[str, dict], results: Mapping[str, dict | None]
-) -> None:
-    rows = []
-    for key, point in points.items():
-        entry = results[key] or {"values": {}, "problem": "not run"}
-        rows.append({**_columns(point), **_columns(entry["values"]), PROBLEM: entry["problem"]})
-    names = list(dict.fromkeys(name for row in rows for name in row if name != PROBLEM))
-    text = io.StringIO()
-    writer = csv.DictWriter(text, [*names, PROBLEM], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    replace(path, text.getvalue())
-
-
-def _columns(values: Mapping[str, Any]) -> dict[str, Any]:
-    """One column per number: a list ``x`` becomes ``x_0``, ``x_1``, ..."""
-    columns: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, list):
-            columns |= {f"{name}_{index}": item for index, item in enumerate(value)}
-        else:
-            columns[name] = value
-    return columns

@@ -13,7 +13,7 @@ MISSING = ("", "NA")
 """What stands in a cell without a number, beside NaN in whatever letters."""
 
 
-class Table(NamedTuple):
+class TextTable(NamedTuple):
     """Names of the columns, and of each further row its number in the file and its cells."""
 
     path: Path
@@ -43,7 +43,7 @@ class Table(NamedTuple):
         return self.header.index(name)
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path) -> TextTable:
     """Table of a file with a row of names and at least one further row.
 
     The separator is the first of tab, semicolon and comma that the first line has. Blank lines are
@@ -72,7 +72,7 @@ def read_table(path: str | Path) -> Table:
     for number, row in lines[1:]:
         if len(row) != len(header):
             raise ValueError(f"{path}, row {number}: wanted {len(header)} cells, got {len(row)}")
-    return Table(path, header, [n for n, _ in lines[1:]], [row for _, row in lines[1:]])
+    return TextTable(path, header, [n for n, _ in lines[1:]], [row for _, row in lines[1:]])
 
 
 def as_number(cell: str, *, needed: bool = False) -> float:

@@ -99,7 +99,7 @@ def run_design(options: argparse.Namespace) -> int:
     from seedslib.designed import save
 
     memory = words.as_memory(options.memory)
-    rule = words.as_linearization(options.linearization)
+    rule = words.linearization_of(options.linearization)
     predictor = words.as_choice(
         "predictor", options.predictor or "affine", words.PREDICTORS, making
     )
@@ -110,7 +110,7 @@ def run_design(options: argparse.Namespace) -> int:
         times = None if options.times is None else words.as_time_grid(given)
     else:
         times = times_of_column(given[1:], options.unit, options.epoch)
-    tables = None if options.table is None else words.as_axes("table", options.table, "y", "z")
+    tables = None if options.table is None else words.axes_of("table", options.table, "y", "z")
     out = as_output(options.out, model=options.model, times=given[1:].partition(":")[0] or None)
     if options.seed < 0:
         raise ValueError(f"seed: wanted a whole number from 0 on, got {options.seed}")

@@ -7,7 +7,7 @@ import sys
 from typing import Any
 
 from seedslib.commands.filtering import add_table
-from seedslib.commands.kinds import ALWAYS_MADE_ANEW, add_kind, maker, named, set_values
+from seedslib.commands.kinds import ALWAYS_MADE_ANEW, add_kind, maker, parameter_named, set_values
 
 DESCRIPTION = """\
 Find the parameters of a model that make the measurements most likely, by the likelihood that a
@@ -59,7 +59,7 @@ def run_fit(options: argparse.Namespace) -> int:
     if options.free is None:
         free = [p for p in parameters.values() if p not in values]
     else:
-        free = [named("free", name, parameters) for name in options.free.split(",")]
+        free = [parameter_named("free", name, parameters) for name in options.free.split(",")]
     if not free:
         raise ValueError(f"free: wanted a `Parameter` that {options.filter} names, got none")
     with assigned(values):

@@ -92,10 +92,10 @@ def set_values(options: argparse.Namespace, parameters: Mapping[str, Any]) -> di
     from seedslib.commands.words import as_values
 
     values = {} if options.set is None else as_values(options.set)
-    return {named("set", name, parameters): value for name, value in values.items()}
+    return {parameter_named("set", name, parameters): value for name, value in values.items()}
 
 
-def named(option: str, name: str, parameters: Mapping[str, Any]) -> Any:
+def parameter_named(option: str, name: str, parameters: Mapping[str, Any]) -> Any:
     """The parameter of a name.
 
     Raises
@@ -126,9 +126,9 @@ def _given(option, text):
     from seedslib.commands import words
 
     if option == "linearization":
-        return [words.as_linearization(text or "gaussian")]
+        return [words.linearization_of(text or "gaussian")]
     if option == "grid" and text is not None:
-        axes = words.as_axes(option, [text], "x")["x"]
+        axes = words.axes_of(option, [text], "x")["x"]
         return [axes if len(axes) > 1 else axes[0]]
     return [] if text is None else [text]
 

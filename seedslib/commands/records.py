@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.commands.calendar import Calendar, as_calendar, read_times
-from seedslib.commands.cells import Table, as_number, read_table
+from seedslib.commands.cells import TextTable, as_number, read_table
 from seedslib.models.kinds import inputs_of, switches
 
 
@@ -96,7 +96,7 @@ def times_of_column(text: str, unit: str | None, epoch: str | None) -> np.ndarra
     return read_times(cells, as_calendar(unit, epoch), lambda k: table.place(k, column))[0]
 
 
-def _input_columns(table: Table, chosen: str | None, system: Any) -> dict[Any, int]:
+def _input_columns(table: TextTable, chosen: str | None, system: Any) -> dict[Any, int]:
     """Columns of the inputs that a model mentions."""
     known = {str(u): u for u in inputs_of(system)}
     parts = [part.partition("=") for part in next(csv.reader([chosen or ""]))]
@@ -108,7 +108,7 @@ def _input_columns(table: Table, chosen: str | None, system: Any) -> dict[Any, i
 
 
 def _places(
-    table: Table, wanted: list[str], others: Iterable[int], time: str | None, chosen: str | None
+    table: TextTable, wanted: list[str], others: Iterable[int], time: str | None, chosen: str | None
 ) -> tuple[int, list[int]]:
     """Columns of the time and of what is wanted."""
     path = table.path

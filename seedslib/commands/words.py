@@ -103,7 +103,7 @@ def as_time_grid(text: str) -> np.ndarray:
     return as_times("times", times)
 
 
-def as_linearization(text: str) -> Any:
+def linearization_of(text: str) -> Any:
     """A linearization of the library; see `as_choice`."""
     from seedslib import linearization
 
@@ -125,7 +125,7 @@ def in_steps_of(start: float, stop: float, step: float) -> np.ndarray:
     return start + step * np.arange(math.floor(steps) + 1)
 
 
-def as_axes(option: str, texts: list[str], first: str, *others: str) -> dict[str, list[Axis]]:
+def axes_of(option: str, texts: list[str], first: str, *others: str) -> dict[str, list[Axis]]:
     """Axes from ``y=-8:8:121`` and ``z=-3:3:121``; several, for several components.
 
     Parameters

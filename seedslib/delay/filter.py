@@ -24,7 +24,7 @@ from seedslib.delay.means import (
     as_records,
     filter_records,
     log_density,
-    patterns,
+    patterns_of_gaps,
     predicted_mean,
     start_mean,
 )
@@ -240,7 +240,7 @@ class DelayKalmanFilter(Filter):
         y, batch = as_records(measurements, self.system.measurement_size, count)
         mean = np.empty((count, self.system.state_size, y.shape[2]))
         loglik = np.empty((count, y.shape[2]))
-        groups, jobs, covs = list(patterns(np.isnan(y))), [], []
+        groups, jobs, covs = list(patterns_of_gaps(np.isnan(y))), [], []
         for missing, members in groups:
             table = self.gains(count - 1, missing)
             pieces = np.array_split(members, -(-len(members) // BLOCK))
@@ -277,7 +277,7 @@ class DelayKalmanFilter(Filter):
         """
         y, batch = as_records(measurements, self.system.measurement_size)
         errors, squares = np.empty(y.shape), np.empty((len(y), y.shape[2]))
-        for missing, members in patterns(np.isnan(y)):
+        for missing, members in patterns_of_gaps(np.isnan(y)):
             table = self.gains(len(y) - 1, missing)
             _, _, error = filter_records(self.system, table, y[..., members], 0)
             errors[..., members] = error

@@ -58,7 +58,7 @@ def as_flags(value: object, shape: tuple[int, int]) -> np.ndarray:
     return flags
 
 
-def patterns(missing: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+def patterns_of_gaps(missing: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Distinct patterns (K+1, m) of missing components, each with the indices of its paths."""
     flat = missing.reshape(-1, missing.shape[-1])
     if (flat == flat[:, :1]).all():

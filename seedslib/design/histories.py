@@ -108,7 +108,7 @@ class Histories:
         A cell is a class before it and the number of a pattern. Warns where the classes are few.
         """
         count = 2 ** len(self.loose)
-        found = merged(self.classes, moments, prob, len(self.prob), count, self.most)
+        found = classes_of(self.classes, moments, prob, len(self.prob), count, self.most)
         self._farthest = coarseness(found, t, self._farthest)
         self.classes, self.prob = found, found.prob
         return found
@@ -184,7 +184,7 @@ def coarseness(classes: Classes, t: float, before: float) -> float:
     return max(before, classes.tolerance)
 
 
-def merged(
+def classes_of(
     old: Classes | None, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: int,
     patterns: int, most: int | None = None,
 ) -> Classes:  # fmt: skip
@@ -245,7 +245,7 @@ def arrivals_of(
     classes: Classes, moments: dict[Any, np.ndarray], prob: dict[Any, float],
     claimed: dict[Any, np.ndarray], before: np.ndarray,
 ) -> Arrivals:  # fmt: skip
-    """What a filter keeps of the classes about a measurement; arguments as `merged`.
+    """What a filter keeps of the classes about a measurement; arguments as `classes_of`.
 
     `claimed` are variances in the cells; `before` are the covariances of the classes before it,
     (classes before, n, n).

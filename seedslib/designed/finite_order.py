@@ -18,7 +18,7 @@ from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start,
 from seedslib.designed.gaps import step_unclaimed, unexpected
 from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.patterns import PatternFit, chosen, regrouped, ways
+from seedslib.designed.patterns import PatternFit, chosen, pattern_ways, regrouped
 from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.designed.shapes import check_covariances, check_nodes, check_start, check_verbs
@@ -102,7 +102,7 @@ class FiniteOrderFilter(BetweenFilter):
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
         end = None if self.cycle else self.horizon
         object.__setattr__(self, "clock", Clock(self.times, end))
-        object.__setattr__(self, "ways", ways(self.fits, self.cycle))
+        object.__setattr__(self, "ways", pattern_ways(self.fits, self.cycle))
 
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""

@@ -138,7 +138,7 @@ def regrouped(filter: Any, state: Any, y: np.ndarray) -> Any:
     return state._replace(group=table[state.group, number])
 
 
-def ways(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
+def pattern_ways(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
     """Table into the classes of each fit from those of the fit before it, then those in a cycle.
 
     Steps that did not follow each other in the design are joined by the nearest covariances. The

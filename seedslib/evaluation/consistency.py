@@ -76,7 +76,7 @@ def bounds(freedom: Any, count: Any) -> tuple[Any, Any]:
     return chdtri(total, 1.0 - tail) / count, chdtri(total, tail) / count
 
 
-def ratio(known: Any) -> tuple[Any, Any]:
+def ratio_of_sums(known: Any) -> tuple[Any, Any]:
     """Sum over paths and the window by what is expected of it, and its standard error.
 
     The errors of one path at different times depend on each other, those of different paths do

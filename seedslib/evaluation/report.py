@@ -53,7 +53,7 @@ def data_frame(evaluations: Mapping[str, Any], names: Sequence[str] | None = Non
     return pandas.DataFrame(table, index=index).astype({"diverged": int})
 
 
-def cells(evaluations: Mapping[str, Any]) -> list[list[str]]:
+def words_of(evaluations: Mapping[str, Any]) -> list[list[str]]:
     """Words of the table, the headings first."""
     rows = [[name] for name in evaluations]
     head = ["filter"]
@@ -70,7 +70,7 @@ def cells(evaluations: Mapping[str, Any]) -> list[list[str]]:
 
 def text(evaluations: Mapping[str, Any]) -> str:
     """The table in characters of one width."""
-    rows = cells(evaluations)
+    rows = words_of(evaluations)
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return "\n".join(
         "  ".join(f"{word:<{width}}" for word, width in zip(row, widths, strict=True)).rstrip()
@@ -80,7 +80,7 @@ def text(evaluations: Mapping[str, Any]) -> str:
 
 def html(evaluations: Mapping[str, Any]) -> str:
     """The table for a notebook."""
-    head, *rows = cells(evaluations)
+    head, *rows = words_of(evaluations)
 
     def line(words, tag):
         return "<tr>" + "".join(f"<{tag}>{escape(word)}</{tag}>" for word in words) + "</tr>"

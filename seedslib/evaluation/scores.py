@@ -21,9 +21,9 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.clock import Clock
 from seedslib.base.values import Inputs, as_course
-from seedslib.evaluation.consistency import bounds, ratio
+from seedslib.evaluation.consistency import bounds, ratio_of_sums
 from seedslib.evaluation.results import NOTHING, Comparison, Evaluation, quadruple, roots
-from seedslib.evaluation.scoring import circular, mentioned, scored
+from seedslib.evaluation.scoring import circular, own_inputs, scored
 from seedslib.evaluation.tally import merged
 from seedslib.models.kinds import KINDS, AnySystem, as_system, inputs_of, kind_of
 from seedslib.models.simulation import as_measured
@@ -135,7 +135,7 @@ def compare(
 
     def work(start, stop, stream):
         told = course.of(slice(start, stop)).values
-        own = mentioned(told, system)
+        own = own_inputs(told, system)
         data = system.simulate(times, stop - start, stream, measured=measured, **own, **options)
         return scored(
             filters, data, measured, components, window, bound, consistency, periods, first, stream,
@@ -223,7 +223,11 @@ def _consistency(known, name="", paths=0):
             stacklevel=4,
         )
     count = np.where(known.counts > 0, known.counts, np.nan)
-    return (known.sums / count, bounds(known.expected / count, count), *map(float, ratio(known)))
+    return (
+        known.sums / count,
+        bounds(known.expected / count, count),
+        *map(float, ratio_of_sums(known)),
+    )
 
 
 def _coverage(known, components):
@@ -233,5 +237,5 @@ def _coverage(known, components):
     count = np.where(known.counts > 0, known.counts, np.nan)
     share = known.sums / count
     error = np.sqrt(share * (1.0 - share) / count)
-    average = (part[:components] for part in ratio(known))
+    average = (part[:components] for part in ratio_of_sums(known))
     return share[:, :components], error[:, :components], *average

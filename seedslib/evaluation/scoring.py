@@ -28,7 +28,7 @@ def circular(given: Mapping[int, float] | None, system: Any) -> Periods:
     return tuple({pair for each in maps for pair in getattr(each, "period", ())})
 
 
-def mentioned(inputs: Mapping[Any, np.ndarray], system: Any) -> dict[str, Any]:
+def own_inputs(inputs: Mapping[Any, np.ndarray], system: Any) -> dict[str, Any]:
     """Those inputs that a system mentions, as an option where there are any."""
     own = {u: inputs[u] for u in inputs_of(system) if u in inputs}
     return {"inputs": own} if own else {}
@@ -54,7 +54,7 @@ def scored(
     astray = []
     for number, each in enumerate(filters.values()):
         wants = _wanted(each, data, child(stream, FILTERS, number), consistency)
-        own = mentioned(inputs, getattr(each, "system", None))
+        own = own_inputs(inputs, getattr(each, "system", None))
         wants |= own
         begin = time.perf_counter()
         found = each.run(data.times, data.measurements, **wants)

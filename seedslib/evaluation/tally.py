@@ -21,13 +21,13 @@ class Tally(NamedTuple):
     error: np.ndarray  # (F, J, c) sums of the errors
     everything: np.ndarray  # (F, J, c) sums of the squares of all paths
     diverged: np.ndarray  # (F,)
-    normalised: list[Any]  # for each filter the `Known` of NEES, NIS and coverage
+    normalised: list[Any]  # for each filter the `ErrorSums` of NEES, NIS and coverage
     seconds: np.ndarray  # (F,) per block
     steps: int  # measurements times paths
     more: tuple[str, ...] = ()  # names of the further numbers
 
 
-class Known(NamedTuple):
+class ErrorSums(NamedTuple):
     """Sums over paths of values that may be unknown at times; `...` are none or components."""
 
     sums: np.ndarray  # (J, ...)
@@ -107,7 +107,9 @@ def _sum(part, good, window):
     paths = np.stack([values[window].sum(axis=0), expected[window].sum(axis=0)])
     products = np.einsum("a...N,b...N->ab...", paths, paths)
     counts = np.count_nonzero(known, axis=-1)
-    return Known(values.sum(axis=-1), counts, expected.sum(axis=-1), paths.sum(axis=-1), products)
+    return ErrorSums(
+        values.sum(axis=-1), counts, expected.sum(axis=-1), paths.sum(axis=-1), products
+    )
 
 
 def merged(a: Any, b: Any) -> Tally:
@@ -119,7 +121,7 @@ def merged(a: Any, b: Any) -> Tally:
         None
         if one is None
         else [
-            None if s is None else Known(*(u + v for u, v in zip(s, t, strict=True)))
+            None if s is None else ErrorSums(*(u + v for u, v in zip(s, t, strict=True)))
             for s, t in zip(one, two, strict=True)
         ]
         for one, two in zip(a.normalised, b.normalised, strict=True)

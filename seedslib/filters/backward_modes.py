@@ -14,7 +14,7 @@ from seedslib.filters.known_modes import KnownModeState
 from seedslib.linearization.moments import Gaussian, Weighted
 
 
-class Known(NamedTuple):
+class SmoothedState(NamedTuple):
     """Modes (*batch), means as one column (n, *batch, 1) and covariances (n, n, *batch)."""
 
     mode: np.ndarray
@@ -61,17 +61,17 @@ class KnownModeSmoother(Smoother):
         gain = gain_of(cross, later.cov)
         return later, (mean[..., None], cov, later.mean[..., None], later.cov, gain)
 
-    def last(self, state: KnownModeState) -> Known:
+    def last(self, state: KnownModeState) -> SmoothedState:
         """See `Smoother.last`."""
-        return Known(state.mode, state.mean[..., None], state.cov)
+        return SmoothedState(state.mode, state.mean[..., None], state.cov)
 
     def back(
-        self, state: KnownModeState, part: Known, link: Any, indicator: MaybeArray = None
-    ) -> Known:
+        self, state: KnownModeState, part: SmoothedState, link: Any, indicator: MaybeArray = None
+    ) -> SmoothedState:
         """See `Smoother.back`."""
-        return Known(state.mode, *stepped_back(*link, part.columns, part.cov))
+        return SmoothedState(state.mode, *stepped_back(*link, part.columns, part.cov))
 
-    def report(self, part: Known) -> Estimates:
+    def report(self, part: SmoothedState) -> Estimates:
         """Mean and covariance; the mode is the given one, with probability one."""
         state = KnownModeState(None, part.mode, part.columns[..., 0], part.cov, np.zeros(()))
         return self.filter.report(state)

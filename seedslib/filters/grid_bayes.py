@@ -12,7 +12,7 @@ from seedslib.base.checks import outside
 from seedslib.base.nodes import Grid, Nodes
 from seedslib.base.tables import Axis
 from seedslib.filters.estimates import as_indicators, as_seen
-from seedslib.filters.grid_records import GridAccuracy, GridSmoother, followed
+from seedslib.filters.grid_records import GridAccuracy, GridSmoother, record_followed
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chains.discrete import DiscreteChain
@@ -210,7 +210,7 @@ class GridBayesFilter(Filter):
         rough = GridBayesFilter(self.system, halves if len(halves) > 1 else halves[0])
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            fine, coarse = (followed(filter, times, y, seen) for filter in (self, rough))
+            fine, coarse = (record_followed(filter, times, y, seen) for filter in (self, rough))
         apart = [np.abs(a - b) for a, b in zip(fine, coarse, strict=True)]
         return GridAccuracy(apart[0], apart[1].max(axis=0), fine[2])
 

@@ -32,7 +32,7 @@ class GridAccuracy(NamedTuple):
     lost: np.ndarray
 
 
-def followed(
+def record_followed(
     filter: Any, times: np.ndarray, y: np.ndarray, seen: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Log-likelihood (*batch), estimates (K+1, n, *batch) and lost probability (*batch)."""

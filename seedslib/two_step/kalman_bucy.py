@@ -13,7 +13,7 @@ from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import as_system
 from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, stepped
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, LinearMoments, make_design
-from seedslib.two_step.linear import LinearDiffusion, Matrices
+from seedslib.two_step.linear import LinearDiffusion, PlantMatrices
 from seedslib.two_step.riccati import information_rate, riccati_step
 from seedslib.two_step.smoothing import smoothed_errors, smoothed_means
 from seedslib.two_step.steady import steady_errors, steady_law
@@ -237,7 +237,7 @@ class KalmanBucyFilter:
             )
         return ~some
 
-    def _steady_matrices(self, verb: str) -> Matrices:
+    def _steady_matrices(self, verb: str) -> PlantMatrices:
         if not self.system.constant:
             raise ValueError(f"{verb}: wanted constant coefficients, got functions of time")
         return self.system.matrices(0.0)

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 
 from seedslib.base.checks import unmasked
 from seedslib.models.propagation import balanced, distinct_steps
-from seedslib.two_step.linear import LinearDiffusion, Matrices
+from seedslib.two_step.linear import LinearDiffusion, PlantMatrices
 from seedslib.two_step.riccati import RiccatiStep, hamiltonian, information_rate, riccati_step
 
 LONGEST_STEP = 1.0
@@ -130,7 +130,7 @@ class EstimateStep(NamedTuple):
     weights: np.ndarray
 
     @classmethod
-    def of(cls, known: Matrices, step: float, seen: np.ndarray) -> EstimateStep:
+    def of(cls, known: PlantMatrices, step: float, seen: np.ndarray) -> EstimateStep:
         """Step of length `step`, coefficients `known`, with the components `seen` measured.
 
         Raises

@@ -30,7 +30,7 @@ Coefficient = ArrayLike | Callable[[float], ArrayLike]
 COEFFICIENTS = ("drift", "noise_intensity", "sensor", "sensor_intensity", "noise_input")
 
 
-class Matrices(NamedTuple):
+class PlantMatrices(NamedTuple):
     """Coefficients at one time: F (n,n), G Q Gᵀ (n,n), H (m,n), R (m,m)."""
 
     drift: np.ndarray
@@ -118,7 +118,7 @@ class LinearDiffusion:
         """Whether no coefficient depends on time."""
         return not any(callable(getattr(self, name)) for name in COEFFICIENTS)
 
-    def matrices(self, t: float) -> Matrices:
+    def matrices(self, t: float) -> PlantMatrices:
         """Coefficients at time t, checked.
 
         Raises
@@ -222,7 +222,7 @@ class LinearDiffusion:
     def _drawn(self, move: np.ndarray, spread: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         return np.ascontiguousarray(move[:, : self.state_size]), square_root(spread)
 
-    def _read(self, t: float) -> Matrices:
+    def _read(self, t: float) -> PlantMatrices:
         n = self.state_size
         drift = as_shape("drift", _at(self.drift, t), (n, n))
         sensor = as_shape("sensor", _at(self.sensor, t), (-1, n))
@@ -237,7 +237,7 @@ class LinearDiffusion:
         else:
             gain = as_shape("noise_input", _at(self.noise_input, t), (n, intensity.shape[0]))
             diffusion = gain @ intensity @ gain.T
-        return Matrices(drift, diffusion, sensor, noise)
+        return PlantMatrices(drift, diffusion, sensor, noise)
 
 
 def needed(drift: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from scipy.linalg import expm
 
 from seedslib.base.semidefinite import symmetrized
 from seedslib.models.propagation import balanced, halvings
-from seedslib.two_step.linear import Matrices
+from seedslib.two_step.linear import PlantMatrices
 
 
 class RiccatiStep(NamedTuple):
@@ -84,7 +84,7 @@ def riccati_step(
     return RiccatiStep(move * (column / unit), info / column / unit, noise * column * unit)
 
 
-def information_rate(known: Matrices, seen: np.ndarray) -> np.ndarray:
+def information_rate(known: PlantMatrices, seen: np.ndarray) -> np.ndarray:
     """Information rate HᵀR⁻¹H of the measured components, shape (n, n)."""
     sensor = known.sensor[seen]
     noise = known.sensor_intensity[np.ix_(seen, seen)]

@@ -7,14 +7,14 @@ from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, solve_continuous_are, solve_continuous_lyapunov
 
 from seedslib.models.propagation import balanced
-from seedslib.two_step.linear import Matrices, needed
+from seedslib.two_step.linear import PlantMatrices, needed
 from seedslib.two_step.riccati import information_rate
 
 UNDAMPED = 1e-10
 """Part of the largest rate, or singular value, that is none."""
 
 
-def steady_errors(known: Matrices) -> np.ndarray:
+def steady_errors(known: PlantMatrices) -> np.ndarray:
     """Steady error covariance (n, n): the stabilising solution of the Riccati equation.
 
     Raises
@@ -50,7 +50,7 @@ def steady_errors(known: Matrices) -> np.ndarray:
 
 
 def steady_law(
-    known: Matrices, components: ArrayLike | None = None
+    known: PlantMatrices, components: ArrayLike | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Steady mean (1, n), prior covariance and error covariance (1, n, n) of some components.
 
@@ -80,7 +80,7 @@ def steady_law(
         kept = needed(known.drift, here | (known.sensor != 0.0).any(axis=0))
         seen, whole = np.ix_(kept, kept), np.zeros((n, n))
         part = known.drift[seen], known.diffusion[seen], known.sensor[:, kept]
-        whole[seen] = steady_errors(Matrices(*part, known.sensor_intensity))
+        whole[seen] = steady_errors(PlantMatrices(*part, known.sensor_intensity))
         errors[0][block] = whole[block]
     return np.zeros((1, n)), prior, errors
 

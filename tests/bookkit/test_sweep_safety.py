@@ -10,7 +10,7 @@ import nbformat
 import pytest
 from attempts.sockets import family, is_local, listening
 
-from bookkit import recording, run_sweep, sweeps
+from bookkit import kept, recording, run_sweep, sweeps
 
 pytestmark = pytest.mark.usefixtures("kernels_at_once")
 
@@ -73,7 +73,7 @@ def grid(project):
 )
 def test_a_record_of_another_shape_is_the_problem_of_its_point(payload, problem):
     result = {"notebook": json.dumps(recorded(payload)), "problem": ""}
-    entry = sweeps._entry({"gain": 1.0}, result)
+    entry = kept.entry_of({"gain": 1.0}, result)
     assert entry["values"] == {}
     assert entry["problem"].startswith("ValueError: a record of another shape: ")
     assert problem in entry["problem"]
@@ -125,7 +125,7 @@ def test_points_that_were_changed_by_hand_are_refused(project, grid, notebook):
     one.write_text(json.dumps(edited))
     again("was changed after the point was run; remove the file")
     edited["values"]["total"] = float("nan")
-    one.write_text(json.dumps(sweeps.sealed(edited)))
+    one.write_text(json.dumps(kept.sealed(edited)))
     again("total: wanted a finite number, got nan; remove the file")
     report = run_sweep(notebook, grid, out, quiet=True, workers=1)
     assert (report.already, report.failed) == (2, 0)

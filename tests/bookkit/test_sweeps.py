@@ -12,7 +12,7 @@ from types import SimpleNamespace
 import nbformat
 import pytest
 
-from bookkit import execution, run_sweep, sweeps
+from bookkit import execution, kept, run_sweep, sweeps
 from bookkit.cli import main
 from bookkit.points import execute_point
 
@@ -201,7 +201,7 @@ def test_points_that_spoil_their_records_fail_alone(project, grid, served):
 @pytest.mark.parametrize("text", ["", "{", "{}", "[]", "null", '{"values": {}, "problem": null}'])
 def test_what_is_not_whole_in_the_folder_is_not_taken_for_a_point(tmp_path, text):
     (tmp_path / "key.json").write_text(text)
-    assert sweeps._read(tmp_path, "key", {}) is None
+    assert kept.read_entry(tmp_path, "key", {}) is None
 
 
 def test_a_folder_that_cannot_hold_the_results_is_named(project, grid):

@@ -282,7 +282,7 @@ def test_words():
     assert words.as_memory("small_order") == Memory(1)
     from seedslib import design as making
 
-    rule = words.as_linearization
+    rule = words.linearization_of
 
     def predictor(text):
         return words.as_choice("predictor", text, words.PREDICTORS, making)

@@ -12,7 +12,7 @@ from seedslib import zoo
 from seedslib.design import synthesize
 from seedslib.design.paths import held_out
 from seedslib.design.paths.held_out import _by_chance, _findings, _reach, _tail, forecast_errors
-from seedslib.design.tables.carriers import Carriers, scored
+from seedslib.design.tables.carriers import Carriers, prediction_of
 from seedslib.design.tables.simulated import _about, _axes
 from seedslib.designed import Memory
 from seedslib.designed.outputs.lookup import Output
@@ -214,7 +214,7 @@ def test_a_function_of_nothing_fills_the_paths(carriers):
 
 def test_scores_are_errors_with_standard_errors():
     squares = np.array([[1.0, 4.0, 2.5, 0.5], [0.0, 0.0, 0.0, 0.0]])
-    found = scored([(0.7, squares)], [np.array([True, False, False, True, False])])
+    found = prediction_of([(0.7, squares)], [np.array([True, False, False, True, False])])
     mean = squares[0].mean()
     assert found.rms.tolist() == [[math.sqrt(mean), 0.0]]
     standard = squares[0].std() / 2.0 / (2.0 * math.sqrt(mean))
@@ -222,7 +222,7 @@ def test_scores_are_errors_with_standard_errors():
     assert found.mode_rate == 0.4
     assert found.mode_error == pytest.approx(math.sqrt(0.4 * 0.6 / 5))
     assert not found.in_sample
-    assert scored([(0.7, squares)], [], in_sample=True).in_sample
+    assert prediction_of([(0.7, squares)], [], in_sample=True).in_sample
 
 
 def test_axes_are_laid_about_the_paths(carriers):

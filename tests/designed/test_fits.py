@@ -16,8 +16,8 @@ from seedslib.designed.patterns import (
     chosen,
     distances,
     loose,
+    pattern_ways,
     regrouped,
-    ways,
 )
 from seedslib.designed.predictors import (
     FLOOR,
@@ -184,21 +184,21 @@ def test_steps_are_joined_by_the_nearest_covariances(pattern_fit):
     apart = PatternFit.of(table, near, np.array([0.2, 0.5, 0.3]), fits)
     follows = PatternFit.of(table[::-1], covs, np.array([0.2, 0.5, 0.3]), fits)
     fresh = PatternFit.of(table[1:2], np.empty((0, 2, 2)), np.array([0.2, 0.5, 0.3]), fits)
-    found = ways((pattern_fit, apart), 0)
+    found = pattern_ways((pattern_fit, apart), 0)
     assert len(found) == 2
     assert found[0].tolist() == pattern_fit.table[:1].tolist()
     assert found[1].tolist() == [[1, 2], [2, 0], [0, 1]]
-    assert ways((pattern_fit, follows), 0)[1] is follows.table
-    assert ways((pattern_fit, fresh), 0)[1].tolist() == [[1, 2]] * 3
+    assert pattern_ways((pattern_fit, follows), 0)[1] is follows.table
+    assert pattern_ways((pattern_fit, fresh), 0)[1].tolist() == [[1, 2]] * 3
     # in a cycle of two steps, of one, of none
-    turned = ways((pattern_fit, follows), 2)
+    turned = pattern_ways((pattern_fit, follows), 2)
     assert len(turned) == 3
     nearest = np.argmin(distances(follows.covs, pattern_fit.before), axis=1)
     assert turned[2].tolist() == pattern_fit.table[nearest].tolist()
-    once = ways((pattern_fit, follows), 1)[2]
+    once = pattern_ways((pattern_fit, follows), 1)[2]
     assert once.tolist() == follows.table[np.argmin(distances(follows.covs, covs), axis=1)].tolist()
-    assert ways((), 0) is None
-    assert ways((affine_fit(), affine_fit()), 0) is None
+    assert pattern_ways((), 0) is None
+    assert pattern_ways((affine_fit(), affine_fit()), 0) is None
 
 
 class State(SimpleNamespace):

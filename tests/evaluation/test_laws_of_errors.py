@@ -9,8 +9,8 @@ from seedslib.base.blocks import as_seed_sequence
 from seedslib.delay import DelayKalmanFilter
 from seedslib.delay.examples import two_noises
 from seedslib.evaluation import compare, evaluate
-from seedslib.evaluation.consistency import bounds, ratio
-from seedslib.evaluation.tally import Known
+from seedslib.evaluation.consistency import bounds, ratio_of_sums
+from seedslib.evaluation.tally import ErrorSums
 from seedslib.filters import extended_kalman, unscented_kalman
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
@@ -169,8 +169,8 @@ def test_the_error_of_a_ratio_is_that_of_repetitions(system):
 def test_the_ratio_of_paths_that_know_different_times():
     """Two paths with sums 3 of 1 and 1 of 3: ratio 1, its error by the linear formula."""
     paths = np.array([[3.0, 1.0], [1.0, 3.0]])
-    known = Known(np.zeros(1), np.zeros(1), np.zeros(1), paths.sum(axis=1), paths @ paths.T)
-    assert ratio(known) == (pytest.approx(1.0), pytest.approx(np.sqrt(8) / 4))
+    known = ErrorSums(np.zeros(1), np.zeros(1), np.zeros(1), paths.sum(axis=1), paths @ paths.T)
+    assert ratio_of_sums(known) == (pytest.approx(1.0), pytest.approx(np.sqrt(8) / 4))
 
 
 def test_dropouts_leave_a_filter_that_skips_them_consistent(system, filters):

@@ -236,3 +236,23 @@ def test_a_filter_that_starts_from_a_known_state_on_a_kink(compiled, place):
     mean, cov, loglik, _ = compiled(filter).run(times, y)
     for found, given in ((mean, wanted.mean), (cov, wanted.cov), (loglik, wanted.loglik)):
         np.testing.assert_allclose(found, given, rtol=1e-13, atol=1e-13)
+
+
+@pytest.mark.parametrize("power", [0, 1])
+def test_a_one_sided_exponential_beside_a_wide_prior(compiled, power):
+    """The exponential of the first variance is no number; its product with a probability is."""
+    x, v, w = sympy.symbols("x v w", real=True)
+    sensor = sympy.Piecewise(((x + 1) ** power * sympy.exp(x), x < 0), (1 + x, True))
+    system = DiscreteSystem(
+        StochasticMap([x], [0.9 * x + v], Noise([v])),
+        StochasticMap([x], [sensor + w], Noise([w])),
+        mean0=-30.0, cov0=1e4,
+    )  # fmt: skip
+    times = np.arange(6.0)
+    y = system.simulate(times, 20, 1).measurements
+    filter = assumed_density(system)
+    wanted = filter.run(times, y)
+    mean, cov, loglik, _ = compiled(filter).run(times, y)
+    for found, given in ((mean, wanted.mean), (cov, wanted.cov), (loglik, wanted.loglik)):
+        assert np.isfinite(given).all()
+        np.testing.assert_allclose(found, given, rtol=1e-9, atol=1e-9)

@@ -130,11 +130,11 @@ def _mixed(members, number, *states):
     for share, other in zip(ends, states[1:], strict=False):
         late = number >= share
         measurement = np.where(late, other.measurement, found.measurement)
-        found = chosen(late, found, other)._replace(measurement=measurement)
+        found = where_late(late, found, other)._replace(measurement=measurement)
     return found
 
 
-def chosen(late: np.ndarray, one: Any, other: Any) -> Any:
+def where_late(late: np.ndarray, one: Any, other: Any) -> Any:
     """A state with the estimates and memories of another one on the paths (N,) that are marked."""
 
     def either(a, b):

@@ -16,7 +16,7 @@ from seedslib.base.progress import followed
 from seedslib.design.cells import fit_cells
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths.forward_pass import as_read
-from seedslib.design.paths.patterns import chosen, second_moments
+from seedslib.design.paths.patterns import second_moments, where_late
 from seedslib.design.paths.switching import cell_of, forecast_mean, moments_of_cells, score
 from seedslib.designed.switching.fits import CellFit, ClassFit, cell_count
 from seedslib.designed.switching.lemmas import total_covariance
@@ -121,7 +121,7 @@ def _mixed(shares, number, *states):
     found, ends = states[0], np.cumsum(shares)
     for share, other in zip(ends, states[1:], strict=False):
         late, raised = number >= share, found.mended + other.mended
-        found = chosen(late, found, other)._replace(
+        found = where_late(late, found, other)._replace(
             mode=np.where(late, other.mode, found.mode), mended=raised
         )
     return found

@@ -14,7 +14,7 @@ from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import crew
-from seedslib.design.tables.carriers import scored
+from seedslib.design.tables.carriers import prediction_of
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.lookup import Output, Step, arguments, step_axes
@@ -154,7 +154,7 @@ def binned_synthesis(
         )  # fmt: skip
     filter = OutputFilter(
         system=system, memory=memory, times=times, steps=tuple(steps), method=METHOD,
-        predicted=scored(scores, wrong, in_sample=True),
+        predicted=prediction_of(scores, wrong, in_sample=True),
         design=Design(paths, BLOCK, *seed_record(root)),
         covariances=np.array(errors),
     )  # fmt: skip

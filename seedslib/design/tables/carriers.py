@@ -223,7 +223,7 @@ class Carriers:
 
     def prediction(self) -> Prediction:
         """Errors and their standard errors on paths that each function has not seen."""
-        return scored(self.scores, self.wrong)
+        return prediction_of(self.scores, self.wrong)
 
     def examined(self, filter: Any) -> Any:
         """The finished filter with its errors on other paths than those of all sets."""
@@ -237,7 +237,7 @@ class Carriers:
         return Design(count, BLOCK, *seed_record(root), self.lost, False)
 
 
-def scored(
+def prediction_of(
     scores: Sequence[tuple[Any, ...]], wrong: Sequence[Any], *, in_sample: bool = False
 ) -> Prediction:
     """Errors and their standard errors from those of single paths.

@@ -63,7 +63,7 @@ def by_class(fits: Sequence[Any]) -> list[tuple[int, Any]]:
     ]  # fmt: skip
 
 
-def patterns(filter: FiniteOrderFilter) -> list[np.ndarray]:
+def measurements_by_pattern(filter: FiniteOrderFilter) -> list[np.ndarray]:
     """Measurements with each pattern of NaN that the first one may have, numbered as they are."""
     mask, arriving = filter.schedule
     free = loose(np.ones(len(mask[0])) if arriving is None else arriving)

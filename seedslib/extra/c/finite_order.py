@@ -8,7 +8,7 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.extra.c.arrivals import arrivals, by_class, knowing, patterns
+from seedslib.extra.c.arrivals import arrivals, by_class, knowing, measurements_by_pattern
 from seedslib.extra.c.forecasts import ahead, course, held
 from seedslib.extra.c.points import FACTOR
 from seedslib.extra.c.records import STATE, between, frame, going_on, push
@@ -169,7 +169,7 @@ def _first(filter: FiniteOrderFilter) -> str:
     text = constants("@name_first_mean", start.mean)
     # it depends on no number of a measurement, only on which the design knows to be missing
     first = filter.predict(filter.initial(), filter.times[0])
-    covs = [filter.correct(first, y).cov for y in patterns(filter)]
+    covs = [filter.correct(first, y).cov for y in measurements_by_pattern(filter)]
     text += constants("@name_first_cov", covs[0] if filter.ways is None else covs)
     text += constants("@name_first_sensor", start.moments.mean)
     text += constants("@name_first_cross", start.moments.cross)

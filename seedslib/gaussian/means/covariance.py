@@ -25,7 +25,7 @@ from seedslib.gaussian.means.classes import Clash, NoClosedForm, Terms, folded, 
 from seedslib.gaussian.means.covariance_tilted import Wave, tilted_pair
 from seedslib.gaussian.means.exp_difference import ExpDifference
 from seedslib.gaussian.means.formulas import mean_formula, stand_ins
-from seedslib.gaussian.means.normal_cdf import NormalCDF
+from seedslib.gaussian.means.normal_cdf import NormalCDF, TiltedTail
 from seedslib.gaussian.means.parse import parse
 from seedslib.gaussian.means.polynomial import heat
 
@@ -227,7 +227,7 @@ def _difference(left: Terms, right: Terms, *law: Any) -> sp.Expr:
 
 
 def _functions(expression: sp.Expr) -> Iterable[sp.Expr]:
-    return sorted(expression.atoms(sp.exp, sp.sin, sp.cos), key=str)
+    return sorted(expression.atoms(sp.exp, sp.sin, sp.cos, TiltedTail), key=str)
 
 
 def _centred(whole: sp.Expr, q: sp.Symbol, inside: sp.Expr, outside: sp.Expr) -> sp.Expr:

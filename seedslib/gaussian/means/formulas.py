@@ -11,7 +11,7 @@ import sympy as sp
 
 from seedslib.base.symbols import as_expression, as_symbols
 from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
-from seedslib.gaussian.means.normal_cdf import NormalCDF, Spread
+from seedslib.gaussian.means.normal_cdf import NormalCDF, Spread, TiltedTail
 from seedslib.gaussian.means.parse import components_of, parse
 from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
 
@@ -149,6 +149,9 @@ def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Seque
         m = m + p * linear
     oscillating = any(c.has(sp.I) for _, c in key.exponent)
     if key.plane is not None:
+        if exponent != 0 and not oscillating:
+            slope = sp.zeros(n, 1) if any(quadratic) else linear
+            return factor * _tilted_half_space(key, poly, m, p, exponent, slope)
         value = _half_space(key, poly, m, p)
     elif any(quadratic):
         means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One)
@@ -223,12 +226,7 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
 
     For a blurred half-space u has one more component, which is independent of x.
     """
-    normal = sp.Matrix(key.plane.normal)
-    direction = p * normal
-    location = (normal.T * m)[0] + key.plane.offset
-    variance = (normal.T * direction)[0] + int(key.plane.blurred)
-    if not key.plane.blurred:
-        variance = _never_zero(variance, normal, p, location)
+    location, variance, direction = _switching(key, m, p)
     mass = NormalCDF(location / sp.sqrt(variance))
     height = sp.exp(-(location**2) / (2 * variance)) / sp.sqrt(2 * sp.pi * variance)
     gain = direction / variance
@@ -239,6 +237,53 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     boundary = (list(direction), {a: height * value for a, value in on_plane.items()})
     means = monomial_means(indices, list(m), p.tolist(), zeroth=mass, boundary=boundary)
     return sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)
+
+
+def _switching(key: Key, m: sp.Matrix, p: sp.Matrix) -> tuple[sp.Expr, sp.Expr, sp.Matrix]:
+    """Mean and variance of the switching function u, and its covariance with x."""
+    normal = sp.Matrix(key.plane.normal)
+    direction = p * normal
+    location = (normal.T * m)[0] + key.plane.offset
+    along = (normal.T * direction)[0]
+    blurred = key.plane.blurred
+    variance = along + 1 if blurred else _never_zero(along, normal, p, location)
+    return location, variance, direction
+
+
+def _tilted_half_space(
+    key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr, slope: sp.Matrix
+) -> sp.Expr:
+    """``exp(exponent) E p(x) 1{u > 0}`` under N(m, P), by powers of u.
+
+    The slope is that of the exponential that moved the mean; zero if something else did as well.
+    Both factors can be out of range where the product is not, and so can be the moved mean.
+    """
+    location, variance, direction = _switching(key, m, p)
+    gain = direction / variance
+    at_plane = exponent - location**2 / (2 * variance)
+    centre = m - gain * location
+    k = _multiple(slope, sp.Matrix(key.plane.normal))
+    if k is not None:  # the same two without the move, in which nothing cancels
+        blur, along = int(key.plane.blurred), (sp.Matrix(key.plane.normal).T * direction)[0]
+        before = sp.expand(location - k * along)
+        at_plane = -k * key.plane.offset - before**2 / (2 * variance)
+        at_plane += blur * k * (2 * before + k * along) / (2 * variance)
+        centre = (m - k * direction).applyfunc(sp.expand) - gain * (before - blur * k)
+    law = exponent, location / sp.sqrt(variance), at_plane
+    t = sp.Dummy("t")
+    places = list(centre + t * direction / sp.sqrt(variance))
+    image = heat(dict(poly.terms()), (p - gain * direction.T).tolist())
+    powers = (c * sp.prod([v**e for v, e in zip(places, a, strict=True)]) for a, c in image.items())
+    whole = sp.expand(sum(powers, sp.S.Zero))
+    degrees = range(poly.total_degree() + 1)
+    return sum((whole.coeff(t, e) * TiltedTail(*law, e) for e in degrees), sp.S.Zero)
+
+
+def _multiple(slope: sp.Matrix, normal: sp.Matrix) -> sp.Expr | None:
+    """The k other than zero with ``slope = k normal``; None without one."""
+    k = next((a / c for a, c in zip(slope, normal, strict=True) if c), sp.S.Zero)
+    left = slope - k * normal
+    return None if k == 0 or any(sp.expand(part) for part in left) else k
 
 
 def _never_zero(variance: sp.Expr, normal: sp.Matrix, p: sp.Matrix, location: sp.Expr) -> sp.Expr:
