@@ -78,6 +78,22 @@ def test_two_states_whose_sum_is_one_sided():
         assert_allclose(found.mean, [numeric(mean, cov)], rtol=1e-10, atol=1e-280)
 
 
+def test_a_plane_that_a_parameter_takes_away():
+    """Where its coefficient is zero the other side is nowhere."""
+    slope, pull = sympy.symbols("a b", real=True)
+    value = sympy.Piecewise((sympy.exp(pull * x), slope * x + 1 > 0), (0, True))
+    law = [y], sympy.Matrix([[v]])
+    formula = mean_expression(value, [x], *law, parameters=(slope, pull))
+    code = compile_components([y, v, slope, pull], [formula])
+    for steep in (1.0, 0.2, 1e-3, 0.0):
+        with mp.workdps(30):
+            inside = (
+                mp.ncdf((1 + steep * (0.3 + mp.mpf(2) / 2)) / (steep * mp.sqrt(2))) if steep else 1
+            )
+            want = float(mp.exp(mp.mpf("0.15") + 0.25) * inside)
+        assert_allclose(code(0.3, 2.0, steep, 0.5), [want], rtol=1e-14)
+
+
 @pytest.mark.parametrize("variance", [1.0, 400.0, 1e6])
 def test_an_error_function_instead_of_a_plane(variance):
     """``exp(x) Phi(-2 x)`` under N(m, P), a half-space that is blurred."""

@@ -280,8 +280,9 @@ def _tilted_half_space(
 
 
 def _multiple(slope: sp.Matrix, normal: sp.Matrix) -> sp.Expr | None:
-    """The k other than zero with ``slope = k normal``; None without one."""
-    k = next((a / c for a, c in zip(slope, normal, strict=True) if c), sp.S.Zero)
+    """The k other than zero with ``slope = k normal``; None without one that is always a number."""
+    parts = [(a, c) for a, c in zip(slope, normal, strict=True) if c.is_number and c]
+    k = parts[0][0] / parts[0][1] if parts else sp.S.Zero
     left = slope - k * normal
     return None if k == 0 or any(sp.expand(part) for part in left) else k
 
