@@ -212,17 +212,21 @@ class Mixture(NamedTuple):
     loglik: float
 
 
+def along(system, modes, drives="old"):
+    """The `Linear` system of given modes; its steps are driven by the old or by the new ones."""
+    drivers, first = modes[1:] if drives == "new" else modes[:-1], system.modes[modes[0]]
+    moves = [[getattr(system.modes[i], f)[j] for j, i in enumerate(drivers)] for f in "FbQ"]
+    shows = [[getattr(system.modes[i], f)[j] for j, i in enumerate(modes)] for f in "HdR"]
+    shapes = [(-1, *np.shape(getattr(first, f))[1:]) for f in "FbQ"]
+    moves = [np.reshape(part, shape) for part, shape in zip(moves, shapes, strict=True)]
+    return Linear(*moves, *map(np.array, shows), first.mean0, first.cov0)
+
+
 def histories(system, y, indicators, k, last, drives="old"):
     """Law of (x_k, mode at k) given the records up to `last`, over all histories of the modes."""
     reach, count, parts = max(k, last), len(system.initial), []
     for modes in product(range(count), repeat=reach + 1):
-        drivers = modes[1:] if drives == "new" else modes[:-1]
-        model = system.modes[modes[0]]
-        moves = [[getattr(system.modes[i], f)[j] for j, i in enumerate(drivers)] for f in "FbQ"]
-        shows = [[getattr(system.modes[i], f)[j] for j, i in enumerate(modes)] for f in "HdR"]
-        shapes = [(-1, *np.shape(getattr(model, f))[1:]) for f in "FbQ"]
-        moves = [np.reshape(part, shape) for part, shape in zip(moves, shapes, strict=True)]
-        chain = Regression(Linear(*moves, *map(np.array, shows), model.mean0, model.cov0))
+        chain = Regression(along(system, modes, drives))
         chance = np.log(system.initial[modes[0]])
         chance += sum(np.log(system.switching[j][modes[j], modes[j + 1]]) for j in range(reach))
         for j in range(last + 1):
