@@ -1,0 +1,130 @@
+"""Independent routes for systems with delays: regression on all data, and the printed recursion."""
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from seedslib.delay import DelaySystem
+
+
+def varying_system(delays, steps, seed=3):
+    """Time-varying in everything, n = 3, m = 2, singular Q, correlated history with a mean."""
+    rng = np.random.default_rng(seed)
+    size = (max(delays) + 1) * 3
+    spread, noise = rng.standard_normal((size, size)), rng.standard_normal((steps + 1, 2, 2))
+    return DelaySystem(
+        {d: 0.4 * rng.standard_normal((steps, 3, 3)) for d in delays},
+        sensor=rng.standard_normal((steps + 1, 2, 3)),
+        noise_cov=lambda k: np.diag([1.0 + k / 10, 0.0]),
+        sensor_cov=noise @ noise.swapaxes(1, 2) + 0.3 * np.eye(2),
+        cov0=spread @ spread.T / size,
+        mean0=rng.standard_normal(size),
+        noise_input=lambda k: np.array([[1.0, k], [np.sin(k), 0.0], [0.5, 1.0]]),
+    )
+
+
+class Regression:
+    """Everything as a linear function of start and noises; estimates by one regression.
+
+    `states` (N + 1 + K, n, size) and `means` hold x_{-N}, ..., x_K, and `outputs` and
+    `output_means` y_0 (which is nothing), ..., y_K; `spread` is the covariance of the start, of
+    the noises w_0, ..., w_{K-1} and of v_1, ..., v_K, in this order.
+    """
+
+    def __init__(self, system, steps):
+        n, m, reach = system.state_size, system.measurement_size, system.max_delay
+        q = system.step(1).noise_cov.shape[0]
+        start = (reach + 1) * n
+        size = start + steps * (q + m)
+        self.n, self.m, self.reach = n, m, reach
+        self.states, self.means = np.zeros((reach + 1 + steps, n, size)), []
+        self.outputs, self.output_means = np.zeros((steps + 1, m, size)), [np.zeros(m)]
+        for j in range(reach, -1, -1):
+            self.states[reach - j, :, j * n : (j + 1) * n] = np.eye(n)
+            self.means.append(system.mean0[j * n : (j + 1) * n])
+        drives, errors = [], []
+        for k in range(1, steps + 1):
+            step, now, at = system.step(k), reach + k, start + (k - 1) * q
+            mean = 0.0
+            for d, a in step.dynamics.items():
+                self.states[now] += a @ self.states[now - 1 - d]
+                mean = mean + a @ self.means[now - 1 - d]
+            self.means.append(mean)
+            self.states[now, :, at : at + q] += step.noise_input
+            at = start + steps * q + (k - 1) * m
+            self.outputs[k] = step.sensor @ self.states[now]
+            self.outputs[k, :, at : at + m] += np.eye(m)
+            self.output_means.append(step.sensor @ mean)
+            drives.append(step.noise_cov)
+            errors.append(step.sensor_cov)
+        self.spread = block_diag(system.start_cov(), *drives, *errors)
+
+    def estimate(self, y, k, last):
+        """Mean, covariance of x_k given y (K+1, m) up to `last`; log density; weights of y_last."""
+        state, prior = self.states[self.reach + k], self.means[self.reach + k]
+        present = ~np.isnan(y[1 : last + 1]).ravel()
+        if not present.any():
+            return prior, state @ self.spread @ state.T, 0.0, np.zeros((self.n, self.m))
+        rows = self.outputs[1 : last + 1].reshape(-1, len(self.spread))[present]
+        left = (y - np.array(self.output_means))[1 : last + 1].ravel()[present]
+        spread, cross = rows @ self.spread @ rows.T, state @ self.spread @ rows.T
+        gain = np.linalg.solve(spread, cross.T).T
+        scatter = left @ np.linalg.solve(spread, left)
+        loglik = -0.5 * (scatter + np.linalg.slogdet(2 * np.pi * spread)[1])
+        weights = np.zeros((self.n, present.size))
+        weights[:, present] = gain
+        cov = state @ self.spread @ state.T - gain @ cross.T
+        return prior + gain @ left, cov, loglik, weights[:, -self.m :]
+
+
+def printed_recursion(system, steps):
+    """(9)-(29) of the paper with one loop per index: K, L and the claimed matrix."""
+    reach, n, m = system.max_delay, system.state_size, system.measurement_size
+    known = {(j, i): np.zeros((n, n)) for j in range(2 * reach + 1) for i in range(2 * reach + 1)}
+    for j, block in enumerate(system.start_blocks()):
+        known[j, j] = block
+
+    def matrices(k):
+        both = system.step(k + 1).dynamics
+        return both.get(0, np.zeros((n, n))), both[reach]
+
+    gains, pasts, claims = [], [], []
+    for k in range(1, steps + 1):
+        used = range(1, min(reach, k - 1) + 1)
+        ahead = {}
+        for j in (0, *used):
+            for i in (0, *used):
+                (a, b), (c, d) = matrices(k - 1 - j), matrices(k - 1 - i)
+                ahead[j, i] = a @ known[j, i] @ c.T + b @ known[reach + j, i] @ c.T
+                ahead[j, i] += a @ known[j, reach + i] @ d.T
+                ahead[j, i] += b @ known[reach + j, reach + i] @ d.T
+                if i == j:
+                    ahead[j, i] += system.step(k - j).state_noise
+        sensor = {j: system.step(k - j).sensor for j in (0, *used)}
+        inverse = {
+            j: np.linalg.inv(s @ ahead[j, j] @ s.T + system.step(k - j).sensor_cov)
+            for j, s in sensor.items()
+        }
+        past = {j: ahead[0, j] @ sensor[j].T @ inverse[j] for j in used}
+        removed = sum((past[j] @ sensor[j] @ ahead[0, j].T for j in used), np.zeros((n, n)))
+        gain = (ahead[0, 0] - removed) @ sensor[0].T @ inverse[0]
+        keep = np.eye(n) - gain @ sensor[0]
+        claimed = keep @ (ahead[0, 0] - removed.T)
+        for i in used:
+            for j in used:
+                if i != j:
+                    claimed += past[i] @ sensor[i] @ ahead[i, j] @ sensor[j].T @ past[j].T
+        moved = {(j, i): known[j - 1, i - 1] for j, i in known if i and j}
+        for j in range(1, 2 * reach + 1):
+            a, b = matrices(k - 1)
+            row = keep @ (a @ known[0, j - 1] + b @ known[reach, j - 1])
+            for i in used:
+                a, b = matrices(k - i - 1)
+                older = a @ known[i, j - 1] + b @ known[reach + i, j - 1]
+                row -= past[i] @ sensor[i] @ older
+            moved[0, j], moved[j, 0] = row, row.T
+        moved[0, 0] = claimed
+        known = moved
+        gains.append(gain)
+        pasts.append([past.get(j, np.zeros((n, m))) for j in range(1, reach + 1)])
+        claims.append(claimed)
+    return np.array(gains), np.array(pasts), np.array(claims)
