@@ -1,12 +1,20 @@
+"""Covariance filters in continuous time, nonlinear ones, and states that are known exactly."""
+
+import warnings
+
 import numpy as np
 import pytest
 import sympy
-from scipy.linalg import block_diag, expm
-from scipy.stats import multivariate_normal
+from scipy.integrate import solve_ivp
+from scipy.stats import norm
 
-from seedslib import zoo
+from oracles.linear import Linear, Regression, discretised, kalman, moments
+from seedslib.base import assigned
 from seedslib.filters import (
     CovarianceFilter,
+    KalmanFilter,
+    KnownModeFilter,
+    RaoBlackwellFilter,
     assumed_density,
     cubature_kalman,
     extended_kalman,
@@ -14,354 +22,384 @@ from seedslib.filters import (
 )
 from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from seedslib.models import (
+    DiscreteSystem,
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    StochasticMap,
+    SwitchingSystem,
+)
+from systems import (
+    INPUTS,
+    TIMES,
+    U,
+    continuous_numbers,
+    continuous_system,
+    growth,
+    linear_numbers,
+    oscillator,
+    pendulum,
+    record,
+)
 
-RULES = (Taylor(), ExactGaussian(), Unscented(), Unscented(0.7, 2, 1), Cubature(), GaussHermite(3))
+x, v, w = sympy.symbols("x v w", real=True)
+t = sympy.Symbol("t")
+FILTERS = [
+    extended_kalman,
+    assumed_density,
+    unscented_kalman,
+    cubature_kalman,
+    lambda system: unscented_kalman(system, alpha=0.5, beta=2.0),
+    lambda system: CovarianceFilter(system, GaussHermite(5)),
+]
+RULES = [Taylor(), ExactGaussian(), Unscented(), Unscented(0.5, 2, 0), Cubature(), GaussHermite(3)]
+Y = record(linear_numbers())[1]
+PUSH = INPUTS[U]
 
 
-# Linear systems: every linearization is the Kalman filter
+def moment_filter(move):
+    """The Kalman filter of the reference system with moments moved by a function of the step."""
+    model = continuous_numbers()
+    sensor = model.sensor(TIMES, PUSH)
+    return kalman(Linear(None, None, None, *sensor, model.mean0, model.cov0), Y, move)
 
 
-def linear_case():
-    """Random linear system with three states, two sensors, offsets and correlated noises."""
-    rng = np.random.default_rng(12)
-    f, h = 0.5 * rng.standard_normal((3, 3)), rng.standard_normal((2, 3))
-    q, r, p = (
-        (lambda a: a @ a.T + 0.1 * np.eye(len(a)))(rng.standard_normal((k, k))) for k in (3, 2, 3)
-    )
-    offset = np.array([0.3, -1.0, 2.0])
-    x, w, v = sympy.symbols("x:3"), sympy.symbols("w:3"), sympy.symbols("v:2")
-    moved = sympy.Matrix(f) * sympy.Matrix(x) + sympy.Matrix(w) + sympy.Matrix(offset)
-    seen = sympy.Matrix(h) * sympy.Matrix(x) + sympy.Matrix(v)
-    system = DiscreteSystem(
-        StochasticMap(x, list(moved), Noise(w, cov=q)),
-        StochasticMap(x, list(seen), Noise(v, cov=r)),
-        [1, 2, 3],
-        p,
-    )
-    return system, (f, h, q, r, p, offset)
+def close(estimates, wanted, rtol):
+    for name in ("mean", "cov", "loglik"):
+        found, exact = getattr(estimates, name), getattr(wanted, name)
+        np.testing.assert_allclose(found, exact, rtol=rtol, atol=rtol, err_msg=name)
 
 
-def joint_law(case, steps):
-    """Mean and covariance of all states stacked over time, by the moving-average form."""
-    f, _, q, _, p, offset = case
-    mean, means = np.array([1.0, 2.0, 3.0]), []
-    root = np.zeros((3 * steps, 3 * steps))
-    for k in range(steps):
-        means.append(mean)
-        mean = f @ mean + offset
-        for j in range(k + 1):
-            root[3 * k : 3 * k + 3, 3 * j : 3 * j + 3] = np.linalg.matrix_power(f, k - j)
-    return np.concatenate(means), root @ block_diag(p, *[q] * (steps - 1)) @ root.T
+# Continuous time, with jumps, inputs and gaps
 
 
 @pytest.mark.parametrize("rule", RULES)
-@pytest.mark.parametrize("missing", [False, True])
-def test_linear_gaussian_record_against_one_batch_regression(rule, missing):
-    """Means, covariances and likelihoods of six steps at once, no recursion."""
-    system, case = linear_case()
-    _, h, _, r, _, _ = case
-    times = np.arange(6.0)
-    record = system.simulate(times, 3, 1).measurements
-    if missing:
-        record[1, 0, 0] = record[2, :, 0] = record[3, 1, 1] = np.nan
-        record[4] = np.nan
-    got = CovarianceFilter(system, rule).run(times, record)
-    mean, cov = joint_law(case, 6)
-    wide = np.kron(np.eye(6), h)
-    for path in range(3):
-        total = 0.0
-        for k in range(6):
-            seen = record[: k + 1, :, path].ravel()
-            kept = np.flatnonzero(np.isfinite(seen))
-            c = wide[kept]
-            s = c @ cov @ c.T + np.kron(np.eye(6), r)[np.ix_(kept, kept)]
-            now = slice(3 * k, 3 * k + 3)
-            gain = np.linalg.solve(s, c @ cov[:, now]).T
-            np.testing.assert_allclose(
-                got.mean[k, :, path],
-                mean[now] + gain @ (seen[kept] - c @ mean),
-                rtol=1e-11,
-                atol=1e-12,
-            )
-            own = got.cov[k] if got.cov.ndim == 3 else got.cov[k, :, :, path]
-            np.testing.assert_allclose(own, cov[now, now] - gain @ c @ cov[:, now], atol=1e-12)
-            before, total = total, multivariate_normal(c @ mean, s).logpdf(seen[kept])
-            np.testing.assert_allclose(got.loglik[k, path], total - before, atol=1e-10)
+def test_jump_diffusion_equals_its_moment_equations(rule):
+    """With state-dependent jumps; a first-order filter takes their square at the mean."""
+    model, first_order = continuous_numbers(), isinstance(rule, Taylor)
+
+    def move(k, m, P):
+        return moments(model, TIMES[k], TIMES[k + 1], m, P, PUSH[k], first_order=first_order)
+
+    filter, wanted = CovarianceFilter(continuous_system(step=0.05), rule), moment_filter(move)
+    close(filter.run(TIMES, Y, inputs={U: PUSH}), wanted, 3e-6)
+    state = filter.initial((1,))
+    for k, now in enumerate(TIMES[:3]):
+        with assigned({U: PUSH[max(k - 1, 0)]}):
+            state = filter.predict(state, now)
+        with assigned({U: PUSH[k]}):
+            state = filter.correct(state, Y[k, :, None])
+    np.testing.assert_allclose(state.mean[:, 0], wanted.mean[2], rtol=3e-6)
+    with assigned({U: PUSH[2]}):  # two forecasts are one
+        ahead = filter.forecast(filter.predict(state, 2.8), TIMES[3])
+    np.testing.assert_allclose(ahead.mean[:, 0], wanted.predicted_mean[3], rtol=3e-6)
 
 
-def test_covariance_common_to_all_paths_is_given_once():
-    system, _ = linear_case()
-    times = np.arange(4.0)
-    record = system.simulate(times, 5, 1).measurements
-    assert extended_kalman(system).run(times, record).cov.shape == (4, 3, 3)
-    record[2, 0, 3] = np.nan
-    got = extended_kalman(system).run(times, record)
-    assert got.cov.shape == (4, 3, 3, 5)
-    np.testing.assert_array_equal(got.cov[:2, ..., 0], got.cov[:2, ..., 3])
+def test_euler_steps_take_their_rates_at_their_beginning():
+    """Long steps written out; the step of the system is the default, and the last one ends it."""
+    from oracles.linear import moment_rates
+
+    model = continuous_numbers()
+
+    def move(k, m, P):
+        start, stop = TIMES[k], TIMES[k + 1]
+        steps = int(np.ceil((stop - start) / 0.2 - 1e-9))
+        h = (stop - start) / steps
+        for j in range(steps):
+            rates = moment_rates(model, start + j * h, m, P, PUSH[k], first_order=True)
+            m, P = m + h * rates[0], P + h * rates[1]
+        return m, P
+
+    filter = extended_kalman(continuous_system(step=0.2), integrator="euler")
+    close(filter.run(TIMES, Y, inputs={U: PUSH}), moment_filter(move), 1e-11)
 
 
-def kalman_covariances(steps):
-    """Variance of the estimated position of the linear oscillator, by Van Loan's method."""
-    drift = np.array([[0, 1], [-1, -0.4]])
-    big = np.zeros((4, 4))
-    big[:2, :2], big[:2, 2:], big[2:, 2:] = -drift, np.diag([0.0, 1.0]), drift.T
-    big = expm(big * 0.5)
-    phi = big[2:, 2:].T
-    noise, h = phi @ big[:2, 2:], np.array([[1.0, 0.0]])
-    cov, result = np.eye(2), []
-    for k in range(steps):
-        if k:
-            cov = phi @ cov @ phi.T + noise
-        gain = cov @ h.T / (h @ cov @ h.T + 0.25)
-        cov = cov - gain @ h @ cov
-        result.append(cov[0, 0])
-    return np.array(result)
+def test_adaptive_steps_keep_their_tolerance():
+    model = continuous_numbers()
+    wanted = moment_filter(lambda k, m, P: moments(model, *TIMES[k : k + 2], m, P, PUSH[k]))
+    many = np.stack([Y, Y], axis=-1)
+    for rtol in (1e-4, 1e-9):
+        filter = assumed_density(
+            continuous_system(), step=1.0, integrator="adaptive", rtol=rtol, atol=rtol
+        )
+        close(filter.run(TIMES, Y, inputs={U: PUSH}), wanted, 20 * rtol)
+    two = filter.run(TIMES, many, inputs={U: PUSH}, workers=2)
+    np.testing.assert_allclose(two.mean[..., 1], wanted.mean, rtol=1e-7)
 
 
-@pytest.mark.parametrize(
-    "options", [{"step": 0.002}, {"integrator": "adaptive", "rtol": 1e-12, "atol": 1e-14}]
-)
-def test_continuous_linear_oscillator(options):
-    """Section 9.4: 0.2, .1507645623, .1530811068, .1400092003, .1398418705, .1398407929."""
-    system = zoo.linear_gaussian()
-    times = 0.5 * np.arange(21)
-    record = np.zeros((21, 1))
-    got = extended_kalman(system, **options).run(times, record).cov[:, 0, 0]
-    np.testing.assert_allclose(got, kalman_covariances(21), rtol=1e-11)
-    printed = [0.2, 0.1507645623, 0.1530811068, 0.1400092003, 0.1398418705, 0.1398407929]
-    np.testing.assert_allclose(got[[0, 1, 2, 5, 10, 20]], printed, atol=5e-11)
-
-
-@pytest.mark.parametrize(
-    "make", [extended_kalman, assumed_density, unscented_kalman, cubature_kalman]
-)
-def test_all_four_agree_on_the_linear_oscillator(make):
-    system = zoo.linear_gaussian()
-    times = 0.5 * np.arange(6)
-    record = system.simulate(times, 4, 2).measurements
-    got, want = (f(system).run(times, record) for f in (make, extended_kalman))
-    np.testing.assert_allclose(got.mean, want.mean, rtol=1e-11, atol=1e-12)
-    np.testing.assert_allclose(got.loglik, want.loglik, rtol=1e-10)
-
-
-# Numbers of the paper's examples (section 9 of the review), 4 combined standard errors
-
-
-def rms(errors, groups=20):
-    """Root mean square over the last axis and its standard error by groups of paths."""
-    squares = (errors**2).reshape(*errors.shape[:-1], groups, -1).mean(axis=-1)
-    value = np.sqrt(squares.mean(axis=-1))
-    return value, squares.std(axis=-1, ddof=1) / np.sqrt(groups) / (2 * value)
-
-
-@pytest.fixture(scope="module")
-def oscillator():
-    system = zoo.van_der_pol()
-    return system, system.simulate(0.5 * np.arange(7), 20_000, 5)
-
-
-@pytest.mark.parametrize(
-    ("make", "printed", "options"),
-    [
-        (extended_kalman, [0.2149, 0.198, 0.235, 0.318, 0.385, 0.435, 0.481], {}),
-        (
-            extended_kalman,
-            [0.2149, 0.198, 0.236, 0.319, 0.388, 0.438, 0.484],
-            {"integrator": "euler"},
-        ),
-        (assumed_density, [0.2133, 0.196, 0.228, 0.289, 0.326, 0.357, 0.390], {}),
-    ],
-)
-def test_van_der_pol(oscillator, make, printed, options):
-    system, run = oscillator
-    got = make(system, bound=20, **options).run(run.times, run.measurements)
-    value, error = rms((got.mean - run.states)[:, 0])
-    assert (np.abs(value - printed) < 4 * np.sqrt(1 + 1 / 5) * error + 0.0006).all()
-    assert got.diverged.sum() == 0
-
-
-def test_exact_means_beat_expansion_on_the_oscillator(oscillator):
-    """Paired on the same paths: squared errors of the EKF minus the assumed-density filter."""
-    system, run = oscillator
+def test_runge_kutta_is_of_order_four():
+    system, wanted = (
+        continuous_system(jumps=False),
+        discretised(continuous_numbers(jumps=False), TIMES, PUSH),
+    )
+    exact = Regression(wanted).filtered(Y)[0]
     errors = [
-        (make(system).run(run.times, run.measurements).mean - run.states)[-1, 0]
-        for make in (extended_kalman, assumed_density)
+        np.abs(extended_kalman(system, step=h).run(TIMES, Y, inputs={U: PUSH}).mean - exact).max()
+        for h in (0.1, 0.05)
     ]
-    difference = errors[0] ** 2 - errors[1] ** 2
-    assert difference.mean() > 4 * difference.std() / np.sqrt(len(difference))
+    assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.4)
 
 
-def test_kicked_oscillator_and_its_diverged_paths():
-    """Section 9.2: RMS at the times k >= 4 of .769 (EKF) and .726 (FNA); Euler loses paths."""
-    system, times = zoo.kicked_duffing(), 0.5 * np.arange(13)
-    run = system.simulate(times, 8000, 8)
-    for make, printed in ((extended_kalman, 0.769), (assumed_density, 0.726)):
-        # the equations are not stiff: steps of 0.05 change the RMS by less than 1e-4
-        got = make(system, bound=20, step=0.05).run(times, run.measurements)
-        kept = ~got.diverged
-        errors = (got.mean - run.states)[4:, 0][:, kept]
-        errors = errors[:, : errors.shape[1] // 20 * 20]
-        squares = (errors**2).mean(axis=0)
-        value = np.sqrt(squares.mean())
-        error = squares.std() / np.sqrt(len(squares)) / (2 * value)
-        assert abs(value - printed) < 4 * np.sqrt(1.4) * error + 0.0006
-        assert got.diverged.sum() <= 5
-    euler = extended_kalman(system, bound=20, integrator="euler").run(times, run.measurements)
-    assert euler.diverged.sum() >= 1
-    beyond = (np.abs(euler.mean) > 20).any(axis=(0, 1)) | np.isnan(euler.mean).any(axis=(0, 1))
-    np.testing.assert_array_equal(euler.diverged, beyond)
-
-
-def test_flip_process():
-    """Section 9.3, mean squared errors at k = 0, 1, 2, 4, 6, 8, 12; the reference has ±.002."""
-    system, times = zoo.flip_process(), 0.25 * np.arange(13)
-    run = system.simulate(times, 10_000, 9)
-    for make, printed in (
-        (assumed_density, [0.148, 0.203, 0.205, 0.204, 0.199, 0.201, 0.201]),
-        (extended_kalman, [0.148, 0.217, 0.214, 0.208, 0.204, 0.204, 0.203]),
-    ):
-        got = make(system, step=0.025).run(times, run.measurements)
-        squares = ((got.mean - run.states)[[0, 1, 2, 4, 6, 8, 12], 0]) ** 2
-        error = squares.std(axis=1) / np.sqrt(squares.shape[1])
-        difference = np.abs(squares.mean(axis=1) - printed)
-        assert (difference < 4 * np.hypot(error, 0.002)).all()
-
-
-# What the results may depend on
-
-
-@pytest.mark.parametrize("integrator", ["rk4", "adaptive"])
-def test_threads_and_other_paths_do_not_matter(integrator):
-    system, times = zoo.van_der_pol(), 0.5 * np.arange(3)
-    record = system.simulate(times, 17_000, 3).measurements
-    filter_ = extended_kalman(system, integrator=integrator, step=0.1)
-    one, two = (filter_.run(times, record, workers=k) for k in (1, 2))
-    for a, b in zip(one, two, strict=True):
-        if a is not None:
-            np.testing.assert_array_equal(a, b)
-    alone = filter_.run(times, record[..., 8000])
-    assert alone.mean.shape == (3, 2)
-    assert alone.cov.shape == (3, 2, 2)
-    tolerance = 1e-13 if integrator == "rk4" else 1e-5
-    np.testing.assert_allclose(alone.mean, one.mean[..., 8000], rtol=tolerance, atol=tolerance)
-    np.testing.assert_allclose(alone.cov, one.cov[..., 8000], rtol=tolerance, atol=tolerance)
-    folded = filter_.run(times, record[..., :12].reshape(3, 2, 3, 4))
-    assert folded.cov.shape == (3, 2, 2, 3, 4)
-    np.testing.assert_allclose(folded.mean.reshape(3, 2, 12), one.mean[..., :12], rtol=tolerance)
-
-
-def test_integrators_agree():
-    system, times = zoo.kicked_duffing(), 0.5 * np.arange(5)
-    record = system.simulate(times, 50, 3).measurements
-    fixed = assumed_density(system, step=0.005).run(times, record)
-    free = assumed_density(system, integrator="adaptive", step=0.5, rtol=1e-9).run(times, record)
-    np.testing.assert_allclose(fixed.mean, free.mean, atol=1e-6)
-    np.testing.assert_allclose(fixed.cov, free.cov, atol=1e-6)
-
-
-def test_jumps_enter_the_forecast():
-    """Without them the covariance of the kicked oscillator would be far too small."""
-    system = zoo.kicked_duffing()
-    calm = zoo.kicked_duffing(kick=(0.0, 1e-6))
-    record = np.full((2, 1), np.nan)
-    with_jumps, without = (assumed_density(s).run([0.0, 0.5], record) for s in (system, calm))
-    assert with_jumps.cov[-1, 1, 1] > 5 * without.cov[-1, 1, 1]
-    states = system.simulate([0.0, 0.5], 40_000, 1).states[1]
-    assert abs(states[1].var() - with_jumps.cov[-1, 1, 1]) < 0.1 * states[1].var()
-
-
-def test_times_without_a_measurement_give_forecasts():
-    system, times = zoo.van_der_pol(), np.array([0.0, 0.2, 0.5])
-    record = system.simulate(times, 6, 2, measured=[0, 2]).measurements
-    filter_ = assumed_density(system)
-    whole = filter_.run(times, record)
-    state = filter_.step(filter_.initial((6,)), 0.0, record[0])
-    forecast = filter_.forecast(state, 0.2)
-    np.testing.assert_allclose(whole.mean[1], forecast.mean, rtol=1e-12)
-    np.testing.assert_allclose(whole.cov[1], forecast.cov, rtol=1e-12)
-    assert (whole.loglik[1] == 0).all()
-    # the state itself has not moved, and the two halves of a step are the step
-    assert state.time == 0.0
-    later = filter_.correct(filter_.predict(state, 0.5), record[2])
-    np.testing.assert_allclose(later.mean, whole.mean[2], rtol=1e-9)
-    np.testing.assert_array_equal(later.mean, filter_.step(state, 0.5, record[2]).mean)
-
-
-def test_array_functions_with_points():
-    symbolic = zoo.van_der_pol()
-    numeric = JumpDiffusion.from_functions(
-        lambda t, x: np.stack([x[1], -((0.1 * np.pi) ** 2) * x[0] + 2 * x[1] * (1 - x[0] ** 2)]),
-        lambda t, x: np.stack([0 * x[0], x[0]])[:, None],
-        StochasticMap.from_functions(
-            2, 2, lambda t, x, v: np.stack([x[0] ** 2 + v[0], x[1] + v[1]]), Noise(2)
-        ),
-        [2, 0],
-        0.15 * np.eye(2),
-    )
-    times = 0.5 * np.arange(3)
-    record = symbolic.simulate(times, 5, 1).measurements
-    rule = GaussHermite(4)
-    got, want = (
-        CovarianceFilter(s, rule, step=0.05).run(times, record) for s in (numeric, symbolic)
-    )
-    np.testing.assert_allclose(got.mean, want.mean, rtol=1e-9)
-    with pytest.raises(NoClosedForm, match="use Unscented, Cubature or GaussHermite"):
-        extended_kalman(numeric)
-
-
-def test_sensor_that_depends_on_time():
-    x, v, t = sympy.symbols("x v t")
+@pytest.mark.parametrize(("make", "exact"), [(extended_kalman, 0.0), (assumed_density, 1.0)])
+def test_cubic_drift_equals_its_moment_equations(make, exact):
+    """dX = (-t X³ + sin t) dt + t X dW: means over N(m, P), or the first-order ones."""
     system = JumpDiffusion(
-        (x,), [0], [[0]], [(1 + t) * x + v], Noise((v,)), mean0=[0], cov0=[[1]], step=1.0
-    )
-    got = extended_kalman(system).run([0.0, 1.0, 2.0], np.ones((3, 1)))
-    np.testing.assert_allclose(got.cov[:, 0, 0], 1 / (1 + np.array([1, 5, 14])), rtol=1e-12)
-    np.testing.assert_allclose(
-        got.mean[:, 0], np.array([1, 3, 6]) / np.array([2, 6, 15]), rtol=1e-12
+        (x,), [-t * x**3 + sympy.sin(t)], [[t * x]], [x + v], Noise((v,)), [1.0], [[0.4]]
     )
 
+    def rate(t, moments):
+        m, p = moments
+        drift = -t * (m**3 + 3 * m * exact * p) + np.sin(t)
+        return [drift, -6 * t * (m**2 + exact * p) * p + t**2 * (m**2 + exact * p)]
 
-# Bad input
-
-
-@pytest.mark.parametrize(
-    ("options", "error", "message"),
-    [
-        ({"integrator": "heun"}, ValueError, "integrator: wanted one of rk4, euler, adaptive"),
-        ({"step": 0.0}, ValueError, "step: wanted a positive number, got 0"),
-        ({"bound": -1}, ValueError, "bound: wanted a positive number, got -1"),
-        ({"linearization": "ekf"}, TypeError, "linearization: wanted a Linearization, got 'ekf'"),
-    ],
-)
-def test_bad_options(options, error, message):
-    given = {"linearization": Taylor()} | options
-    with pytest.raises(error, match=message):
-        CovarianceFilter(zoo.linear_gaussian(), **given)
+    want = solve_ivp(rate, (0.2, 1.2), [1.0, 0.4], rtol=1e-11, atol=1e-13).y[:, -1]
+    filter = make(system, step=0.01)
+    for batch in ((), (3,)):
+        state = filter.predict(filter.predict(filter.initial(batch), 0.2), 1.2)
+        np.testing.assert_allclose(state.mean[0], want[0], rtol=1e-8)
+        np.testing.assert_allclose(state.cov[0, 0], want[1], rtol=1e-8)
 
 
-@pytest.mark.parametrize(
-    ("times", "record", "message"),
-    [
-        ([0.0, 0.0], np.zeros((2, 1)), "times: wanted strictly increasing"),
-        (
-            [0.0, 1.0],
-            np.zeros((3, 1)),
-            r"measurements: wanted shape \(2, 1, \*batch\), got \(3, 1\)",
+def test_array_functions_equal_formulas():
+    made = JumpDiffusion.from_functions(
+        lambda t, x: np.stack([x[1], (1 - x[0] ** 2) * x[1] - x[0]]),
+        lambda t, x: np.stack([0 * x[0], 0.5 + 0 * x[0]])[:, None],
+        StochasticMap.from_functions(2, 1, lambda t, x, v: x[:1] + v, Noise(1, cov=[[0.2]])),
+        [1.0, 0.0],
+        np.diag([0.3, 0.2]),
+    )
+    system, times = oscillator(), np.array([0.5, 0.8, 1.4])
+    y = system.simulate(times, 4, 1).measurements
+    rule = GaussHermite(4)
+    one, two = (CovarianceFilter(s, rule, step=0.05).run(times, y) for s in (made, system))
+    close(one, two, 1e-9)
+    with pytest.raises(NoClosedForm):
+        extended_kalman(made)
+
+
+def test_threads_and_blocks_give_equal_bits():
+    filter = extended_kalman(growth())
+    times = np.arange(4.0)
+    y = growth().simulate(times, 9000, 3).measurements
+    one, two = (filter.run(times, y, workers=count) for count in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+    alone = filter.run(times, y[..., 8999])
+    np.testing.assert_allclose(alone.mean, one.mean[..., 8999], rtol=1e-12)
+
+
+# Nonlinear systems in discrete time
+
+
+def by_hand(system, move, show, jacobians, times, y):
+    """The extended Kalman filter from functions and their Jacobians."""
+    m, P, rows = system.mean0, system.cov0, []
+    Q, R = system.dynamics.noise.cov, system.sensor.noise.cov
+    for k in range(len(times)):
+        if k:
+            F, G, _ = jacobians(m)
+            m, P = move(times[k - 1], m), F @ P @ F.T + G @ Q @ G.T
+        H = jacobians(m)[2]
+        spread = H @ P @ H.T + R
+        gain = P @ H.T @ np.linalg.inv(spread)
+        m, P = m + gain @ (y[k] - show(m)), P - gain @ spread @ gain.T
+        rows.append(m)
+    return np.array(rows)
+
+
+def test_extended_filter_equals_the_recursion_with_jacobians():
+    times, step = 2.0 + np.arange(6.0), 0.1
+    system = pendulum(step)
+    y = system.simulate(times, 1, 1).measurements[..., 0]
+    mean = by_hand(
+        system,
+        lambda t, m: np.array([m[0] + step * m[1], m[1] - 9.8 * step * np.sin(m[0])]),
+        lambda m: np.sin(m[:1]),
+        lambda m: (
+            np.array([[1, step], [-9.8 * step * np.cos(m[0]), 1]]),
+            np.array([[0.0], [1.0]]),
+            np.array([[np.cos(m[0]), 0.0]]),
         ),
-        ([0.0, 1.0], np.zeros(2), r"measurements: wanted shape \(2, 1"),
-        ([0.0, 1.0], [[0.0], [np.inf]], r"got inf at index \(1, 0\)"),
+        times,
+        y,
+    )
+    np.testing.assert_allclose(extended_kalman(system).run(times, y).mean, mean, rtol=1e-11)
+    system = growth()
+    y = system.simulate(times, 1, 1).measurements[..., 0]
+    mean = by_hand(
+        system,
+        lambda t, m: m / 2 + 25 * m / (1 + m**2) + 8 * np.cos(1.2 * t),
+        lambda m: m**2 / 20,
+        lambda m: (
+            np.array([[0.5 + 25 * (1 - m[0] ** 2) / (1 + m[0] ** 2) ** 2]]),
+            np.eye(1),
+            m[:, None] / 10,
+        ),
+        times,
+        y,
+    )
+    np.testing.assert_allclose(extended_kalman(system).run(times, y).mean, mean, rtol=1e-11)
+
+
+def test_points_of_high_order_equal_quadrature_of_the_step():
+    """One forecast and one correction of a bent system, integrals by a fine sum."""
+    noises = Noise((v,), 0.3, [[0.5]]), Noise((w,), -0.2, [[0.4]])
+    system = DiscreteSystem(
+        StochasticMap((x,), [x / 2 + sympy.sin(2 * x + t) + t * v], noises[0]),
+        StochasticMap((x,), [sympy.exp(x / 2) / (1 + t) + w], noises[1]), [0.5], [[0.8]],
+    )  # fmt: skip
+    filter = CovarianceFilter(system, GaussHermite(40))
+    state = filter.predict(filter.predict(filter.initial(), 3.0), 4.0)
+    nodes = np.linspace(-12, 12, 4001)
+
+    def average(f, m, p):
+        weights = norm.pdf(nodes)
+        return (weights * f(m + np.sqrt(p) * nodes)).sum() / weights.sum()
+
+    def moved(x):
+        return x / 2 + np.sin(2 * x + 3) + 3 * 0.3
+
+    def shown(x):
+        return np.exp(x / 2) / 5 - 0.2
+
+    m = average(moved, 0.5, 0.8)
+    p = average(lambda x: (moved(x) - m) ** 2, 0.5, 0.8) + 9 * 0.5
+    y = average(shown, m, p)
+    spread = average(lambda x: (shown(x) - y) ** 2, m, p) + 0.4
+    cross = average(lambda x: (x - m) * shown(x), m, p)
+    expected = filter.expect(state)
+    later = filter.correct(state, [1.5])
+    for value, wanted in (
+        (state.mean[0], m),
+        (state.cov[0, 0], p),
+        (expected.mean[0], y),
+        (later.mean[0], m + cross / spread * (1.5 - y)),
+        (later.cov[0, 0], p - cross**2 / spread),
+        (later.loglik, norm.logpdf(1.5, y, np.sqrt(spread))),
+    ):
+        assert value == pytest.approx(wanted, rel=1e-9)
+
+
+# Exact sensors, known states, outliers
+
+
+@pytest.mark.parametrize("make", FILTERS)
+def test_exact_sensor_of_a_sum_in_any_units(make):
+    """Three correlated states, in other units each, of which a sum is known exactly."""
+    rng, units = np.random.default_rng(1), np.array([1.0, 1e3, 1e-3])
+    a = 0.5 * rng.standard_normal((3, 3)) * units[:, None] / units
+    root = rng.standard_normal((3, 3))
+    cov = root @ root.T * np.outer(units, units)
+    row = rng.standard_normal((1, 3)) / units
+    system = LinearSystem(a, 0.1 * cov, row, [[0.0]], [0, 0, 0], cov)
+    y = rng.standard_normal((25, 1))
+    estimates = make(system).run(np.arange(25.0), y)
+    assert not estimates.diverged
+    np.testing.assert_allclose(estimates.mean @ row[0], y[:, 0], atol=1e-9)
+    np.testing.assert_allclose(row[0] @ estimates.cov @ row[0], 0, atol=1e-11)
+
+
+@pytest.mark.parametrize("make", FILTERS[:4])
+def test_state_that_is_known_exactly_stays_so(make):
+    rng = np.random.default_rng(4)
+    a, start, none = rng.standard_normal((4, 4)) / 4, rng.standard_normal(4), np.zeros((4, 4))
+    system = LinearSystem(a, none, np.ones((1, 4)), 1, start, none)
+    estimates = make(system).run(np.arange(30.0), rng.standard_normal((30, 1)))
+    wanted = [np.linalg.matrix_power(a, k) @ start for k in range(30)]
+    np.testing.assert_allclose(estimates.mean, wanted, rtol=1e-9, atol=1e-15)
+    assert (estimates.cov == 0).all()
+
+
+@pytest.mark.parametrize("make", FILTERS)
+@pytest.mark.parametrize("prior", [1e4, 1e12])
+def test_wide_prior_beside_a_precise_sensor(make, prior):
+    """A constant, measured three times: 1 / P = 1 / P0 + k / R."""
+    system = LinearSystem(1, 0, 1, 1e-8, 0, prior)
+    estimates = make(system).run(np.arange(3.0), [[5.0], [6.0], [7.0]])
+    wanted = 1 / (1 / prior + np.arange(1.0, 4.0) / 1e-8)
+    np.testing.assert_allclose(estimates.cov[:, 0, 0], wanted, rtol=1e-7)
+    np.testing.assert_allclose(estimates.mean[:, 0], [5.0, 5.5, 6.0], rtol=1e-6)
+
+
+SURE = SwitchingSystem(
+    (x,), [[x]] * 2, Noise(), [[0.9, 0.1], [0.2, 0.8]], [[x]] * 2, Noise(), [(0.5, [0], [[1]])] * 2
+)
+STILL = DiscreteSystem(
+    StochasticMap((x,), [x], Noise()), StochasticMap((x,), [x], Noise()), [0], [[1]]
+)
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: KalmanFilter(LinearSystem(1, 0, 1, 0, 0, 1)),
+        *(lambda make=make: make(STILL) for make in FILTERS),
+        lambda: KnownModeFilter(SURE),
+        lambda: RaoBlackwellFilter(SURE, 10),
     ],
 )
-def test_bad_records(times, record, message):
-    with pytest.raises(ValueError, match=message):
-        extended_kalman(zoo.linear_gaussian()).run(times, record)
+def test_exact_sensor_that_is_contradicted_has_diverged(make):
+    """What was measured once is so; a rounding error is none, another value is impossible."""
+    filter, y = make(), np.full((6, 1, 3), 1.3)
+    y[3, 0, 1:] = 1.3 * (1 + 1e-12), 1.4
+    options = {"modes": np.zeros((6, 3), dtype=int)} if "modes" in filter.takes else {}
+    estimates = filter.run(np.arange(6.0), y, **options)
+    np.testing.assert_array_equal(estimates.diverged, [False, False, True])
+    assert estimates.loglik[3, 2] == -np.inf
+    assert np.isfinite(estimates.loglik[:, :2]).all()
+    assert np.isfinite(estimates.loglik[4:]).all()
+    np.testing.assert_allclose(estimates.mean, 1.3)
 
 
-def test_states_out_of_order():
-    filter_ = extended_kalman(zoo.linear_gaussian())
-    with pytest.raises(ValueError, match="state: wanted a state with a time"):
-        filter_.correct(filter_.initial(), [0.0])
-    state = filter_.predict(filter_.initial(), 1.0)
-    with pytest.raises(ValueError, match=r"t: wanted a time from 1 on, got 0\.5"):
-        filter_.predict(state, 0.5)
+@pytest.mark.parametrize("make", [KalmanFilter, *FILTERS])
+def test_outlier_of_a_million_deviations_is_filtered_as_any_other(make):
+    model = Linear(
+        np.full((7, 1, 1), 0.9), np.zeros((7, 1)), np.full((7, 1, 1), 0.3), np.ones((8, 1, 1)),
+        np.zeros((8, 1)), np.full((8, 1, 1), 0.5), np.zeros(1), np.eye(1),
+    )  # fmt: skip
+    y = np.array([0.3, -1.0, 0.2, 1e6, 0.1, np.nan, 0.4, -0.6])[:, None]
+    estimates = make(LinearSystem(0.9, 0.3, 1, 0.5, 0, 1)).run(np.arange(8.0), y)
+    assert not estimates.diverged
+    close(estimates, kalman(model, y), 1e-9)
+
+
+def test_mean_beyond_the_bound_has_diverged():
+    """One that is as far as the bound has not; in a run it counts at any time."""
+    system = LinearSystem(np.eye(2), np.eye(2), np.eye(2), 0 * np.eye(2), [0, 0], np.eye(2))
+    filter = extended_kalman(system, bound=3.0)
+    y = np.array([[3.0, -3.5, 1.0, 0.0], [2.0, 1.0, -3.0, np.nextafter(3.0, 4.0)]])
+    state = filter.step(filter.initial((4,)), 0.0, y)
+    assert filter.report(state).diverged.tolist() == [False, True, False, True]
+    estimates = filter.run([0.0, 1.0], np.stack([y, 0 * y]))
+    assert estimates.diverged.tolist() == [False, True, False, True]
+    assert extended_kalman(system).report(state).diverged is None
+
+
+@pytest.mark.parametrize("options", [{}, {"integrator": "adaptive"}, {"integrator": "euler"}])
+def test_path_that_overflows_has_diverged_alone(options):
+    """Of two records, and of one, whose numbers are plain floats."""
+    system = JumpDiffusion(
+        (x,), [x**3 - 20 * x], [[1]], [x + v / 100], Noise((v,)), [1.0], [[1000.0]], step=0.02
+    )
+    filter, y = extended_kalman(system, **options), np.array([[[0.0, 50.0]], [[0.0, 0.0]]])
+    estimates = filter.run([0.0, 1.0], y)
+    assert estimates.diverged.tolist() == [False, True]
+    assert np.isfinite(estimates.mean[..., 0]).all()
+    assert filter.run([0.0, 1.0], y[..., 1]).diverged
+
+
+def test_sensor_that_no_state_is_correlated_with_is_warned_about():
+    """It moves no estimate; one that is correlated at some place or time is not warned about."""
+
+    def made(value):
+        maps = StochasticMap((x,), [x + v], Noise((v,))), StochasticMap((x,), value, Noise((w,)))
+        return DiscreteSystem(*maps, 0.3, 1.0)
+
+    with pytest.warns(UserWarning, match="y1 is uncorrelated"):
+        filter = extended_kalman(made([sympy.exp(x) * w]))
+    assert filter.run([0.0], [[2.0]]).mean[0, 0] == pytest.approx(0.3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        for value in ([x**2 + w], [t * x + w], [x + 1000 * w]):
+            extended_kalman(made(value))
