@@ -199,7 +199,7 @@ def test_the_innovations_form_gives_the_same_estimates(name):
 @pytest.mark.parametrize("damping", [0.7, 0.8])
 @pytest.mark.parametrize("method", ["structured", "array", "chandrasekhar"])
 def test_long_runs_of_stable_and_unstable_systems_settle_alike(damping, method):
-    """Against the plain Kalman recursion of the stack; a shorter table is the head of a long one."""
+    """Against the plain Kalman recursion of the stack; a short table is the head of a long one."""
     system = examples.rotation(damping, 4)
     stack, cov = system.augmented(), system.start_cov()
     for _ in range(200):
