@@ -1,460 +1,429 @@
-"""Running a designed filter: steps, forecasts between measurements, missing data, batches."""
+"""Filters of finite order: exact in the linear case, and their steps written out otherwise."""
 
-import csv
+from dataclasses import replace
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy
-from scipy.linalg import expm
+from numpy.testing import assert_allclose, assert_array_equal
 
+from oracles.finite_order import FiniteOrderOracle, transition
 from seedslib import zoo
-from seedslib.design import Affine, Continuous, Polynomial, synthesize
-from seedslib.designed import Memory, finite_memory
-from seedslib.designed.between import FORECAST_KINDS, Interval, at
-from seedslib.designed.predictors import FLOOR, bounded_below, monomials
-from seedslib.evaluation import compare
-from seedslib.filters import extended_kalman
-from seedslib.linearization import ExactGaussian, Taylor
+from seedslib.base import Input, assigned
+from seedslib.design import Continuous, Polynomial, synthesize
+from seedslib.designed import Memory
+from seedslib.linearization import Cubature, ExactGaussian, Taylor, Unscented
 from seedslib.models import JumpDiffusion, Noise
 
-TACTS = np.arange(7) * 0.5
-GRID = np.linspace(0, 3, 61)
+x, y, v, w = sympy.symbols("x y v w", real=True)
+t = sympy.Symbol("t")
+u = Input("u")
+
+# A linear system that has everything: time in all its functions, an input, unlike components,
+# correlated noises with means, a late irregular start, nodes, a schedule with gaps of its own.
+
+TIMES = np.array([1.5, 2.0, 3.1, 3.4, 4.2])
+NODES = [[1.6, 1.9], [], [3.15], [3.5, 4.0]]
+INPUT = np.array([0.7, -1.2, 0.4, 2.0, -0.5])
+MEASURED = np.array([[1, 1], [1, 0], [1, 1], [0, 0], [1, 1]], dtype=bool)
+MEAN0, COV0 = [0.4, -0.3], [[1.0, 0.3], [0.3, 0.8]]
+NOISE_MEAN, NOISE_COV = np.array([0.2, -0.1]), np.array([[0.5, 0.1], [0.1, 0.3]])
+LINEAR = JumpDiffusion(
+    (x, y),
+    [-x / 2 + (1 + t / 4) * y + u, -x / 2 - (0.3 + t / 5) * y + t / 3],
+    [[0.4, 0], [0.1 + t / 10, 0.6]],
+    [x + y / 3 + u / 2 + (1 + t / 5) * v, t * x / 4 - y + t + v / 2 + w],
+    Noise((v, w), mean=NOISE_MEAN, cov=NOISE_COV),
+    MEAN0,
+    COV0,
+    time=t,
+)
 
 
-@pytest.fixture(scope="module")
-def oscillator():
-    return zoo.van_der_pol()
+def drift(now):
+    return np.array([[-0.5, 1 + now / 4], [-0.5, -0.3 - now / 5]])
 
 
-@pytest.fixture(scope="module")
-def data(oscillator):
-    return oscillator.simulate(GRID, 40, 9, measured=np.arange(7) * 10)
+def diffusion(now):
+    return np.array([[0.4, 0], [0.1 + now / 10, 0.6]])
 
 
-def design(system, memory=None, predictor=None, **options):
-    options = {"paths": 3000, "seed": 1, "step": 0.02} | options
+def sensor(now, held):
+    matrix, mix = np.array([[1, 1 / 3], [now / 4, -1]]), np.array([[1 + now / 5, 0], [0.5, 1]])
+    return matrix, np.array([held / 2, now]) + mix @ NOISE_MEAN, mix @ NOISE_COV @ mix.T
+
+
+def oracle(estimates, measurements, components=2, measured=MEASURED, measured_nodes=False):
+    moves = []
+    for k, held in enumerate(INPUT[:-1]):
+        stops = [TIMES[k], *NODES[k], TIMES[k + 1]]
+        moves.append([
+            transition(drift, lambda s, held=held: np.array([held, s / 3]), diffusion, a, b)
+            for a, b in pairwise(stops)
+        ])  # fmt: skip
+    sensors = [sensor(*each) for each in zip(TIMES, INPUT, strict=True)]
+    return FiniteOrderOracle(
+        MEAN0, COV0, moves, sensors, estimates, measurements, components, measured, measured_nodes
+    )
+
+
+def designed(memory, rule=None, measured=MEASURED, **options):
     return synthesize(
-        system, memory or Memory(2), ExactGaussian(), TACTS, predictor=predictor or Affine(),
-        **options,
+        LINEAR, memory, rule or Taylor(), TIMES, nodes=NODES, exact_moments=True,
+        inputs={u: INPUT}, measured=measured, **options,
     )  # fmt: skip
 
 
 FAMILY = {
-    "large order": (Memory(2), Affine()),
-    "finite memory": (finite_memory(2), Affine()),
-    "mixed": (Memory(1, 2), Affine()),
-    "polynomial": (Memory(1), Polynomial(3, 2)),
-    "polynomial mean": (Memory(1), Polynomial(2, 0)),
-    "continuous": (Memory(1), Continuous()),
+    "small order": (Memory(1), {}),
+    "large order": (Memory(2), {"rule": ExactGaussian()}),
+    "finite memory": (Memory(measurements=2), {"rule": Unscented()}),
+    "mixed memory": (Memory(1, 2), {"rule": Cubature()}),
+    "one component": (Memory(2), {"components": 1}),
+    "nodes that see the measurement": (Memory(1), {"components": 1, "measured_nodes": True}),
 }
+GRID = np.sort(np.concatenate([TIMES, *NODES, [1.75, 2.5]]))
+PLACES = np.searchsorted(GRID, TIMES)
 
 
 @pytest.fixture(scope="module", params=FAMILY)
-def filter(request, oscillator):
-    return design(oscillator, *FAMILY[request.param])
+def linear(request):
+    memory, options = FAMILY[request.param]
+    rest = {k: options[k] for k in ("components", "measured_nodes") if k in options}
+    expected = oracle(memory.estimates, memory.measurements, **rest)
+    return designed(memory, **options), expected
 
 
-def test_steps_are_the_run(filter, data):
-    """One path, step by step, with forecasts between, gives what the batch gives."""
-    found = filter.run(GRID, data.measurements, covariances=True)
-    state = filter.initial()
-    for j, t in enumerate(GRID):
-        if j % 10 == 0:
-            state = filter.step(state, t, data.measurements[j, :, 3])
-            mean, cov = state.mean, state.cov
-            np.testing.assert_allclose(cov, found.cov[j, ..., 3], rtol=1e-10, atol=1e-12)
-            assert state.loglik == pytest.approx(found.loglik[j, 3], rel=1e-9, abs=1e-9)
+def of_paths(part, count):
+    """Matrices (a, b) of all paths, or (a, b, count) of each."""
+    return np.broadcast_to(part.reshape(*part.shape[:2], -1), (*part.shape[:2], count))
+
+
+def on_grid(record):
+    """The same at the times of a finer grid, with inputs that matter at measurements only."""
+    whole = np.full((len(GRID), *record.shape[1:]), np.nan)
+    whole[PLACES] = record
+    held = np.full(len(GRID), 99.0)
+    held[PLACES] = INPUT
+    return whole, {u: held}
+
+
+def test_design_of_a_linear_system_has_the_errors_of_regressions_on_its_memory(linear):
+    filter, expected = linear
+    rows = zip(filter.node_fits, expected.node_fits, strict=False)
+    pairs = [*zip(filter.fits, expected.fits[1:], strict=True)]
+    pairs += [pair for row in rows for pair in zip(*row, strict=True)]
+    for fit, wanted in pairs:
+        assert_allclose(fit.cov, wanted.cov, rtol=1e-6, atol=1e-8)
+    at = np.isin(filter.predicted.times, TIMES)
+    errors = np.sqrt([np.diagonal(cov) for cov in expected.errors])
+    assert_allclose(filter.predicted.rms[at], errors, rtol=1e-6)
+    nodes = np.sqrt([np.diagonal(fit.cov) for row in expected.node_fits for fit in row])
+    assert_allclose(filter.predicted.rms[~at], nodes, rtol=1e-6)
+
+
+def test_run_of_a_linear_system_equals_the_recursion_of_its_regressions(linear):
+    """Means, covariances, likelihoods and forecasts at nodes; alone, in a batch and in a grid."""
+    filter, expected = linear
+    record, _ = expected.draw(6, seed=3)
+    shown, inputs = on_grid(record)
+    found = filter.run(GRID, shown, inputs=inputs, covariances=True)
+    alone = filter.run(GRID, shown[..., 4], inputs=inputs, covariances=True)
+    plane = filter.run(GRID, shown.reshape(*shown.shape[:2], 3, 2), inputs=inputs)
+    assert_array_equal(plane.mean.reshape(found.mean.shape), found.mean)
+    for part in ("mean", "cov", "loglik"):
+        assert_allclose(getattr(alone, part), getattr(found, part)[..., 4], rtol=1e-9, atol=1e-11)
+    for path in range(6):
+        for k, (z, cov, loglik, nodes) in enumerate(expected.run(record[..., path])):
+            row = PLACES[k]
+            assert_allclose(found.mean[row, :, path], z, rtol=1e-6, atol=1e-6)
+            assert_allclose(found.cov[row, ..., path], cov, rtol=1e-6, atol=1e-7)
+            assert_allclose(found.loglik[row, path], loglik, rtol=1e-6, atol=1e-6)
+            for node, value in zip(NODES[k] if k < 4 else [], nodes, strict=True):
+                row = np.searchsorted(GRID, node)
+                assert_allclose(found.mean[row, :, path], value, rtol=1e-6, atol=1e-6)
+                assert np.isnan(found.cov[row, ..., path]).all()
+                assert found.loglik[row, path] == 0.0
+    half = np.searchsorted(GRID, 1.75)
+    assert_allclose(found.mean[half], (found.mean[half - 1] + found.mean[half + 1]) / 2)
+
+
+def test_estimates_of_a_linear_system_have_the_errors_it_claims(linear):
+    filter, expected = linear
+    record, states = expected.draw(4000, seed=4)
+    found = filter.run(TIMES, record, inputs={u: INPUT}).mean
+    errors = (found - states[:, : filter.components])[-1]
+    assert_allclose(errors @ errors.T / 4000, expected.errors[-1], atol=0.15)
+    assert (np.abs(errors.mean(axis=1)) < 4 * errors.std(axis=1) / 4000**0.5).all()
+
+
+def test_steps_of_a_linear_system_equal_its_run(linear):
+    """Predict, expect, correct and forecast with the inputs of their times."""
+    filter, expected = linear
+    record, _ = expected.draw(4, seed=5)
+    shown, inputs = on_grid(record)
+    found = filter.run(GRID, shown, inputs=inputs, covariances=True)
+    for batch in ((), (4,)):
+        state = filter.initial(batch)
+        for j, now in enumerate(GRID):
+            value, part = shown[j] if batch else shown[j, :, 2], ... if batch else (..., 2)
+            if now not in TIMES:
+                mean = filter.forecast(state, now).mean
+                assert_allclose(mean, found.mean[j][part], rtol=1e-9, atol=1e-11)
+                continue
+            k = PLACES.tolist().index(j)
+            with assigned({u: INPUT[max(k - 1, 0)]}):
+                state = filter.predict(state, now)
+            with assigned({u: INPUT[k]}):
+                moments = filter.expect(state)
+                state = filter.correct(state, value)
+            matrix, _, noise = expected.sensors[k]
+            fit = expected.fits[k]
+            square = matrix @ fit.cov @ matrix.T + noise
+            assert_allclose(of_paths(moments.cov, 4 if batch else 1)[..., 0], square, rtol=1e-6)
+            cross = fit.cov @ matrix.T
+            assert_allclose(
+                of_paths(moments.cross, 4 if batch else 1)[..., 0], cross, rtol=1e-6, atol=1e-8
+            )
+            assert_allclose(state.mean, found.mean[j][part], rtol=1e-9, atol=1e-11)
+            wanted = of_paths(found.cov[j][part], 4)
+            assert_allclose(of_paths(state.cov, 4), wanted, rtol=1e-9, atol=1e-11)
+            assert_allclose(state.loglik, found.loglik[j][part], rtol=1e-9, atol=1e-11)
+
+
+@pytest.mark.parametrize(
+    "linear", ["small order", "large order", "finite memory", "one component"], indirect=True
+)
+def test_gaps_that_the_design_does_not_know_are_skipped_and_nothing_is_claimed_after(linear):
+    """A missing component and a missing measurement: the mean goes on by the same recursion."""
+    filter, expected = linear
+    record, _ = expected.draw(3, seed=6)
+    record[2, 1, 1] = record[0, 0, 2] = record[4, :, 2] = np.nan
+    with pytest.warns(UserWarning, match=r"2 of 3 records have gaps, from 1\.5 on"):
+        found = filter.run(TIMES, record, inputs={u: INPUT}, covariances=True)
+    first = np.array([9, 2, 0])  # of the gap
+    for path in range(3):
+        wanted = expected.run(record[..., path])
+        for k, (z, cov, loglik, _) in enumerate(wanted):
+            assert_allclose(found.mean[k, :, path], z, rtol=1e-6, atol=1e-6)
+            if k >= first[path]:
+                cov = np.full_like(cov, np.nan)
+            if k > first[path]:
+                loglik = np.nan
+            assert_allclose(found.cov[k, ..., path], cov, rtol=1e-6, atol=1e-7)
+            assert_allclose(found.loglik[k, path], loglik, rtol=1e-6, atol=1e-6)
+    state, single = filter.initial((3,)), filter.initial()
+    for k, now in enumerate(TIMES):
+        with assigned({u: INPUT[max(k - 1, 0)]}):
+            state, single = filter.predict(state, now), filter.predict(single, now)
+        with assigned({u: INPUT[k]}):
+            claims = ~np.isnan(of_paths(filter.expect(state).cov, 3)).any(axis=(0, 1))
+            assert_array_equal(claims, k <= first)
+            state = filter.correct(state, record[k])
+            single = filter.correct(single, record[k, :, 1])
+        assert_allclose(state.mean, found.mean[k], rtol=1e-9, atol=1e-11)
+        assert_allclose(of_paths(state.cov, 3), found.cov[k], rtol=1e-9)
+        assert_allclose(state.loglik, found.loglik[k], rtol=1e-9, atol=1e-11)
+        assert_allclose(single.mean, found.mean[k, :, 1], rtol=1e-9, atol=1e-11)
+        assert_allclose(of_paths(single.cov, 1)[..., 0], found.cov[k, ..., 1], rtol=1e-9)
+        assert_allclose(single.loglik, found.loglik[k, 1], rtol=1e-9, atol=1e-11)
+
+
+# Forecasts between measurements, and filters whose steps are no regression of Gaussian laws
+
+
+def literal(values, kind, now):
+    """(2.4) and (2.7) from times and estimates: before, at the nodes, at the end."""
+    (last, last_node), inside, (end, ahead) = values
+    times = np.array([s for s, _ in inside])
+    i = max(np.flatnonzero(times <= now + 1e-12))
+    start, z = inside[i]
+    if kind == "constant":
+        return inside[0][1]
+    if kind == "interpolated":
+        stop, other = inside[i + 1] if i + 1 < len(inside) else (end, ahead)
+        return z + (now - start) / (stop - start) * (other - z)
+    if kind == "piecewise constant":
+        return z
+    if kind == "linear":
+        (start, z), before = inside[0], last
+    elif i:
+        before = inside[i - 1]
+    else:
+        before = last_node if kind == "piecewise linear" else None
+    if before is None:
+        return z
+    return z + (now - start) / (start - before[0]) * (z - before[1])
+
+
+KINDS = ["constant", "linear", "piecewise constant", "piecewise linear", "interpolated",
+         "piecewise linear, first constant"]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
+def test_forecasts_between_measurements_are_the_printed_formulas(kind, start):
+    """Nodes at unequal times, also where a second is near the last digits of a time stamp."""
+    times, nodes = start + np.array([0, 1, 2.5]), [start + np.array([0.25, 0.5]), start + 1.5]
+    made = synthesize(
+        zoo.linear_gaussian(), Memory(2), Taylor(), times, nodes=[nodes[0], [nodes[1]]],
+        exact_moments=True,
+    )  # fmt: skip
+    filter = made.forecasting(kind)
+    assert filter.between == kind
+    record = np.random.default_rng(1).normal(size=(3, 1, 4))
+    zero = made.step(made.initial((4,)), times[0], record[0])
+    one = made.step(zero, times[1], record[1])
+
+    def inside(state, row):
+        u = state.past.vector
+        return [(s, fit.mean(u)) for s, fit in zip(nodes[row], made.node_fits[row], strict=True)]
+
+    nodes[1] = [nodes[1]]
+    first = [(times[0], zero.mean), *inside(zero, 0)]
+    ahead = times[1], made.predict(zero, times[1]).mean
+    second = [(times[1], one.mean), *inside(one, 1)]
+    later = times[2], made.predict(one, times[2]).mean
+    for state, values, moments in (
+        (zero, ((None, None), first, ahead), [0, 0.1, 0.25, 0.3, 0.5, 0.9, 1]),
+        (one, ((first[0], first[-1]), second, later), [1, 1.25, 1.5, 2, 2.5]),
+    ):
+        for now in start + np.array(moments):
+            wanted = literal(values, kind, now)
+            assert_allclose(filter.forecast(state, now).mean, wanted, rtol=1e-9, atol=1e-12)
+            assert_allclose(made.forecast(state, now, kind).mean, wanted, rtol=1e-9, atol=1e-12)
+            for near in (np.nextafter(now, 0), np.nextafter(now, 2e9)):  # rounded otherwise
+                found = made.forecast(state, near, kind).mean
+                assert_allclose(found, wanted, rtol=1e-5, atol=1e-6)
+    grid = np.array([*times[:2], start + 1.25, *times[2:]])
+    shown = np.insert(record, 2, np.nan, axis=0)
+    assert_allclose(filter.run(grid, shown).mean[2], filter.forecast(one, start + 1.25).mean)
+
+
+def test_continuous_forecast_moves_by_the_velocity_of_its_fits():
+    """Euler's steps of E b(t, X), jumps included, X normal given the estimate: by hand."""
+    z, times, step = sympy.Symbol("z", real=True), np.array([0.2, 0.7, 1.2]), 0.1
+    system = JumpDiffusion(
+        (x, y), [y + t, -x - t * y**2], [[0], [0.3]], [x + v, y + w], Noise((v, w)), [1.0, 0.0],
+        [[0.4, 0.1], [0.1, 0.2]], intensity=(t + x**2) / 10, jump=[0, t * z],
+        marks=Noise((z,), mean=2.0), time=t, step=step,
+    )  # fmt: skip
+    filter = synthesize(
+        system, Memory(1), ExactGaussian(), times, predictor=Continuous(), paths=300, seed=1,
+        step=step,
+    )  # fmt: skip
+    grid = np.linspace(0.2, 1.2, 11)
+    record = np.full((11, 2, 3), np.nan)
+    record[::5] = np.random.default_rng(2).normal(size=(3, 2, 3))
+    found = filter.run(grid, record)
+    estimate, fits = found.mean[0], None
+    for j, now in enumerate(grid[:-1]):
+        if j % 5 == 0:
+            estimate, fits = found.mean[j], filter.node_fits[j // 5]
+        fit = fits[j % 5]
+        (first, second) = fit.gain @ estimate + fit.offset[:, None]
+        square = [mean**2 + fit.cov[i, i] for i, mean in enumerate((first, second))]
+        rates = second + now, -first - now * square[1] + 2 * now * (now + square[0]) / 10
+        estimate = estimate + step * np.stack(rates)
+        if j % 5 < 4:
+            assert_allclose(found.mean[j + 1], estimate, rtol=1e-9)
         else:
-            mean = filter.forecast(state, t).mean
-            assert np.isnan(found.cov[j]).all()
-            assert not found.loglik[j].any()
-        np.testing.assert_allclose(mean, found.mean[j, :, 3], rtol=1e-9, atol=1e-11)
+            wanted = filter.fits[j // 5].gain @ estimate + filter.fits[j // 5].offset[:, None]
+            state = filter.initial((3,))
+            for k in range(j // 5 + 1):
+                state = filter.step(state, times[k], record[5 * k])
+            assert_allclose(filter.forecast(state, times[j // 5 + 1]).mean, estimate, rtol=1e-9)
+            assert_allclose(filter.predict(state, times[j // 5 + 1]).mean, wanted, rtol=1e-9)
+    alone = filter.run(grid, record[..., 1])
+    assert_allclose(alone.mean, found.mean[..., 1], rtol=1e-9)
 
 
-def test_batch_axes_are_only_shape(filter, data):
-    found = filter.run(GRID, data.measurements)
-    folded = filter.run(GRID, data.measurements.reshape(61, 2, 8, 5))
-    single = filter.run(GRID, data.measurements[..., 7])
-    assert folded.mean.shape == (61, 2, 8, 5)
-    assert single.mean.shape == (61, 2)
-    np.testing.assert_allclose(folded.mean.reshape(found.mean.shape), found.mean, rtol=1e-12)
-    np.testing.assert_allclose(single.mean, found.mean[..., 7], rtol=1e-9, atol=1e-11)
-    assert folded.diverged.shape == (8, 5)
-    assert not found.diverged.any()
-
-
-@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
-def test_missing_measurement_is_skipped_exactly(filter, data):
-    """Without the measurement at 1 the estimate there is the forecast, to the last bit."""
-    y = data.measurements.copy()
-    y[20] = np.nan
-    state = filter.initial((40,))
-    for k in range(3):
-        state = filter.predict(state, TACTS[k])
-        before = state.mean
-        state = filter.correct(state, y[10 * k])
-    np.testing.assert_array_equal(state.mean, before)
-    assert not state.loglik.any()
-    assert np.isfinite(filter.run(GRID, y).mean).all()
-
-
-def test_missing_component_is_skipped_exactly(filter, data):
-    """Only the second component at 1: the scalar update by it, written out."""
-    state = filter.initial((40,))
-    for k in range(2):
-        state = filter.step(state, TACTS[k], data.measurements[10 * k])
-    state = filter.predict(state, 1.0)
-    y = data.measurements[20].copy()
-    y[0, ::2] = np.nan
-    found = filter.correct(state, y)
-    mean, cross, cov = filter.expect(state)
-    gain = np.broadcast_to(cross[:, 1] / cov[1, 1], (2, 40))
-    expected = state.mean + gain * (y[1] - mean[1])
-    np.testing.assert_allclose(found.mean[:, ::2], expected[:, ::2], rtol=1e-12)
-    whole = filter.correct(state, data.measurements[20])
-    np.testing.assert_allclose(found.mean[:, 1::2], whole.mean[:, 1::2], rtol=1e-12)
-
-
-def test_missing_first_measurement_gives_the_prior_mean(filter, oscillator):
-    state = filter.step(filter.initial(), 0.0, [np.nan, np.nan])
-    np.testing.assert_array_equal(state.mean, filter.start.mean)
-
-
-def test_a_missing_measurement_is_remembered_as_its_forecast(oscillator):
-    """What a memory of measurements holds then is the expectation of the missing one."""
-    filter = design(oscillator, finite_memory(2))
-    state = filter.step(filter.initial(), 0.0, [4.0, 0.5])
-    state = filter.predict(state, 0.5)
-    expected = filter.expect(state).mean
-    state = filter.correct(state, [np.nan, 1.0])
-    np.testing.assert_array_equal(state.past.vector, [expected[0], 1.0, 4.0, 0.5])
-
-
-# Forecasts between measurements
-
-
-def interval():
-    times = np.array([1.0, 1.2, 1.5, 2.0])
-    values = [np.array([v]) for v in (3.0, 4.0, 2.0, 7.0)]
-    return Interval(times, values, 2, (0.0, np.array([2.5])), (0.8, np.array([2.0])))
-
-
-@pytest.mark.parametrize(
-    ("kind", "t", "value"),
-    [
-        ("constant", 1.9, 3.0),
-        ("linear", 1.4, 3.0 + 0.5 * 0.4),
-        ("piecewise constant", 1.1, 3.0),
-        ("piecewise constant", 1.2, 4.0),
-        ("piecewise constant", 1.99, 2.0),
-        ("piecewise linear", 1.1, 3.0 + 5.0 * 0.1),
-        ("piecewise linear", 1.3, 4.0 + 5.0 * 0.1),
-        ("piecewise linear", 1.8, 2.0 - 2.0 / 0.3 * 0.3),
-        ("piecewise linear, first constant", 1.1, 3.0),
-        ("piecewise linear, first constant", 1.3, 4.5),
-        ("interpolated", 1.1, 3.5),
-        ("interpolated", 1.35, 3.0),
-        ("interpolated", 1.75, 4.5),
-        ("interpolated", 2.0, 7.0),
-    ],
-)
-def test_kinds_of_forecast(kind, t, value):
-    assert at(interval(), t, kind)[0] == pytest.approx(value)
-
-
-def test_times_that_are_nodes_up_to_rounding_are_nodes():
-    assert at(interval(), np.nextafter(1.2, 0), "piecewise constant")[0] == 4.0
-    assert at(interval(), np.nextafter(1.0, 0), "piecewise constant")[0] == 3.0
-    assert at(interval(), np.nextafter(1.0, 0), "interpolated")[0] == pytest.approx(3.0)
-
-
-def test_linear_kinds_are_constant_where_there_is_no_past():
-    first = interval()._replace(last=None, last_node=None)
-    assert at(first, 1.1, "linear")[0] == 3.0
-    assert at(first, 1.1, "piecewise linear")[0] == 3.0
-
-
-def test_forecasts_of_a_run_use_the_nodes(oscillator, data):
-    """The literal piecewise-linear forecast takes its first slope across the measurement."""
-    filter = design(oscillator, nodes=4).forecasting("piecewise linear")
-    found = filter.run(GRID, data.measurements).mean
-    constant = filter.forecasting("piecewise constant").run(GRID, data.measurements).mean
-    node, tact, between = 18, 20, 21  # .9 is the last node before the measurement at 1
-    slope = (constant[tact] - constant[node]) / 0.1
-    np.testing.assert_allclose(found[between], constant[tact] + 0.05 * slope, rtol=1e-9)
-    whole = filter.forecasting("interpolated").run(GRID, data.measurements).mean
-    np.testing.assert_allclose(whole[21], (constant[20] + constant[22]) / 2, rtol=1e-12)
-    np.testing.assert_array_equal(whole[::10], found[::10])
-
-
-def test_linear_forecast_at_the_first_interval_is_constant(oscillator, data):
-    filter = design(oscillator, finite_memory(1)).forecasting("linear")
-    found = filter.run(GRID, data.measurements).mean
-    np.testing.assert_array_equal(found[5], found[0])
-    slope = (found[10] - found[0]) / 0.5
-    np.testing.assert_allclose(found[15], found[10] + 0.25 * slope, rtol=1e-12)
-
-
-def test_ranking_of_forecasts(oscillator):
-    """Time-averaged errors on the full grid; interpolation wins, the literal rule is harmful."""
-    grid = np.linspace(0, 3, 301)
-    filter = synthesize(oscillator, Memory(1), ExactGaussian(), TACTS, paths=16_384, seed=21)
-    dense = synthesize(oscillator, Memory(1), ExactGaussian(), TACTS, nodes=49, paths=4096, seed=2)
-    filters = {kind: filter.forecasting(kind) for kind in FORECAST_KINDS}
-    filters["dense"] = dense.forecasting("piecewise constant")
-    found = compare(filters, oscillator, grid, 8192, 22, components=1)
-    printed = {
-        "constant": 0.4121, "linear": 0.3998, "piecewise constant": 0.3736,
-        "piecewise linear": 0.3773, "piecewise linear, first constant": 0.3729,
-        "interpolated": 0.3718,
-    }  # fmt: skip
-    for kind, value in printed.items():
-        combined = found[kind].average_error[0] * np.sqrt(2 + 8192 / 20_000)
-        assert abs(found[kind].average[0] - value) < 4 * combined
-    ranking = [
-        "constant", "linear", "piecewise linear", "piecewise constant",
-        "piecewise linear, first constant", "interpolated",
-    ]  # fmt: skip
-    for worse, better in pairwise(ranking):
-        apart = found.difference(worse, better)
-        assert apart.average[0] > 2 * apart.average_error[0], (worse, better)
-    best = found.difference("interpolated", "dense")
-    assert abs(best.average[0]) < 0.01
-
-
-def test_continuous_forecast_is_the_mean_of_a_linear_system():
-    """dZ/dt = A Z from an unbiased estimate: the forecast is exp(A t) Z up to Euler's step."""
-    system = zoo.linear_gaussian()
-    made = synthesize(
-        system, Memory(1), Taylor(), TACTS[:3], predictor=Continuous(), paths=40_000, seed=3,
-        step=0.01,
+@pytest.mark.parametrize("predictor", [Polynomial(3, 2), Polynomial(2, 0), Polynomial(1, 2)])
+def test_polynomial_forecast_is_its_polynomial_written_out(predictor):
+    """Of two clipped standardised numbers; eigenvalues of the covariance are cut from below."""
+    system, times = zoo.van_der_pol(), np.array([0.0, 0.5, 1.0])
+    filter = synthesize(
+        system, Memory(1), ExactGaussian(), times, predictor=predictor, paths=1000, seed=1,
+        step=0.05, nodes=1,
     )  # fmt: skip
-    state = made.step(made.initial(), 0.0, [0.4])
-    drift = np.array([[0.0, 1.0], [-1.0, -0.4]])
-    for t in (0.2, 0.5):
-        found = made.forecast(state, t).mean
-        np.testing.assert_allclose(found, expm(t * drift) @ state.mean, atol=0.02)
-    # Gamma_t z + kappa_t stays near z for an unbiased estimate with an independent error
-    gains = np.array([fit.gain for fit in made.node_fits[1]])
-    assert np.abs(gains - np.eye(2)).max() < 0.05
+    # covariances that bend more, so that the cut is met
+    bent = tuple(fit._replace(cov_gain=4 * fit.cov_gain) for fit in filter.fits)
+    filter = replace(filter, fits=bent)
+    record = system.simulate(times, 300, 2, step=0.05).measurements
+    record[0, :, 0] = 60.0, -90.0  # far beyond what is clipped
+    state, raised = filter.step(filter.initial((300,)), 0.0, record[0]), 0
+    for fit, now, shown in zip(filter.fits, times[1:], record[1:], strict=True):
+        z = state.mean
+        state = filter.predict(state, now)
+        for path in range(0, 300, 10):
+            a, b = np.clip((z[:, path] - fit.centre) * fit.scale, -3.5, 3.5)
+            powers = np.array([a, b, a * a, a * b, b * b, a**3, a * a * b, a * b * b, b**3])
+            count = fit.gain.shape[1]
+            mean = fit.gain @ powers[:count] + fit.offset
+            assert_allclose(state.mean[:, path], mean, rtol=1e-9, atol=1e-11)
+            if not predictor.cov_degree:
+                assert_array_equal(state.cov, fit.residual)
+                continue
+            p, q, r = fit.cov_gain @ powers[: fit.cov_gain.shape[1]] + fit.cov_offset
+            root = np.linalg.cholesky(fit.residual)
+            back = np.linalg.inv(root)
+            values, axes = np.linalg.eigh(back @ np.array([[p, q], [q, r]]) @ back.T)
+            raised += (values < 0.05).any()
+            cov = root @ (axes * np.maximum(values, 0.05)) @ axes.T @ root.T
+            assert_allclose(state.cov[..., path], cov, rtol=1e-8, atol=1e-10)
+        state = filter.correct(state, shown)
+    assert raised or not predictor.cov_degree
+    found = filter.run(times, record, covariances=True)
+    assert_array_equal(found.mean[-1], state.mean)
+    single = filter.run(times, record[..., 0], covariances=True)
+    assert_allclose(single.mean, found.mean[..., 0], rtol=1e-8)
+    assert_allclose(single.cov, found.cov[..., 0], rtol=1e-8)
+    assert_allclose(single.loglik, found.loglik[..., 0], rtol=1e-8)
 
 
-# Polynomial forecasts
-
-
-def test_monomials_of_total_degree_with_cross_terms():
-    point = np.random.default_rng(0).standard_normal((3, 7))
-    found = monomials(point, 4)
-    powers = [(a, b, c) for a in range(5) for b in range(5) for c in range(5) if 0 < a + b + c <= 4]
-    expected = [point[0] ** a * point[1] ** b * point[2] ** c for a, b, c in powers]
-    assert len(found) == len(powers)
-    np.testing.assert_allclose(np.sort(found, axis=0), np.sort(expected, axis=0), rtol=1e-12)
-    np.testing.assert_array_equal(found[: len(monomials(point, 2))], monomials(point, 2))
-
-
-def test_floor_of_conditional_covariances():
-    rng = np.random.default_rng(1)
-    root = rng.standard_normal((3, 3))
-    mean_cov = root @ root.T
-    items = rng.standard_normal((3, 3, 50))
-    items = items + np.swapaxes(items, 0, 1)
-    found = bounded_below(items, mean_cov)
-    lower = np.linalg.cholesky(mean_cov)
-    back = np.linalg.inv(lower)
-    for i in range(50):
-        values, vectors = np.linalg.eigh(back @ items[..., i] @ back.T)
-        inner = (vectors * np.maximum(values, FLOOR)) @ vectors.T
-        np.testing.assert_allclose(found[..., i], lower @ inner @ lower.T, atol=1e-10)
-
-
-def test_floor_acts_on_some_paths_only(oscillator):
-    """On 10 to 18 per cent of the paths for degrees (3, 2)."""
+def test_horizon_and_cycle_of_a_filter():
+    """The nodes after the last measurement; the last two steps of a cycle serve in turn."""
+    times, record = np.array([0.0, 1.0, 1.5, 3.0]), np.random.default_rng(3).normal(size=(8, 1, 2))
     made = synthesize(
-        oscillator, Memory(1), ExactGaussian(), TACTS, predictor=Polynomial(3, 2), paths=16_384,
-        seed=1, nodes=0,
+        zoo.linear_gaussian(), Memory(1), Taylor(), times, nodes=1, horizon=3.25,
+        exact_moments=True,
     )  # fmt: skip
-    data = oscillator.simulate(TACTS, 8192, 5)
-    z = made.run(TACTS, data.measurements).mean
-    shares = []
-    for k, fit in enumerate(made.fits):
-        cov = fit.forecast(z[k])[1]
-        inside = np.linalg.solve(np.linalg.cholesky(fit.residual), np.moveaxis(cov, 2, 0))
-        inside = np.linalg.solve(np.linalg.cholesky(fit.residual), np.swapaxes(inside, 1, 2))
-        shares.append((np.linalg.eigvalsh(inside)[:, 0] < FLOOR * (1 + 1e-6)).mean())
-    assert 0.05 < np.mean(shares) < 0.25
-    assert max(shares) < 0.35
+    assert made.horizon == 3.25
+    assert made.order == 2
+    state = made.initial((2,))
+    for now, shown in zip(times, record, strict=False):
+        state = made.step(state, now, shown)
+    last = made.node_times[3][-1]
+    assert_allclose(made.forecast(state, last).mean, made.node_fits[3][-1].mean(state.mean))
+    turning = replace(made, cycle=2)
+    assert turning.horizon == np.inf
+    grid = np.array([*times, 3.5, 4.25, 5.0, 5.5, 7.0])
+    shown = np.insert(record, 5, np.nan, axis=0)
+    found = turning.run(grid, shown, covariances=True)
+    state = turning.initial((2,))
+    rows = [0, 1, 2, 1, 2, 1, 2]
+    for k, (now, row) in enumerate(zip(np.delete(grid, 5)[1:], rows, strict=True), start=1):
+        state = turning.step(state, np.delete(grid, 5)[k - 1], record[k - 1])
+        fit = made.fits[row]
+        wanted = fit.gain @ state.mean + fit.offset[:, None]
+        assert_allclose(turning.predict(state, now).mean, wanted, rtol=1e-12)
+        if now == 5.0:  # the node in the middle of the longer interval
+            node = made.node_fits[2][0].mean(state.mean)
+            assert_allclose(turning.forecast(state, 4.25).mean, node, rtol=1e-12)
+            assert_allclose(found.mean[5], node, rtol=1e-12)
 
 
-# What the filter says about itself
-
-
-def test_summary_can_be_read(filter):
-    text = str(filter)
-    assert "Finite-order filter of order" in text
-    assert "3000 paths, seed 1" in text
-    assert "in-sample" in text
-    assert "on 512 paths that the design has not seen" in text
-    assert len(text.splitlines()) == 14
-    assert max(map(len, text.splitlines())) <= 100
-    assert repr(filter).startswith("<FiniteOrderFilter of order")
-
-
-def test_a_designed_filter_is_frozen(filter):
-    arrays = [filter.times, filter.start.cov, filter.start.moments.cross, filter.predicted.rms]
-    for array in [*arrays, *(p for fit in filter.fits for p in fit if isinstance(p, np.ndarray))]:
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0.0
-    with pytest.raises(AttributeError):
-        filter.components = 1
-
-
-def test_order_and_horizon(oscillator):
-    made = design(oscillator, Memory(3), horizon=4.0)
-    assert made.order == 6
-    assert made.horizon == 4.0
-    assert design(oscillator).horizon == 3.0
-    state = made.initial()
-    for t in TACTS:
-        state = made.step(state, t, [1.0, 0.0])
-    assert np.isfinite(made.forecast(state, 4.0).mean).all()
-
-
-def test_parameters_count(oscillator):
-    """Claim of the paper: the extended filter integrates 5 equations, these filters none."""
-    state = extended_kalman(oscillator).initial()
-    assert len(state.mean) + len(state.mean) * (len(state.mean) + 1) // 2 == 5
-    made = design(oscillator, Memory(1)), design(oscillator, Memory(4))
-    assert [filter.order for filter in made] == [2, 8]
-    assert all(filter.rules.velocity is None for filter in made)
-
-
-def test_committed_times():
-    """The measured table says what the book says about it; nothing is timed here."""
-    table = Path(__file__).resolve().parents[2] / "benchmarks" / "finite_order.csv"
-    with table.open() as file:
-        rows = {(r["filter"], r["paths"], r["output"]): r for r in csv.DictReader(file)}
-
-    def seconds(*key):
-        return float(rows[key]["microseconds_per_path"])
-
-    def ratio(name, paths, output, peer="EKF Euler"):
-        return seconds(peer, paths, output) / seconds(name, paths, output)
-
-    columns = [
-        (paths, output, f"EKF {method}")
-        for paths in ("single", "batch") for output in ("measurements", "grid")
-        for method in ("Euler", "RK4")
-    ]  # fmt: skip
-    small = [ratio("FMP", *column) for column in columns]
-    large = [ratio(name, *column) for name in ("FBP 1", "FKP 4") for column in columns]
-    assert min(small + large) > 1  # faster in every column, and
-    assert max(small) > 8 * min(small)  # by factors that differ too much to decide a number
-    assert max(large) > 8 * min(large)
-    alike = [ratio("FKP 4", *column) / ratio("FBP 1", *column) for column in columns]
-    assert max(np.abs(np.log(alike))) < np.log(1.6)
-
-
-# Bad input
-
-
-@pytest.mark.parametrize(
-    ("times", "message"),
-    [
-        (TACTS[1:], "times: wanted to begin at 0"),
-        (TACTS + 0.25, "times: wanted to begin at 0"),
-        ([0, 1.0], "times: wanted all measurement times of the design, 0.5"),
-        ([0, 0.5, 1, 1.5, 2, 2.5, 3, 3.5], "times: wanted at most 3"),
-        ([0, 0, 1], "times: wanted strictly increasing"),
-    ],
-)
-def test_times_that_do_not_fit(oscillator, times, message):
-    made = design(oscillator)
-    with pytest.raises(ValueError, match=message):
-        made.run(times, np.full((len(times), 2), np.nan))
-
-
-def test_measurements_that_do_not_fit(oscillator):
-    made = design(oscillator)
-    with pytest.raises(ValueError, match=r"wanted NaN at 0\.25"):
-        made.run([0, 0.25, 0.5], np.zeros((3, 2)))
-    with pytest.raises(ValueError, match=r"measurements: wanted shape \(2, 2, "):
-        made.run([0, 0.5], np.zeros((2, 3)))
-    with pytest.raises(ValueError, match="finite numbers or NaN, got inf"):
-        made.run([0, 0.5], [[1, np.inf], [0, 0]])
-    state = made.predict(made.initial(), 0.0)
-    with pytest.raises(ValueError, match="y: wanted finite numbers, got inf"):
-        made.correct(state, [np.inf, 0.0])
-
-
-def test_steps_out_of_order(oscillator):
-    made = design(oscillator)
-    start = made.initial()
-    with pytest.raises(ValueError, match="call predict first"):
-        made.correct(start, [0.0, 0.0])
-    with pytest.raises(ValueError, match=r"wanted the next measurement time 0, got 0\.5"):
-        made.predict(start, 0.5)
-    forecast = made.predict(start, 0.0)
-    with pytest.raises(ValueError, match="after a correction, got a forecast"):
-        made.predict(forecast, 0.5)
-    state = made.correct(forecast, [4.0, 0.0])
-    with pytest.raises(ValueError, match=r"t: wanted a time from 0 to 0\.5"):
-        made.forecast(state, 0.7)
-    with pytest.raises(ValueError, match="kind: wanted one of"):
-        made.forecast(state, 0.2, "cubic")
-    with pytest.raises(ValueError, match="between: wanted one of"):
-        made.forecasting("cubic")
-    for t in TACTS[1:]:
-        state = made.step(state, t, [4.0, 0.0])
-    with pytest.raises(ValueError, match="at most the last measurement time 3"):
-        made.predict(state, 3.5)
-
-
-def test_singular_innovation_is_met_by_the_pseudo_inverse():
-    """A sensor that shows one exact number twice: the estimate is that number."""
-    x = sympy.Symbol("x")
-    system = JumpDiffusion((x,), [-x], [[1]], [x, x], Noise(()), [0], [[1]])
-    made = synthesize(system, Memory(1), Taylor(), [0, 0.5, 1], paths=2000, seed=1)
-    data = system.simulate([0, 0.5, 1], 50, 2)
-    found = made.run([0, 0.5, 1], data.measurements)
-    np.testing.assert_allclose(found.mean, data.states, atol=1e-9)
-    single = made.run([0, 0.5, 1], data.measurements[..., 4])
-    np.testing.assert_allclose(single.mean, data.states[..., 4], atol=1e-9)
-
-
-def test_threads_do_not_matter(oscillator):
-    made = design(oscillator)
-    data = oscillator.simulate(TACTS, 17_000, 3, step=0.02)
-    one, two = (made.run(TACTS, data.measurements, workers=w) for w in (1, 2))
-    np.testing.assert_array_equal(one.mean, two.mean)
-
-
-def test_a_measurement_is_remembered_as_it_was():
-    """The caller may read the next one into the same array."""
-    times, y = np.arange(4.0), np.array([[1.0], [-2.0], [0.5], [3.0]])
-    made = synthesize(
-        zoo.linear_gaussian(), finite_memory(2), Taylor(), times, exact_moments=True, nodes=0
-    )
-    state, buffer = made.initial(), np.empty(1)
-    for t, value in zip(times, y, strict=True):
-        buffer[:] = value
-        state = made.step(state, t, buffer)
-    np.testing.assert_array_equal(state.mean, made.run(times, y).mean[-1])
-    with pytest.raises(ValueError, match="indicators: wanted none"):
-        made.run(times, y, indicators=np.zeros(4, dtype=int))
-
-
-def test_steps_of_a_design_keep_what_was_predicted_of_them():
-    """All steps are the design; without one, its predictions are gone and later ones move up."""
-    design = synthesize(
-        zoo.van_der_pol(), Memory(1), Taylor(), 0.5 * np.arange(5), paths=300, seed=1, nodes=2
-    )
-    whole = design.taking([0, 1, 2, 3, 4])
-    assert np.array_equal(whole.predicted.times, design.predicted.times)
-    assert np.array_equal(whole.predicted.rms, design.predicted.rms)
-    some = design.taking([0, 1, 3, 4])
-    kept = (design.predicted.times <= 0.5) | (design.predicted.times > 1.0)
-    assert np.array_equal(some.predicted.rms, design.predicted.rms[kept])
-    np.testing.assert_allclose(some.predicted.times, np.arange(10) / 6, atol=1e-15)
-    assert np.array_equal(some.times, 0.5 * np.arange(4))
+def test_filter_taking_some_steps_of_a_design():
+    """Each comes as long after the one before it as it did; the others are gone."""
+    filter = designed(Memory(1))
+    whole = filter.taking([0, 1, 2, 3, 4])
+    assert_array_equal(whole.predicted.rms, filter.predicted.rms)
+    some = filter.taking([0, 2, 4])
+    assert_allclose(some.times, [1.5, 2.6, 3.4], rtol=1e-12)
+    assert_array_equal(some.measured, MEASURED[[0, 2, 4]])
+    assert_array_equal(some.fits[1].gain, filter.fits[3].gain)
+    assert_allclose(np.concatenate(some.node_times), [2.7, 3.2], rtol=1e-12)
+    rows = np.isin(filter.predicted.times, [1.5, 3.1, 3.5, 4.0, 4.2])
+    assert_array_equal(some.predicted.rms, filter.predicted.rms[rows])
+    assert_allclose(some.predicted.times, [1.5, 2.6, 2.7, 3.2, 3.4], rtol=1e-12)

@@ -1,0 +1,488 @@
+"""Filters of switching systems against a bank of Kalman filters in plain matrices, and limits."""
+
+import pickle
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+from numpy.testing import assert_allclose, assert_array_equal
+
+from oracles.switching import SwitchingOracle, merged
+from seedslib import zoo
+from seedslib.base import ELAPSED, Input, assigned
+from seedslib.design import grid_risk, synthesize
+from seedslib.designed import CellFit, Memory, SwitchingFilter, large_order
+from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
+from seedslib.models import Noise, SwitchingSystem
+
+x, y, v, w, p, q = sympy.symbols("x y v w p q", real=True)
+t = sympy.Symbol("t")
+u = Input("u")
+pytestmark = pytest.mark.filterwarnings("ignore:paths. .* too few paths of their own")
+
+# Jump-linear, with all that there is: time in every function, an input, two unlike components
+# and measurements, correlated noises with means, a noisy indicator of three values, a late start, unequal steps.
+
+TIMES = np.array([1.5, 2.0, 3.5, 3.75, 5.0])
+INPUT = np.array([0.5, -1.0, 2.0, 0.25, -0.5])
+INITIAL = [(0.6, [0.4, -0.3], [[1.0, 0.3], [0.3, 0.8]]), (0.4, [-1.0, 0.5], [[0.5, 0], [0, 2.0]])]
+CHAIN = [[1 - ELAPSED / (2 + t), ELAPSED / (2 + t)], [t / 20, 1 - t / 20]]
+MOVES = [
+    [t * x / 8 + ELAPSED * y / 2 + u + v, 0.8 * y - x / 4 + w],
+    [0.5 * x - y + 2 * v, x / 3 + t * y / 10 - u / 2 + 1 + v - w / 2],
+]
+SENSORS = [[x + y / 3 + p, t * y / 5 + u / 2 + p / 2 + q], [2 * x - 1 + q, y - x / 2 + t + 3 * p]]
+TELLS = [[1 / (1 + t), t / (2 + 2 * t), t / (2 + 2 * t)], [0.1, 0.3, 0.6]]
+NOISE = {"mean": [0.2, -0.1], "cov": [[0.5, 0.1], [0.1, 0.3]]}
+
+
+def linear(drives="old", indicator=True):
+    return SwitchingSystem(
+        (x, y), MOVES, Noise((v, w), **NOISE), CHAIN, SENSORS, Noise((p, q), **NOISE), INITIAL,
+        drives=drives, indicator=TELLS if indicator else None, time=t,
+    )  # fmt: skip
+
+
+def oracle(drives="old", indicator=True):
+    mean, cov = np.array(NOISE["mean"]), np.array(NOISE["cov"])
+
+    def moves(k, i):
+        now, held, span = TIMES[k], INPUT[k], TIMES[k + 1] - TIMES[k]
+        if i == 0:
+            matrix, shift, mix = [[now / 8, span / 2], [-0.25, 0.8]], [held, 0], [[1, 0], [0, 1]]
+        else:
+            matrix, shift = [[0.5, -1], [1 / 3, now / 10]], [0, 1 - held / 2]
+            mix = [[2, 0], [1, -0.5]]
+        mix = np.array(mix)
+        return np.array(matrix), np.array(shift) + mix @ mean, mix @ cov @ mix.T
+
+    def sensors(k, i):
+        now, held = TIMES[k], INPUT[k]
+        if i == 0:
+            matrix, offset, mix = [[1, 1 / 3], [0, now / 5]], [0, held / 2], [[1, 0], [0.5, 1]]
+        else:
+            matrix, offset, mix = [[2, 0], [-0.5, 1]], [-1, now], [[0, 1], [3, 0]]
+        mix = np.array(mix)
+        return np.array(matrix), np.array(offset) + mix @ mean, mix @ cov @ mix.T
+
+    def chain(k):
+        leave = (TIMES[k + 1] - TIMES[k]) / (2 + TIMES[k])
+        return np.array([[1 - leave, leave], [TIMES[k] / 20, 1 - TIMES[k] / 20]])
+
+    def tells(k):
+        one = 1 / (1 + TIMES[k])
+        return np.array([[one, (1 - one) / 2, (1 - one) / 2], [0.1, 0.3, 0.6]])
+
+    initial = [(share, np.array(m), np.array(c)) for share, m, c in INITIAL]
+    return SwitchingOracle(initial, moves, chain, sensors, tells if indicator else None, drives)
+
+
+def data(system, paths=6, gaps=True):
+    found = system.simulate(TIMES, paths, 3, inputs={u: INPUT})
+    record, shown = np.array(found.measurements), found.indicators
+    if gaps:
+        record[1, 0, 1] = record[3, :, 2] = record[0, 1, 3] = record[4, :, 0] = np.nan
+    if shown is not None:
+        shown = np.array(shown)
+        if gaps:
+            shown[2, 1] = shown[3, 2] = shown[4, 4] = -1
+    return record, shown
+
+
+def assert_laws(found, path, laws, logliks):
+    """A run against the laws of an oracle, of one record."""
+    for k, law in enumerate(laws):
+        mean, cov = merged(law)
+        assert_allclose(found.mode_prob[k, :, path], [part[0] for part in law], rtol=1e-9)
+        assert_allclose(found.mean[k, :, path], mean, rtol=1e-9, atol=1e-10)
+        if found.cov is not None:
+            assert_allclose(found.cov[k, ..., path], cov, rtol=1e-8, atol=1e-10)
+        assert found.modes[k, path] == int(law[1][0] > law[0][0])
+    assert_allclose(found.loglik[:, path], logliks, rtol=1e-9, atol=1e-10)
+
+
+@pytest.mark.parametrize("indicator", [True, False])
+@pytest.mark.parametrize("drives", ["old", "new"])
+@pytest.mark.parametrize("rule", [Taylor(), ExactGaussian(), Unscented(), GaussHermite(3)])
+def test_run_of_a_jump_linear_system_equals_a_bank_of_kalman_filters(rule, drives, indicator):
+    """Missing components, measurements and indicators are left out exactly."""
+    system, expected = linear(drives, indicator), oracle(drives, indicator)
+    record, shown = data(system)
+    options = {"inputs": {u: INPUT}, "indicators": shown, "covariances": True}
+    filter = SwitchingFilter(system, rule)
+    found = filter.run(TIMES, record, **options)
+    for path in range(6):
+        told = None if shown is None else shown[:, path]
+        laws, _, logliks = expected.run(record[..., path], told)
+        assert_laws(found, path, laws, logliks)
+    if rule != Taylor():
+        return
+    alone = filter.run(TIMES, record[..., 1], **{**options, "indicators": None if shown is None
+                                                 else shown[:, 1]})  # fmt: skip
+    plane = filter.run(TIMES, record.reshape(5, 2, 3, 2), workers=2, **{
+        **options, "indicators": None if shown is None else shown.reshape(5, 3, 2)})  # fmt: skip
+    for name in ("mean", "cov", "mode_prob", "loglik"):
+        whole = getattr(found, name)
+        assert_allclose(getattr(alone, name), whole[..., 1], rtol=1e-11, atol=1e-13)
+        assert_allclose(getattr(plane, name).reshape(whole.shape), whole, rtol=1e-11, atol=1e-13)
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+def test_steps_of_a_jump_linear_system_equal_its_run(drives):
+    """Predict, forecast and correct with the inputs of their times; and each path its own."""
+    system, expected = linear(drives), oracle(drives)
+    record, shown = data(system)
+    filter = SwitchingFilter(system, Taylor())
+    course = INPUT[:, None] + 0.3 * np.arange(6) * (np.arange(6) != 4)
+    found = filter.run(TIMES, record, indicators=shown, inputs={u: course}, covariances=True)
+    for path in (0, 4):
+        alone = filter.run(TIMES, record[..., path], indicators=shown[:, path],
+                           inputs={u: course[:, path]})  # fmt: skip
+        assert_allclose(alone.mean, found.mean[..., path], rtol=1e-10)
+        assert_allclose(alone.loglik, found.loglik[..., path], rtol=1e-10)
+    laws, forecasts, _ = expected.run(record[..., 4], shown[:, 4])
+    state = filter.initial((2,))
+    for k, now in enumerate(TIMES):
+        with assigned({u: INPUT[max(k - 1, 0)]}):
+            if k:
+                ahead = filter.forecast(state, now)
+                mean, cov = merged(forecasts[k])
+                assert_allclose(ahead.mean[:, 1], mean, rtol=1e-9)
+                assert_allclose(ahead.cov[..., 1], cov, rtol=1e-9)
+                prob = [part[0] for part in forecasts[k]]
+                assert_allclose(ahead.mode_prob[:, 1], prob, rtol=1e-9)
+                assert ahead.modes[1] == np.argmax(prob)
+            state = filter.predict(state, now)
+        with assigned({u: INPUT[k]}):
+            state = filter.correct(state, record[k][:, [0, 4]], shown[k][[0, 4]])
+        for name in ("mean", "cov", "mode_prob", "loglik"):
+            said, wanted = getattr(filter.report(state), name), getattr(found, name)[k]
+            assert_allclose(said[..., [1]], wanted[..., [4]], rtol=1e-10, atol=1e-13)
+        assert state.mode[1] == int(laws[k][1][0] > laws[k][0][0])
+        assert (state.index, state.time, state.corrected) == (k, now, True)
+    assert filter.order == 2 * (1 + 2 + 3) - 1
+
+
+MEMORIES = [Memory(1), Memory(2, 1, 1, True), Memory(0, 2, indicators=2), Memory(2, 2)]
+
+
+def recall_of(filter, shown):
+    """The law that the memory stands for, from the arrays of the design: (6.32) to (6.34)."""
+    memory, blocks = filter.memory, []
+
+    def recall(k, law, expected, y):
+        prob = np.array([part[0] for part in law])
+        estimate = sum(part[0] * part[1] for part in law)
+        odds = np.clip(np.log(prob[1] / prob[0]), -8, 8)
+        y = np.where(np.isnan(y), expected, y)
+        blocks.insert(0, (estimate, odds, y, int(prob[1] > prob[0]), shown[k]))
+        vector, cell = [], 0
+        for estimate, odds, *_ in blocks[: memory.estimates]:
+            vector += [*estimate, *([odds] if memory.log_odds else [])]
+        for block in blocks[: memory.measurements]:
+            vector += [*block[2]]
+        for block in blocks[: memory.estimates]:
+            cell = 2 * cell + block[3]
+        for block in blocks[: memory.indicators]:
+            cell = 3 * cell + block[4]
+        fit, z = filter.fits[k], np.array(vector)
+        score = []
+        for i in range(2):
+            apart = fit.white[:, :, i, cell] @ (z - fit.centre[:, i, cell])
+            score.append(fit.log_weight[i, cell] - 0.5 * apart @ apart)
+        weight = np.exp(np.array(score) - max(score))
+        return [
+            (weight[i] / weight.sum(), fit.gain[..., i, cell] @ z + fit.offset[:, i, cell],
+             fit.cov[..., i, cell])
+            for i in range(2)
+        ]  # fmt: skip
+
+    return recall
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+@pytest.mark.parametrize("memory", MEMORIES)
+def test_run_with_a_memory_equals_the_corrected_steps_of_theorem_3(memory, drives):
+    """Correct, decide, remember, take the cell, forecast: with the arrays of the design."""
+    system, expected = linear(drives), oracle(drives)
+    filter = synthesize(system, memory, Taylor(), TIMES, paths=6000, seed=1, inputs={u: INPUT})
+    record, shown = data(system, gaps=False)
+    if memory.measurements:
+        record[1, 0, 1] = np.nan  # remembered as what was expected
+    with pytest.warns(UserWarning, match="1 of 6") if memory.measurements else nullcontext():
+        found = filter.run(TIMES, record, indicators=shown, inputs={u: INPUT}, covariances=True)
+    for path in range(6):
+        recall, y = recall_of(filter, shown[:, path]), record[..., path]
+        laws, _, logliks = expected.run(
+            y, shown[:, path], lambda k, law, mean, recall=recall, y=y: recall(k, law, mean, y[k])
+        )
+        gap = memory.measurements and path == 1
+        logliks[2 if gap else 9 :] = np.nan
+        assert np.isnan(found.cov[1 if gap else 9 :, ..., path]).all()
+        assert_laws(found._replace(cov=None), path, laws, logliks)
+        _, cov = merged(laws[-1])
+        if not gap:
+            assert_allclose(found.cov[-1, ..., path], cov, rtol=1e-8, atol=1e-10)
+    assert filter.order == memory.order(2, 2, 2) + memory.estimates + memory.indicators
+    single = filter.run(TIMES, record[..., 2], indicators=shown[:, 2], inputs={u: INPUT})
+    assert_allclose(single.mean, found.mean[..., 2], rtol=1e-10)
+    state = filter.initial((6,))
+    for k, now in enumerate(TIMES):
+        with assigned({u: INPUT[max(k - 1, 0)]}):
+            state = filter.predict(state, now)
+        with assigned({u: INPUT[k]}):
+            state = filter.correct(state, record[k], shown[k])
+        assert_allclose(state.mean, found.mean[k], rtol=1e-11)
+        assert_allclose(filter.report(state).cov, found.cov[k], rtol=1e-9, atol=1e-12)
+        assert_allclose(state.loglik, found.loglik[k], rtol=1e-11, atol=1e-12)
+
+
+# Limits, and what is not linear
+
+
+def telling(**options):
+    """A scalar system whose indicator depends on the state; its value 2 is never shown."""
+    near = 1 / (1 + x**2)
+    told = [[0.2 + 0.6 * near, 0.8 - 0.6 * near, 0], [0, 1, 0]]
+    return SwitchingSystem(
+        (x,), [[0.9 * x + 0.4 + 0.3 * v], [0.5 * x - 0.7 + 0.8 * v]], Noise((v,)),
+        [[0.9, 0.1], [0.3, 0.7]], [[x + 0.5 * w], [2 * x - 1 + (1 + x / 2) * w]], Noise((w,)),
+        [(0.6, [0.3], [[1.2]]), (0.4, [-0.5], [[0.7]])], indicator=told, **options,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("batch", [(7,), (7, 1), (1, 7)])
+def test_paths_with_unlike_indicators_do_not_know_each_other(batch):
+    """Each value, a missing one, and one that only one of the modes shows."""
+    filter = SwitchingFilter(telling(), GaussHermite(3))
+    shown = np.array([0, 1, 1, -1, 1, 0, -1])
+    record = np.array([0.3, -1.0, np.nan, 2.0, 0.7, np.nan, np.nan])
+    turned = [(np.roll(record, k), np.roll(shown, k)) for k in (0, 2, 3)]
+    state = filter.initial(batch)
+    for k, (y, told) in enumerate(turned):
+        state = filter.step(state, float(k), y.reshape(1, *batch), told.reshape(batch))
+    for path in range(7):
+        one = filter.initial()
+        for k, (y, told) in enumerate(turned):
+            one = filter.step(one, float(k), [y[path]], told[path])
+        assert_allclose(state.mean.reshape(1, 7)[:, path], one.mean, rtol=1e-11)
+        assert_allclose(state.loglik.reshape(7)[path], one.loglik, rtol=1e-11, atol=1e-13)
+        assert_allclose(state.law.prob.reshape(2, 7)[:, path], one.law.prob, rtol=1e-11)
+        assert state.mode.reshape(7)[path] == one.mode
+    masked = np.ma.array(shown, mask=shown < 0)
+    found, wanted = (
+        filter.step(filter.initial((7,)), 0.0, record[None], told) for told in (masked, shown)
+    )
+    assert_array_equal(found.loglik, wanted.loglik)
+
+
+def test_indicator_that_no_mode_shows_leaves_the_forecast_and_has_no_likelihood():
+    filter = SwitchingFilter(telling(), GaussHermite(3))
+    state = filter.predict(filter.initial((2,)), 0.0)
+    y = np.array([[0.4, 0.4]])
+    found = filter.correct(state, y, np.array([2, 1]))
+    blind = filter.correct(state, y, np.array([-1, -1]))
+    assert found.loglik[0] == -np.inf
+    assert np.isfinite(found.loglik[1])
+    assert_allclose(found.mean[:, 0], blind.mean[:, 0], rtol=1e-13)
+    assert_allclose(found.law.prob[:, 0], blind.law.prob[:, 0], rtol=1e-13)
+    alone = filter.correct(filter.predict(filter.initial(), 0.0), [0.4], 2)
+    assert alone.loglik == -np.inf
+    assert_allclose(alone.mean, blind.mean[:, 0], rtol=1e-13)
+    run = filter.run([0.0, 1.0], np.zeros((2, 1, 2)), indicators=np.array([[2, 1], [1, 1]]))
+    assert run.diverged.tolist() == [True, False]
+
+
+def test_angles_are_taken_nearest_to_what_is_expected():
+    """A turn more or less in a measurement changes nothing, also where it is remembered."""
+
+    def system(period):
+        return SwitchingSystem(
+            (x, y), [[x + v, y], [x - v / 2, y / 2 + v]], Noise((v,)), [[0.8, 0.2], [0.3, 0.7]],
+            [[x + 0.4 * p, y + q], [x + 0.7 * p, y - q / 2]], Noise((p, q)),
+            [(0.5, [3.0, 0.5], np.eye(2))] * 2, period=period,
+        )  # fmt: skip
+
+    angles, times = system({0: 2 * np.pi}), np.arange(4.0)
+    record = system(None).simulate(times, 30, 1).measurements
+    turned = record.copy()
+    turned[:, 0] += 2 * np.pi * np.random.default_rng(0).integers(-2, 3, size=(4, 30))
+    for filter in (
+        SwitchingFilter(angles, Taylor()),
+        synthesize(angles, Memory(1), Taylor(), times, paths=2000, seed=1),
+    ):
+        one, two = (filter.run(times, y) for y in (record, turned))
+        assert_allclose(two.mean, one.mean, rtol=1e-9, atol=1e-9)
+        assert_allclose(two.loglik, one.loglik, rtol=1e-9, atol=1e-9)
+    flat = SwitchingFilter(system(None), Taylor()).run(times, record)
+    near = (np.abs(record[:2, 0] - 3.0) < 1.0).all(axis=0)
+    bank = SwitchingFilter(angles, Taylor()).run(times, record)
+    assert near.sum() > 3
+    assert_allclose(bank.mean[1][:, near], flat.mean[1][:, near], rtol=1e-9)
+
+
+def test_positions_far_from_the_origin_lose_no_digits():
+    system = zoo.manoeuvring_target("noisy")
+    near = system.simulate(np.arange(8.0), 50, 9)
+    filter = SwitchingFilter(system, ExactGaussian())
+    state = filter.initial((50,))
+    away = np.array([1e7, 0])[:, None, None, None]
+    far = state._replace(law=state.law._replace(mean=state.law.mean + away))
+    for k in range(8):
+        state = filter.step(state, float(k), near.measurements[k], near.indicators[k])
+        far = filter.step(far, float(k), near.measurements[k] + 1e7, near.indicators[k])
+    assert_allclose(far.mean[0] - 1e7, state.mean[0], atol=1e-6)
+    assert_allclose(far.law.cov, state.law.cov, rtol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [1e-30, 1.0, 1e30])
+def test_designs_do_not_depend_on_the_unit(unit):
+    """And a component without noise, known from the start, is as good as any other."""
+
+    def system(scale):
+        return SwitchingSystem(
+            (x, y), [[0.5 * x + scale * v, y], [0.9 * x - y + scale * (1 + v), y]], Noise((v,)),
+            [[0.8, 0.2], [0.3, 0.7]], [[x + y + scale * w]] * 2, Noise((w,)),
+            [(0.5, [0, scale], np.diag([scale**2, 0]))] * 2, indicator=[[0.9, 0.1], [0.2, 0.8]],
+        )  # fmt: skip
+
+    times = np.arange(5.0)
+    found = []
+    for scale in (1.0, unit):
+        data = system(scale).simulate(times, 50, 7)
+        made = synthesize(system(scale), Memory(2, 1), Taylor(), times, paths=2000, seed=3)
+        run = made.run(times, data.measurements, indicators=data.indicators)
+        found.append(run.mean / scale)
+    assert_allclose(found[1], found[0], atol=1e-10)
+
+
+def test_rules_with_negative_weights_lose_no_path():
+    system = zoo.dependent_switching()
+    data = system.simulate(np.arange(12.0), 400, 3)
+    rule = Unscented(alpha=0.3, beta=2.0, kappa=0.0)
+    with pytest.warns(UserWarning, match="covariances: eigenvalues of"):
+        found = SwitchingFilter(system, rule).run(
+            data.times, data.measurements, indicators=data.indicators, covariances=True
+        )
+    assert not found.diverged.any()
+    assert found.cov.min() >= 0
+    assert_allclose(found.mode_prob.sum(axis=1), 1.0, rtol=1e-12)
+    assert np.square(found.mean - data.states).mean() < np.square(data.states).mean()
+
+
+@pytest.mark.parametrize("indicator", [False, True])
+def test_paths_that_are_lost_are_marked_and_leave_the_others_alone(indicator):
+    system = SwitchingSystem(
+        (x,), [[x**3 + v], [x / 2 + v]], Noise((v,)), [[0.9, 0.1], [0.5, 0.5]], [[x + w]] * 2,
+        Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        indicator=[[0.9, 0.1], [0.2, 0.8]] if indicator else None,
+    )  # fmt: skip
+    filter, times = SwitchingFilter(system, Taylor()), np.arange(12.0)
+    record = np.zeros((12, 1, 3))
+    record[:, 0, 1] = 1e110
+    shown = np.zeros((12, 3), dtype=int) if indicator else None
+    found = filter.run(times, record, indicators=shown, covariances=True)
+    rest = None if shown is None else shown[:, :1]
+    whole = filter.run(times, record[..., :1], indicators=rest, covariances=True)
+    assert_array_equal(found.diverged, [False, True, False])
+    assert_array_equal(found.mean[..., 0], whole.mean[..., 0])
+    none = filter.run(times, record[..., :0], indicators=None if shown is None else shown[:, :0])
+    assert none.mean.shape == (12, 1, 0)
+    assert none.modes.shape == (12, 0)
+
+
+def test_threads_give_equal_bits():
+    system = zoo.scalar_switching("A1H")
+    data = system.simulate(np.arange(3.0), 8194, 1)
+    for filter in (
+        SwitchingFilter(system, ExactGaussian()),
+        synthesize(system, Memory(1, 1), Taylor(), np.arange(3.0), paths=2000, seed=1),
+    ):
+        whole = filter.run(data.times, data.measurements)
+        found = filter.run(data.times, data.measurements[..., :8193], workers=2)
+        assert_array_equal(found.mean, whole.mean[..., :8193])
+        again = pickle.loads(pickle.dumps(filter))
+        assert_array_equal(again.run(data.times, data.measurements[..., :9]).mean,
+                           filter.run(data.times, data.measurements[..., :9]).mean)  # fmt: skip
+
+
+def test_fits_of_ones_own_forecast():
+    """Anything that forecasts from a cell and a vector will do, also where the memory is empty."""
+
+    class Foreign:
+        def __init__(self, fit):
+            self.forecast = fit.forecast
+
+    system, times = zoo.scalar_switching("A1H"), np.arange(4.0)
+    record = system.simulate(times, 5, 1).measurements
+    made = synthesize(system, Memory(1, 1), Taylor(), times, paths=2000, seed=1)
+    foreign = SwitchingFilter(
+        system, Taylor(), made.memory, times=times, fits=[Foreign(fit) for fit in made.fits]
+    )
+    assert_array_equal(foreign.run(times, record).mean, made.run(times, record).mean)
+    none = made.run(times, record[..., :0])
+    assert none.mean.shape == (4, 1, 0)
+
+
+def test_known_modes_with_exact_laws_in_the_memory_are_the_kalman_filter_given_them():
+    """The error does not depend on the modes: gain one, covariance P, in a filter of order one."""
+    system = SwitchingSystem(
+        (x, y), [[x + y + v / 2, 0.9 * y + v + drive] for drive in (0.0, 1.0)],
+        Noise((v,), cov=[[0.3]]), [[0.9, 0.1], [0.3, 0.7]], [[x + w]] * 2,
+        Noise((w,), cov=[[2.0]]), [(0.5, [1.0, -0.5], [[4, 0.5], [0.5, 1]])] * 2,
+        indicator=[[1, 0], [0, 1]],
+    )  # fmt: skip
+    data = system.simulate(np.arange(13.0), 40, 5)
+    move, push = np.array([[1, 1], [0, 0.9]]), np.array([0.5, 1.0])
+    mean, cov = np.array([[1.0], [-0.5]]), np.array([[4, 0.5], [0.5, 1.0]])
+    means, fits = [], []
+    for k, shown in enumerate(data.measurements):
+        if k:
+            mean = move @ mean + np.array([[0.0], [1.0]]) * data.modes[k - 1]
+            cov = move @ cov @ move.T + 0.3 * np.outer(push, push)
+        gain = cov[:, :1] / (cov[0, 0] + 2.0)
+        mean, cov = mean + gain * (shown - mean[:1]), cov - gain @ cov[:1]
+        means.append(mean)
+        both, zero = np.ones((1, 1, 2, 2)), np.zeros((2, 2, 2))
+        fits.append(CellFit(
+            np.array([[0.0, -np.inf], [-np.inf, 0.0]]), zero, np.zeros((2, 2, 2, 2)),
+            np.eye(2)[:, :, None, None] * both, zero, cov[:, :, None, None] * both,
+        ))  # fmt: skip
+    exact = SwitchingFilter(
+        system, ExactGaussian(), large_order(1), times=data.times, fits=fits[:-1]
+    )
+    for filter in (exact, SwitchingFilter(system, ExactGaussian())):
+        found = filter.run(data.times, data.measurements, indicators=data.indicators)
+        assert_array_equal(found.modes, data.modes)
+        assert_allclose(found.mean, means, atol=1e-11)
+
+
+def test_risk_with_an_input_is_that_of_the_input_as_a_function_of_time():
+    """Without random numbers, and on paths; the input of a step acts in the step after it."""
+    times, values = np.array([2.0, 2.5, 3.0, 3.5]), [0.7, -1.5, 1.0, 0.4]
+    course = sympy.Piecewise(*((c, t < s) for c, s in zip(values, times[1:], strict=False)),
+                             (values[-1], True))  # fmt: skip
+
+    def system(u):
+        return SwitchingSystem(
+            (x,), [[x / 2 + u + v], [0.8 * x - u / 2 + v / 2]], Noise((v,)),
+            [[0.8, 0.2], [0.3, 0.7]], [[x + u / 4 + w], [x - u / 3 + w]], Noise((w,)),
+            [(0.6, [0], [[1]]), (0.4, [1], [[1]])], time=t,
+        )  # fmt: skip
+
+    inputs, axes = {u: np.array(values)}, {"x": (-7, 7, 57), "z": (-6, 6, 49), "y": (-10, 10, 81)}
+    filter = synthesize(system(u), Memory(1), Taylor(), times, paths=3000, seed=1, inputs=inputs)
+    told = grid_risk(filter, **axes, inputs=inputs)
+    written = replace(filter, system=system(course), rules=None)
+    wanted = grid_risk(written, **axes)
+    assert_allclose(told.mse, wanted.mse, rtol=1e-9)
+    assert_allclose(told.mode_error, wanted.mode_error, rtol=1e-9)
+    data = system(u).simulate(times, 20_000, 5, inputs=inputs)
+    found = filter.run(times, data.measurements, inputs=inputs)
+    square = (found.mean - data.states)[:, 0] ** 2
+    error = square.std(axis=1) / 20_000**0.5
+    assert (np.abs(square.mean(axis=1) - told.mse) < 4 * error + 0.01 * told.mse).all()
+    wrong = (found.modes != data.modes).mean(axis=1)
+    assert (np.abs(wrong - told.mode_error) < 4 * 0.5 / 20_000**0.5 + 0.005).all()
