@@ -55,7 +55,6 @@ LEDGER = """- id: TS-X1
   statement: The three terms of the sum make 7.
   kind: number
   notebook: notebooks/tiny.md
-  tests: [tests/test_tiny.py::test_sum]
   printed: 7
   tolerance: 1.0e-9
   verdict: reproduced
@@ -80,13 +79,12 @@ def kernels_at_once():
 def executed_project(tmp_path_factory):
     """The small project with its notebook executed; not to be changed."""
     root = tmp_path_factory.mktemp("project")
-    for folder in ("notebooks", "book", "tests"):
+    for folder in ("notebooks", "book"):
         (root / folder).mkdir()
     (root / "requirements.lock").write_text("nothing==1.0\n")
     (root / "notebooks" / "tiny.md").write_text(TINY)
     (root / "book" / "claims.yml").write_text(LEDGER)
     (root / "book" / "places.yml").write_text(PLACES)
-    (root / "tests" / "test_tiny.py").write_text("def test_sum():\n    assert 1 + 2 + 4 == 7\n")
     shutil.copy(ROOT / "conftest.py", root)
     (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")
     assert execution.execute(root) == [execution.Outcome(root / "notebooks" / "tiny.md", "")]

@@ -1,268 +1,245 @@
-import contextlib
+"""A notebook run over a grid of parameters: the table, what fails, what goes on after a kill."""
+
 import csv
+import ipaddress
 import json
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from types import SimpleNamespace
 
 import nbformat
+import psutil
 import pytest
+from dask.distributed import LocalCluster
 
-from bookkit import execution, kept, run_sweep, sweeps
+from bookkit import execution, run_sweep
 from bookkit.cli import main
+from bookkit.files import read_yaml
+from bookkit.limits import Limits
 from bookkit.points import execute_point
+from bookkit.recording import MIME
 
 pytestmark = pytest.mark.usefixtures("kernels_at_once")
 
-GRID = "grid:\n  gain: [1.0, 3.0]\n  count: [2, 3]\n"
-
-
-def rows(table):
-    with table.open() as file:
-        return list(csv.DictReader(file))
-
 
 @pytest.fixture
-def grid(project):
-    path = project / "grid.yaml"
-    path.write_text(GRID)
-    return path
-
-
-@pytest.fixture(scope="module")
-def served(tmp_path_factory):
-    """Address of a scheduler that was started by hand, and a worker too."""
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
-    address = f"tcp://127.0.0.1:{port}"
-    folder = tmp_path_factory.mktemp("by_hand")
-    common = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": folder}
-    dask = [sys.executable, "-m", "dask"]
-    scheduler = subprocess.Popen(
-        [*dask, "scheduler", "--host", "127.0.0.1", "--port", str(port), "--no-dashboard"], **common
-    )
-    alone = ["--nthreads", "1", "--no-nanny", "--no-dashboard", "--preload", "forked_kernels"]
-    worker = subprocess.Popen([*dask, "worker", address, *alone], **common)
-    yield address
-    for process in (worker, scheduler):
-        process.terminate()
-        process.wait(30)
-
-
 def notebook(project):
     return project / "notebooks" / "tiny.ipynb"
 
 
-def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, grid, capsys):
-    report = run_sweep(notebook(project), grid, project / "out", quiet=True)
-    assert "4 points, 0 already done, 4 to run" in capsys.readouterr().out
+@pytest.fixture(scope="module")
+def scheduler():
+    """Address of a scheduler with one worker, which was started by hand."""
+    quiet = {"dashboard_address": None, "silence_logs": 50, "processes": False}
+    quiet |= {"protocol": "tcp://", "host": "127.0.0.1"}
+    with LocalCluster(n_workers=1, threads_per_worker=1, **quiet) as cluster:
+        yield cluster.scheduler_address
+
+
+@pytest.fixture
+def sweep(project, notebook, scheduler):
+    """Function that runs the notebook over a grid."""
+
+    def run(grid, **options):
+        (project / "grid.yaml").write_text(f"grid: {grid}\n")
+        options = {"quiet": True, "scheduler": scheduler, **options}
+        return run_sweep(notebook, project / "grid.yaml", project / "out", **options)
+
+    return run
+
+
+def rows(report):
+    with report.table.open() as file:
+        return list(csv.DictReader(file))
+
+
+def prepend(notebook, code):
+    """Put code before that of the cell that computes."""
+    content = nbformat.read(notebook, as_version=4)
+    content.cells[3].source = code + content.cells[3].source
+    nbformat.write(content, notebook)
+
+
+def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, sweep):
+    report = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
     assert (report.total, report.already, report.failed) == (4, 0, 0)
-    table = rows(report.table)
-    assert [(float(r["gain"]), int(r["count"]), float(r["total"])) for r in table] == [
-        (1.0, 2, 2.0),
-        (1.0, 3, 3.0),
-        (3.0, 2, 4.0),
-        (3.0, 3, 13.0),
-    ]
-    assert [float(table[3][f"terms_{k}"]) for k in range(3)] == [1.0, 3.0, 9.0]
+    table = [[float(r[name]) for name in ("gain", "count", "total")] for r in rows(report)]
+    assert table == [[1, 2, 2], [1, 3, 3], [3, 2, 4], [3, 3, 13]]
+    assert [float(rows(report)[3][f"terms_{k}"]) for k in range(3)] == [1.0, 3.0, 9.0]
     assert len(list((project / "out").glob("*.ipynb"))) == 4
     before = report.table.read_bytes()
-    again = run_sweep(notebook(project), grid, project / "out", quiet=True)
-    assert "4 points, 4 already done, 0 to run" in capsys.readouterr().out
+    again = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
+    assert again.already == 4
     assert again.table.read_bytes() == before
-
-
-def test_a_changed_notebook_or_lock_makes_new_points(project, grid, served, capsys):
-    out = project / "out"
-    grid.write_text("grid: {gain: [1.0]}\n")
-    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
+    for half in (project / "out").glob("*.json"):
+        half.write_text("{")  # what is not whole is no point
+    assert sweep("{gain: [1.0]}").already == 0
     (project / "requirements.lock").write_text("")
-    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
-    assert capsys.readouterr().out.count("1 points, 0 already done, 1 to run") == 2
+    assert sweep("{gain: [1.0]}").already == 0
 
 
-def test_a_failed_point_keeps_its_message_and_the_others_go_on(project, grid, served, capsys):
-    grid.write_text("grid: {gain: [7.0, 2.0]}\n")
-    out = project / "out"
-    report = run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
-    assert report.failed == 1
-    assert [r["problem"] for r in rows(report.table)] == [
-        "ArithmeticError: seven is out of reach",
-        "",
-    ]
-    run_sweep(notebook(project), grid, out, quiet=True, scheduler=served)
-    assert "2 points, 2 already done (1 of them failed), 0 to run" in capsys.readouterr().out
-    run_sweep(notebook(project), grid, out, quiet=True, retry=True, scheduler=served)
-    assert "2 points, 1 already done, 1 to run" in capsys.readouterr().out
+SPOILT = {  # what a point does, and what is said of it; the others go on
+    7.0: ("pass", "ArithmeticError: seven is out of reach"),
+    3.0: ("from bookkit import record; record(total=1.0)", "total is recorded twice"),
+    4.0: ("from bookkit import record; record(gain=9.0)", "gain: the name of another column"),
+    5.0: (
+        f"from IPython.display import display; display({{{MIME!r}: {{'values': [1]}}}}, raw=True)",
+        "a record of another shape",
+    ),
+    6.0: ("import os; os._exit(1)", "Kernel died"),
+}
 
 
-def test_after_a_kill_the_finished_points_are_there(project, served, capsys, monkeypatch):
-    slow, go = nbformat.read(notebook(project), as_version=4), project / "go"
+def test_points_that_fail_keep_their_message_and_the_others_go_on(notebook, sweep):
+    prepend(notebook, "".join(f"if gain == {g}:\n    {code}\n" for g, (code, _) in SPOILT.items()))
+    grid = f"{{gain: {[*SPOILT, 2.0]}, count: [1]}}"
+    report = sweep(grid)
+    assert report.failed == len(SPOILT)
+    *bad, good = rows(report)
+    for row, (gain, (_, problem)) in zip(bad, SPOILT.items(), strict=True):
+        assert float(row["gain"]) == gain
+        assert problem in row["problem"]
+        assert row["total"] == ""
+    assert (good["total"], good["problem"]) == ("1.0", "")
+    assert sweep("{gain: [7.0], count: [1]}").already == 1
+    assert sweep("{gain: [7.0], count: [1]}", retry=True).already == 0
+
+
+def family(pid):
+    process = psutil.Process(pid)
+    return [process, *process.children(recursive=True)]
+
+
+def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebook, sweep):
+    go = project / "go"
     wait = f"if gain > 1.0 and not os.path.exists({str(go)!r}):\n    time.sleep(60)\n"
-    slow.cells[3].source = f"import os\nimport time\n\n{wait}" + slow.cells[3].source
-    nbformat.write(slow, notebook(project))
-    grid = project / "grid.yaml"
-    grid.write_text("grid: {gain: [1.0, 2.0, 3.0, 4.0], count: [1]}\n")
-    arguments = [sys.executable, "-m", "bookkit", "sweep", str(notebook(project)), str(grid)]
-    arguments += ["--out", str(project / "out"), "--workers", "1"]
+    prepend(notebook, f"import os\nimport time\n\n{wait}")
+    (project / "grid.yaml").write_text("grid: {gain: [1.0, 2.0, 3.0], count: [1]}")
+    command = [sys.executable, "-m", "bookkit", "sweep", notebook, project / "grid.yaml"]
     first = subprocess.Popen(
-        arguments, cwd=project, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
-    )
+        [*map(str, command), "--out", str(project / "out"), "--workers", "1"],
+        cwd=project, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
     deadline = time.monotonic() + 90
     while not list((project / "out").glob("*.json")):
         assert time.monotonic() < deadline, "no point was finished in time"
         time.sleep(0.1)
+    listening = {
+        ipaddress.ip_address(connection.laddr.ip)
+        for process in family(first.pid)
+        for connection in process.net_connections("tcp")
+        if connection.status == psutil.CONN_LISTEN
+    }
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
-    assert len(list((project / "out").glob("*.json"))) == 1
+    assert listening
+    assert all(address.is_loopback for address in listening)
     go.touch()
-    monkeypatch.chdir(project)
-    assert main([*arguments[3:-2], "--scheduler", served]) == 0
-    assert "4 points, 1 already done, 3 to run" in capsys.readouterr().out
-    assert [float(r["total"]) for r in rows(project / "out" / "results.csv")] == [1.0] * 4
+    report = sweep("{gain: [1.0, 2.0, 3.0], count: [1]}")
+    assert (report.total, report.already, report.failed) == (3, 1, 0)
+    assert [float(r["total"]) for r in rows(report)] == [1.0] * 3
 
 
-def test_a_scheduler_and_workers_started_by_hand_serve_it(project, grid, served):
-    report = run_sweep(notebook(project), grid, project / "out", scheduler=served, quiet=True)
-    assert report.failed == 0
-    assert float(rows(report.table)[3]["total"]) == 13.0
+def test_numbers_that_were_changed_by_hand_are_refused(project, sweep):
+    report = sweep("{gain: [1.0]}")
+    (one,) = (project / "out").glob("*.json")
+    table, text = report.table.read_bytes(), one.read_text()
+    for part, name in (("parameters", "gain"), ("values", "total")):
+        edited = json.loads(text)
+        edited[part][name] += 1e-9
+        one.write_text(json.dumps(edited))
+        with pytest.raises(ValueError, match=one.name):
+            sweep("{gain: [1.0]}")
+    assert report.table.read_bytes() == table
 
 
-def test_missing_files_and_addresses_are_named(project, grid):
-    with pytest.raises(ValueError, match=r"absent\.ipynb"):
-        run_sweep(project / "absent.ipynb", grid, project / "out")
-    with pytest.raises(ValueError, match=r"absent\.yaml"):
-        run_sweep(notebook(project), project / "absent.yaml", project / "out")
-    with pytest.raises(ValueError, match="workers"):
-        run_sweep(notebook(project), grid, project / "out", workers=0)
-    (project / "empty.ipynb").write_text("no notebook")
-    with pytest.raises(ValueError, match="not a notebook"):
-        run_sweep(project / "empty.ipynb", grid, project / "out")
-
-
-def test_an_unreachable_scheduler_is_named(project, grid, monkeypatch):
-    monkeypatch.setattr("seedslib.extra.dask_crew.CONNECT", 0.5)
-    with pytest.raises(ValueError, match=r"nothing answers at tcp://127\.0\.0\.1:9"):
-        run_sweep(
-            notebook(project), grid, project / "out", scheduler="tcp://127.0.0.1:9", quiet=True
-        )
-
-
-def test_a_kernel_keeps_the_memory_of_its_arrays(project, monkeypatch):
-    """What Dask tells its workers would cost a notebook full of arrays half of its speed."""
-    monkeypatch.setenv("MALLOC_TRIM_THRESHOLD_", "65536")
-    content = nbformat.read(notebook(project), as_version=4)
-    content.cells[3].source = "import os\n\nassert 'MALLOC_TRIM_THRESHOLD_' not in os.environ"
-    assert execute_point(nbformat.writes(content), {"gain": 1.0})["problem"] == ""
-
-
-def test_a_point_that_cannot_start_says_why(project):
-    result = execute_point("{}", {"gain": 1.0})
-    assert result["problem"]
-    assert json.loads(json.dumps(result)) == result
-
-
-SPOILT = {
-    3.0: (
-        "from bookkit import record; record(total=1.0)",
-        "ValueError: total is recorded twice in one notebook",
-    ),
-    4.0: (
-        "from bookkit import record; record(gain=99.0)",
-        "ValueError: gain: the name of another column of the table",
-    ),
-    5.0: (
-        "from bookkit import record; record(terms_0=1.0)",
-        "ValueError: terms_0: the name of another column of the table",
-    ),
-    6.0: ("import os; os._exit(1)", "DeadKernelError: Kernel died"),
-}
-
-
-def test_points_that_spoil_their_records_fail_alone(project, grid, served):
-    content = nbformat.read(notebook(project), as_version=4)
-    spoilt = [f"if gain == {gain}:\n    {code}\n" for gain, (code, _) in SPOILT.items()]
-    content.cells[3].source = "".join(spoilt) + content.cells[3].source
-    nbformat.write(content, notebook(project))
-    grid.write_text("grid: {gain: [3.0, 4.0, 5.0, 6.0, 2.0], count: [1]}")
-    report = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
-    assert report.failed == 4
-    table = rows(report.table)
-    assert [r["problem"] for r in table] == [*(problem for _, problem in SPOILT.values()), ""]
-    assert [float(r["gain"]) for r in table] == [3.0, 4.0, 5.0, 6.0, 2.0]
-    assert [r["total"] for r in table] == ["", "", "", "", "1.0"]
-
-
-@pytest.mark.parametrize("text", ["", "{", "{}", "[]", "null", '{"values": {}, "problem": null}'])
-def test_what_is_not_whole_in_the_folder_is_not_taken_for_a_point(tmp_path, text):
-    (tmp_path / "key.json").write_text(text)
-    assert kept.read_entry(tmp_path, "key", {}) is None
-
-
-def test_a_folder_that_cannot_hold_the_results_is_named(project, grid):
-    (project / "file").write_text("")
-    (project / "full" / "results.csv").mkdir(parents=True)
-    for out in ("file", "file/below", "full"):
-        with pytest.raises(ValueError, match=rf"{out}.*: wanted a f"):
-            run_sweep(notebook(project), grid, project / out, quiet=True)
-
-
-def test_a_grid_for_another_notebook_is_refused(project, grid):
-    grid.write_text("notebook: notebooks/other.md\n" + GRID)
-    with pytest.raises(ValueError, match=r"is for notebooks/other\.md, not for .*tiny\.ipynb"):
-        run_sweep(notebook(project), grid, project / "out", quiet=True)
-
-
-def test_points_that_a_lost_scheduler_cancelled_are_not_kept_as_failed(project, tmp_path):
-    class Cancelled:
-        def result(self):
-            raise RuntimeError("scheduler-connection-lost")
-
-        def cancelled(self):
-            return True
-
-    client = SimpleNamespace(submit=lambda *_, **__: Cancelled())
-    text = notebook(project).read_text()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("dask.distributed.as_completed", lambda running: list(running))
-        with pytest.raises(ValueError, match="the scheduler was lost"):
-            sweeps._run(client, text, {}, {"key": {"gain": 1.0}}, tmp_path, True)
-    assert not list(tmp_path.glob("*.json"))
-
-
-def test_another_sweep_on_this_machine_is_no_hindrance(project, grid, recwarn):
-    grid.write_text("grid: {gain: [1.0]}")
-    with socket.socket() as taken:
-        with contextlib.suppress(OSError):
-            taken.bind(("", 8787))
-            taken.listen()
-        report = run_sweep(notebook(project), grid, project / "out", quiet=True, workers=1)
-    assert report.failed == 0
-    assert [str(w.message) for w in recwarn if "already in use" in str(w.message)] == []
-
-
-def test_data_files_travel_with_the_notebook(project, grid, served):
-    """Named in the front matter, they are where the notebook looks for them, on any worker."""
-    source = project / "notebooks" / "tiny.md"
-    (project / "data").mkdir()
-    (project / "data" / "terms.csv").write_text("2.5\n")
-    text = source.read_text().replace("kernelspec:", "inputs: [data/terms.csv]\nkernelspec:", 1)
-    code = 'from bookkit import record\n\nrecord(told=float(open("../data/terms.csv").read()))\n'
+def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, notebook, sweep):
+    source, data = notebook.with_suffix(".md"), project / "data.csv"
+    data.write_text("2.5\n")
+    text = source.read_text().replace("kernelspec:", "inputs: [data.csv]\nkernelspec:", 1)
+    code = 'from bookkit import record\n\nrecord(read=float(open("../data.csv").read()))\n'
     source.write_text(text + "\n```{code-cell} ipython3\n" + code + "```\n")
     assert [o.problem for o in execution.execute(project)] == [""]
-    grid.write_text("grid: {gain: [1.0]}\n")
-    report = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
-    assert (report.total, report.failed) == (1, 0)
-    assert float(rows(report.table)[0]["told"]) == 2.5
-    (project / "data" / "terms.csv").write_text("3.5\n")
-    again = run_sweep(notebook(project), grid, project / "out", quiet=True, scheduler=served)
-    assert again.already == 0
-    assert float(rows(again.table)[0]["told"]) == 3.5
-    (project / "data" / "terms.csv").unlink()
-    with pytest.raises(ValueError, match=r"wanted its input data/terms\.csv"):
-        run_sweep(notebook(project), grid, project / "out", quiet=True)
+    assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 2.5
+    data.write_text("3.5\n")
+    assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 3.5
+    data.unlink()
+    with pytest.raises(ValueError, match=r"data\.csv"):
+        sweep("{gain: [1.0]}")
+
+
+@pytest.mark.parametrize(
+    ("grid", "message"),
+    [
+        ("{gian: [1.0]}", "gian"),
+        ("{gain: [1.0, 'two', -3.0]}", "gain = 'two'.*gain = -3.0"),
+        ("{count: [1.5]}", "count"),
+        ("{gain: []}", "gain"),
+        ("{}", "grid"),
+        ("[", "not YAML"),
+        ("{gain: [1.0], gain: [2.0]}", "'gain' stands twice"),
+        ("{gain: [.nan]}", "gain"),
+        ("{gain: [true]}", "gain"),
+        ("{gain: [[1.0, 2.0]]}", "gain"),
+        ("{gain: [1.0, null]}", "gain"),
+        (f"{{gain: {[1.0] * 200}, count: {[1] * 200}}}", "at most 10000 points, got 40000"),
+        ("{gain: [1.0]}\nnotebook: notebooks/other.md", r"other\.md"),
+        ("&g [*g]", "alias"),
+        ("[" * 10**5, "20 levels"),
+    ],
+)
+def test_a_bad_grid_is_refused_before_anything_runs(project, sweep, grid, message):
+    with pytest.raises(ValueError, match=message):
+        sweep(grid)
+    assert not (project / "out").exists()
+
+
+def test_missing_files_and_bad_options_are_named(project, notebook, sweep, capsys, refused):
+    grid = project / "grid.yaml"
+    with pytest.raises(ValueError, match=r"grid\.yaml"):
+        run_sweep(notebook, grid, project / "out")
+    with pytest.raises(ValueError, match=r"absent\.ipynb"):
+        run_sweep(project / "absent.ipynb", grid, project / "out")
+    (project / "out").write_text("")
+    with pytest.raises(ValueError, match="out"):
+        sweep("{gain: [1.0]}")
+    for options in (["--seconds", "0"], ["--memory", "-1"], ["--workers", "0"]):
+        told = refused(capsys, main, "sweep", notebook, grid, "--out", project / "o", *options)
+        assert options[0].strip("-") in told
+
+
+@pytest.mark.parametrize("check", ["absent", "after another cell", "of another parameter"])
+def test_a_parameter_that_no_cell_checks_cannot_be_swept(notebook, sweep, check):
+    content = nbformat.read(notebook, as_version=4)
+    if check == "absent":
+        del content.cells[2:]
+    elif check == "after another cell":
+        content.cells.insert(2, nbformat.v4.new_code_cell("x = 1"))
+    else:
+        content.cells[2].source = content.cells[2].source.replace("gain=real(gt=0, le=10), ", "")
+    nbformat.write(content, notebook)
+    with pytest.raises(ValueError, match="check"):
+        sweep("{gain: [1.0]}")
+
+
+@pytest.mark.parametrize(
+    ("code", "limits", "problem"),
+    [
+        ("import time; time.sleep(60)", {"seconds": 1.0}, "took longer than 1 s"),
+        ("while True: print('x' * 10**5)", {"shown": 5.0}, "showed more than 5 MB"),
+        ("a = bytearray(10**10)", {"memory": 1.0}, "MemoryError"),
+    ],
+)
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are those of Linux")
+def test_a_point_that_takes_more_than_its_limit_fails(notebook, code, limits, problem):
+    prepend(notebook, code + "\n")
+    result = execute_point(notebook.read_text(), {"gain": 1.0}, None, Limits(**limits))
+    assert problem in result["problem"]
+
+
+def test_a_yaml_file_within_the_limits_is_read(tmp_path):
+    path = tmp_path / "file.yaml"
+    path.write_bytes("a: &named [1]\r\né: 2\r\n".encode())
+    assert read_yaml(path, "grid file") == {"a": [1], "é": 2}
