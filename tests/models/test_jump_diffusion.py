@@ -1,281 +1,276 @@
+"""Jump-diffusions: closed rates, and steps whose moments are those of the scheme."""
+
+import pickle
+
 import numpy as np
 import pytest
 import sympy
 from scipy.linalg import expm
 
+from oracles.linear import moment_rates
 from seedslib import zoo
+from seedslib.base import Parameter, assigned
+from seedslib.filters import extended_kalman
 from seedslib.models import JumpDiffusion, Noise, StochasticMap
+from systems import COV0, INPUTS, MEAN0, TIMES, U, continuous_numbers, continuous_system
 
-x, y, v, z, t, s = sympy.symbols("x y v z t s")
+x, y, v, z = sympy.symbols("x y v z", real=True)
+t = sympy.Symbol("t")
+CERTAIN = 1e6
+"""Intensity at which a step of 0.1 has a jump with all but exp(-1e5) probability."""
 
 
 def scalar(drift=0, diffusion=0, **options):
-    """One-dimensional system with a sensor that only adds noise."""
     settings = {"mean0": [1.0], "cov0": [[0.0]], "step": 0.01} | options
     return JumpDiffusion((x,), [drift], [[diffusion]], [x + v], Noise((v,)), **settings)
 
 
-# Closed forms of the models
+def one_step(system, start=0.0, h=0.1, scheme="euler", paths=4, state=1.0):
+    rng, states = np.random.default_rng(1), np.full((1, paths), state)
+    return system.advance(states, start, start + h, rng, step=h, scheme=scheme)[0]
 
 
-def test_mean_velocity_and_spread_of_the_kicked_oscillator():
-    system = zoo.kicked_duffing(0.5, 0.2, (0.2, 0.3), (0.5, 3.0))
-    x1, x2 = system.state
-    rate = 0.2 + 0.3 * x1**2
-    velocity, spread = system.moment_expressions
-    assert sympy.expand(velocity[0] - x2) == 0
-    expected = x1 - x1**3 - 0.5 * x2 + 0.5 * rate
-    assert sympy.expand(sympy.nsimplify(velocity[1] - expected)) == 0
-    assert spread[0, 0] == spread[0, 1] == 0
-    assert sympy.expand(sympy.nsimplify(spread[1, 1] - (0.04 + 9.25 * rate))) == 0
+def euler_moments(model, start, stop, steps, m, second, u):
+    """E X and E XX' after Euler steps: a jump comes in a step with chance 1 - exp(-mu h)."""
+    h = (stop - start) / steps
+    for s in start + h * np.arange(steps):
+        G, C = np.eye(2) + model.A(s) * h, model.C(s)
+        shift, k = (model.a(s) + model.B(s) * u) * h, model.k(s)
+        chance, mark = -np.expm1(-model.mu(s) * h), model.mark_mean
+        diffused = model.G(s) @ model.G(s).T * h
+
+        def product(A, a, B, b, m=m, second=second):
+            """E (A X + a)(B X + b)'."""
+            return A @ second @ B.T + np.outer(A @ m, b) + np.outer(a, B @ m) + np.outer(a, b)
+
+        both = product(G, shift, C, k * mark)
+        jumped = product(C, k * mark, C, k * mark) + model.mark_cov * np.outer(k, k)
+        second = product(G, shift, G, shift) + diffused + chance * (both + both.T + jumped)
+        m = G @ m + shift + chance * (C @ m + k * mark)
+    return m, second
 
 
-def test_mean_velocity_and_spread_of_the_flip_process():
-    system = zoo.flip_process()
-    (q,) = system.state
-    rate = 0.3 + 0.2 * q**2
-    velocity, spread = system.moment_expressions
-    assert sympy.expand(sympy.nsimplify(velocity[0] - (q - q**3 - 2 * q * rate))) == 0
-    expected = 0.25 + rate * (4 * q**2 + 0.09)
-    assert sympy.expand(sympy.nsimplify(spread[0, 0] - expected)) == 0
+def as_functions(system):
+    """The same system as array functions of the input."""
+    model = continuous_numbers()
+
+    def drift(t, x, u):
+        shift = model.a(t) + np.multiply.outer(u, model.B(t))
+        return np.einsum("ij,j...->i...", model.A(t), x) + shift.T.reshape(2, *np.shape(u), -1)
+
+    def diffusion(t, x, u):
+        return np.broadcast_to(model.G(t).reshape(2, 2, *(1,) * (x.ndim - 1)), (2, *x.shape))
+
+    def jump(t, x, z):
+        return np.einsum("ij,j...->i...", model.C(t), x) + np.multiply.outer(model.k(t), z[0])
+
+    def intensity(t, x, u):
+        return np.full(x.shape[1:], model.mu(t))
+
+    return JumpDiffusion.from_functions(
+        drift, diffusion, system.sensor, MEAN0[:2], COV0[:2, :2], intensity=intensity,
+        jump=StochasticMap.from_functions(2, 2, jump, system.jump.noise), parameters=(U,),
+        step=system.step,
+    )  # fmt: skip
 
 
-def test_readings_of_the_van_der_pol_oscillator():
-    systems = {letter: zoo.van_der_pol(letter) for letter in "ABCDEFGHIJKLM"}
-    default = systems["A"]
-    x1, x2 = default.state
-    stiffness = sympy.pi**2 / 100
-    assert sympy.expand(default.drift_expressions[1] + stiffness * x1 - 2 * x2 * (1 - x1**2)) == 0
-    assert default.diffusion_expressions.tolist() == [[0], [x1]]
-    assert systems["B"].diffusion_expressions[1, 0] == x2
-    assert systems["C"].diffusion_expressions[1, 0] == 1
-    assert systems["G"].cov0[0, 0] == pytest.approx(0.0225)
-    assert systems["H"].sensor.noise.cov[0, 0] == 0.1
-    assert systems["M"].drift_expressions[1].subs({x1: 1, x2: 0}) == -1
-    with pytest.raises(ValueError, match="reading: wanted a letter"):
-        zoo.van_der_pol("Z")
+@pytest.mark.filterwarnings("ignore:step. about")
+def test_coarse_steps_have_the_moments_of_eulers_scheme():
+    """Everything depends on time, from a late start, with an input and unequal steps."""
+    system, model, paths = continuous_system(step=0.1), continuous_numbers(), 20_000
+    inputs = {U: INPUTS[U][:4]}
+    data = system.simulate(TIMES[:4], paths, 1, inputs=inputs)
+    m, second = MEAN0[:2], COV0[:2, :2] + np.outer(MEAN0[:2], MEAN0[:2])
+    H, d, R = model.sensor(TIMES[:4], INPUTS[U][:4])
+    for k in range(4):
+        if k:
+            steps = round((TIMES[k] - TIMES[k - 1]) / 0.1)
+            m, second = euler_moments(
+                model, TIMES[k - 1], TIMES[k], steps, m, second, INPUTS[U][k - 1]
+            )
+        states = data.states[k]
+        squares = np.einsum("iN,jN->ijN", states, states)
+        error = 4.5 / np.sqrt(paths)
+        assert (np.abs(states.mean(axis=1) - m) < error * states.std(axis=1)).all()
+        assert (np.abs(squares.mean(axis=2) - second) < error * squares.std(axis=2)).all()
+        noise = data.measurements[k] - H[k] @ states - d[k][:, None]
+        assert (np.abs(noise.mean(axis=1)) < error * np.sqrt(np.diagonal(R[k]))).all()
+        np.testing.assert_allclose(np.cov(noise), R[k], atol=0.05)
 
 
-# Laws of the simulated paths
+@pytest.mark.filterwarnings("ignore:step. about")
+def test_array_functions_have_the_paths_and_the_rates_of_formulas():
+    system = continuous_system(step=0.05)
+    numeric, inputs = as_functions(system), {U: INPUTS[U][:3]}
+    one, two = (s.simulate(TIMES[:3], 40, 4, inputs=inputs) for s in (system, numeric))
+    np.testing.assert_allclose(one.states, two.states, rtol=1e-10, atol=1e-12)
+    np.testing.assert_allclose(one.measurements, two.measurements, rtol=1e-10, atol=1e-12)
+    at = np.random.default_rng(0).normal(size=(2, 5))
+    model, lower = continuous_numbers(), np.tril_indices(2)
+    for now in (1.5, 2.3):
+        with assigned({U: 0.6}):
+            velocity, spread = (
+                [getattr(s, f).value(now, at, np.empty((0, 5))) for s in (system, numeric)]
+                for f in ("drift_map", "spread_map")
+            )
+            np.testing.assert_allclose(system.intensity(now, at), model.mu(now))
+        for k in range(5):
+            wanted, square = moment_rates(model, now, at[:, k], np.zeros((2, 2)), 0.6)
+            for found in velocity:
+                np.testing.assert_allclose(found[:, k], wanted, rtol=1e-9)
+            for found in spread:
+                np.testing.assert_allclose(found[:, k], square[lower], rtol=1e-9)
 
 
 @pytest.mark.parametrize("scheme", ["euler", "heun"])
-def test_linear_system_has_its_exact_moments(scheme):
-    system = zoo.linear_gaussian()
-    run = system.simulate([0.0, 1.0], 40_000, 5, step=0.02, scheme=scheme)
+def test_a_linear_equation_has_its_exact_moments(scheme):
+    system, paths = zoo.linear_gaussian(), 20_000
+    end = system.simulate([0.0, 1.0], paths, 5, step=0.02, scheme=scheme).states[1]
     drift = np.array([[0, 1], [-1, -0.4]])
-    phi = expm(drift)
-    grid = np.linspace(0, 1, 2001)
+    phi, grid = expm(drift), np.linspace(0, 1, 501)
     columns = np.array([expm(drift * (1 - u))[:, 1] for u in grid])
-    spread = np.trapezoid(columns[:, :, None] * columns[:, None, :], grid, axis=0)
-    cov = phi @ phi.T + spread
-    error = 4 * np.sqrt(2 / 40_000)
-    np.testing.assert_allclose(
-        run.states[1].mean(axis=1), phi @ [1, -0.5], atol=4 * np.sqrt(cov.max() / 40_000) + 0.005
-    )
-    np.testing.assert_allclose(np.cov(run.states[1]), cov, atol=cov.max() * error + 0.015)
-    residual = run.measurements[1, 0] - run.states[1, 0]
-    np.testing.assert_allclose(residual.var(), 0.25, atol=0.25 * error)
+    cov = phi @ phi.T + np.trapezoid(columns[:, :, None] * columns[:, None, :], grid, axis=0)
+    error = 4 * np.sqrt(cov.max() / paths)
+    np.testing.assert_allclose(end.mean(axis=1), phi @ [1, -0.5], atol=error + 0.005)
+    np.testing.assert_allclose(np.cov(end), cov, atol=cov.max() * 4 * np.sqrt(2 / paths) + 0.015)
 
 
-def test_frozen_state_has_the_exact_law_of_the_first_jump():
-    """With X ~ N(0, 1) and intensity X² the chance of no jump up to t is (1 + 2 t)^(-1/2)."""
+# The scheme of Heun
+
+
+def test_heun_converges_to_the_integral_of_ito_path_by_path():
+    """dX = s dW, dY = c X dW, dZ = Y dt + g X Y dW: Ito's formula gives Y and the mean of Z.
+
+    Y = c (X^2 - s^2 t) / (2 s) on every path and for any step; the martingale part of Z has mean
+    zero, which a drift that lacks one of the cross derivatives of the diffusion would move.
+    """
+    s, c, g, paths = 0.8, 1.5, 0.7, 20_000
+    system = JumpDiffusion(
+        (x, y, z), [0, 0, 0], [[s, 0], [c * x, 0], [g * x * y, x]], [x + v], Noise((v,)),
+        [0.0] * 3, np.zeros((3, 3)), step=0.05,
+    )  # fmt: skip
+    states = system.simulate([0.0, 0.5, 1.2], paths, 3, scheme="heun").states
+    for k, now in enumerate((0.0, 0.5, 1.2)):
+        first, second, third = states[k]
+        np.testing.assert_allclose(second, c * (first**2 - s**2 * now) / (2 * s), atol=1e-12)
+        assert abs(third.mean()) <= 4 * third.std() / np.sqrt(paths)
+
+
+@pytest.mark.parametrize("scheme", ["euler", "heun"])
+def test_the_mean_of_a_martingale_stays(scheme):
+    """For dX = X dW the mean of Ito stays 1; that of Stratonovich would be exp(1/2)."""
+    end = scalar(diffusion=x).simulate([0.0, 1.0], 10_000, 9, scheme=scheme).states[1, 0]
+    assert abs(end.mean() - 1) < 4 * end.std() / np.sqrt(len(end))
+
+
+def test_heun_takes_the_coefficients_at_both_ends_of_a_step():
+    """Drift t x: x (1 + h (t + (t + h)(1 + h t)) / 2); diffusion t^2: the mean of both ends."""
+    start, h = 0.7, 0.2
+    got = one_step(scalar(t * x), start, h, "heun", state=2.0)
+    want = 2.0 * (1 + 0.5 * h * (start + (start + h) * (1 + h * start)))
+    np.testing.assert_allclose(got, want, rtol=1e-14)
+    kick = one_step(scalar(diffusion=1), start, h, "heun") - 1
+    for scheme, factor in (("heun", 0.5 * (start**2 + (start + h) ** 2)), ("euler", start**2)):
+        got = one_step(scalar(diffusion=t**2), start, h, scheme) - 1
+        np.testing.assert_allclose(got, factor * kick, rtol=1e-13)
+
+
+# Jumps
+
+
+@pytest.mark.filterwarnings("ignore:step. about")
+@pytest.mark.parametrize("scheme", ["euler", "heun"])
+def test_jump_and_intensity_are_those_before_the_step(scheme):
+    """Drift 3 and the jump -2 x; intensities that vanish at one end of the step in x or in t."""
+    got = one_step(scalar(3, intensity=CERTAIN, jump=[-2 * x]), scheme=scheme, state=1.5)
+    np.testing.assert_allclose(got, 1.5 + 0.3 - 3.0, rtol=1e-13)
+    for vanishes, jumps in ((1.0, False), (1.3, True)):
+        system = scalar(3, intensity=CERTAIN * (x - vanishes) ** 2, jump=[10])
+        np.testing.assert_allclose(one_step(system, scheme=scheme), 11.3 if jumps else 1.3)
+    for vanishes, jumps in ((0.5, False), (0.6, True)):
+        system = scalar(intensity=CERTAIN * (t - vanishes) ** 2, jump=[10 * t])
+        got = one_step(system, 0.5, scheme=scheme)
+        np.testing.assert_allclose(got, 6.0 if jumps else 1.0, rtol=1e-13)
+
+
+def test_a_frozen_state_waits_for_its_first_jump_as_long_as_its_intensity_says():
+    """With X ~ N(0, 1) and intensity X^2 the chance of no jump up to t is (1 + 2 t)^(-1/2)."""
     count = sympy.Symbol("count")
     system = JumpDiffusion(
         (x, count), [0, 0], [[0], [0]], [x + v], Noise((v,)), [0, 0], [[1, 0], [0, 0]],
-        intensity=x**2, jump=[0, 1], step=0.001,
+        intensity=x**2, jump=[0, 1], step=0.002,
     )  # fmt: skip
-    times = [0.0, 0.5, 1.0]
-    paths = 40_000
+    times, paths = [0.0, 0.5, 1.0], 20_000
     none = (system.simulate(times, paths, 3).states[:, 1] == 0).mean(axis=1)
-    for got, time in zip(none[1:], times[1:], strict=True):
-        want = (1 + 2 * time) ** -0.5
+    for got, now in zip(none[1:], times[1:], strict=True):
+        want = (1 + 2 * now) ** -0.5
         assert abs(got - want) < 4 * np.sqrt(want * (1 - want) / paths)
 
 
-def test_flip_process_at_time_one():
-    """Moments of a fine grid solution of the Kolmogorov-Feller equation."""
-    x1 = zoo.flip_process().simulate([0.0, 1.0], 60_000, 11).states[1, 0]
-    for power, want in ((1, 0.30208), (2, 0.86930), (4, 1.03817)):
-        sample = x1**power
-        # the second term is the bias of the Euler step 0.0025
-        assert abs(sample.mean() - want) < 4 * sample.std() / np.sqrt(len(x1)) + 0.003
-    assert abs((x1 < 0).mean() - 0.33358) < 4 * np.sqrt(0.2223 / len(x1)) + 0.002
-
-
-def test_jumps_are_drawn_at_the_state_before_them():
-    """A jump of -X sends the path to its own increment only."""
+def test_jumps_of_many_steps_and_a_step_that_is_too_coarse_for_them():
+    """Numbers of jumps are sums of independent chances; 400 jumps a unit lose a fifth at 0.001."""
+    system, paths = scalar(intensity=6 * t**2, jump=[1], step=0.02), 20_000
+    chance = -np.expm1(-6 * (np.arange(50) * 0.02) ** 2 * 0.02)
+    count = system.simulate([0.0, 1.0], paths, 3).states[1, 0] - 1
+    spread = (chance * (1 - chance)).sum()
+    assert count.mean() == pytest.approx(chance.sum(), abs=4 * np.sqrt(spread / paths))
+    assert count.var() == pytest.approx(spread, rel=4 * np.sqrt(2.5 / paths))
     system = scalar(intensity=400, jump=[-x], step=0.001, mean0=[5.0])
-    with pytest.warns(UserWarning, match=r"about 0\.2 of the jumps would come second"):
+    with pytest.warns(UserWarning, match=r"0\.2 of the jumps"):
         final = system.simulate([0.0, 0.5], 200, 0).states[1, 0]
     assert (final == 0).all()
 
 
-@pytest.mark.parametrize("scheme", ["euler", "heun"])
-def test_both_schemes_are_ito(scheme):
-    """For dX = X dW the Itô mean stays 1; the Stratonovich mean would be exp(1/2)."""
-    end = scalar(diffusion=x).simulate([0.0, 1.0], 40_000, 9, scheme=scheme).states[1, 0]
-    assert abs(end.mean() - 1) < 4 * end.std() / np.sqrt(len(end))
-
-
-def test_heun_is_of_second_order_without_noise():
-    exact = np.exp(-1.0)
-    errors = [
-        abs(scalar(drift=-x).simulate([0, 1], 1, 0, step=h, scheme="heun").states[1, 0, 0] - exact)
-        for h in (0.1, 0.05)
-    ]
-    assert 3.5 < errors[0] / errors[1] < 4.5
-
-
-def test_time_dependent_drift():
-    clock = sympy.Symbol("clock")
-    for symbol, options in ((t, {}), (clock, {"time": clock})):
-        system = scalar(drift=2 * symbol, **options)
-        end = system.simulate([0.0, 2.0], 1, 0, step=1e-3).states[1, 0, 0]
-        assert end == pytest.approx(5.0, abs=2.1e-3)
-
-
-# What the numbers may depend on
-
-
-@pytest.mark.parametrize("name", ["van_der_pol", "kicked_duffing"])
-def test_paths_depend_neither_on_threads_nor_on_how_many_follow(name):
-    system = getattr(zoo, name)()
-    times = [0.0, 0.3, 0.5]
-    whole = system.simulate(times, 9000, 7)
-    for paths, workers in ((9000, 2), (8500, 1), (3, 1), (1, 1)):
-        part = system.simulate(times, paths, 7, workers=workers)
-        np.testing.assert_array_equal(part.states, whole.states[..., :paths])
-        np.testing.assert_array_equal(part.measurements, whole.measurements[..., :paths])
-    assert not np.array_equal(system.simulate(times, 3, 8).states, whole.states[..., :3])
-
-
-def test_advance_keeps_the_batch_shape_and_its_argument():
-    system = zoo.kicked_duffing()
-    states = np.ones((2, 4, 3))
-    moved = system.advance(states, 0.0, 0.1, np.random.default_rng(0))
-    assert moved.shape == (2, 4, 3)
-    assert (states == 1).all()
-    flat = system.advance(states.reshape(2, 12), 0.0, 0.1, np.random.default_rng(0))
-    np.testing.assert_array_equal(moved.reshape(2, 12), flat)
-
-
-def test_array_functions_give_the_paths_of_the_symbolic_system():
-    symbolic = zoo.kicked_duffing()
-    numeric = JumpDiffusion.from_functions(
-        lambda t, x: np.stack([x[1], x[0] - x[0] ** 3 - 0.5 * x[1]]),
-        lambda t, x: np.stack([np.zeros_like(x[:1]), np.full_like(x[:1], 0.2)]),
-        StochasticMap.from_functions(
-            2, 1, lambda t, x, v: (x[0] * (1 + 0.2 * v[0]) + v[1])[None], Noise(2)
-        ),
-        [1, 0],
-        0.1 * np.eye(2),
-        intensity=lambda t, x: 0.2 + 0.2 * x[0] ** 2,
-        jump=StochasticMap.from_functions(
-            2, 2, lambda t, x, z: np.stack([0 * x[0], 0.5 + 3 * z[0]]), Noise(1)
-        ),
-    )
-    a, b = (q.simulate([0.0, 0.5, 1.0], 50, 4) for q in (symbolic, numeric))
-    np.testing.assert_allclose(a.states, b.states, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(a.measurements, b.measurements, rtol=1e-10, atol=1e-12)
-    states = np.random.default_rng(0).standard_normal((2, 5))
-    none = np.empty((0, 5))
-    for one, two in (
-        (symbolic.drift_map, numeric.drift_map),
-        (symbolic.spread_map, numeric.spread_map),
-    ):
-        np.testing.assert_allclose(
-            one.value(0, states, none), two.value(0, states, none), rtol=1e-9
-        )
-    np.testing.assert_allclose(symbolic.intensity(0, states), numeric.intensity(0, states))
-    with pytest.raises(ValueError, match="heun wants a symbolic system"):
-        numeric.simulate([0.0, 1.0], 2, 0, scheme="heun")
-
-
-def test_jump_without_closed_moments_is_averaged_by_nodes():
+def test_a_jump_without_closed_moments_is_averaged_by_nodes():
     system = scalar(intensity=1, jump=[sympy.sqrt(1 + z**2)], marks=Noise((z,)))
-    assert not system.drift_map.symbolic
     got = system.drift_map.value(0, np.zeros((1, 1)), np.empty((0, 1)))
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     want = np.sqrt(1 + nodes**2) @ weights / weights.sum()
     assert got[0, 0] == pytest.approx(want, abs=2e-3)
 
 
-def test_initial_law_may_be_given():
-    system = scalar(initial=lambda rng, count: rng.uniform(0, 2, (1, count)), cov0=[[1 / 3]])
-    start = system.simulate([0.0], 10_000, 0).states[0, 0]
-    assert start.min() >= 0
-    assert start.max() <= 2
-    assert start.mean() == pytest.approx(1, abs=4 / np.sqrt(30_000))
-    assert not system.law.gaussian
-    assert scalar().law.gaussian
-
-
-# Bad input
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"drift": s * x}, "drift: wanted known symbols, got s; see parameters"),
-        ({"intensity": 1}, "jump, intensity: wanted both or neither"),
-        ({"jump": [x]}, "jump, intensity: wanted both or neither"),
-        ({"intensity": 1, "jump": [x, x]}, r"jump: wanted shape \(1\), got \(2,\)"),
-        ({"intensity": 1, "jump": [z]}, "jump: wanted known symbols, got z"),
-        ({"mean0": [0, 0]}, r"mean0: wanted shape \(1\), got \(2,\)"),
-        ({"cov0": [[-1]]}, "cov0: wanted a positive semidefinite"),
-        ({"step": 0}, "step: wanted a positive number"),
-    ],
-)
-def test_bad_declarations(options, message):
-    with pytest.raises(ValueError, match=message):
-        scalar(**options)
-
-
-def test_bad_shapes_of_drift_and_diffusion():
-    with pytest.raises(ValueError, match=r"drift: wanted shape \(2\)"):
-        JumpDiffusion((x, y), [x], [[0], [0]], [x + v], Noise((v,)), [0, 0], np.eye(2))
-    with pytest.raises(ValueError, match=r"diffusion: wanted shape \(2, any\)"):
-        JumpDiffusion((x, y), [x, y], [0, 0], [x + v], Noise((v,)), [0, 0], np.eye(2))
-    with pytest.raises(TypeError, match="drift: wanted SymPy expressions"):
-        JumpDiffusion((x,), ["x +"], [[0]], [x + v], Noise((v,)), [0], [[1]])
-    with pytest.raises(ValueError, match=r"drift: wanted shape \(1, 3\)"):
-        JumpDiffusion.from_functions(
-            lambda t, x: x[0], lambda t, x: np.ones((1, 1, x.shape[1])),
-            StochasticMap((x,), [x + v], Noise((v,))), [0.0], [[1.0]],
-        )  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"scheme": "milstein"}, "scheme: wanted one of euler, heun, got 'milstein'"),
-        ({"step": -1.0}, "step: wanted a positive number, got -1"),
-    ],
-)
-def test_bad_options_of_simulation(options, message):
-    with pytest.raises(ValueError, match=message):
-        scalar().simulate([0.0, 1.0], 2, 0, **options)
-
-
-@pytest.mark.parametrize(("rate", "got"), [(-1, "-1"), (1 / (1 - x), "inf|zoo|nan")])
-def test_bad_intensities_are_found_when_they_occur(rate, got):
+@pytest.mark.parametrize("rate", [-1, 1 / (1 - x), sympy.log(x - 2)])
+def test_bad_intensities_are_found_when_they_occur(rate):
     system = scalar(intensity=rate, jump=[1])
-    with (
-        np.errstate(divide="ignore"),
-        pytest.raises(
-            ValueError, match=f"intensity: wanted finite nonnegative numbers, got ({got})"
-        ),
-    ):
+    with np.errstate(all="ignore"), pytest.raises(ValueError, match="intensity"):
         system.simulate([0.0, 1.0], 2, 0)
 
 
-def test_time_must_go_forward():
-    with pytest.raises(ValueError, match="stop: wanted a time after 1, got 1"):
-        scalar().advance(np.ones((1, 2)), 1.0, 1.0, np.random.default_rng(0))
+# What a system is made of
 
 
-def test_parameters_are_put_in():
-    system = scalar(drift=s * x, parameters={s: 3})
-    assert system.drift_expressions[0] == 3 * x
-    assert system.drift(0.0, np.array([[2.0, 1.0]])).tolist() == [[6, 3]]
+def test_an_initial_law_may_be_sampled_and_parameters_may_be_put_in():
+    system = scalar(initial=lambda rng, count: rng.uniform(0, 2, (1, count)), cov0=[[1 / 3]])
+    start = system.simulate([0.0], 10_000, 0).states[0, 0]
+    assert start.min() >= 0
+    assert start.mean() == pytest.approx(1, abs=4 / np.sqrt(30_000))
+    assert not system.law.gaussian
+    s = sympy.Symbol("s")
+    fixed = scalar(drift=s * x, parameters={s: 3})
+    assert fixed.drift(0.0, np.array([[2.0, 1.0]])).tolist() == [[6, 3]]
+    free = Parameter("q", 0.5)
+    system = scalar(diffusion=free * x)
+    assert system.mentions == {free}
+    with assigned({free: 2.0}):
+        assert pickle.loads(pickle.dumps(system)).diffusion(0.0, np.ones((1, 1))).item() == 2.0
+
+
+def test_array_functions_without_noise_and_with_a_sampled_start():
+    """dX = -X dt by a step of a thousandth, and the Euler scheme alone."""
+    sensor = StochasticMap((x,), [x + v], Noise((v,)))
+    system = JumpDiffusion.from_functions(
+        lambda t, x: -x, lambda t, x: np.zeros((1, 0, *x.shape[1:])), sensor, [2.0], [[0.0]],
+        step=0.001,
+    )  # fmt: skip
+    states = system.simulate([0.0, 0.5, 1.0], 3, 1).states[:, 0]
+    np.testing.assert_allclose(states, 2 * np.exp([[0.0], [-0.5], [-1.0]]) * np.ones(3), rtol=1e-3)
+    with pytest.raises(ValueError, match="scheme"):
+        system.simulate([0.0, 1.0], 2, 0, scheme="heun")
+
+
+def test_a_measured_angle_may_go_round():
+    turn = 2 * np.pi
+    system = JumpDiffusion([x], [0], [[1]], [x + v], Noise((v,)), [3], [[0.1]], period={0: turn})
+    filter, beyond = extended_kalman(system), np.array([[3.1], [-3.1]])
+    found = filter.run([0.0, 1.0], beyond).mean
+    assert found == pytest.approx(filter.run([0.0, 1.0], beyond + np.array([[0], [turn]])).mean)

@@ -1,0 +1,359 @@
+"""Systems as chains on grids: masses, their motion and likelihoods against laws that are known."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import solve_ivp
+from scipy.stats import multivariate_normal, norm
+from scipy.stats import t as student_t
+
+from seedslib import zoo
+from seedslib.base import ELAPSED, Axis, Nodes, Parameter, assigned
+from seedslib.models import (
+    DiscreteChain,
+    DiscreteSystem,
+    FellerChain,
+    JumpDiffusion,
+    Noise,
+    PlaneChain,
+    PlaneModes,
+    StochasticMap,
+    SwitchingChain,
+    SwitchingSystem,
+    van_loan,
+)
+
+x, y, v, w, z = sympy.symbols("x y v w z", real=True)
+t = sympy.Symbol("t")
+SHOWN = StochasticMap((x,), [x + w / 2], Noise((w,)))
+
+
+def masses(mean, deviation, nodes, width):
+    return width * norm.pdf(nodes, mean, deviation)
+
+
+def flow(drift, diffusion, mean0=0.0, var0=0.25, **options):
+    return JumpDiffusion(
+        (x,), [drift], [[diffusion]], [x + w], Noise((w,)), [mean0], [[var0]], **options
+    )
+
+
+# Jump-diffusions of one component
+
+
+def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
+    """From a late start, with jumps that look at state, mark and time, against Ito's formula."""
+    jumps = {"intensity": 1 + t / 2, "jump": [t * (z - x) / 4], "marks": Noise((z,), 0.6, [[0.5]])}
+    drift, spread = sympy.cos(3 * t) - t * x / 2, sympy.sqrt(1 + t / 4)
+    chain = FellerChain(flow(drift, spread, 0.7, 0.2, step=0.02, **jumps), (-8.0, 8.0, 321))
+    start, stop = 1.5, 2.3
+    law, nodes = chain.transition(start, stop) @ chain.start(), chain.values[0]
+    np.testing.assert_allclose(chain.law(stop, start), law, rtol=1e-14)
+    np.testing.assert_allclose(chain.law(start, start), chain.start())
+
+    def rates(now, moments):
+        m, q = moments
+        mu, c = 1 + now / 2, now / 4
+        mean, square = c * (0.6 - m), c**2 * (0.5 + 0.36 - 1.2 * m + q)
+        both = c * (0.6 * m - q)
+        return [
+            np.cos(3 * now) - now * m / 2 + mu * mean,
+            2 * (np.cos(3 * now) * m - now * q / 2) + 1 + now / 4 + mu * (2 * both + square),
+        ]
+
+    m, q = solve_ivp(rates, (start, stop), [0.7, 0.69], rtol=1e-9).y[:, -1]
+    assert law.sum() == pytest.approx(1.0, abs=1e-13)
+    assert law @ nodes == pytest.approx(m, abs=3e-4)
+    assert law @ nodes**2 == pytest.approx(q, abs=2e-3)
+
+
+def test_ornstein_uhlenbeck_moments_converge_with_the_square_of_the_step():
+    mean, variance = 0.7 * np.exp(-0.8), 0.2 * np.exp(-1.6) + 0.5 * (1 - np.exp(-1.6))
+    errors = []
+    for count in (61, 121, 241):
+        chain = FellerChain(flow(-x, 1, 0.7, 0.2), (-6.0, 6.0, count))
+        law, nodes = chain.law(0.8), chain.values[0]
+        errors.append([law @ nodes - mean, law @ (nodes - law @ nodes) ** 2 - variance])
+    coarse, middle, fine = np.array(errors)
+    assert coarse / middle == pytest.approx([4.0, 4.0], rel=0.06)
+    assert middle / fine == pytest.approx([4.0, 4.0], rel=0.03)
+    assert np.abs(fine).max() < 5e-4
+
+
+def test_a_feller_chain_has_the_law_of_simulated_paths_and_moves_on_any_grid():
+    system = zoo.flip_process()
+    chain = FellerChain(system, Axis(-3.5, 3.5, 281))
+    law, nodes = chain.law(1.0), chain.values[0]
+    made = system.simulate([0.0, 1.0], 20_000, 7).states[1, 0]
+    for power in (1, 2, 4):
+        sample = made**power
+        # half a step of Euler's method shifts moments by about step times intensity
+        error = 4 * sample.std() / np.sqrt(len(sample)) + 2e-3
+        assert abs(law @ nodes**power - sample.mean()) < error
+    for count in (15, 57):
+        moved = FellerChain(system, (-3.5, 3.5, count)).transition(0.0, 0.25)
+        assert (moved >= 0).all()
+        assert np.abs(moved.sum(axis=0) - 1.0).max() < 1e-14
+
+
+def test_jumps_without_diffusion_are_counted():
+    """Jumps of one with intensity 2, of a known start; a frozen state of intensity x^2."""
+    law = FellerChain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).law(0.6)
+    expected = [np.exp(-1.2) * 1.2**k / np.prod(np.arange(1.0, k + 1)) for k in range(8)]
+    assert law[::4][:8] == pytest.approx(expected, abs=1e-12)
+    chain = FellerChain(flow(0, 0, 0.0, 1.0, intensity=x**2, jump=[40 - x]), (-6.0, 40.0, 921))
+    assert chain.law(0.5)[chain.values[0] < 20].sum() == pytest.approx(2.0**-0.5, abs=1e-4)
+    drifting = FellerChain(flow(1, 0, 1.0, 0.01), (0.0, 4.0, 401))
+    assert (drifting.law(1.0) >= 0).all()
+    assert drifting.law(1.0) @ drifting.values[0] == pytest.approx(2.0, abs=1e-9)
+
+
+def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
+    """z^2 - 1 has mean 0 and second moment 2."""
+    system = flow(0, sympy.Rational(1, 2), intensity=3, jump=[z**2 - 1], marks=Noise((z,)))
+    chain = FellerChain(system, (-20.0, 40.0, 301))
+    law, nodes = chain.law(0.5), chain.values[0]
+    assert law @ nodes == pytest.approx(0.0, abs=1e-6)
+    assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-13, 1e9])
+def test_a_feller_chain_moves_as_far_in_every_unit_of_time(unit):
+    system = flow(-x / unit, (2 / unit) ** 0.5, 2, 0.01, step=0.01 * unit)
+    chain = FellerChain(system, (-4, 4, 81))
+    for now in (0.25, 1.0, 1.0001):
+        assert chain.values[0] @ chain.law(now * unit) == pytest.approx(
+            2 * np.exp(-now), abs=1.2e-3
+        )
+    times = unit * np.linspace(0, 1, 21)
+    found = [chain.transition(a, b) for a, b in pairwise(times)]
+    assert all(part is found[0] for part in found)
+
+
+def test_array_functions_whose_rates_change_late():
+    """dX = dW until time 1, then dX = dt + dW."""
+    system = JumpDiffusion.from_functions(
+        lambda t, x: np.full(x.shape, float(t >= 1.0)),
+        lambda t, x: np.ones((1, 1, *x.shape[1:])),
+        SHOWN,
+        [0.0],
+        [[0.25]],
+        step=0.05,
+    )
+    chain = FellerChain(system, (-7.0, 9.0, 161))
+    early = chain.transition(0.0, 1.0) @ chain.start()
+    late = chain.transition(1.0, 2.0) @ early
+    assert early @ chain.values[0] == pytest.approx(0.0, abs=1e-9)
+    assert late @ chain.values[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_a_short_axis_is_reported():
+    chain = FellerChain(flow(0, 1, 0.0, 4.0), (-1.0, 1.0, 21))
+    with pytest.warns(UserWarning, match="too short"):
+        chain.look_at_ends(chain.start())
+
+
+# Systems in discrete time
+
+
+def test_a_discrete_chain_takes_a_step_as_long_as_it_is():
+    """X' = X exp(-a d) + sqrt(1 - exp(-2 a d)) V after the time d, on even and uneven nodes."""
+    a = Parameter("a", 1.0)
+    fade = sympy.exp(-a * ELAPSED)
+    move = StochasticMap((x,), [fade * x + sympy.sqrt(1 - fade**2) * v], Noise((v,)))
+    system = DiscreteSystem(move, SHOWN, [0.2], [[1.3]])
+    uneven = np.sinh(np.linspace(-2, 2, 91))
+    for axis in ((-6.0, 6.0, 121), Nodes(uneven)):
+        chain = DiscreteChain(system, axis)
+        nodes, weights = chain.values[0], np.gradient(chain.values[0])
+        inside = np.arange(1, len(nodes) - 1)
+        wanted = masses(0.2, np.sqrt(1.3), nodes, weights)
+        np.testing.assert_allclose(chain.start()[inside], wanted[inside], rtol=1e-11)
+        for start, stop, rate in (
+            (0.0, 0.5, 1.0),
+            (0.5, 2.5, 1.0),
+            (1.0, 1.5, 1.0),
+            (1.0, 1.5, 2.0),
+        ):
+            with assigned({a: rate}):
+                found = chain.transition(start, stop)[:, [40, 75]]
+            slope = np.exp(-rate * (stop - start))
+            wanted = masses(
+                slope * nodes[[40, 75]], np.sqrt(1 - slope**2), nodes[:, None], weights[:, None]
+            )
+            np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-10, atol=1e-300)
+        law = np.stack([chain.start()] * 2, axis=1)
+        moved = chain.move(law, 0.0, 0.5)
+        np.testing.assert_allclose(moved, chain.transition(0.0, 0.5) @ law)
+
+
+def test_a_discrete_chain_in_the_plane_and_one_of_heavy_tails():
+    """Densities on the nodes: correlated noises in two components, Student's in one."""
+    cov = np.array([[0.5, 0.2], [0.2, 0.4]])
+    p, q, a, b = sympy.symbols("p q a b", real=True)
+    move = StochasticMap([a, b], [a / 2 + t * b + p, b - a / 4 + q], Noise([p, q], cov=cov))
+    sensor = StochasticMap([a, b], [a * b + w], Noise([w], 0.3, [[0.6]]))
+    system = DiscreteSystem(move, sensor, [0.1, -0.2], [[1.0, 0.3], [0.3, 0.8]])
+    chain = DiscreteChain(system, [(-3, 3, 13), (-4, 4, 11)])
+    nodes = chain.values
+    start = multivariate_normal([0.1, -0.2], system.cov0).pdf(nodes.T) * chain.weights
+    np.testing.assert_allclose(chain.start(), start, rtol=1e-12)
+    found = chain.transition(0.7, 1.7)[:, 30]
+    mean = [nodes[0, 30] / 2 + 0.7 * nodes[1, 30], nodes[1, 30] - nodes[0, 30] / 4]
+    wanted = multivariate_normal(mean, cov).pdf(nodes.T) * chain.weights
+    np.testing.assert_allclose(found, wanted, rtol=1e-11)
+    shown = np.array([[0.4, np.nan, -1.0]])
+    likelihood = norm.logpdf(shown.T, nodes[0] * nodes[1] + 0.3, np.sqrt(0.6))
+    found = chain.log_likelihood(0.0, shown)
+    np.testing.assert_allclose(found, np.where(np.isnan(shown.T), 0.0, likelihood), rtol=1e-12)
+
+    heavy = Noise(
+        [v], 0, [[5 / 3]], lambda rng, n: rng.standard_t(5, (1, n)),
+        lambda v: student_t.logpdf(v[0], 5),
+    )  # fmt: skip
+    system = DiscreteSystem(StochasticMap([x], [x / 2 + v / 4], heavy), SHOWN, 0.3, 0.0)
+    chain = DiscreteChain(system, (-3, 3, 31))
+    assert chain.start() @ chain.values[0] == pytest.approx(0.3)
+    wanted = 0.2 * student_t.pdf((chain.values[0] - 1.0) * 4, 5) * 4
+    np.testing.assert_allclose(chain.transition(0.0, 1.0)[1:-1, 25], wanted[1:-1], rtol=1e-12)
+
+
+# Switching systems
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+@pytest.mark.parametrize("scale", [1.0, 1e-3])
+def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, scale):
+    """Wide noise: densities on the nodes; narrow noise: the moments. Times are not mixed up."""
+    stay = [0.3 + 0.6 * sympy.exp(-(x**2) / 2), 0.9 - 0.5 * sympy.exp(-(x**2) / 8)]
+    system = SwitchingSystem(
+        (x,), [[x / 2 + t / 5 + 0.3 * scale * v], [0.8 * x - scale * v]], Noise((v,)),
+        [[stay[0], 1 - stay[0]], [1 - stay[1], stay[1]]], [[x + w], [x + w / 2]], Noise((w,)),
+        [(0.2, [1.0], [[1.0]]), (0.8, [-2.0], [[2.0]])], time=t, drives=drives,
+    )  # fmt: skip
+    chain = SwitchingChain(system, (-9.0, 9.0, 121))
+    nodes, size = chain.axis.nodes, (0.3 * scale, scale)
+    at = [45, 60, 82]
+    here = nodes[at]
+    chance = [0.3 + 0.6 * np.exp(-(here**2) / 2), 0.9 - 0.5 * np.exp(-(here**2) / 8)]
+    for start in (0.0, 1.0, *range(2, 72, 3), 1.0):
+        found = chain.transition(start, start + 1.0).reshape(2, 121, 2, 121)[..., at]
+        for i, l in np.ndindex(2, 2):
+            share = chance[i] if i == l else 1 - chance[i]
+            drive = l if drives == "new" else i
+            mean = here / 2 + start / 5 if drive == 0 else 0.8 * here
+            mass = found[l, :, i]
+            if np.abs(mean).max() > 5:
+                continue
+            np.testing.assert_allclose(mass.sum(axis=0), share, rtol=1e-9)
+            if scale == 1.0:
+                density = norm.pdf(nodes[:, None], mean, size[drive])
+                np.testing.assert_allclose(mass, share * density / density.sum(axis=0), atol=1e-10)
+            else:  # a narrow law falls into the cell that it is in
+                np.testing.assert_allclose(nodes @ mass / share, mean, atol=0.0751)
+    wanted = np.concatenate([p * masses(m, np.sqrt(c), nodes, 0.15) for p, m, c in
+                             ((0.2, 1.0, 1.0), (0.8, -2.0, 2.0))])  # fmt: skip
+    np.testing.assert_allclose(chain.start(), wanted, atol=1e-6)
+
+
+def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
+    tells = 1 / (1 + x**2)
+    system = SwitchingSystem(
+        (x,), [[x / 2 + v]] * 2, Noise((v,)), [[0.7, 0.3], [0.4, 0.6]],
+        [[x + t + w], [2 * x + w / 2]], Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        indicator=[[tells, 1 - tells], [0.3, 0.7]],
+    )  # fmt: skip
+    chain = SwitchingChain(system, (-3.0, 3.0, 12))
+    nodes = chain.axis.nodes
+    shown = np.array([[0, 1, -1, 1, -1], [0.4, -1.0, 0.7, np.nan, np.nan]])
+    found = chain.log_likelihood(1.5, shown).reshape(5, 2, 12)
+    chance = np.stack([np.stack([1 / (1 + nodes**2), np.full(12, 0.3)])] * 2)
+    chance[1] = 1 - chance[0]
+    for row, (told, y) in zip(found, shown.T, strict=True):
+        wanted = np.stack([norm.logpdf(y, nodes + 1.5, 1.0), norm.logpdf(y, 2 * nodes, 0.5)])
+        wanted = np.where(np.isnan(y), 0.0, wanted)
+        wanted = wanted + (np.log(chance[int(told)]) if told >= 0 else 0.0)
+        np.testing.assert_allclose(row, wanted, rtol=1e-12, atol=1e-13)
+    mean, deviation = chain.reach(1.5)
+    np.testing.assert_allclose(mean[0], [*(nodes + 1.5), *(2 * nodes)])
+    np.testing.assert_allclose(deviation[0], [1.0] * 12 + [0.5] * 12)
+
+
+# The plane
+
+
+def test_a_plane_chain_moves_a_linear_law_with_an_error_of_second_order():
+    """And `back` is its adjoint: means of functions of the later state."""
+    system, drift = zoo.linear_gaussian(), np.array([[0.0, 1.0], [-1.0, -0.4]])
+    move, noise = van_loan(drift, np.diag([0.0, 1.0]), 0.5)
+    mean, cov = move @ system.mean0, move @ np.eye(2) @ move.T + noise
+    missed = []
+    for substep in (0.25, 0.125):
+        chain = PlaneChain(system, [(-7, 7, 57), (-7, 7, 57)], substep)
+        law = chain.move(chain.start()[:, None], 0.0, 0.5)[:, 0]
+        about = chain.values - (chain.values @ law)[:, None]
+        missed.append([*(chain.values @ law - mean), *((about * law) @ about.T - cov).ravel()])
+        back = chain.back(chain.values, 0.0, 0.5)
+        np.testing.assert_allclose(back @ chain.start(), chain.values @ law, atol=1e-4)
+    assert np.abs(missed[1]).max() < 2.5e-3
+    assert np.abs(missed[1]).max() < 0.3 * np.abs(missed[0]).max()
+    found = chain.log_likelihood(0.0, np.array([[0.4, -1.0]]))
+    wanted = norm.logpdf([[0.4], [-1.0]], chain.values[0], 0.5)
+    np.testing.assert_allclose(found, wanted, rtol=1e-12)
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+def test_modes_in_the_plane_move_with_the_moments_of_their_maps(drives):
+    a, b, p, q = sympy.symbols("a b p q", real=True)
+    stay = 0.4 + 0.5 * sympy.exp(-(a**2))
+    system = SwitchingSystem(
+        (a, b), [[a / 2 + p, b - t * a / 4 + q], [1 - a / 2 + p, b / 2 + q]],
+        Noise((p, q), cov=[[0.3, 0.1], [0.1, 0.4]]), [[stay, 1 - stay], [0.2, 0.8]],
+        [[a + w], [b + w]], Noise((w,)), [(0.7, [0, 0], np.eye(2)), (0.3, [1, 0], np.eye(2))],
+        drives=drives, time=t,
+    )  # fmt: skip
+    chain = PlaneModes(system, [(-5, 5, 31), (-5, 5, 31)])
+    count = chain.nodes.shape[1]
+    start = chain.start().reshape(2, -1)
+    np.testing.assert_allclose(start.sum(axis=1), [0.7, 0.3])
+    np.testing.assert_allclose(chain.nodes @ start[1] / 0.3, [1, 0], atol=1e-4)
+    point = int(np.argmin(((chain.nodes - np.array([[1.0], [0.5]])) ** 2).sum(axis=0)))
+    law = np.zeros((2 * count, 1))
+    law[point] = 1.0  # in mode 0
+    later = chain.move(law, 2.0, 3.0).reshape(2, -1)
+    here = chain.nodes[:, point]
+    chance = 0.4 + 0.5 * np.exp(-(here[0] ** 2))
+    np.testing.assert_allclose(later.sum(axis=1), [chance, 1 - chance], rtol=1e-9)
+    first = [here[0] / 2, here[1] - here[0] / 2]
+    second = [1 - here[0] / 2, here[1] / 2] if drives == "new" else first
+    for part, wanted in zip(later, (first, second), strict=True):
+        np.testing.assert_allclose(chain.nodes @ part / part.sum(), wanted, atol=1e-6)
+    found = chain.log_likelihood(0.0, np.array([[0.4]]))[0].reshape(2, -1)
+    np.testing.assert_allclose(found, norm.logpdf(0.4, chain.nodes), rtol=1e-12)
+
+
+# Exact propagation
+
+
+def test_van_loan_equals_the_integral_in_any_units():
+    """The matrices of a step in units that are far apart, and of one that is long for them."""
+    drift = np.array([[-0.5, 1.0, 0.2], [-1.0, -0.4, 0.0], [0.3, 0.0, -2.0]])
+    diffusion = np.array([[0.5, 0.1, 0.0], [0.1, 1.0, 0.2], [0.0, 0.2, 0.3]])
+    units = np.array([1e-9, 3.0, 1e7])
+
+    def equation(s, packed):
+        move, spread = packed.reshape(2, 3, 3)
+        rate = drift @ spread + spread @ drift.T + diffusion
+        return np.concatenate([(drift @ move).ravel(), rate.ravel()])
+
+    start = np.concatenate([np.eye(3).ravel(), np.zeros(9)])
+    for step in (0.0, 0.3, 40.0):
+        exact = solve_ivp(equation, (0, step), start, "DOP853", rtol=1e-12, atol=1e-14)
+        move, spread = exact.y[:, -1].reshape(2, 3, 3)
+        scaled = drift * units[:, None] / units, diffusion * np.outer(units, units)
+        for (A, Q), unit in ((van_loan(drift, diffusion, step), np.ones(3)),
+                             (van_loan(*scaled, step), units)):  # fmt: skip
+            np.testing.assert_allclose(A / unit[:, None] * unit, move, rtol=1e-9, atol=1e-10)
+            np.testing.assert_allclose(Q / np.outer(unit, unit), spread, rtol=1e-9, atol=1e-11)

@@ -1,0 +1,218 @@
+"""Systems in discrete time, linear and not: their simulated paths have the law of the model."""
+
+import pickle
+
+import numpy as np
+import pytest
+import sympy
+from scipy.integrate import quad_vec
+from scipy.linalg import expm
+
+from oracles.linear import Regression
+from seedslib.base import ELAPSED, Input, Parameter, assigned
+from seedslib.evaluation import fit
+from seedslib.filters import KalmanFilter, extended_kalman, smooth, unscented_kalman
+from seedslib.models import (
+    DiscreteSystem,
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    StochasticMap,
+    inputs_of,
+)
+from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
+
+x, v, w, t = sympy.symbols("x v w t")
+PATHS = 20_000
+
+
+def assert_joint_law(data, oracle):
+    """All states and measurements of a run against mean and covariance of the regression."""
+    (times, n), m = oracle.state_means.shape, oracle.m
+    rows = np.concatenate([oracle.states.reshape(times * n, -1), *oracle.measured])
+    mean = np.concatenate([oracle.state_means.ravel(), oracle.measured_means.ravel()])
+    cov = rows @ oracle.cov @ rows.T
+    drawn = np.concatenate(
+        [data.states.reshape(times * n, -1), data.measurements.reshape(times * m, -1)]
+    )
+    paths, size = drawn.shape[1], np.sqrt(np.diagonal(cov))
+    assert (np.abs(drawn.mean(axis=1) - mean) < 4.5 * size / np.sqrt(paths)).all()
+    spread = np.sqrt((np.outer(size, size) ** 2 + cov**2) / paths)
+    assert (np.abs(np.cov(drawn) - cov) < 5 * spread).all()
+
+
+@pytest.mark.parametrize("make", [discrete_system, linear_system])
+def test_simulated_records_have_the_joint_law_of_the_model(make):
+    """Depends on time and on the length of the step, driven by inputs, from a late start."""
+    data = make().simulate(TIMES, PATHS, 1, inputs=INPUTS)
+    assert_joint_law(data, Regression(linear_numbers(means=make is discrete_system)))
+
+
+def test_functions_of_time_simulate_and_average_as_formulas_do():
+    of_functions, formulas = linear_system("functions"), linear_system()
+    data = of_functions.simulate(EVEN, PATHS, 1, inputs=INPUTS)
+    assert_joint_law(data, Regression(linear_numbers(EVEN, means=False)))
+    at = np.random.default_rng(0).normal(size=(3, 4))
+    told = {u: row[2] for u, row in INPUTS.items()} | {ELAPSED: 0.4}
+    with assigned(told):
+        for name in ("dynamics", "sensor"):
+            one, two = (
+                getattr(system, name).conditional_moments(2.3, at)
+                for system in (of_functions, formulas)
+            )
+            np.testing.assert_allclose(one[0], two[0], rtol=1e-13)
+            cov = np.broadcast_to(two[1].reshape(*two[1].shape[:2], -1), one[1].shape)
+            np.testing.assert_allclose(one[1], cov, rtol=1e-12)
+    assert of_functions.sensor.has_log_density
+
+
+def test_each_path_may_have_inputs_of_its_own():
+    """A path is the one that it is alone under its own input, of maps and of functions."""
+    own = INPUTS[U][:, None] * np.array([1.0, -0.5, 2.0])
+    for system, times in ((discrete_system(), TIMES), (linear_system("functions"), EVEN)):
+        many = system.simulate(times, 3, 4, inputs=INPUTS | {U: own})
+        for path in range(3):
+            alone = system.simulate(times, 3, 4, inputs=INPUTS | {U: own[:, path]})
+            np.testing.assert_allclose(many.states[..., path], alone.states[..., path], rtol=1e-13)
+            np.testing.assert_allclose(
+                many.measurements[..., path], alone.measurements[..., path], rtol=1e-13
+            )
+
+
+def test_dynamics_see_the_time_they_leave():
+    system = DiscreteSystem(StochasticMap((x,), [x + t]), StochasticMap((x,), [x * t]), [1], [[0]])
+    data = system.simulate([2, 3, 4], 2, 0)
+    np.testing.assert_array_equal(data.states[:, 0, 0], [1, 3, 6])
+    np.testing.assert_array_equal(data.measurements[:, 0, 0], [2, 9, 24])
+
+
+def test_continuous_matrices_are_discretised_exactly_for_each_step():
+    drift, push = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.2, 0.0], [1.0, 0.5]])
+    noise, inputs = np.array([[0.2, 0.1], [0.1, 1.5]]), (Input("u"), Input("s"))
+    parts = drift, noise, [[1, 0]], [[0.2]], [0, 0], np.eye(2)
+    free = LinearSystem.from_continuous(*parts, step=None, B=push, inputs=inputs)
+    at = np.array([0.3, -0.4])
+    for step in (0.3, 1.7, 12.0):
+        even = LinearSystem.from_continuous(*parts, step=step, B=push, inputs=inputs)
+        wanted = quad_vec(lambda s: expm(drift * s) @ push, 0, step, epsabs=1e-13)[0]
+        spread = quad_vec(lambda s: expm(drift * s) @ noise @ expm(drift * s).T, 0, step)[0]
+        for system in (even, free, pickle.loads(pickle.dumps(free))):
+            u, s = sorted(inputs_of(system), key=str, reverse=True)
+            with assigned({ELAPSED: step, u: 0.8, s: -0.6}):
+                mean, cov = system.dynamics.conditional_moments(0.0, at[:, None])
+            moved = expm(drift * step) @ at + wanted @ [0.8, -0.6]
+            assert mean[:, 0] == pytest.approx(moved, rel=1e-10)
+            assert cov.reshape(2, 2, -1)[..., 0] == pytest.approx(spread, rel=1e-8)
+
+
+# One system in four ways: dX = (u - a X) dt + dB, Y = X + W / 2.
+
+rate, u = Parameter("a", 0.7, positive=True), Input("u")
+GAPS = np.array([0.0, 0.3, 1.0, 1.1, 2.5, 2.7])
+VALUES = np.array([0.5, -1.0, 2.0, 0.3, 1.0, -0.5])
+Y = np.cos(3 * GAPS)[:, None]
+SHOWN = StochasticMap([x], [x + w / 2], Noise((w,)))
+
+
+def moved(t, x, v, a, u, dt):
+    fade = np.exp(-a * dt)
+    return fade * x + (1 - fade) / a * u + np.sqrt((1 - fade**2) / (2 * a)) * v
+
+
+def formulas(dt=ELAPSED):
+    fade, spread = sympy.exp(-rate * dt), sympy.sqrt((1 - sympy.exp(-2 * rate * dt)) / (2 * rate))
+    value = [fade * x + (1 - fade) / rate * u + spread * v]
+    return DiscreteSystem(StochasticMap([x], value, Noise((v,))), SHOWN, [0], [[1]])
+
+
+def of_functions():
+    move = StochasticMap.from_functions(1, 1, moved, Noise(1), parameters=(rate, u, ELAPSED))
+    return DiscreteSystem(move, SHOWN, [0], [[1]])
+
+
+def of_matrices():
+    return LinearSystem.from_continuous(
+        -0.7, 1.0, 1.0, 0.25, 0, 1, step=None, B=[[1.0]], inputs=(u,)
+    )
+
+
+def of_entries():
+    fade = sympy.exp(-rate * ELAPSED)
+    spread = (1 - sympy.exp(-2 * rate * ELAPSED)) / (2 * rate)
+    return LinearSystem([[fade]], [[spread]], 1, 0.25, 0, 1, B=[[(1 - fade) / rate]], inputs=(u,))
+
+
+FORMS = {
+    "matrices": lambda: KalmanFilter(of_matrices()),
+    "entries": lambda: KalmanFilter(of_entries()),
+    "matrices in points": lambda: unscented_kalman(of_matrices()),
+    "formulas": lambda: extended_kalman(formulas()),
+    "functions": lambda: unscented_kalman(of_functions()),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_system_written_in_several_ways_has_one_filter_on_irregular_times(form):
+    flow = JumpDiffusion([x], [u - rate * x], [[1]], [x + w / 2], Noise((w,)), [0], [[1]])
+    reference, filter = extended_kalman(flow, step=0.005), FORMS[form]()
+    for run in (lambda f: f.run, lambda f: lambda *a, **b: smooth(f, *a, **b)):
+        wanted, found = (run(f)(GAPS, Y, inputs={u: VALUES}) for f in (reference, filter))
+        assert np.allclose(found.mean, wanted.mean, rtol=1e-9)
+        assert np.allclose(found.cov.ravel(), wanted.cov.ravel(), rtol=1e-9)
+        assert np.allclose(found.loglik, wanted.loglik, rtol=1e-9)
+
+
+def test_diffuse_components_move_by_the_elapsed_time():
+    """A wide first law is near the limit."""
+    drift, noise = np.array([[0.0, 1.0], [0.0, -0.2]]), np.diag([0.1, 1.0])
+    parts = drift, noise, [[1, 0]], [[0.2]], [0, 0]
+    exact = LinearSystem.from_continuous(*parts, np.zeros((2, 2)), step=None, diffuse=(0, 1))
+    wide = LinearSystem.from_continuous(*parts, 1e8 * np.eye(2), step=None)
+    found, near = (KalmanFilter(s).run(GAPS, Y) for s in (exact, wide))
+    assert found.mean[2:] == pytest.approx(near.mean[2:], rel=1e-5)
+    with pytest.raises(ValueError, match="diffuse"):
+        exact.simulate(GAPS, 1, 0)
+    with pytest.raises(ValueError, match="system"):
+        extended_kalman(exact)
+
+
+def test_a_rate_is_fitted_on_irregular_times():
+    times = np.cumsum(np.random.default_rng(0).exponential(size=60))
+    values, system = np.sin(times), formulas()
+    with assigned({rate: 1.2}):
+        y = system.simulate(times, 1, 0, inputs={u: values}).measurements[..., 0]
+    found = [
+        fit(filter, times, y, [rate], inputs={u: values})
+        for filter in (extended_kalman(system), unscented_kalman(of_functions()))
+    ]
+    assert found[0].values == pytest.approx(found[1].values, rel=1e-6)
+    assert abs(found[0].values[0] - 1.2) < 3 * found[0].errors[0]
+
+
+def test_steps_of_unequal_length_are_for_maps_that_see_them():
+    even = formulas(sympy.Integer(1))
+    for refused in (
+        lambda: extended_kalman(even).run(GAPS, Y, inputs={u: VALUES}),
+        lambda: even.simulate(GAPS, 3, 0, inputs={u: VALUES}),
+    ):
+        with pytest.raises(ValueError, match="times"):
+            refused()
+    for start, step in ((0, 1), (7.3, 1e-3), (1.6e9, 0.01), (0, 1e6)):
+        data = even.simulate(start + step * np.arange(4), 1, 0, inputs={u: VALUES[:4]})
+        assert np.isfinite(data.states).all()
+    filter = extended_kalman(even)
+    state = filter.initial()
+    with assigned({u: 0.0}):
+        for now in (1.6e9, 1.6e9 + 0.1, 1.6e9 + 0.2):
+            state = filter.step(state, now, [0.0])
+        with pytest.raises(ValueError, match="t"):
+            filter.predict(state, 1.6e9 + 0.5)
+
+
+def test_the_elapsed_time_is_known_in_steps_of_discrete_time_only():
+    sensed = StochasticMap([x], [x + ELAPSED * w], Noise((w,)))
+    system = DiscreteSystem(formulas().dynamics, sensed, [0], [[1]])
+    flow = JumpDiffusion([x], [-x * ELAPSED], [[1]], [x + w], Noise((w,)), [0], [[1]])
+    for filter, inputs in ((extended_kalman(system), {u: VALUES}), (extended_kalman(flow), {})):
+        with pytest.raises(ValueError, match="dt"):
+            filter.run(GAPS, Y, inputs=inputs)

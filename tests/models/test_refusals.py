@@ -1,0 +1,310 @@
+"""What models refuse, by type of error and by the name of the argument; files and wrong systems."""
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+import sympy
+
+from seedslib import zoo
+from seedslib.filters import extended_kalman
+from seedslib.models import (
+    DiscreteChain,
+    DiscreteSystem,
+    FellerChain,
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    PlaneChain,
+    PlaneModes,
+    StochasticMap,
+    SwitchingChain,
+    SwitchingSystem,
+    averaged_switching,
+    van_loan,
+)
+from seedslib.two_step import LinearDiffusion
+from systems import continuous_system, linear_system, switching_system
+
+x, y, v, w, t, s = sympy.symbols("x y v w t s")
+MOVE = StochasticMap((x,), [x / 2 + v], Noise((v,)))
+SHOWN = StochasticMap((x,), [x + w], Noise((w,)))
+BOUNDED = StochasticMap((x,), [x * w**2], Noise((w,)))
+TWO = StochasticMap((x, y), [x], None)
+COV, AXES = np.eye(2), [(-3, 3, 7)] * 2
+
+
+def sampled(rng, count):
+    return rng.uniform(-1, 1, (1, count))
+
+
+def flow(state=(x,), drift=None, diffusion=((1,),), sensor=None, **options):
+    given = {"mean0": [0.0] * len(state), "cov0": np.eye(len(state))} | options
+    drift = [-each for each in state] if drift is None else drift
+    noise = given.pop("noise", Noise((v,)))
+    return JumpDiffusion(state, drift, diffusion, sensor or [state[0] + v], noise, **given)
+
+
+def modes(**changes):
+    given = {
+        "state": (x,),
+        "dynamics": [[x / 2 + v], [x + v]],
+        "noise": Noise((v,)),
+        "switching": [[0.9, 0.1], [0.3, 0.7]],
+        "sensor": [[x + w], [2 * x + w]],
+        "sensor_noise": Noise((w,)),
+        "initial": [(0.5, [0], [[1]]), (0.5, [1], [[2]])],
+    }
+    return SwitchingSystem(**given | changes)
+
+
+def linear(**changes):
+    given = {"F": np.eye(2), "Q": np.eye(2), "H": [[1.0, 0.5]], "R": 0.4, "mean0": [1.0, -1.0]}
+    return LinearSystem(**{**given, "cov0": np.eye(2), **changes})
+
+
+def functions(**options):
+    return StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, Noise(1), **options)
+
+
+def simulated(system=None, times=(0.0, 1.0), paths=2, seed=0, **options):
+    return (system or zoo.linear_gaussian()).simulate(times, paths, seed, **options)
+
+
+ROWS = [
+    (lambda: Noise((v,), cov=[[-1.0]]), ValueError, "cov"),
+    (lambda: Noise((v, w), cov=np.diag([1e12, -1.0])), ValueError, "cov"),
+    (lambda: Noise((v,), mean=[0.0, 1.0]), ValueError, "mean"),
+    (lambda: Noise(-1), ValueError, "symbols"),
+    (lambda: Noise((v, v)), ValueError, "symbols"),
+    (lambda: Noise("v"), TypeError, "symbols"),
+    (lambda: Noise((v,), sample=3), TypeError, "sample"),
+    (lambda: Noise((v,), log_density=abs), TypeError, "log_density"),
+    (lambda: StochasticMap((x,), [x + y]), ValueError, "expressions"),
+    (lambda: StochasticMap((x,), [[x]]), ValueError, "value"),
+    (lambda: StochasticMap((x,), [None]), TypeError, "value"),
+    (lambda: StochasticMap((x,), [sympy.Function("f")(x)]), ValueError, "value"),
+    (lambda: StochasticMap((x,), [x], Noise(1)), ValueError, "noise"),
+    (lambda: StochasticMap((x,), [x], 3), TypeError, "noise"),
+    (lambda: StochasticMap((x, v), [x], Noise((v,))), ValueError, "state, noise"),
+    (lambda: StochasticMap((x,), [x], period={1: 2.0}), ValueError, "period"),
+    (lambda: StochasticMap((x,), [x], period={0: 0.0}), ValueError, "period"),
+    (lambda: functions(mean=lambda t, x: x), ValueError, "mean, cov"),
+    (lambda: functions(parameters=(x,)), TypeError, "parameters"),
+    (
+        lambda: StochasticMap.from_functions(1, 2, lambda t, x, v: x).value(0, np.ones((1, 3)), 0),
+        ValueError,
+        "value",
+    ),
+    (lambda: BOUNDED.log_density(0, np.zeros((1, 1)), np.zeros((1, 1))), ValueError, "log_density"),
+    (
+        lambda: extended_kalman(
+            DiscreteSystem(
+                MOVE, StochasticMap((x,), [x + sympy.sign(x) + w], Noise((w,))), [0], [[1]]
+            )
+        ).run(range(2), [[0.0]] * 2),
+        ValueError,
+        "expressions",
+    ),
+    (lambda: DiscreteSystem(MOVE, TWO, [0], [[1]]), ValueError, "dynamics, sensor"),
+    (lambda: DiscreteSystem(MOVE, SHOWN, [0, 0], [[1]]), ValueError, "mean0"),
+    (lambda: DiscreteSystem(MOVE, SHOWN, [0], [[-1]]), ValueError, "cov0"),
+    (
+        lambda: DiscreteSystem(
+            StochasticMap((x, v), [x, v]), StochasticMap((x, y), [x + v], Noise((v,))), [0, 0], COV
+        ),
+        ValueError,
+        "state, noise",
+    ),
+    (lambda: linear(F=[[1.0]]), ValueError, "F"),
+    (lambda: linear(H=[[1.0]]), ValueError, "H"),
+    (lambda: linear(Q=[[1.0, 2.0], [2.0, 1.0]]), ValueError, "Q"),
+    (lambda: linear(R=-1.0), ValueError, "R"),
+    (lambda: linear(F=[[s, 0], [0, 1]]), ValueError, "F"),
+    (lambda: linear(diffuse=(2,)), ValueError, "diffuse"),
+    (lambda: linear(diffuse=(0,)), ValueError, "cov0"),
+    (lambda: linear(B=np.eye(2)), ValueError, "B, D, inputs"),
+    (lambda: linear(B=np.eye(2), inputs=(x,)), TypeError, "inputs"),
+    (
+        lambda: LinearSystem.from_continuous(-1, 1, 1, 1, 0, 1, step=0.0),
+        ValueError,
+        "step",
+    ),
+    (
+        lambda: LinearSystem.from_continuous([[1, 0]], 1, 1, 1, 0, 1, step=1.0),
+        ValueError,
+        "drift",
+    ),
+    (lambda: van_loan([[-1.0]], [[-1.0]], 0.5), ValueError, "diffusion"),
+    (lambda: van_loan([[-1.0]], [[1.0]], -0.5), ValueError, "step"),
+    (lambda: van_loan([[800.0]], [[1.0]], 5.0), ValueError, "times"),
+    (lambda: flow(drift=[s * x]), ValueError, "drift"),
+    (lambda: flow(drift=["x"]), TypeError, "drift"),
+    (lambda: flow((x, y), drift=[x], diffusion=[[0], [0]]), ValueError, "drift"),
+    (lambda: flow(diffusion=[1]), ValueError, "diffusion"),
+    (lambda: flow(intensity=1), ValueError, "jump, intensity"),
+    (lambda: flow(intensity=1, jump=[x, x]), ValueError, "jump"),
+    (lambda: flow(mean0=[0, 0]), ValueError, "mean0"),
+    (lambda: flow(cov0=[[-1]]), ValueError, "cov0"),
+    (lambda: flow(step=0), ValueError, "step"),
+    (lambda: flow(parameters={x: 5}), ValueError, "state, parameters"),
+    (lambda: flow(time=x), ValueError, "state, time"),
+    (
+        lambda: JumpDiffusion.from_functions(
+            lambda t, x: x[0], lambda t, x: np.ones((1, 1, 3)), SHOWN, [0.0], [[1.0]]
+        ),
+        ValueError,
+        "drift",
+    ),
+    (lambda: flow().advance(np.ones((1, 2)), 1, 1, np.random.default_rng(0)), ValueError, "stop"),
+    (lambda: modes(switching=[[0.9, 0.2], [0.3, 0.7]]), ValueError, "switching of mode 0"),
+    (lambda: modes(switching=[[1, 0], [1.2, -0.2]]), ValueError, "switching of mode 1"),
+    (lambda: modes(switching=[[0.9, 0.1]]), ValueError, "switching"),
+    (lambda: modes(switching=[[1 - x**2, x**2], [0, 1]]), ValueError, "switching of mode 0"),
+    (lambda: modes(switching=[[1 - w, w], [0.3, 0.7]]), ValueError, "switching"),
+    (lambda: modes(indicator=[[0.5, 0.4], [0.5, 0.5]]), ValueError, "indicator of mode 0"),
+    (lambda: modes(indicator=[[0.5, 0.5]]), ValueError, "indicator"),
+    (lambda: modes(indicator=object()), TypeError, "indicator"),
+    (lambda: modes(initial=[(0.5, [0], [[1]])]), ValueError, "initial"),
+    (lambda: modes(initial=[(0.5, [0], [[1]]), (0.6, [1], [[2]])]), ValueError, "initial"),
+    (
+        lambda: modes(initial=[(0.5, [0], [[-1]]), (0.5, [1], [[2]])]),
+        ValueError,
+        r"initial\[0\] cov",
+    ),
+    (lambda: modes(initial=[(0.5, [0]), (0.5, [1])]), TypeError, "initial"),
+    (lambda: modes(sensor=[[x + w]]), ValueError, "sensor"),
+    (lambda: modes(drives="both"), ValueError, "drives"),
+    (
+        lambda: modes(
+            switching=[[1 / (1 + sympy.exp(-v)), 1 / (1 + sympy.exp(v))]] * 2, drives="new"
+        ),
+        ValueError,
+        "switching of mode 0",
+    ),
+    (lambda: SwitchingSystem.from_maps([[None]], [[SHOWN]], []), TypeError, "moves"),
+    (lambda: SwitchingSystem.from_maps([[MOVE]], 3, []), TypeError, "readings"),
+    (
+        lambda: SwitchingSystem.from_maps([[MOVE]], [[SHOWN]], [], indicator=None),
+        TypeError,
+        "indicator",
+    ),
+    (lambda: averaged_switching(flow(), range(9), 5, 1), TypeError, "system"),
+    (lambda: simulated(times=[0.0, 0.0]), ValueError, "times"),
+    (lambda: simulated(times=[]), ValueError, "times"),
+    (lambda: simulated(paths=0), ValueError, "paths"),
+    (lambda: simulated(paths=2.5), TypeError, "paths"),
+    (lambda: simulated(seed=None), TypeError, "seed"),
+    (lambda: simulated(seed=-1), ValueError, "seed"),
+    (lambda: simulated(workers=0), ValueError, "workers"),
+    (lambda: simulated(step=-1.0), ValueError, "step"),
+    (lambda: simulated(scheme="milstein"), ValueError, "scheme"),
+    (lambda: simulated(measured=[True]), ValueError, "measured"),
+    (lambda: simulated(measured=[2]), ValueError, "measured"),
+    (lambda: simulated(measured=np.ones((2, 1), int)), ValueError, "measured"),
+    (lambda: simulated(availability=1.5), ValueError, "availability"),
+    (lambda: simulated(availability="often"), TypeError, "availability"),
+    (lambda: simulated(linear_system("functions")), ValueError, "inputs"),
+    (lambda: simulated(inputs={x: [0.0, 1.0]}), TypeError, "inputs"),
+    (lambda: simulated(modes(), modes=[0]), ValueError, "modes"),
+    (lambda: simulated(modes(), modes=[0, 2]), ValueError, "modes"),
+    (lambda: simulated(modes(), modes=[0.0, 1.0]), TypeError, "modes"),
+    (lambda: simulated(zoo.dependent_switching(), modes=[0, 0]), ValueError, "modes"),
+    (lambda: FellerChain(zoo.van_der_pol(), (-3, 3, 31)), ValueError, "system"),
+    (lambda: FellerChain(flow(sensor=[x * v**2]), (-3, 3, 31)), ValueError, "system"),
+    (
+        lambda: FellerChain(flow(intensity=x, jump=[1]), (-3, 3, 31)).transition(0, 1),
+        ValueError,
+        "intensity",
+    ),
+    (
+        lambda: FellerChain(
+            flow(intensity=1, jump=[w], marks=Noise((w,), sample=sampled)), (-3, 3, 31)
+        ).transition(0, 1),
+        ValueError,
+        "jump",
+    ),
+    (lambda: FellerChain(flow(initial=sampled), (-3, 3, 31)).start(), ValueError, "system"),
+    (lambda: FellerChain(flow(), (-3, 3, 31)).transition(1, 1), ValueError, "stop"),
+    (lambda: FellerChain(flow(), (3, -3, 31)), ValueError, "axis"),
+    (lambda: DiscreteChain(DiscreteSystem(MOVE, BOUNDED, 0, 1), (-3, 3, 9)), ValueError, "sensor"),
+    (
+        lambda: DiscreteChain(
+            DiscreteSystem(StochasticMap((x,), [x / 2 + 0 * v], Noise((v,))), SHOWN, 0, 1),
+            (-3, 3, 9),
+        ).transition(0, 1),
+        ValueError,
+        "dynamics",
+    ),
+    (
+        lambda: DiscreteChain(DiscreteSystem(MOVE, SHOWN, 0, 1, sampled), (-3, 3, 9)),
+        ValueError,
+        "system",
+    ),
+    (lambda: SwitchingChain(zoo.manoeuvring_target(), (-3, 3, 31)), ValueError, "system"),
+    (lambda: SwitchingChain(modes(sensor=[[x * w**2]] * 2), (-3, 3, 31)), ValueError, "sensor"),
+    (
+        lambda: SwitchingChain(zoo.dependent_switching(), (-9, 9, 5)).transition(0, 1),
+        ValueError,
+        "x",
+    ),
+    (lambda: PlaneChain(zoo.kicked_duffing(), AXES), ValueError, "system"),
+    (
+        lambda: PlaneChain(flow((x, y), diffusion=[[1], [1]]), AXES),
+        ValueError,
+        "system",
+    ),
+    (lambda: PlaneModes(modes(), AXES), ValueError, "system"),
+    (lambda: extended_kalman(LinearDiffusion(-1, 0.5, 1, 0.1, 0, 4)), TypeError, "system"),
+    (lambda: extended_kalman(DiscreteSystem), TypeError, "system"),
+    (lambda: extended_kalman(modes()), TypeError, "system"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "name"), ROWS)
+def test_wrong_arguments_are_refused_by_name(call, error, name):
+    with pytest.raises(error, match=f"^{name}"):
+        call()
+
+
+@pytest.mark.parametrize(
+    "make",
+    [
+        lambda: DiscreteSystem(MOVE, SHOWN, [0.5], [[1.0]]),
+        continuous_system,
+        switching_system,
+        linear_system,
+        lambda: FellerChain(zoo.flip_process(), (-3, 3, 31)),
+        lambda: SwitchingChain(zoo.scalar_switching(), (-8, 8, 31)),
+        lambda: DiscreteChain(DiscreteSystem(MOVE, SHOWN, 0, 1), (-3, 3, 9)),
+    ],
+)
+def test_models_travel_and_show_themselves(make):
+    """A copy and a pickle are the same model: equal bits of its paths or of its transition."""
+    model = make()
+    for other in (pickle.loads(pickle.dumps(model)), copy.deepcopy(model)):
+        assert type(other) is type(model)
+        assert repr(other) == repr(model)
+        if hasattr(model, "simulate"):
+            times = [1.5, 2.5]
+            inputs = {u: [0.3, 0.1] for u in model.mentions if u.role == "input"}
+            one, two = (each.simulate(times, 5, 3, inputs=inputs).states for each in (model, other))
+        else:
+            one, two = (each.transition(0.0, 1.0) for each in (model, other))
+        np.testing.assert_array_equal(one, two)
+    assert "object at 0x" not in repr(model) + model._repr_html_()
+
+
+def test_a_lambda_does_not_travel():
+    with pytest.raises((AttributeError, pickle.PicklingError)):
+        pickle.dumps(functions())
+
+
+@pytest.mark.filterwarnings("ignore")
+def test_a_sensor_whose_noise_hides_the_state_from_linear_estimates_is_warned_of():
+    blind = DiscreteSystem(
+        MOVE, StochasticMap((x,), [x + w, sympy.exp(x / 2) * w], Noise((w,))), 0, 1
+    )
+    with pytest.warns(UserWarning, match="y2"):
+        extended_kalman(blind)
