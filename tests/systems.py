@@ -81,8 +81,11 @@ def linear_numbers(times=TIMES, inputs=INPUTS, *, means=True, mode=0):
     return Linear(F[:-1], move[:-1], Q[:-1], H, shift, R, MEAN0, COV0)
 
 
-def linear_system(form="formulas", *, inputs=True):
-    """As a `LinearSystem`: of formulas (any steps), or of functions of time (steps of `STEP`)."""
+def linear_system(form="formulas", *, inputs=True, diffuse=()):
+    """As a `LinearSystem`: of formulas (any steps), or of functions of time (steps of `STEP`).
+
+    Diffuse components are uncorrelated with the others, and their mean is zero.
+    """
 
     def spread(root, cov):
         return root @ cov @ root.T
@@ -102,7 +105,9 @@ def linear_system(form="formulas", *, inputs=True):
         F, B, H, D, G, E = (np.array(made[name], dtype=object) for name in "FBHDGE")
         Q, R = spread(G, NOISE_COV), spread(E, SENSOR_COV)
     told = {"B": B, "D": D, "inputs": (U, S)} if inputs else {}
-    return LinearSystem(F, Q, H, R, MEAN0, COV0, **told)
+    known = ~np.isin(np.arange(3), diffuse)
+    start = MEAN0 * known, COV0 * np.outer(known, known)
+    return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **told)
 
 
 def linear_formulas(mode=0, *, inputs=True):

@@ -8,7 +8,7 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
-from oracles.linear import Linear, Regression, discretised, kalman, moments
+from oracles.linear import Linear, Regression, discretised, kalman, moment_rates, moments
 from seedslib.base import assigned
 from seedslib.filters import (
     CovarianceFilter,
@@ -98,8 +98,6 @@ def test_jump_diffusion_equals_its_moment_equations(rule):
 
 def test_euler_steps_take_their_rates_at_their_beginning():
     """Long steps written out; the step of the system is the default, and the last one ends it."""
-    from oracles.linear import moment_rates
-
     model = continuous_numbers()
 
     def move(k, m, P):
