@@ -110,9 +110,12 @@ def linear_system(form="formulas", *, inputs=True, diffuse=()):
     return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **told)
 
 
-def linear_formulas(mode=0, *, inputs=True):
-    """Next state and measurement as lists of SymPy expressions, noises with their means."""
-    made = vars(coefficients(t, ELAPSED, mode, sympy))
+def linear_formulas(mode=0, *, inputs=True, step=ELAPSED):
+    """Next state and measurement as lists of SymPy expressions, noises with their means.
+
+    With a number as `step`, such as `STEP`, they do not mention the elapsed time.
+    """
+    made = vars(coefficients(t, step, mode, sympy))
     F, B, c, G, H, D, E = (np.array(made[name], dtype=object) for name in "FBcGHDE")
     u = np.array([U, S]) if inputs else np.zeros(2, dtype=int)
     return list(F @ STATE + B @ u + c + G @ NOISE), list(H @ STATE + D @ u + E @ SENSOR_NOISE)
@@ -123,9 +126,9 @@ def noises():
     return Noise(NOISE, NOISE_MEAN, NOISE_COV), Noise(SENSOR_NOISE, SENSOR_MEAN, SENSOR_COV)
 
 
-def discrete_system(*, inputs=True):
+def discrete_system(*, inputs=True, step=ELAPSED):
     """As a `DiscreteSystem` of formulas."""
-    maps = zip(linear_formulas(inputs=inputs), noises(), strict=True)
+    maps = zip(linear_formulas(inputs=inputs, step=step), noises(), strict=True)
     dynamics, sensor = (StochasticMap(STATE, value, noise) for value, noise in maps)
     return DiscreteSystem(dynamics, sensor, MEAN0, COV0)
 
@@ -182,9 +185,9 @@ def switching_numbers(times=TIMES, inputs=INPUTS, *, means=True):
     return Switching(modes, PROBABILITIES, np.array(leave[:-1]), np.array(tell))
 
 
-def switching_system(drives="old", *, inputs=True, indicator=True):
+def switching_system(drives="old", *, inputs=True, indicator=True, step=ELAPSED):
     """As a `SwitchingSystem` of formulas."""
-    formulas = [linear_formulas(mode, inputs=inputs) for mode in range(3)]
+    formulas = [linear_formulas(mode, inputs=inputs, step=step) for mode in range(3)]
     dynamics, sensor = zip(*formulas, strict=True)
     noise, sensor_noise = noises()
     leave, tell = chances(t, U if inputs else sympy.Integer(0), sympy)
@@ -269,3 +272,24 @@ def oscillator(step=0.01):
         [x, y], [y, (1 - x**2) * y - x], [[0], [0.5]], [x + w], Noise([w], cov=[[0.2]]),
         [1.0, 0.0], np.diag([0.3, 0.2]), step=step,
     )  # fmt: skip
+
+
+class Recorded:
+    """A system that keeps all that it simulates; `change`, where given, alters it first."""
+
+    def __init__(self, system, change=None):
+        self.system, self.change, self.made = system, change, []
+
+    def __getattr__(self, name):
+        return getattr(self.system, name)
+
+    def simulate(self, *arguments, **options):
+        made = self.system.simulate(*arguments, **options)
+        if self.change:
+            self.change(made)
+        self.made.append(made)
+        return made
+
+    def all(self, name):
+        """States, measurements, modes or indicators of all paths so far."""
+        return np.concatenate([getattr(made, name) for made in self.made], axis=-1)
