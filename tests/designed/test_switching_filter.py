@@ -23,7 +23,8 @@ u = Input("u")
 pytestmark = pytest.mark.filterwarnings("ignore:paths. .* too few paths of their own")
 
 # Jump-linear, with all that there is: time in every function, an input, two unlike components
-# and measurements, correlated noises with means, a noisy indicator of three values, a late start, unequal steps.
+# and measurements, correlated noises with means, a noisy indicator of three values, a late start,
+# unequal steps.
 
 TIMES = np.array([1.5, 2.0, 3.5, 3.75, 5.0])
 INPUT = np.array([0.5, -1.0, 2.0, 0.25, -0.5])
