@@ -1,68 +1,236 @@
-"""Factors of semidefinite matrices: unique, exact where the matrix is singular, never larger."""
+"""Semidefinite matrices item by item: factors, pseudo-inverses and repair against eigenvalues."""
 
 import numpy as np
 import pytest
 
-from seedslib.base.semidefinite import factor, square_root
+from seedslib.base.semidefinite import factor, mended, range_root, settled, square_root
+
+UNITS = np.array([3.0, 0.02, 50.0, 7.0])
+"""Deviations that have nothing in common."""
+ZERO, BROKEN, RAISED = 1e-13, 1e-9, 1e-12
+"""A pivot that is rounding, one that is none of a covariance, the least eigenvalue."""
+TINY = np.finfo(float).tiny
 
 
-def covariance(rng, n, rank=None):
-    half = rng.standard_normal((n, rank or n)) * 10.0 ** rng.integers(-6, 7, size=(n, 1))
-    return half @ half.T
+def turned(values, seed=0):
+    """A symmetric matrix of these eigenvalues."""
+    basis = np.linalg.qr(np.random.default_rng(seed).standard_normal((len(values),) * 2))[0]
+    return basis * values @ basis.T
 
 
-@pytest.mark.parametrize("n", [1, 2, 3, 6, 40])
-def test_the_factor_is_that_of_cholesky(n):
-    """The triangular factor with a positive diagonal is unique: no other one can be right."""
-    cov = covariance(np.random.default_rng(n), n)
-    scale = np.sqrt(np.diag(cov))
-    right = np.linalg.cholesky(cov / np.outer(scale, scale))
-    found = square_root(cov) / scale[:, None]
-    worst = np.linalg.cond(right) * 1e-15
-    np.testing.assert_allclose(found, right, atol=10 * n * worst)
-    np.testing.assert_array_equal(found, np.tril(found))
+def in_units(matrix, units=UNITS):
+    units = units[: len(matrix)]
+    return matrix * np.outer(units, units)
 
 
-@pytest.mark.parametrize(("n", "rank"), [(2, 1), (3, 1), (4, 2), (7, 3)])
-def test_singular_covariances_keep_their_rank(n, rank):
-    cov = covariance(np.random.default_rng(10 * n + rank), n, rank)
-    found = square_root(cov)
-    scale = np.sqrt(np.diag(cov))
-    np.testing.assert_allclose(
-        found @ found.T / np.outer(scale, scale), cov / np.outer(scale, scale), atol=1e-12
-    )
-    assert np.count_nonzero(np.abs(found / scale[:, None]).max(axis=0) > 1e-6) == rank
+def correlations(n, rank, seed=1):
+    rows = np.random.default_rng(seed).standard_normal((n, rank))
+    rows /= np.linalg.norm(rows, axis=1)[:, None]
+    return rows @ rows.T
 
 
-def test_repeated_eigenvalues_leave_no_choice():
-    """Where eigenvectors are free the factor is not: a rounding error moves it by as much."""
-    rng = np.random.default_rng(0)
-    cov = 2.5 * np.eye(4)
-    noise = rng.standard_normal((4, 4))
-    moved = cov + 1e-15 * (noise + noise.T)
-    np.testing.assert_allclose(square_root(moved), square_root(cov), atol=1e-14)
-    np.testing.assert_array_equal(square_root(cov), np.sqrt(2.5) * np.eye(4))
+# Factors: `factor` has its batch axes last and NaN for what is no covariance, `square_root` has
+# them first and bends.
 
 
-def test_what_is_rounding_only_stays_small():
-    """A difference of equal covariances is rounding: no pivot of it may blow anything up."""
-    rng = np.random.default_rng(1)
-    for _ in range(200):
-        noise = rng.standard_normal((5, 5)) * 10.0 ** rng.integers(-30, -15, size=(5, 5))
-        noise = noise + noise.T
-        found = square_root(noise)
-        assert np.isfinite(found).all()
-        own = np.sqrt(np.maximum(np.diag(noise), 0.0))
-        assert (np.abs(found) <= own[:, None] * (1 + 1e-12)).all()
+@pytest.mark.parametrize(("n", "rank"), [(1, 1), (3, 3), (6, 6), (40, 40), (2, 1), (4, 2), (7, 3)])
+def test_factors_are_the_triangular_ones_and_keep_the_rank(n, rank):
+    """With a positive diagonal the factor of a regular matrix is unique."""
+    rng = np.random.default_rng([n, rank])
+    units = 10.0 ** rng.integers(-6, 7, size=n)
+    cov = in_units(correlations(n, rank, n), units)
+    for found in (square_root(cov), factor(cov)):
+        scaled = found / units[:, None]
+        np.testing.assert_allclose(scaled @ scaled.T, correlations(n, rank, n), atol=1e-12)
+        np.testing.assert_array_equal(found, np.tril(found))
+        assert (np.diagonal(found) >= 0).all()
+        assert np.count_nonzero(np.abs(scaled).max(axis=0) > 1e-6) == rank
 
 
-def test_batch_axes_and_zeros():
-    rng = np.random.default_rng(2)
-    covs = np.stack([covariance(rng, 3), np.zeros((3, 3)), np.diag([0.0, 4.0, 0.0])])
+def test_factors_of_batches_are_those_of_their_items():
+    covs = np.stack([correlations(3, 3), np.zeros((3, 3)), np.diag([0.0, 4.0, 0.0])])
     found = square_root(covs)
     for one, cov in zip(found, covs, strict=True):
         np.testing.assert_array_equal(one, square_root(cov))
     np.testing.assert_array_equal(found[1:], np.sqrt(covs[1:]))
-    # the same factor as the one with the batch axes last
-    right = np.moveaxis(factor(np.moveaxis(covs, 0, -1)), -1, 0)
-    np.testing.assert_allclose(found, right, rtol=1e-13, atol=1e-300)
+    other = np.moveaxis(factor(np.moveaxis(covs, 0, -1)), -1, 0)
+    np.testing.assert_allclose(found, other, rtol=1e-13, atol=1e-300)
+    whole = np.array([[4, 2, 6], [2, 10, 9], [6, 9, 27]])
+    for found in (square_root(whole), factor(whole)):
+        np.testing.assert_allclose(found, np.linalg.cholesky(whole), rtol=1e-14)
+    bad = in_units(turned([1.0, -0.2, 0.5]))
+    found = factor(np.stack([whole, bad, whole], axis=-1))
+    np.testing.assert_array_equal(found[..., 0], found[..., 2])
+    assert np.isnan(found[..., 1]).any()
+    assert np.isfinite(found[..., 0]).all()
+
+
+def test_pivots_of_rounding_are_zero_columns():
+    for extra, zero in ((0.5, True), (4.0, False)):
+        cov = np.array([[4.0, 6.0, 2.0], [6.0, 9.0 * (1 + extra * ZERO), 3.0], [2.0, 3.0, 7.0]])
+        found = factor(cov)
+        assert (found[1, 1] == 0.0) == zero
+        assert (square_root(cov)[1, 1] == 0.0) == zero
+        if zero:
+            np.testing.assert_array_equal(found[:, 1], 0.0)
+            np.testing.assert_allclose(found[:, 0], [2.0, 3.0, 1.0])
+            np.testing.assert_allclose(found[2, 2], np.sqrt(6.0))
+    for variance, zero in ((TINY, True), (4 * TINY, False)):
+        cov = np.diag([variance, 1.0])
+        assert (factor(cov)[0, 0] == 0.0) == (square_root(cov)[0, 0] == 0.0) == zero
+
+
+def test_negative_pivots_are_judged_by_a_scale():
+    """Below -1e-9 of the variance before, or of its own where nothing else is said, is NaN."""
+    for value, judged, none in (
+        (-0.5 * BROKEN, [1.0, 1.0], False),
+        (-2.0 * BROKEN, [1.0, 1.0], True),
+        (-2.0 * BROKEN, [1.0, 4.0], False),
+        (-2.0 * BROKEN, [4.0, 1.0], True),
+        (-BROKEN, [1.0, 1.0], False),
+        (-0.5 * BROKEN, None, True),
+    ):
+        found = factor(np.diag([4.0, value]), None if judged is None else np.array(judged))
+        assert found[0, 0] == 2.0
+        assert np.isnan(found[1, 1]) == none
+        if not none:
+            np.testing.assert_array_equal(found[1], 0.0)
+
+
+def test_roots_of_what_rounding_has_left_are_no_larger_than_its_variances():
+    """Differences of equal covariances, and a covariance that is too large for its variances."""
+    rng = np.random.default_rng(1)
+    noise = rng.standard_normal((200, 5, 5)) * 10.0 ** rng.integers(-30, -15, size=(200, 5, 5))
+    noise = noise + np.swapaxes(noise, 1, 2)
+    found = square_root(noise)
+    own = np.sqrt(np.maximum(np.einsum("kii->ki", noise), 0.0))
+    assert (np.abs(found) <= own[:, :, None] * (1 + 1e-12)).all()
+    cov = np.array([[4.0, 9.0, -5.0], [9.0, 2.0, 0.7], [-5.0, 0.7, 3.0]])
+    np.testing.assert_allclose(square_root(cov)[:, 0], [2.0, np.sqrt(2.0), -np.sqrt(3.0)])
+    moved = 2.5 * np.eye(4) + 1e-15 * (noise[0, :4, :4] / np.abs(noise[0]).max())
+    np.testing.assert_allclose(square_root(moved), np.sqrt(2.5) * np.eye(4), atol=1e-14)
+
+
+# Pseudo-inverses
+
+
+def test_rank_range_and_determinant_item_by_item():
+    """R'R is the pseudo-inverse, whatever the units; a component without variance has none."""
+    wanted = [(in_units(correlations(4, r, r)), r) for r in (4, 3, 2, 1)]
+    alone = np.zeros((4, 4))
+    alone[np.ix_([0, 2], [0, 2])] = [[5.0, 2.0], [2.0, 3.0]]
+    wanted += [(alone, 2), (np.zeros((4, 4)), 0)]
+    root, log_det, rank = range_root(np.stack([matrix for matrix, _ in wanted]))
+    for k, (matrix, r) in enumerate(wanted):
+        values, vectors = np.linalg.eigh(matrix)
+        values, vectors = values[4 - r :], vectors[:, 4 - r :]
+        inverse = vectors / values @ vectors.T
+        size = np.abs(inverse).max() or 1.0
+        assert rank[k] == r
+        np.testing.assert_allclose(root[k].T @ root[k] / size, inverse / size, atol=1e-8)
+        assert log_det[k] == pytest.approx(np.log(values).sum(), abs=1e-7)
+        assert np.count_nonzero(np.abs(root[k]).max(axis=1)) == r
+
+
+def test_edges_of_the_rank_and_what_has_no_root():
+    for gap, rank in ((0.2, 1), (5.0, 2)):
+        c = 1.0 - gap * ZERO
+        assert range_root(np.array([[[1.0, c], [c, 1.0]]]))[2][0] == rank
+    for variance, rank in ((0.25 * TINY, 1), (TINY, 1), (4 * TINY, 2)):
+        found = range_root(np.diag([variance, 1.0])[None])
+        assert found[2].tolist() == [rank]
+        assert found[1][0] == pytest.approx(np.log(variance) if rank == 2 else 0.0)
+    base = in_units(correlations(3, 3))
+    undefined, infinite, negative = base.copy(), base.copy(), base.copy()
+    undefined[0, 1], infinite[2, 2] = np.nan, np.inf
+    negative[1] = negative[:, 1] = 0.0
+    negative[1, 1] = -1e-100
+    root = range_root(np.stack([base, undefined, infinite, negative]))[0]
+    assert np.isfinite(root[0]).all()
+    assert np.isnan(root[1:]).all()
+    past, within = (
+        in_units(np.array([[1.0, c], [c, 1.0]])) for c in (1 + 2 * BROKEN, 1 + BROKEN / 2)
+    )
+    root, _, rank = range_root(np.stack([past, within]))
+    assert np.isnan(root[0]).all()
+    assert rank[1] == 1
+
+
+# Repair
+
+
+def test_directions_known_exactly_are_settled():
+    """A variance left over by rounding beside what it was goes, and takes its covariances."""
+    before = in_units(correlations(3, 3))
+    regular = 0.25 * before
+    left = regular.copy()
+    left[1] = left[:, 1] = 0.0
+    left[1, 1] = -1e-12 * before[1, 1]
+    left[0, 1] = left[1, 0] = 1e-9 * np.sqrt(before[0, 0] * before[1, 1])
+    cov = np.stack([regular, left, in_units(turned([1.0, -0.2, 0.5]))], axis=-1)
+    for prior in (before, np.stack([before] * 3, axis=-1)):
+        found = settled(cov, prior)
+        np.testing.assert_array_equal(found[..., 0], regular)
+        np.testing.assert_array_equal(found[..., 2], cov[..., 2])
+        np.testing.assert_allclose(found[[0, 0, 2], [0, 2, 2], 1], regular[[0, 0, 2], [0, 2, 2]])
+        values = np.linalg.eigvalsh(in_units(found[..., 1], 1 / UNITS))
+        assert abs(values[0]) < 1e-16
+        assert values[1] > 0.01
+    np.testing.assert_array_equal(settled(regular, before), regular)
+    np.testing.assert_allclose(settled(left, before), found[..., 1], rtol=1e-13)
+
+
+def test_negative_eigenvalues_are_raised_in_units_of_the_deviations():
+    """The others and all eigenvectors stay; each item by itself, and the given one as it was."""
+    values = [np.array([0.7, 1.6, -0.3, 2.0]), np.array([0.4, 1.3, 0.8, 1.5])]
+    items = [in_units(turned(v, k)) for k, v in enumerate(values)]
+    cov = np.stack(items, axis=-1)
+    kept = cov.copy()
+    found, count = mended(cov, np.stack([UNITS**2] * 2, axis=-1))
+    np.testing.assert_array_equal(cov, kept)
+    assert count == 1
+    np.testing.assert_array_equal(found[..., 1], items[1])
+    wanted = in_units(turned([0.7, 1.6, RAISED, 2.0], 0))
+    np.testing.assert_allclose(in_units(found[..., 0] - wanted, 1 / UNITS), 0.0, atol=1e-14)
+    # by its own deviations, which are others
+    own = np.sqrt(np.abs(np.diag(items[0])))
+    found, count = mended(cov)
+    values, vectors = np.linalg.eigh(in_units(items[0], 1 / own))
+    wanted = vectors * np.where(values < -RAISED, RAISED, values) @ vectors.T
+    np.testing.assert_allclose(in_units(found[..., 0], 1 / own), wanted, atol=1e-14)
+    assert count == 1
+
+
+def test_an_eigenvalue_of_rounding_becomes_zero_and_a_fault_the_least_one():
+    values = np.array([[[-4 * RAISED, np.nextafter(-4 * RAISED, -1.0), 0.0, 3.0]]])
+    found, count = mended(values, np.full((1, 4), 4.0))
+    assert count == 1
+    np.testing.assert_allclose(found[0, 0], [0.0, 4 * RAISED, 0.0, 3.0], rtol=1e-15)
+    for least, raised in ((-0.5, False), (-5.0, True)):
+        found, count = mended(turned(np.array([1.4, least * RAISED, 0.6]), 3), np.ones(3))
+        assert count == raised
+        assert abs(np.linalg.eigvalsh(found)[0] - RAISED * raised) < 1e-15
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 4])
+def test_a_bad_pivot_may_come_late_and_a_zero_row_is_none(n):
+    for j in range(n):
+        cov = correlations(n, n, n)
+        cov[j, j] -= 1.0 / np.linalg.inv(cov)[j, j] + 0.3
+        found, count = mended(cov)
+        assert count == 1
+        unit = np.sqrt(np.abs(np.diag(cov)))
+        assert np.linalg.eigvalsh(in_units(found, 1 / unit))[0] > 0
+        nothing = correlations(n, n, n)
+        nothing[j] = nothing[:, j] = 0.0
+        found, count = mended(nothing)
+        assert found is nothing
+        assert count == 0
+    for j, i in ((0, 1), (0, 2), (1, 2), (2, 0)):  # a zero variance that covaries is a fault
+        cov = np.eye(3)
+        cov[j, j], cov[i, j], cov[j, i] = 0.0, 0.5, 0.5
+        found, count = mended(cov)
+        assert count == 1
+        values, vectors = np.linalg.eigh(cov)
+        want = vectors * np.where(values < 0, RAISED, values) @ vectors.T
+        np.testing.assert_allclose(found, want, atol=1e-14)

@@ -1,32 +1,202 @@
-"""Normalised squares of errors, singular covariances among them."""
+"""Consistency: normalised squares, coverage and log scores against a filter written by hand."""
 
 import numpy as np
+import pytest
+import sympy
+from scipy.stats import chi2, norm
 
-from seedslib.evaluation.consistency import mahalanobis
+from oracles.linear import kalman
+from seedslib.design import synthesize
+from seedslib.designed import Memory
+from seedslib.evaluation import compare, evaluate
+from seedslib.filters import Estimates, KalmanFilter, extended_kalman, unscented_kalman
+from seedslib.linearization import ExactGaussian
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from systems import INPUTS, TIMES, Recorded, linear_numbers, linear_system
+
+x, v, w = sympy.symbols("x v w", real=True)
+MASK = np.array([[1, 0], [0, 1], [0, 0], [1, 1], [0, 1], [1, 0], [1, 1]], dtype=bool)
+
+
+def walk(noise=1.0):
+    return DiscreteSystem(
+        StochasticMap([x], [0.9 * x + w], Noise([w], cov=[[noise]])),
+        StochasticMap([x], [x + v], Noise([v])),
+        [0.0],
+        [[1.0]],
+    )
+
+
+def ratio(found, expected):
+    """Sum by sum over paths, and its standard error as that of a ratio of means."""
+    share, paths = found.sum() / expected.sum(), len(found)
+    spread = ((found - share * expected) ** 2).sum()
+    assert paths > 2
+    return share, np.sqrt(spread) / expected.sum()
+
+
+def test_all_measures_are_those_of_a_filter_written_by_hand():
+    """Unlike components, inputs, sensors of schedules of their own that fail, a window."""
+    system, paths, late = Recorded(linear_system()), 400, slice(2, 6)
+    options = {"measured": MASK, "availability": [0.9, 0.7], "window": (2, 5), "inputs": INPUTS}
+    filter = KalmanFilter(system.system)
+    found = evaluate(filter, system, TIMES, paths, 3, consistency=True, **options)
+    model, y = linear_numbers(means=False), system.all("measurements")
+    rows = [kalman(model, y[..., i]) for i in range(paths)]
+    mean, cov, density, before, spread = (
+        np.stack(part, axis=-1) for part in zip(*rows, strict=True)
+    )
+    shown = ~np.isnan(y)
+    error = mean - system.all("states")
+    inverse = np.linalg.inv(np.moveaxis(cov, 3, 0))
+    nees = np.einsum("jiN,Njik,jkN->jN", error, inverse, error)
+    nis = np.full((7, paths), np.nan)
+    for j, i in np.ndindex(7, paths):
+        if (here := shown[j, :, i]).any():
+            H, R = model.H[j][here], model.R[j][np.ix_(here, here)]
+            apart = y[j, here, i] - H @ before[j, :, i] - model.d[j][here]
+            nis[j, i] = apart @ np.linalg.solve(H @ spread[j, ..., i] @ H.T + R, apart)
+    read, count = MASK.any(axis=1), np.full((7, paths), 3)
+    np.testing.assert_allclose(found.nees, nees.mean(axis=1), rtol=1e-7)
+    np.testing.assert_allclose(found.nis[read], np.nanmean(nis[read], axis=1), rtol=1e-8)
+    assert np.isnan(found.nis[~read]).all()
+    measured = shown.sum(axis=1)
+    for field, wanted in (
+        ("nees_ratio", ratio(nees[late].sum(axis=0), count[late].sum(axis=0))),
+        ("nis_ratio", ratio(np.nansum(nis[late], axis=0), measured[late].sum(axis=0))),
+    ):
+        assert getattr(found, field) == pytest.approx(wanted[0], rel=1e-8)
+        assert getattr(found, f"{field}_error") == pytest.approx(wanted[1], rel=1e-6)
+    inside = np.abs(error) <= norm.ppf(0.975) * np.sqrt(np.einsum("jiiN->jiN", cov))
+    np.testing.assert_allclose(found.coverage, inside.mean(axis=2))
+    np.testing.assert_allclose(found.coverage_error, inside.std(axis=2) / np.sqrt(paths))
+    share = inside[late].mean(axis=0)
+    np.testing.assert_allclose(found.average_coverage, share.mean(axis=1))
+    spread = share.std(axis=1) / np.sqrt(paths)
+    np.testing.assert_allclose(found.average_coverage_error, spread, rtol=1e-6)
+    np.testing.assert_allclose(found.log_score[read], density.mean(axis=1)[read], rtol=1e-9)
+    spread = density.std(axis=1)[read] / np.sqrt(paths)
+    np.testing.assert_allclose(found.log_score_error[read], spread, rtol=1e-7)
+    assert np.isnan(found.log_score[~read]).all()
+    score = density[[3, 4, 5]].mean(axis=0)
+    assert found.average_log_score == pytest.approx(score.mean(), rel=1e-9)
+    assert found.average_log_score_error == pytest.approx(score.std() / np.sqrt(paths), rel=1e-7)
+    # bands are quantiles of chi-square, of the sum of the degrees of freedom
+    for bound, p in zip(found.nees_bounds, (0.025, 0.975), strict=True):
+        np.testing.assert_allclose(bound, chi2.ppf(p, 3 * paths) / paths, rtol=1e-9)
+    known = (measured > 0).sum(axis=1)[read]
+    for bound, p in zip(found.nis_bounds, (0.025, 0.975), strict=True):
+        wanted = chi2.ppf(p, measured.sum(axis=1)[read]) / known
+        np.testing.assert_allclose(bound[read], wanted, rtol=1e-9)
+        assert np.isnan(bound[~read]).all()
+
+
+def test_a_consistent_filter_is_told_from_a_bold_one():
+    filters = {"right": extended_kalman(walk()), "bold": extended_kalman(walk(0.2))}
+    system = Recorded(walk())
+    found = compare(filters, system, np.arange(8.0), 1500, 3, consistency=True, availability=0.7)
+    right, bold = found["right"], found["bold"]
+    for name, wanted in (("nees_ratio", 1), ("nis_ratio", 1), ("average_coverage", 0.95)):
+        off, error = np.abs(getattr(right, name) - wanted), getattr(right, f"{name}_error")
+        assert np.all(off < 4 * error), name
+        off, error = np.abs(getattr(bold, name) - wanted), getattr(bold, f"{name}_error")
+        assert np.all(off > 6 * error), name
+    for values, (low, high) in ((right.nees, right.nees_bounds), (right.nis, right.nis_bounds)):
+        assert ((low < values) & (values < high)).sum() >= 6
+    apart = found.difference("right", "bold")
+    y = system.all("measurements")
+    one, two = (filter.run(np.arange(8.0), y).loglik for filter in filters.values())
+    late = (one - two).mean(axis=0)
+    assert apart.average_log_score == pytest.approx(late.mean(), rel=1e-7)
+    assert apart.average_log_score_error == pytest.approx(late.std() / np.sqrt(1500), rel=1e-6)
+    assert apart.average_log_score > 8 * apart.average_log_score_error
+    assert apart.log_score_error[6] == pytest.approx((one - two)[6].std() / np.sqrt(1500))
+    assert f"{right.nees_ratio:.4g} ± {right.nees_ratio_error:.2g}" in repr(found)
+
+
+def test_filters_of_a_flow_with_sensors_of_two_rates_claim_what_they_err_by():
+    p, s, d = sympy.symbols("p s d", real=True)
+    r = sympy.symbols("r1 r2", real=True)
+    system = JumpDiffusion(
+        [p, s, d], [s, -p - 0.3 * s + d, -0.2 * d], [[0], [0.1], [0.1]],
+        [p + r[0], sympy.tanh(s) + r[1]], Noise(r, cov=np.diag([0.05**2, 0.1**2])),
+        [0, 0, 0], np.eye(3) * 0.2, step=0.02,
+    )  # fmt: skip
+    number = np.arange(21)
+    mask = np.stack([number % 5 != 3, number % 5 == 0], axis=1)
+    filters = {"extended": extended_kalman(system), "unscented": unscented_kalman(system)}
+    found = compare(
+        filters, system, number / 10, 500, 5, measured=mask, consistency=True, window=(10, None)
+    )
+    for name, row in found.items():
+        assert abs(row.nees_ratio - 1) < 4 * row.nees_ratio_error, name
+        assert abs(row.nis_ratio - 1) < 4 * row.nis_ratio_error, name
+        assert row.nees_ratio_error < 0.05
+
+
+class Claims:
+    """Estimates zero and claims one covariance, or none."""
+
+    def __init__(self, cov=None):
+        self.cov = cov
+
+    def run(self, times, measurements):
+        count = measurements.shape[2]
+        mean = np.zeros((len(times), 3, count))
+        if self.cov is None:
+            return Estimates(mean)
+        return Estimates(mean, np.broadcast_to(self.cov[..., None], (len(times), 3, 3, count)))
 
 
 def test_singular_covariances_are_met_on_their_range():
-    """Errors u c with covariance u uᵀ have the square c², whatever rounding does to u uᵀ."""
-    rng = np.random.default_rng(0)
-    u = rng.standard_normal((3, 50)) * np.array([[1.0], [1e3], [1e-3]])
-    c = rng.standard_normal(50)
-    cov = np.einsum("iN,jN->ijN", u, u)[None]
-    error = (u * c)[None]
-    for turn in range(20):
-        noise = 1 + 1e-16 * rng.standard_normal((3, 3, 50)) * turn
-        noise = 0.5 * (noise + np.swapaxes(noise, 0, 1))
-        squares, freedom = mahalanobis(error, cov * noise)
-        np.testing.assert_allclose(squares[0], c**2, rtol=1e-9)
-    assert freedom == 3
+    """Errors u c with covariance u u' have the square c^2, in units that are far apart."""
+    u = np.array([1.3, -1e3, 1e-3])
+    state = sympy.symbols("a:3", real=True)
+    still = StochasticMap(state, list(state))
+    system = Recorded(
+        DiscreteSystem(
+            still, StochasticMap(state, [state[0] + v], Noise([v])), np.zeros(3), np.outer(u, u)
+        )
+    )
+    found = evaluate(Claims(np.outer(u, u)), system, [0, 1], 300, 1, consistency=True)
+    squares = (system.all("states")[:, 0] / u[0]) ** 2
+    np.testing.assert_allclose(found.nees, squares.mean(axis=1), rtol=1e-6)
+    assert found.nis is None
+    certain = evaluate(Claims(np.diag([4.0, 0.0, 0.0])), system, [0, 1], 300, 1, consistency=True)
+    squares = system.all("states")[0, 0, 300:] ** 2 / 4.0
+    assert certain.nees[0] == pytest.approx(squares.mean())
+    nothing = evaluate(Claims(), system, [0, 1], 300, 1, consistency=True)
+    assert nothing.nees is None
+    assert nothing.nees_ratio is None
+    assert nothing.coverage is None
 
 
-def test_regular_and_unknown_ones_stand_side_by_side():
-    rng = np.random.default_rng(1)
-    half = rng.standard_normal((2, 2))
-    cov = np.stack([half @ half.T, np.full((2, 2), np.nan), np.zeros((2, 2))], axis=-1)[None]
-    error = rng.standard_normal((1, 2, 3))
-    squares, _ = mahalanobis(error, cov)
-    right = error[0, :, 0] @ np.linalg.inv(half @ half.T) @ error[0, :, 0]
-    np.testing.assert_allclose(squares[0, 0], right, rtol=1e-10)
-    assert np.isnan(squares[0, 1])
-    assert squares[0, 2] == 0.0
+@pytest.mark.filterwarnings("ignore:measurements. 500 of 1000 records have gaps")
+def test_measures_leave_out_what_a_designed_filter_does_not_know():
+    """Every second path loses a measurement: means and ratio of the others, with their counts."""
+
+    def fail(made):
+        made.measurements[2, :, ::2] = np.nan
+
+    system, times = Recorded(walk(), fail), np.arange(6.0)
+    designed = synthesize(walk(), Memory(1), ExactGaussian(), times, paths=4000, seed=1)
+    filters = {"designed": designed, "kalman": extended_kalman(walk())}
+    with pytest.warns(UserWarning, match="nees of 'designed' is known on 500 of 1000"):
+        found = compare(filters, system, times, 1000, 3, consistency=True)
+    row, kalman_row = found["designed"], found["kalman"]
+    run = designed.run(times, system.all("measurements"), covariances=True)
+    squares = (run.mean - system.all("states"))[:, 0] ** 2 / run.cov[:, 0, 0]
+    known = ~np.isnan(squares)
+    assert known[:2].all()
+    np.testing.assert_array_equal(known[2:].sum(axis=1), 500)
+    np.testing.assert_allclose(row.nees, np.nanmean(squares, axis=1), rtol=1e-10)
+    wanted = ratio(np.nansum(squares, axis=0), known.sum(axis=0))
+    assert row.nees_ratio == pytest.approx(wanted[0], rel=1e-10)
+    assert row.nees_ratio_error == pytest.approx(wanted[1], rel=1e-8)
+    assert abs(row.nees_ratio - 1) < 5 * row.nees_ratio_error
+    for bound, p in zip(row.nees_bounds, (0.025, 0.975), strict=True):
+        count = known.sum(axis=1)
+        np.testing.assert_allclose(bound, chi2.ppf(p, count) / count, rtol=1e-9)
+    assert np.isfinite(kalman_row.nees).all()
+    inside = np.abs(run.mean - system.all("states")) <= norm.ppf(0.975) * np.sqrt(run.cov[:, 0])
+    np.testing.assert_allclose(row.coverage[:, 0], (inside[:, 0] & known).sum(axis=1) / count)

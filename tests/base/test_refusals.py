@@ -1,0 +1,169 @@
+"""What every package refuses alike: symbols of two meanings, text, masks, what has no room."""
+
+import logging
+import os
+import stat
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from seedslib import zoo
+from seedslib.base import Axis, Nodes, correct, interpolate
+from seedslib.commands.cli import main
+from seedslib.design import synthesize
+from seedslib.designed import Memory, load, save
+from seedslib.filters import ParticleFilter, extended_kalman
+from seedslib.gaussian import expectation, expectation_function
+from seedslib.linearization import Moments, Taylor
+from seedslib.models import FellerChain, JumpDiffusion, Noise, StochasticMap
+from seedslib.two_step import LinearDiffusion
+
+X, V, K = sp.symbols("x v k")
+AXIS, MANY = Axis(0.0, 1.0, 3), 10**14
+LINEAR = zoo.linear_gaussian()
+HIDDEN = np.ma.array([1.0, 2.0], mask=[False, True])
+
+
+def flow(drift=-X, **options):
+    return JumpDiffusion([X], [drift], [[1]], [X + V], Noise([V]), [0], [[1]], **options)
+
+
+def corrected(**changes):
+    moments = {"m_mean": np.zeros(3), "cross": np.ones((2, 3)), "m_cov": np.eye(3)}
+    plain = {"mean": np.zeros(2), "cov": np.eye(2), "y": np.zeros(3)}
+    for name, part in changes.items():
+        (moments if name in moments else plain)[name] = part
+    return correct(**plain, moments=Moments(*moments.values()))
+
+
+ROWS = [
+    (lambda: corrected(mean=0.0), ValueError, "mean"),
+    (lambda: corrected(mean=[1j, 0]), TypeError, "mean"),
+    (lambda: corrected(mean=HIDDEN), TypeError, "mean"),
+    (lambda: corrected(cov=np.eye(3)), ValueError, "cov"),
+    (lambda: corrected(y=[0.0, np.inf, 0.0]), ValueError, "y"),
+    (lambda: corrected(y=[0.0]), ValueError, "y"),
+    (lambda: corrected(y=0.0), ValueError, "y"),
+    (lambda: corrected(y=[[0.0], [0.0, 1.0]]), TypeError, "y"),
+    (lambda: corrected(cross=np.ones((3, 2))), ValueError, "moments.cross"),
+    (lambda: corrected(m_cov=np.eye(2)), ValueError, "moments.cov"),
+    (lambda: corrected(m_mean=np.zeros(3, bool)), TypeError, "moments.mean"),
+    (lambda: corrected(rows=3), ValueError, "rows"),
+    (lambda: corrected(rows=1.5), ValueError, "rows"),
+    (lambda: corrected(rows=True), ValueError, "rows"),
+    (lambda: Axis(0, 1, 1), ValueError, "count"),
+    (lambda: Axis(0, 1, True), TypeError, "count"),
+    (lambda: Axis(1, 0, 5), ValueError, "low, high"),
+    (lambda: Axis("a", 1, 5), TypeError, "low, high"),
+    (lambda: Nodes([1.0, 0.0]), ValueError, "nodes"),
+    (lambda: Nodes([0.0, 1.0], [1.0, -1.0]), ValueError, "weights"),
+    (lambda: interpolate(np.zeros((1, 4)), [AXIS], [0.5]), ValueError, "table"),
+    (lambda: interpolate(np.full((1, 3), np.nan), [AXIS], [0.5]), ValueError, "table"),
+    (lambda: interpolate(np.zeros((1, 3)), [AXIS], []), ValueError, "points"),
+    (lambda: FellerChain(flow(), [AXIS]), TypeError, "axis"),
+    (lambda: Noise([V], HIDDEN[1:]), TypeError, "mean"),
+    (lambda: Noise([V, K], cov=[[1, 0.5], [0.4, 1]]), ValueError, "cov"),
+    (lambda: LinearDiffusion(-np.eye(2), np.eye(2), np.eye(2), np.eye(3), [0, 0], np.eye(2)),
+     ValueError, "sensor"),
+    (lambda: flow(K * X), ValueError, "drift"),
+    (lambda: flow(sp.Symbol("t", real=True)), ValueError, "drift"),
+    (lambda: flow(sp.nan), ValueError, "drift"),
+    (lambda: flow(sp.I * X), ValueError, "drift"),
+    (lambda: flow(sp.Integer(10) ** 400), ValueError, "drift"),
+    (lambda: flow(sp.exp(1000) * X).drift(0.0, np.ones((1, 2))), ValueError, "expressions"),
+    (lambda: flow(sp.Integral(sp.exp(K), (K, 0, X))), ValueError, "drift"),
+    (lambda: flow(sp.Function("f")(X)), ValueError, "drift"),
+    (lambda: flow(parameters={K: "2"}), TypeError, "parameters"),
+    (lambda: flow(time="t"), TypeError, "time"),
+    (lambda: expectation_function(X, [X, X]), ValueError, "variables"),
+    (lambda: LINEAR.simulate([0.0, np.datetime64("2020-01-01")], 1, 1), TypeError, "times"),
+    (lambda: LINEAR.simulate([-1.0, 0.0], 1, 1), ValueError, "times"),
+    (lambda: LINEAR.simulate([[0.0, 1.0]], 1, 1), ValueError, "times"),
+    (lambda: LINEAR.simulate([0.0, 1.0], MANY, 1), ValueError, "paths"),
+    (lambda: LINEAR.simulate([0.0, 1e12], 1, 1), ValueError, "times"),
+    (lambda: extended_kalman(LINEAR).run([0.0, 1e12], np.zeros((2, 1))), ValueError, "times"),
+    (lambda: ParticleFilter(LINEAR, MANY), ValueError, "particles"),
+    (lambda: FellerChain(flow(), (-3.0, 3.0, MANY)), ValueError, "axis"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("call", "error", "name"), ROWS)
+def test_wrong_arguments_are_refused_by_name(call, error, name):
+    with pytest.raises(error, match=f"^{name}"):
+        call()
+
+
+@pytest.mark.parametrize(
+    "use",
+    [
+        lambda text: flow(text),
+        lambda text: flow(parameters={text: 1}),
+        lambda text: StochasticMap((text,), [X]),
+        lambda text: StochasticMap((X,), [X], weight=text),
+        lambda text: Noise(text),
+        lambda text: expectation(text, [X], [0], sp.eye(1)),
+        lambda text: expectation(X, [X], [text], sp.eye(1)),
+    ],
+)
+def test_no_string_is_run(use, tmp_path):
+    """The text would make a file if anything evaluated it."""
+    proof = tmp_path / "run"
+    with pytest.raises(TypeError):
+        use(f"__import__('pathlib').Path({str(proof)!r}).touch()")
+    assert not proof.exists()
+
+
+def test_a_masked_measurement_is_a_missing_one():
+    y = np.ma.masked_equal(np.array([[1], [-9], [2]]), -9)
+    wanted = extended_kalman(LINEAR).run(range(3), [[1.0], [np.nan], [2.0]])
+    np.testing.assert_array_equal(extended_kalman(LINEAR).run(range(3), y).mean, wanted.mean)
+
+
+# Files and logs
+
+
+def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
+    """What fails on the way leaves the old design; a link stays one, and so do permissions."""
+    designs = [
+        synthesize(LINEAR, Memory(k), Taylor(), range(3), exact_moments=True, nodes=0)
+        for k in (1, 2)
+    ]
+    path, link = tmp_path / "f.npz", tmp_path / "link.npz"
+    save(designs[0], path)
+    path.chmod(0o604)
+    link.symlink_to(path.name)
+    old = path.read_bytes()
+
+    def full(*_):
+        raise OSError(28, "No space left on device")
+
+    with monkeypatch.context() as disk:
+        disk.setattr(os, "fsync", full)
+        with pytest.raises(OSError, match="No space left"):
+            save(designs[1], path)
+    assert path.read_bytes() == old
+    assert sorted(os.listdir(tmp_path)) == ["f.npz", "link.npz"]
+    save(designs[1], link)
+    assert link.is_symlink()
+    assert stat.S_IMODE(path.stat().st_mode) == 0o604
+    assert load(path, LINEAR).order == designs[1].order
+    with pytest.raises(FileNotFoundError):
+        save(designs[0], tmp_path / "none" / "f.npz")
+
+
+def test_long_work_is_told_to_who_listens(caplog, tmp_path, monkeypatch, capsys):
+    def work():
+        return synthesize(LINEAR, Memory(1), Taylor(), range(4), paths=300, seed=1)
+
+    quiet = work()
+    assert not caplog.records
+    with caplog.at_level(logging.INFO, logger="seedslib"):
+        told = work()
+    assert "all 3 steps" in caplog.records[-1].getMessage()
+    np.testing.assert_array_equal(quiet.predicted.rms, told.predicted.rms)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "m.py").write_text("from seedslib import zoo\nsystem = zoo.linear_gaussian()\n")
+    words = ["design", "m.py", "--memory", "estimates=1", "--times", "0:2:1", "--paths", "300"]
+    assert main([*words, "--nodes", "0", "--out", "f.npz", "--verbose"]) == 0
+    assert "steps in" in capsys.readouterr().err
