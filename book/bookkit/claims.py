@@ -45,8 +45,9 @@ class Claim(BaseModel):
 
     `printed` are numbers that can be read in the paper; `reference` those of a second route of
     ours, which the file `source` computes or holds. `because` is the sentence that says why a
-    tolerance is wider than the last printed digit, or what an open claim lacks; `reading` what
-    we had to assume where the paper does not say it.
+    tolerance is wider than the last printed digit, by which route a reference without a file was
+    found, or what an open claim lacks; `reading` what we had to assume where the paper does not
+    say it.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -58,10 +59,9 @@ class Claim(BaseModel):
     reading: str = ""
     kind: Literal["identity", "number", "figure", "qualitative"]
     notebook: Annotated[str, Field(pattern=r"^notebooks/\w+\.md$")]
-    tests: list[Annotated[str, Field(pattern=r"^tests/[\w/]+\.py(::\w+){1,2}$")]]
     printed: Numbers = None
     reference: Numbers = None
-    source: Annotated[str, Field(pattern=r"^(benchmarks|tests)/[\w/]+\.(py|csv)$")] | None = None
+    source: Annotated[str, Field(pattern=r"^benchmarks/[\w/]+\.(py|csv)$")] | None = None
     tolerance: Numbers = None
     because: str = ""
     printed_formula: str | None = None
@@ -88,8 +88,8 @@ class Claim(BaseModel):
             found.append("printed numbers are a paper's; ours are a reference")
         if self.printed is not None and self.reference is not None:
             found.append("printed and reference: wanted one of them")
-        if self.reference is not None and self.source is None:
-            found.append("a reference wants its source")
+        if self.reference is not None and not (self.source or self.because):
+            found.append("a reference wants its source or a because")
         if (self.tolerance is None) != (self.expected is None):
             found.append("numbers and a tolerance want each other")
         elif len(self.widths) != len(self.expected or ()):
@@ -103,8 +103,6 @@ class Claim(BaseModel):
             found.append("corrected wants what is printed and what is right")
         if self.verdict == "open" and not self.because:
             found.append("open wants a because: what is missing")
-        if self.verdict != "open" and not self.tests:
-            found.append("wanted at least one test")
         return found
 
 

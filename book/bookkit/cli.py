@@ -145,7 +145,7 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("--points", type=int, default=10_000, help="at most so many (10000)")
     sweep.set_defaults(run=_sweep)
 
-    claims = commands.add_parser("claims", help="hold the ledger against notebooks and tests")
+    claims = commands.add_parser("claims", help="hold the ledger against the notebooks")
     claims.set_defaults(run=_claims)
 
     pages = commands.add_parser("pages", help="write claims, places and reference as pages")

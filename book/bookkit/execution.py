@@ -181,7 +181,7 @@ def _inputs(source: Path) -> Callable[[Iterable[str]], str]:
     contents = fingerprint.library_contents()
     names = [fingerprint.LOCK, *_declared(_read(source))]
     files = fingerprint.file_digest(_root(source), names)
-    claims = [c.model_dump_json(exclude={"tests", "verdict", "kind"}) for c in _claims(source)]
+    claims = [c.model_dump_json(exclude={"verdict", "kind"}) for c in _claims(source)]
 
     def hashed(library: Iterable[str]) -> str:
         used = fingerprint.library_digest(library, contents)

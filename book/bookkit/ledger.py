@@ -1,15 +1,13 @@
 """The ledger of claims: what the papers say, what was found, and where it is checked.
 
-A verdict stands in the ledger and is computed by a notebook; `faults` says where the two, or
-the tests named for them, do not fit.
+A verdict stands in the ledger and is computed by a notebook, which says as well with which
+planted faults it would come out otherwise; `faults` says where the two do not fit.
 """
 
 from __future__ import annotations
 
-import ast
 import json
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path
 
 from bookkit.claims import LEDGER, Claim, read_ledger
@@ -17,7 +15,7 @@ from bookkit.recording import Records, read_records
 
 
 def faults(root: Path) -> list[str]:
-    """Everything that does not fit between the ledger, the notebooks and the tests.
+    """Everything that does not fit between the ledger and the notebooks.
 
     Parameters
     ----------
@@ -39,7 +37,6 @@ def faults(root: Path) -> list[str]:
             found.append(f"{home}, recorded by {', '.join(places)}")
         else:
             found += _disagreements(claim, places[claim.notebook])
-        found += [f"{claim.id}: no test {t}" for t in claim.tests if not _test_exists(root, t)]
     known = {claim.id for claim in claims}
     found += [
         f"{name}: recorded by {', '.join(places)}, but not in the ledger"
@@ -84,29 +81,3 @@ def _disagreements(claim: Claim, entry: dict) -> Iterable[str]:
         yield f"{claim.id}: true as well with this fault: {fault}"
     if claim.verdict == "refuted" and not (entry.get("computed") or entry["note"]):
         yield f"{claim.id}: refuted wants our numbers, or what shows it"
-
-
-def _test_exists(root: Path, node: str) -> bool:
-    """Whether pytest would collect a test of this name: a helper or a fixture is none."""
-    path, *names = node.split("::")
-    file = root / path
-    if not file.is_file() or not file.name.startswith("test_"):
-        return False
-    return "::".join(names) in _tests(file.read_text(encoding="utf-8"))
-
-
-@cache
-def _tests(text: str) -> frozenset[str]:
-    """Names of the tests in the text of a file, of which many claims may name one."""
-    try:
-        return frozenset(_collected(ast.parse(text).body))
-    except SyntaxError:
-        return frozenset()
-
-
-def _collected(body: Iterable[ast.stmt], within: str = "") -> Iterable[str]:
-    for node in body:
-        if isinstance(node, ast.FunctionDef) and node.name.startswith("test"):
-            yield within + node.name
-        elif isinstance(node, ast.ClassDef) and node.name.startswith("Test"):
-            yield from _collected(node.body, f"{within}{node.name}::")
