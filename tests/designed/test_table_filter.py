@@ -1,0 +1,353 @@
+"""Filters of tables: what is looked up, remembered, claimed, forecast and left out."""
+
+from contextlib import nullcontext
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import sympy
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.interpolate import RegularGridInterpolator
+
+from seedslib import zoo
+from seedslib.base import Axis
+from seedslib.design import (
+    BoundedPolynomial,
+    grid_synthesis,
+    minimax_synthesis,
+    simulated_synthesis,
+)
+from seedslib.designed import Memory, MinimaxFilter, TableFilter, finite_memory, large_order
+from seedslib.filters import KalmanFilter
+from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
+
+TIMES = 0.25 * np.arange(5)
+FLIP = {"x": (-3.5, 3.5, 71), "z": (-2.5, 2.5, 51), "y": (-8.0, 8.0, 49)}
+MODES = {"x": (-8, 8, 41), "z": (-6, 6, 31), "y": (-16, 18, 35)}
+HINTED = {"x": (-6, 6, 31), "z": (-4, 4, 21), "y": (-7, 11, 31)}
+
+
+def looked_up(table, points):
+    """Multilinear between the nodes and constant beyond them, by SciPy; (., N) of each part."""
+    if not table.axes:
+        mode, prob = table.mode, table.prob
+        return table.estimate[:, None], mode, None if prob is None else prob[:, None]
+    axes = [
+        np.arange(a.count) if not isinstance(a, Axis) else np.linspace(a.low, a.high, a.count)
+        for a in table.axes
+    ]
+    points = np.broadcast_arrays(*points)
+    inside = [np.clip(p, axis[0], axis[-1]) for p, axis in zip(points, axes, strict=True)]
+    inside = np.stack(inside, axis=-1)
+
+    def value(part, method="linear"):
+        return RegularGridInterpolator(axes, part, method)(inside)
+
+    mean = np.stack([value(part) for part in table.estimate])
+    mode = None if table.mode is None else value(table.mode.astype(float), "nearest")
+    prob = None if table.prob is None else np.stack([value(part) for part in table.prob])
+    return mean, mode, prob
+
+
+CASES = {
+    "large order": (lambda: zoo.flip_process(), large_order(2), FLIP | {"nodes": 2}),
+    "finite memory": (lambda: zoo.flip_process(), finite_memory(1), FLIP | {"nodes": 1}),
+    "modes": (lambda: zoo.scalar_switching("A1H"), Memory(2), MODES | {"z": (-6, 6, 9)}),
+    "indicator": (lambda: zoo.dependent_switching(), Memory(1, 0, 1), HINTED),
+    "indicator that is forgotten": (lambda: zoo.dependent_switching(), Memory(1), HINTED),
+    "measurements with an indicator": (lambda: zoo.dependent_switching(), Memory(0, 1, 1), HINTED),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def table(request):
+    make, memory, options = CASES[request.param]
+    system = make()
+    times = TIMES if hasattr(system, "drift") else 2.0 + np.arange(4)
+    if not hasattr(system, "drift"):
+        options = options | {"probabilities": True}
+    return grid_synthesis(system, memory, times, **options)
+
+
+def recorded(filter, paths=12):
+    data = filter.system.simulate(filter.times, paths, 3)
+    y, shown = np.array(data.measurements), data.indicators
+    return y, None if shown is None else np.array(shown)
+
+
+def by_hand(filter, y, shown):
+    """Estimates, modes and probabilities of a batch (K + 1, 1, N), NaN and -1 where missing."""
+    memory, blocks, found = filter.memory, [], []
+    values = filter.system.indicators
+    for k, step in enumerate(filter.steps):
+        told = [] if shown is None else [np.where(shown[k] < 0, values, shown[k])]
+        past = []
+        for z, mode, seen, measured in blocks[: max(memory.estimates, memory.measurements)]:
+            past += [mode] if mode is not None and memory.estimates else []
+            past += [seen] if memory.indicators else []
+            past += [z] if memory.estimates else [measured]
+        there, blind = ~np.isnan(y[k, 0]), looked_up(step.blind, [*told, *past])
+        seen = looked_up(step.shown, [*told, np.nan_to_num(y[k, 0]), *past])
+        row = [None if a is None else np.where(there, a, b)
+               for a, b in zip(seen, blind, strict=True)]  # fmt: skip
+        found.append(row)
+        blocks.insert(0, (row[0][0], row[1], None if shown is None else shown[k], y[k, 0]))
+    return found
+
+
+def test_run_is_the_tables_looked_up(table):
+    """And the steps are the run; alone, in a batch, in a grid, in threads."""
+    y, shown = recorded(table)
+    if not table.memory.measurements:
+        y[2, :, 4] = y[0, :, 5] = np.nan
+    if shown is not None and not table.memory.indicators:
+        shown[1, 6] = shown[2, 4] = -1
+    gaps = (~np.isfinite(y[:, 0])) | (False if shown is None else shown < 0)
+    given = {} if shown is None else {"indicators": shown}
+    if gaps.any():
+        with pytest.warns(UserWarning, match=f"{gaps.any(axis=0).sum()} of 12 records have gaps"):
+            found = table.run(table.times, y, covariances=True, **given)
+    else:
+        found = table.run(table.times, y, covariances=True, **given)
+    state, one = table.initial((12,)), table.initial()
+    lost = np.logical_or.accumulate(gaps)
+    for k, (mean, mode, prob) in enumerate(by_hand(table, y, shown)):
+        assert_allclose(found.mean[k], mean, atol=1e-9)
+        if mode is not None:
+            assert_array_equal(found.modes[k], mode)
+            assert_allclose(found.mode_prob[k], prob, atol=1e-9)
+        ahead = table.predict(state, table.times[k])
+        told = None if shown is None else shown[k]
+        state = table.correct(ahead, y[k], told)
+        one = table.step(one, table.times[k], y[k, :, 4], None if shown is None else shown[k, 4])
+        assert_array_equal(state.mean, found.mean[k])
+        assert_allclose(one.mean, found.mean[k, :, 4], rtol=1e-12)
+        wanted = np.where(lost[k], np.nan, table.covariances[k, 0, 0])
+        assert_array_equal(np.broadcast_to(state.cov, (1, 1, 12))[0, 0], wanted)
+        assert_array_equal(
+            np.broadcast_to(found.cov[k].reshape(1, 1, -1), (1, 1, 12))[0, 0], wanted
+        )
+        if k and mode is not None:
+            assert_array_equal(ahead.mode_prob.shape, (2, 12))
+            assert_array_equal(state.mode, found.modes[k])
+    assert found.loglik is None
+    assert not found.diverged.any()
+    plane = {name: part.reshape(-1, 3, 4) for name, part in given.items()}
+    alone = {name: part[:, 2] for name, part in given.items()}
+    shaped = y.reshape(len(y), 1, 3, 4)
+    with pytest.warns(UserWarning, match="gaps") if gaps.any() else nullcontext():
+        whole = table.run(table.times, shaped, workers=2, covariances=True, **plane)
+    assert_array_equal(whole.mean.reshape(found.mean.shape), found.mean)
+    single = table.run(table.times, y[..., 2], covariances=True, **alone)
+    assert_allclose(single.mean, found.mean[..., 2], rtol=1e-12)
+    assert single.cov.shape == (len(y), 1, 1)
+
+
+def test_tables_are_constant_beyond_their_axes(table):
+    y, shown = np.full((len(table.times), 1, 4), 0.5), None
+    y[-1, 0] = [-50.0, -1e9, 50.0, 1e9]
+    if table.system.indicators:
+        shown = np.zeros((len(y), 4), dtype=int)
+    given = {} if shown is None else {"indicators": shown}
+    last = table.run(table.times, y, **given).mean[-1, 0]
+    assert last[0] == last[1]
+    assert last[2] == last[3]
+
+
+def test_order_change_and_size_of_tables(table):
+    memory = table.memory
+    numbers = memory.estimates + memory.measurements
+    modes = memory.estimates * (getattr(table.system, "modes", 0) > 0)
+    assert table.order == numbers + modes + memory.indicators
+    moved, wrong = table.change
+    error = np.sqrt(table.covariances[-1, 0, 0])
+    assert_allclose([moved, wrong], [table.changes[0, -1] / error, table.changes[1, -1]])
+    tables = [each for row in (*table.steps, *table.node_fits) for each in row]
+    parts = [part for each in tables for part in each[1:] if part is not None]
+    assert table.bytes == sum(part.nbytes for part in parts)
+    assert isinstance(table, TableFilter)
+    some = table.taking([0, 1])
+    assert_array_equal(some.predicted.rms[0], table.predicted.rms[0])
+    assert_array_equal(some.changes, table.changes[:, :2])
+    assert np.isnan(replace(table, changes=None).change).all()
+
+
+def test_missing_measurement_leaves_the_conditional_mean():
+    """Against the mean over simulated paths whose first measurement was nearly the same."""
+    system = zoo.scalar_switching("A1H")
+    axes = {"x": (-8, 8, 81), "z": (-6, 6, 61), "y": (-16, 18, 69)}
+    filter = grid_synthesis(system, large_order(1), [0, 1], **axes, probabilities=True)
+    data = system.simulate([0, 1], 100_000, 3)
+    first = data.measurements[0, 0]
+    for low, high in ((-2.2, -1.8), (3.8, 4.2)):
+        same = (first > low) & (first < high)
+        shown = data.measurements[..., same].copy()
+        shown[1] = np.nan
+        found = filter.run([0, 1], shown)
+        states, forecast = data.states[1, 0, same], found.mean[1, 0]
+        assert abs(states.mean() - forecast.mean()) < 4 * states.std() / same.sum() ** 0.5
+        rate, share = (data.modes[1, same] == 1).mean(), found.mode_prob[1, 1].mean()
+        assert abs(rate - share) < 4 * (rate * (1 - rate) / same.sum()) ** 0.5
+
+
+def test_missing_pieces_cost_what_they_tell():
+    """Each estimate is a conditional mean: its error is orthogonal to it; each piece helps."""
+    system = zoo.dependent_switching()
+    filter = grid_synthesis(system, large_order(1), [0.0, 1.0], **HINTED)
+    data = system.simulate([0.0, 1.0], 50_000, 4)
+    found = {}
+    for name in ("both", "measurement", "indicator", "neither"):
+        y, told = data.measurements.copy(), data.indicators.copy()
+        if name in ("indicator", "neither"):
+            y[1] = np.nan
+        if name in ("measurement", "neither"):
+            told[1] = -1
+        run = filter.run([0.0, 1.0], y, indicators=told)
+        error = (data.states - run.mean)[1, 0]
+        for part in (1.0, run.mean[1, 0], run.modes[0] == 1):
+            off = error * part
+            assert abs(off.mean()) < 4 * off.std() / 50_000**0.5 + 2e-3
+        found[name] = (error**2).mean(), (run.modes != data.modes)[1].mean()
+    for better, worse in (
+        ("both", "measurement"), ("both", "indicator"), ("indicator", "neither"),
+        ("measurement", "neither"),
+    ):  # fmt: skip
+        assert found[better][0] < 0.99 * found[worse][0]
+        assert found[better][1] < found[worse][1]
+
+
+def test_forecasts_go_by_the_nodes_to_the_next_measurement():
+    filter = grid_synthesis(zoo.flip_process(), large_order(1), TIMES, **FLIP, nodes=2)
+    y = filter.system.simulate(TIMES, 7, 3).measurements
+    state = filter.initial((7,))
+    for k in range(2):
+        state = filter.step(state, TIMES[k], y[k])
+    z, (one, two) = state.mean[0], filter.node_times[1]
+    inside = [looked_up(table, [z])[0] for table in filter.node_fits[1]]
+    end = looked_up(filter.steps[2].blind, [z])[0]
+    assert_allclose(filter.predict(state, 0.5).mean, end, atol=1e-12)
+    for now, wanted in (
+        (0.25, state.mean),
+        (one, inside[0]),
+        ((one + two) / 2, (inside[0] + inside[1]) / 2),
+        ((two + 0.5) / 2, (inside[1] + end) / 2),
+        (0.5, end),
+    ):
+        assert_allclose(filter.forecast(state, now).mean, wanted, atol=1e-9)
+    assert_allclose(filter.forecast(state, one, "constant").mean, state.mean)
+    times = np.array([*TIMES[:2], one, *TIMES[2:]])
+    found = filter.run(times, np.insert(y, 2, np.nan, axis=0), covariances=True)
+    assert_allclose(found.mean[2], inside[0], atol=1e-9)
+    assert np.isnan(found.cov[2]).all()
+    assert_array_equal(np.delete(found.mean, 2, axis=0), filter.run(TIMES, y).mean)
+    # after the design its last step serves all
+    lasting = replace(filter, cycle=1)
+    assert (filter.horizon, lasting.horizon) == (1.0, np.inf)
+    longer = np.array([*TIMES, 1.0 + one - 0.25, 1.25, 1.5])
+    more = np.concatenate([y, np.full((1, 1, 7), np.nan), y[:2]])
+    run = lasting.run(longer, more, covariances=True)
+    last = filter.steps[-1].shown
+    assert_allclose(run.mean[6], looked_up(last, [y[0, 0], run.mean[4, 0]])[0], atol=1e-9)
+    assert_allclose(run.mean[7], looked_up(last, [y[1, 0], run.mean[6, 0]])[0], atol=1e-9)
+    node = looked_up(filter.node_fits[-1][0], [run.mean[4, 0]])[0]
+    assert_allclose(run.mean[5], node, atol=1e-9)
+    assert_array_equal(run.cov[[4, 6, 7]], filter.covariances[[4, 4, 4]])
+
+
+def test_tables_of_several_components_see_a_measurement_as_a_whole():
+    """Functions of two measurements and two estimates; by regression on paths."""
+    filter = simulated_synthesis(
+        zoo.van_der_pol(), large_order(1), [0.0, 0.5], paths=500, seed=1, nodes=0,
+        z=[(-4, 4, 9), (-5, 5, 7)], y=[(-3, 14, 9), (-8, 8, 6)],
+    )  # fmt: skip
+    y = np.random.default_rng(1).normal(size=(2, 2, 5))
+    found = filter.run([0.0, 0.5], y).mean
+    assert found.shape == (2, 2, 5)
+    assert_allclose(found[1], looked_up(filter.steps[1].shown, [*y[1], *found[0]])[0], atol=1e-10)
+    assert_array_equal(filter.output(1, y[1], found[0]).mean, found[1])
+    assert_allclose(filter.run([0.0], np.full((1, 2), np.nan)).mean[0], [2.0, 0.0], atol=1e-12)
+
+
+# Conditionally minimax filters
+
+
+def cubic_sensor():
+    a, b, c = sympy.symbols("a b c", real=True)
+    return DiscreteSystem(
+        StochasticMap((a,), [a / (1 + a**2) + b], Noise((b,))),
+        StochasticMap((a,), [a**3 + a + c], Noise((c,))), [0.1], [[1.16]],
+    )  # fmt: skip
+
+
+def root(t, forecast, y):
+    """The cube root less the prediction, and the residual in units of the sensor's slope."""
+    scaled = (y - forecast**3 - forecast) / (1 + 3 * forecast**2)
+    return np.concatenate([np.cbrt(y) - forecast, scaled])
+
+
+@pytest.mark.parametrize("correction", [None, root, BoundedPolynomial(2)])
+def test_minimax_filter_is_its_regressions_written_out(correction):
+    """Of two estimates and a measurement: each estimate moved to the present by the dynamics."""
+    system, times = cubic_sensor(), np.arange(5.0)
+    filter = minimax_synthesis(
+        system, Memory(2, 1), times, paths=600, seed=3, correction=correction
+    )
+    assert isinstance(filter, MinimaxFilter)
+    y = system.simulate(times, 20, 4).measurements
+    y[3, 0, 7] = 1e6
+    z, found = [], filter.run(times, y).mean[:, 0]
+    for k, fit in enumerate(filter.fits):
+        ahead = np.full(20, 0.1)
+        xi = np.empty((0, 20))
+        if k:
+            moved = z[0] / (1 + z[0] ** 2)
+            xi = [moved]
+            if k > 1:
+                older = z[1] / (1 + z[1] ** 2)
+                xi.append(older / (1 + older**2))
+            xi = np.array([*xi, y[k - 1, 0]])
+            ahead = fit.forecast.gain[0] @ xi + fit.forecast.offset[0]
+        if correction is None:
+            zeta = (y[k, 0] - ahead**3 - ahead)[None]
+        elif correction is root:
+            zeta = root(times[k], ahead[None], y[k])
+        else:
+            powers = fit.bounded.powers.mean(np.concatenate([xi, y[k]]))[0]
+            zeta = np.stack([ahead, y[k, 0], np.clip(powers, *fit.bounded.values[:, 0])])
+        mean = ahead + fit.correction.gain[0] @ zeta + fit.correction.offset[0]
+        if isinstance(correction, BoundedPolynomial):
+            mean = np.clip(mean, *fit.bounded.states[:, 0])
+        assert_allclose(found[k], mean, rtol=1e-9, atol=1e-11)
+        z.insert(0, mean)
+    state, missing = filter.initial((20,)), y.copy()
+    for k in range(2):
+        state = filter.step(state, times[k], y[k])
+    gain = filter.fits[2].forecast.gain[0]
+    one, two = found[1] / (1 + found[1] ** 2), found[0] / (1 + found[0] ** 2)
+    wanted = gain @ [one, two / (1 + two**2), y[1, 0]] + filter.fits[2].forecast.offset[0]
+    assert_allclose(filter.predict(state, 2.0).mean[0], wanted, rtol=1e-9)
+    missing[2] = np.nan
+    with pytest.raises(ValueError, match=r"^y"):
+        filter.run(times, missing)
+
+
+def test_minimax_filter_of_a_linear_system_is_near_the_kalman_filter():
+    linear = LinearSystem(
+        [[1.0, 0.5], [0.0, 0.9]], np.diag([0.1, 0.4]), [[1, 0]], 0.5, [0, 0], np.eye(2)
+    )
+    a, b, p, q, r = sympy.symbols("a b p q r", real=True)
+    noise = Noise((p, q), cov=np.diag([0.1, 0.4]))
+    system = DiscreteSystem(
+        StochasticMap((a, b), [a + b / 2 + p, 0.9 * b + q], noise),
+        StochasticMap((a, b), [a + r], Noise((r,), cov=[[0.5]])), [0, 0], np.eye(2),
+    )  # fmt: skip
+    times = np.arange(8.0)
+    made = minimax_synthesis(system, Memory(1), times, paths=50_000, seed=2)
+    y = linear.simulate(times, 200, 5).measurements
+    wanted, found = KalmanFilter(linear).run(times, y), made.run(times, y, covariances=True)
+    assert np.sqrt(np.mean((found.mean - wanted.mean) ** 2)) < 0.01
+    assert_allclose(found.cov, wanted.cov, atol=0.02)
+    y[4, :, 1] = np.nan
+    with pytest.warns(UserWarning, match="1 of 200 records have gaps"):
+        gap = made.run(times, y, covariances=True).mean
+    assert_allclose(gap[4, :, 1], KalmanFilter(linear).run(times, y).mean[4, :, 1], atol=0.05)
