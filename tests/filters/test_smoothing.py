@@ -138,7 +138,7 @@ def test_smoothing_with_jumps_equals_the_backward_recursion():
     sensor = Linear(None, None, None, *model.sensor(TIMES, push), model.mean0, model.cov0)
     forward = kalman(sensor, y, lambda k, m, P: moments(model, *TIMES[k : k + 2], m, P, push[k]))
     F = discretised(model, TIMES, push).F
-    smoothed = smooth(assumed_density(continuous_system(step=0.05)), TIMES, y, inputs={U: push})
+    smoothed = smooth(assumed_density(continuous_system(step=0.025)), TIMES, y, inputs={U: push})
     mean, cov = forward.mean[-1], forward.cov[-1]
     for k in range(5, -1, -1):
         gain = np.linalg.solve(forward.predicted_cov[k + 1], F[k] @ forward.cov[k]).T

@@ -1,0 +1,346 @@
+"""The Bayes filter on nodes against exact filters, sums over histories and literal sums."""
+
+import warnings
+
+import numpy as np
+import pytest
+import sympy
+from scipy.stats import norm
+
+from oracles.linear import Linear, Regression, Switching, histories
+from seedslib.base import ELAPSED, Input, Nodes, assigned
+from seedslib.filters import GridBayesFilter, KalmanFilter, ParticleFilter, smooth
+from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
+from seedslib.zoo import dependent_switching, manoeuvring_target
+from systems import growth
+
+x, v, w = sympy.symbols("x v w", real=True)
+t, u = sympy.Symbol("t"), Input("u")
+TIMES = np.array([1.5, 1.9, 2.7, 3.0, 3.3])
+PUSH = np.array([0.5, -1.0, 0.8, 0.3, -0.2])
+SHOWN = np.array([0, -1, 1, 1, 0])
+Y = np.array([[0.4, np.nan], [1.6, -0.3], [np.nan, np.nan], [np.nan, 0.7], [-0.5, 1.1]])
+START = [(0.6, 0.5, 0.8), (0.4, -0.4, 1.2)]
+NODES = (-8.0, 9.0, 171)
+
+
+def coefficients(t, h, u, mode, m=np):
+    """x' = f x + b + s v, y = h x + d + w: slopes, offsets, deviation of the noise."""
+    f, b = 0.9 - 0.5 * mode + 0.2 * m.sin(t), h * u + mode - 0.3
+    return f, b, 0.5 + 0.3 * h, [1, 0.3 * t - mode], [0.2 * u, mode]
+
+
+def chances(t, m=np):
+    s = m.sin(t) ** 2
+    return [[0.8 - 0.3 * s, 0.2 + 0.3 * s], [0.3, 0.7]], [
+        [0.9, 0.1],
+        [0.2 + 0.3 * s, 0.8 - 0.3 * s],
+    ]
+
+
+def numbers(mode):
+    steps = np.diff(TIMES)
+    made = [coefficients(*now, mode) for now in zip(TIMES, np.append(steps, 0), PUSH, strict=True)]
+    f, b, s, H, d = (np.array(part, dtype=float) for part in zip(*made, strict=True))
+    Q = (s[:-1] ** 2)[:, None, None]
+    R = np.tile(np.diag([0.6, 0.9]), (5, 1, 1))
+    _, mean, cov = START[mode]
+    F = f[:-1, None, None]
+    return Linear(F, b[:-1, None], Q, H[..., None], d, R, np.array([mean]), np.array([[cov]]))
+
+
+def formulas(mode):
+    f, b, s, H, d = coefficients(t, ELAPSED, u, mode, sympy)
+    noise = sympy.symbols("w1 w2")
+    return [f * x + b + s * v], [a * x + c + q for a, c, q in zip(H, d, noise, strict=True)], noise
+
+
+def systems():
+    """The switching system and its oracle; the first mode alone and its oracle."""
+    (move, show, noise), (other, shown, _) = formulas(0), formulas(1)
+    sensor_noise = Noise(noise, cov=np.diag([0.6, 0.9]))
+    leave, tell = chances(t, sympy)
+    initial = [(p, [m], [[c]]) for p, m, c in START]
+    switching = SwitchingSystem(
+        (x,), [move, other], Noise((v,)), leave, [show, shown], sensor_noise, initial,
+        indicator=tell,
+    )  # fmt: skip
+    maps = StochasticMap((x,), move, Noise((v,))), StochasticMap((x,), show, sensor_noise)
+    leave, tell = zip(*map(chances, TIMES), strict=True)
+    modes = [numbers(0), numbers(1)]
+    exact = Switching(modes, np.array([0.6, 0.4]), np.array(leave[:-1]), np.array(tell))
+    return switching, exact, DiscreteSystem(*maps, 0.5, 0.8), modes[0]
+
+
+SWITCHING, MODES, ALONE, LINEAR = systems()
+
+
+def close(estimates, law, rtol=1e-7):
+    np.testing.assert_allclose(estimates.mean, law[0], rtol=rtol, atol=rtol)
+    np.testing.assert_allclose(estimates.cov, law[1], rtol=rtol, atol=rtol)
+    if len(law) > 2:
+        np.testing.assert_allclose(estimates.mode_prob, law[2], rtol=rtol)
+
+
+def at(estimates, k):
+    return estimates._replace(mean=estimates.mean[k], cov=estimates.cov[k],
+                              mode_prob=None if estimates.mode_prob is None
+                              else estimates.mode_prob[k])  # fmt: skip
+
+
+def test_modes_on_nodes_equal_the_sum_over_histories():
+    """Run, smoothing, steps and two forecasts in a row, with an input and missing parts."""
+    filter = GridBayesFilter(SWITCHING, NODES)
+    given = {"indicators": SHOWN, "inputs": {u: PUSH}}
+    estimates = filter.run(TIMES, Y, **given)
+    for lag in (None, 2):
+        smoothed = smooth(filter, TIMES, Y, lag=lag, **given)
+        for k in range(5):
+            last = 4 if lag is None else min(k + lag, 4)
+            close(at(smoothed, k), histories(MODES, Y, SHOWN, k, last)[:3])
+    total = [histories(MODES, Y, SHOWN, k, k).loglik for k in range(5)]
+    np.testing.assert_allclose(estimates.loglik, np.diff(total, prepend=0), rtol=1e-7, atol=1e-9)
+    state = filter.initial()
+    for k in range(5):
+        close(at(estimates, k), histories(MODES, Y, SHOWN, k, k)[:3])
+        with assigned({u: PUSH[max(k - 1, 0)]}):
+            state = filter.predict(state, TIMES[k])
+        close(state, histories(MODES, Y, SHOWN, k, k - 1)[:3])
+        if k == 3:
+            with assigned({u: PUSH[3]}):
+                close(filter.forecast(state, TIMES[4]), histories(MODES, Y, SHOWN, 4, 2)[:3])
+        with assigned({u: PUSH[k]}):
+            state = filter.correct(state, Y[k], SHOWN[k])
+    np.testing.assert_array_equal(estimates.modes, estimates.mode_prob.argmax(axis=1))
+    assert not estimates.diverged
+
+
+@pytest.mark.parametrize("nodes", [NODES, "uneven"])
+def test_one_law_on_nodes_equals_regression(nodes):
+    if nodes == "uneven":
+        s = np.linspace(-1.2, 1.2, 161)
+        nodes = Nodes(6 * np.sinh(s), 6 * np.cosh(s) * (s[1] - s[0]))
+    exact = Regression(LINEAR)
+    y = np.stack([Y, np.nan_to_num(Y)], axis=-1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        filter = GridBayesFilter(ALONE, nodes)
+        estimates = filter.run(TIMES, y, inputs={u: PUSH})
+    smoothed = smooth(filter, TIMES, y, inputs={u: PUSH})
+    for i in range(2):
+        for part, law in (
+            (estimates, exact.filtered(y[..., i])),
+            (smoothed, exact.smoothed(y[..., i])),
+        ):
+            np.testing.assert_allclose(part.mean[..., i], law[0], atol=1e-7)
+            np.testing.assert_allclose(part.cov[..., i], law[1], atol=1e-7)
+        np.testing.assert_allclose(estimates.loglik[:, i], exact.logliks(y[..., i]), atol=1e-7)
+    assert estimates.mode_prob is None
+    assert estimates.modes is None
+    assert not estimates.diverged.any()
+
+
+def test_two_components_equal_the_kalman_filter():
+    """Matrices without symmetry, a correlated start, and a correlated noise."""
+    system = LinearSystem(
+        [[0.5, 0.2], [-0.1, 0.4]], [[0.5, 0.1], [0.1, 0.4]], [[1.0, 0.5]], [[0.3]], [0.2, 0.0],
+        [[0.6, 0.1], [0.1, 0.5]],
+    )  # fmt: skip
+    times, y = 3.0 + np.arange(6.0), np.random.default_rng(1).standard_normal((6, 1, 3))
+    y[4, 0, 1] = np.nan
+    filter = GridBayesFilter(system, [(-5.2, 5.2, 27), (-4.6, 4.6, 26)])
+    estimates, wanted = filter.run(times, y), KalmanFilter(system).run(times, y)
+    np.testing.assert_allclose(estimates.mean, wanted.mean, atol=1e-6)
+    np.testing.assert_allclose(estimates.cov, wanted.cov, atol=1e-6)
+    np.testing.assert_allclose(estimates.loglik, wanted.loglik, atol=1e-6)
+
+
+def test_growth_model_equals_literal_sums_over_nodes():
+    system, times = growth(), 2 + np.arange(4.0)
+    y = system.simulate(times, 1, 4).measurements[..., 0]
+    nodes = np.linspace(-36, 36, 289)
+    law, total = norm.pdf(nodes, 0.5, np.sqrt(2.0)), 0.0
+    estimates = GridBayesFilter(system, (-36, 36, 289)).run(times, y)
+    for k in range(4):
+        if k:
+            moved = nodes / 2 + 25 * nodes / (1 + nodes**2) + 8 * np.cos(1.2 * times[k - 1])
+            law = 0.25 * norm.pdf(nodes[:, None], moved, np.sqrt(10)) @ law
+        law = law * norm.pdf(y[k, 0], nodes**2 / 20, 1.0) * (1 if k else 0.25)
+        total, law = np.log(law.sum()), law / law.sum()
+        mean = law @ nodes
+        assert estimates.mean[k, 0] == pytest.approx(mean, rel=1e-9, abs=1e-9)
+        assert estimates.cov[k, 0, 0] == pytest.approx(law @ (nodes - mean) ** 2, rel=1e-9)
+        assert estimates.loglik[k] == pytest.approx(total, rel=1e-9)
+
+
+def test_particles_come_close_where_noises_and_indicator_depend_on_the_state():
+    system = dependent_switching()
+    data = system.simulate(np.arange(6.0), 30, 2)
+    given = {"indicators": data.indicators}
+    exact = GridBayesFilter(system, (-9, 9, 181)).run(data.times, data.measurements, **given)
+    for count in (250, 4000):
+        estimates = ParticleFilter(system, count).run(
+            data.times, data.measurements, seed=3, **given
+        )
+        scale = np.sqrt(exact.cov[:, 0].mean() / count)
+        assert 0.3 * scale < np.sqrt(((estimates.mean - exact.mean) ** 2).mean()) < 4 * scale
+        apart = np.sqrt(((estimates.mode_prob - exact.mode_prob) ** 2).mean())
+        assert apart < 1.2 / np.sqrt(count)
+
+
+def test_blocks_threads_and_batches_do_not_matter():
+    filter = GridBayesFilter(SWITCHING, (-8, 9, 61))
+    y = np.random.default_rng(0).standard_normal((5, 2, 600))
+    shown = np.random.default_rng(0).integers(-1, 2, (5, 600))
+    whole = filter.run(TIMES, y, indicators=shown, inputs={u: PUSH})
+    folded = filter.run(
+        TIMES, y.reshape(5, 2, 6, 100), indicators=shown.reshape(5, 6, 100), inputs={u: PUSH},
+        workers=2,
+    )  # fmt: skip
+    np.testing.assert_array_equal(folded.mean.reshape(5, 1, 600), whole.mean)
+    np.testing.assert_array_equal(folded.mode_prob.reshape(5, 2, 600), whole.mode_prob)
+    single = filter.run(TIMES, y[..., 7], indicators=shown[:, 7], inputs={u: PUSH})
+    np.testing.assert_allclose(single.mean, whole.mean[..., 7], rtol=1e-10)
+    assert single.modes.shape == (5,)
+    with pytest.raises(ValueError, match="u"):  # one transition for all records
+        filter.run(TIMES, y, indicators=shown, inputs={u: PUSH[:, None] * np.ones(600)})
+
+
+@pytest.mark.parametrize("modes", [False, True])
+def test_measurement_that_leaves_the_nodes_is_marked_for_good(modes):
+    """In a run and step by step; the estimate stays a number and comes back."""
+    system = SWITCHING if modes else ALONE
+    filter, y = GridBayesFilter(system, (-8, 9, 101)), np.zeros((5, 2, 4))
+    y[1, 0, 1], y[1, 0, 2], y[1, :, 3] = 1e160, 1e3, np.nan
+    options = {"indicators": np.zeros((5, 4), int)} if modes else {}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        estimates = filter.run(TIMES, y, inputs={u: PUSH}, **options)
+        assert estimates.diverged.tolist() == [False, True, True, False]
+        assert np.isneginf(estimates.loglik[1, 1])
+        assert np.isfinite(estimates.mean).all()
+        assert abs(estimates.mean[-1, 0, 2]) < 1
+        state = filter.initial((4,))
+        with assigned({u: 0.5}):
+            for k in range(5):
+                shown = (options["indicators"][k],) if modes else ()
+                state = filter.step(state, TIMES[k], y[k], *shown)
+                assert filter.report(state).diverged.tolist() == [False, k > 0, k > 0, False]
+        smoothed = smooth(filter, TIMES, y, inputs={u: PUSH}, **options)
+        assert smoothed.diverged.tolist() == [False, True, True, False]
+
+
+def test_probability_that_leaves_the_nodes_is_dropped_and_warned_about():
+    """Of a normal law cut off at two deviations; a switching system keeps it on the nodes."""
+    still = StochasticMap([x], [x + v], Noise([v], cov=[[0.25]]))
+    sensor = StochasticMap([x], [x + w], Noise([w]))
+    missing = [[np.nan], [np.nan]]
+    filter = GridBayesFilter(DiscreteSystem(still, sensor, 0.0, 0.0), (-1.0, 1.0, 2001))
+    with pytest.warns(UserWarning, match=r"^x: "):
+        estimates = filter.run([0, 1], missing)
+    inside = norm.cdf(2.0) - norm.cdf(-2.0)
+    assert estimates.loglik.sum() == pytest.approx(np.log(inside), abs=4e-7)
+    assert estimates.mean[1, 0] == pytest.approx(0.0, abs=1e-12)
+    variance = 0.25 * (1 - 4 * norm.pdf(2.0) / inside)
+    assert estimates.cov[1, 0, 0] == pytest.approx(variance, rel=1e-6)
+    accuracy = filter.accuracy([0, 1], missing)
+    assert accuracy.lost == pytest.approx(1 - inside, abs=4e-7)
+    one = SwitchingSystem.from_maps([[still]], [[sensor]], [(1, [0], [[0]])])
+    filter = GridBayesFilter(one, (-1.0, 1.0, 401))
+    assert filter.run([0, 1], missing).loglik.sum() == pytest.approx(0.0, abs=1e-12)
+    assert filter.accuracy([0, 1], missing).lost == pytest.approx(0.0, abs=1e-12)
+
+
+def test_accuracy_bounds_the_error():
+    """By the largest differences of several records; it falls with the number of nodes."""
+    y = np.random.default_rng(1).standard_normal((8, 1, 3))
+    system = LinearSystem(0.9, 0.5, 1, 0.3, 0.2, 1.0)
+    wanted = KalmanFilter(system).run(np.arange(8.0), y)
+    for count in (21, 25):
+        filter = GridBayesFilter(system, (-9, 9, count))
+        accuracy = filter.accuracy(np.arange(8.0), y)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            estimates = filter.run(np.arange(8.0), y)
+        error = np.abs((estimates.loglik - wanted.loglik).sum(axis=0))
+        assert 1e-6 < error.max() < accuracy.loglik.max()
+        assert (np.abs(estimates.mean - wanted.mean).max(axis=0) < accuracy.mean).all()
+    accuracy = GridBayesFilter(system, (-9, 9, 65)).accuracy(np.arange(8.0), y)
+    assert accuracy.loglik.max() < 1e-3
+
+
+def test_mode_returns_from_any_log_odds():
+    """50 measurements for mode 0 and 100 for mode 1, each worth 18 / 1.000001 in log-odds."""
+    system = SwitchingSystem(
+        (x,), [[v]] * 2, Noise((v,), cov=[[1e-6]]), [[1, 0], [0, 1]], [[x + w], [6 + x + w]],
+        Noise((w,)), [(0.5, [0], [[1e-6]])] * 2,
+    )  # fmt: skip
+    filter, state = GridBayesFilter(system, (-0.01, 0.01, 161)), None
+    y = np.where(np.arange(150) < 50, 0.0, 6.0)
+    for batch in ((), (2,)):
+        state = filter.initial(batch)
+        for k in range(150):
+            state = filter.step(state, float(k), np.full((1, *batch), y[k]))
+            if k in (49, 149):
+                wanted = {49: -900, 149: 900}[k] / 1.000001
+                odds = state.log_prob[1] - state.log_prob[0]
+                np.testing.assert_allclose(odds, wanted, rtol=1e-9)
+                assert (filter.report(state).modes == (k > 49)).all()
+    assert not state.diverged.any()
+
+
+@pytest.mark.parametrize("push", [-1e-15, 0.0, 1e-15])
+def test_equal_modes_are_decided_for_the_first(push):
+    """Two modes in which everything is the same but a last bit of the initial law."""
+    system = SwitchingSystem(
+        (x,), [[x / 2 + v]] * 2, Noise((v,)), [[0.9, 0.1], [0.1, 0.9]], [[x + w]] * 2, Noise((w,)),
+        [(0.5 + push, [0], [[1]]), (0.5 - push, [0], [[1]])],
+    )  # fmt: skip
+    y = np.random.default_rng(0).standard_normal((5, 1, 20))
+    filter = GridBayesFilter(system, (-6, 6, 61))
+    assert (filter.run(np.arange(5.0), y).modes == 0).all()
+    assert (smooth(filter, np.arange(5.0), y).modes == 0).all()
+
+
+def test_variance_far_from_the_origin_keeps_its_digits():
+    shift = 2**27
+    system = DiscreteSystem(
+        StochasticMap((x,), [shift + (x - shift) / 2 + v], Noise((v,))),
+        StochasticMap((x,), [x - shift + w], Noise((w,), cov=[[0.25]])), [shift], [[1]],
+    )  # fmt: skip
+    estimates = GridBayesFilter(system, (shift - 6, shift + 6, 121)).run([0, 1], [[0.3], [-0.2]])
+    np.testing.assert_allclose(estimates.cov[:, 0, 0], [0.2, 1.05 * 0.25 / 1.3], rtol=1e-6)
+    assert estimates.mean[0, 0] - shift == pytest.approx(0.24, rel=1e-6)
+
+
+def sampled(rng, count):
+    return rng.standard_normal((1, count))
+
+
+def map_of(value, noise=v):
+    return StochasticMap([x], [value], Noise([noise]))
+
+
+TWO = np.eye(2)
+
+
+@pytest.mark.filterwarnings("ignore:x. more than")
+@pytest.mark.parametrize(
+    ("make", "name"),
+    [
+        (lambda: LinearSystem(1, 0, 1, 1, 0, 1), "dynamics"),
+        (lambda: LinearSystem(TWO, np.ones((2, 2)), TWO, TWO, [0, 0], TWO), "dynamics"),
+        (lambda: LinearSystem(TWO, TWO, TWO, TWO, [0, 0], np.diag([1, 0])), "cov0"),
+        (lambda: LinearSystem(*[np.eye(3)] * 4, [0] * 3, np.eye(3)), "system"),
+        (lambda: DiscreteSystem(map_of(x + v**2), map_of(x + w, w), 0, 1), "dynamics"),
+        (lambda: DiscreteSystem(map_of(x + v), map_of(x + w, w), 0, 1, sampled), "system"),
+        (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=(0,)), "system"),
+        (lambda: manoeuvring_target("none"), "system"),
+    ],
+)
+def test_system_without_densities_on_nodes_is_refused(make, name):
+    system = make()
+    many = system.state_size > 1 and not hasattr(system, "modes")
+    axes = [(-5, 5, 11)] * system.state_size if many else (-5, 5, 11)
+    with pytest.raises(ValueError, match=name):
+        GridBayesFilter(system, axes).run([0, 1], np.zeros((2, system.measurement_size)))

@@ -1,0 +1,123 @@
+"""What filters refuse: the type of the error, and the argument that it names first."""
+
+import numpy as np
+import pytest
+import sympy as sp
+
+from seedslib import zoo
+from seedslib.base import Input
+from seedslib.filters import (
+    CovarianceFilter,
+    Estimates,
+    Gated,
+    GridBayesFilter,
+    KalmanFilter,
+    KnownModeFilter,
+    ParticleFilter,
+    RaoBlackwellFilter,
+    draw_trajectories,
+    extended_kalman,
+    smooth,
+)
+from seedslib.linearization import Taylor
+from seedslib.models import JumpDiffusion, LinearSystem, Noise
+from systems import U, growth
+
+x, v, w = sp.symbols("x v w")
+LINE = LinearSystem(0.5, 1, 1, 1, 0, 1)
+DRIVEN = LinearSystem(0.5, 1, 1, 1, 0, 1, B=[[1]], inputs=(U,))
+SQUARED = JumpDiffusion((x,), [0], [[1]], [x * v**2], Noise((v,)), [0], [[1]])
+BANK = zoo.manoeuvring_target("noisy")
+KALMAN, PARTICLES, KNOWN = KalmanFilter(LINE), ParticleFilter(LINE, 5), KnownModeFilter(BANK)
+TWO, Y = [0.0, 1.0], np.zeros((2, 1))
+ESTIMATES = Estimates(np.zeros((2, 1)), np.ones((2, 1, 1)))
+SHOWN = np.zeros(2, int)
+STATE = KALMAN.step(KALMAN.initial(), 0.0, [0.0])
+
+
+def known(**options):
+    return KNOWN.run(TWO, Y, **{"indicators": SHOWN, "modes": SHOWN} | options)
+
+
+ROWS = [
+    (lambda: CovarianceFilter(BANK, Taylor()), TypeError, "system"),
+    (lambda: CovarianceFilter(LINE, "ekf"), TypeError, "linearization"),
+    (lambda: extended_kalman(growth(), integrator="heun"), ValueError, "integrator"),
+    (lambda: extended_kalman(growth(), step=0.0), ValueError, "step"),
+    (lambda: extended_kalman(growth(), bound=-1), ValueError, "bound"),
+    (lambda: extended_kalman(growth(), rtol=-1), ValueError, "rtol"),
+    (lambda: extended_kalman(growth(), atol=-1), ValueError, "atol"),
+    (lambda: KalmanFilter(growth()), TypeError, "system"),
+    (lambda: ParticleFilter(object()), TypeError, "system"),
+    (lambda: ParticleFilter(SQUARED), ValueError, "system"),
+    (lambda: ParticleFilter(LINE, 0), ValueError, "particles"),
+    (lambda: RaoBlackwellFilter(growth()), TypeError, "system"),
+    (lambda: RaoBlackwellFilter(BANK, 0), ValueError, "particles"),
+    (lambda: KnownModeFilter(LINE), TypeError, "system"),
+    (lambda: KnownModeFilter(BANK, 5), TypeError, "linearization"),
+    (lambda: GridBayesFilter(zoo.flip_process()), TypeError, "system"),
+    (lambda: GridBayesFilter(LINE, (0, 1)), TypeError, "x"),
+    (lambda: Gated(PARTICLES), TypeError, "filter"),
+    (lambda: Gated(KALMAN, 1), ValueError, "probability"),
+    (lambda: Gated(KALMAN, patience=0), ValueError, "patience"),
+    # records
+    (lambda: KALMAN.run([0.0, 0.0], Y), ValueError, "times"),
+    (lambda: KALMAN.run(np.array(["2026-01-01"], "datetime64[h]"), Y[:1]), TypeError, "times"),
+    (lambda: KALMAN.run(TWO, np.zeros((3, 1))), ValueError, "measurements"),
+    (lambda: KALMAN.run(TWO, np.zeros((2, 2))), ValueError, "measurements"),
+    (lambda: KALMAN.run(TWO, np.zeros(2)), ValueError, "measurements"),
+    (lambda: KALMAN.run(TWO, [[0.0], [np.inf]]), ValueError, "measurements"),
+    (lambda: KALMAN.run(TWO, [["a"], ["b"]]), TypeError, "measurements"),
+    (lambda: KALMAN.run(TWO, [[0.0], [0.0, 1.0]]), (TypeError, ValueError), "measurements"),
+    (lambda: KALMAN.run(TWO, Y, modes=SHOWN), ValueError, "modes"),
+    (lambda: KALMAN.run(TWO, Y, indicators=SHOWN), ValueError, "indicators"),
+    (lambda: KALMAN.run(TWO, Y, workers=0), ValueError, "workers"),
+    (lambda: KALMAN.block(np.arange(3.0), 10, 1.5), TypeError, "workers"),
+    (lambda: known(indicators=None), ValueError, "indicators"),
+    (lambda: known(indicators=[0, 2]), ValueError, "indicators"),
+    (lambda: known(indicators=[-2, 0]), ValueError, "indicators"),
+    (lambda: known(indicators=np.zeros((2, 2), int)), ValueError, "indicators"),
+    (lambda: known(indicators=[0.5, 0.0]), TypeError, "indicators"),
+    (lambda: known(modes=None), ValueError, "modes"),
+    (lambda: known(modes=[0, 2]), ValueError, "modes"),
+    (lambda: known(modes=[0, -1]), ValueError, "modes"),
+    (lambda: known(modes=[0.0, 1.5]), TypeError, "modes"),
+    (lambda: known(modes=np.zeros((2, 2), int)), ValueError, "modes"),
+    # inputs
+    (lambda: KalmanFilter(DRIVEN).run(TWO, Y), ValueError, "inputs"),
+    (lambda: KalmanFilter(DRIVEN).run(TWO, Y, inputs={Input("q"): TWO}), ValueError, "inputs"),
+    (lambda: KalmanFilter(DRIVEN).run(TWO, Y, inputs={U: [1.0]}), ValueError, "inputs"),
+    (lambda: KalmanFilter(DRIVEN).run(TWO, Y, inputs={U: [np.nan, 0]}), ValueError, "inputs"),
+    (lambda: KalmanFilter(DRIVEN).run(TWO, Y, inputs=[TWO]), TypeError, "inputs"),
+    (lambda: KalmanFilter(DRIVEN).step(STATE, 1.0, [0.0]), ValueError, "u"),
+    # steps
+    (lambda: KALMAN.correct(KALMAN.initial(), [0.0]), ValueError, "state"),
+    (lambda: PARTICLES.correct(PARTICLES.initial(), [0.0]), ValueError, "state"),
+    (lambda: KNOWN.correct(KNOWN.initial(), [0.0], 0), ValueError, "state"),
+    (lambda: KALMAN.predict(STATE, -0.5), ValueError, "t"),
+    (lambda: KALMAN.step(STATE, 1.0, np.zeros((9, 2))), ValueError, "y"),
+    (lambda: KNOWN.predict(KNOWN.predict(KNOWN.initial(), 0.0), 1.0), ValueError, "mode"),
+    (lambda: KNOWN.initial((2,), mode=[0, 2]), ValueError, "mode"),
+    (lambda: KNOWN.correct(KNOWN.predict(KNOWN.initial(), 0.0), [0.0]), ValueError, "indicator"),
+    # smoothing
+    (lambda: smooth("kalman", TWO, Y), TypeError, "filter"),
+    (lambda: smooth(RaoBlackwellFilter(BANK), TWO, Y), TypeError, "filter"),
+    (lambda: smooth(KALMAN, TWO, Y, lag=0), ValueError, "lag"),
+    (lambda: smooth(KALMAN, TWO, Y, trajectories=9), ValueError, "trajectories"),
+    (lambda: smooth(PARTICLES, TWO, Y, trajectories=0), ValueError, "trajectories"),
+    (lambda: smooth(KALMAN, TWO, Y, modes=SHOWN), ValueError, "modes"),
+    (lambda: smooth(KALMAN, TWO, np.zeros((3, 1))), ValueError, "measurements"),
+    (lambda: draw_trajectories(KALMAN, TWO, Y, 5), TypeError, "filter"),
+    # estimates
+    (lambda: ESTIMATES.interval(95), ValueError, "level"),
+    (lambda: ESTIMATES.interval(0.0), ValueError, "level"),
+    (lambda: Estimates(np.zeros((3, 1))).interval(), ValueError, "interval"),
+    (lambda: ESTIMATES.to_dataframe([0, 1, 2]), ValueError, "times"),
+    (lambda: ESTIMATES.to_xarray([0, 1], ["a", "b"]), ValueError, "names"),
+]
+
+
+@pytest.mark.parametrize(("call", "error", "name"), ROWS)
+def test_wrong_argument_is_refused_by_its_name(call, error, name):
+    with pytest.raises(error, match=rf"^{name}\b"):
+        call()
