@@ -51,3 +51,24 @@ def panel_mean(f, mean, cov, normal, kinks=()):
     away = vectors[:, 1] * np.sqrt(values[1])
     points = (mean[:, None] + np.outer(slope, u - centre))[:, :, None] + away[:, None, None] * z
     return weights @ f(*points) @ masses
+
+
+def branch_moments(value, weight, mean, cov, noise_mean, noise_cov, nodes):
+    """Mass of a branch, and moments in it, by nodes in the joint space of state and noise.
+
+    `value` and `weight` are functions of points (n, N) of the state and (q, N) of the noise. The
+    result is the mass, mean and covariance of the state, the mean of the value, its covariance
+    with the state, and its own; with a weight of one they are the plain moments.
+    """
+    n, q = len(mean), len(noise_mean)
+    grid, weights = hermite_grid(n + q, nodes)
+    x = np.asarray(mean)[:, None] + np.linalg.cholesky(cov) @ grid[:n]
+    v = np.asarray(noise_mean)[:, None]
+    v = v + np.linalg.cholesky(noise_cov) @ grid[n:] if q else np.zeros((0, grid.shape[1]))
+    y = np.array([np.broadcast_to(part, weights.shape) for part in value(x, v)])
+    share = weights * weight(x, v)
+    mass = share.sum()
+    share = share / mass
+    centre, h = x @ share, y @ share
+    dx, dy = x - centre[:, None], y - h[:, None]
+    return mass, centre, (dx * share) @ dx.T, h, (dx * share) @ dy.T, (dy * share) @ dy.T

@@ -1,0 +1,301 @@
+"""Exact Gaussian moments of maps: covariances to all digits, kinks, known states, wide laws."""
+
+import mpmath as mp
+import numpy as np
+import pytest
+import sympy
+from numpy.testing import assert_allclose
+
+from oracles.gaussian import branch_moments
+from seedslib import zoo
+from seedslib.filters import assumed_density
+from seedslib.gaussian import expectation, expectation_function
+from seedslib.linearization import ExactGaussian, GaussHermite
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
+
+x, y, v, w = sympy.symbols("x y v w", real=True)
+exp, sin, cos, Abs = sympy.exp, sympy.sin, sympy.cos, sympy.Abs
+HALF = sympy.S.Half
+MEAN = np.array([0.4, -0.7])
+COV = np.array([[0.6, -0.25], [-0.25, 0.9]])
+
+
+def moments(values, mean, cov, noise=None):
+    state = (x, y)[: len(mean)]
+    map = StochasticMap(state, values, noise or Noise())
+    return ExactGaussian().moments(map)(0.0, np.array(mean), np.array(cov))
+
+
+PAIRS = {
+    "polynomials": (x**2 * y - x, x * y - y**3),
+    "sines that swing together": (cos(x + 0.3), cos(2 * x + y)),
+    "sines that swing against each other": (sin(x + 2 * y), cos(x - 3 * y)),
+    "sines beside powers": (x * sin(y), y * cos(x) + sin(x)),
+    "sums": (sin(x) + cos(2 * y) * x + exp(x / 3), cos(x - y) - sin(x)),
+    "a sine and a power": (cos(y + 1) * x, x**2 - y),
+    "exponentials of unlike sign": (exp(x / 3), x * exp(-y / 2)),
+    "exponentials of one sign": (exp(x / 3), exp(x / 2 - y)),
+    "an exponential and a sine": (exp(x / 3) * y, sin(2 * y - x)),
+    "two growing sines": (exp(x / 3) * cos(2 * y), y * exp(y / 4) * sin(x)),
+    "a bell and a power": (exp(-(x**2)) * y, x - y**2),
+    "two bells": (x * exp(-(x**2) / 2), exp(-x * y / 4)),
+    "a swinging bell and a sine": (exp(-(x**2)) * cos(x - y), sin(y) * x),
+    "two swinging bells": (x * exp(-(x**2) / 2) * sin(x), exp(-(x**2) / 3 + x / 2) * cos(2 * x)),
+    "a step and a power": (sympy.Heaviside(x - HALF, HALF), x * y),
+    "a larger one and a step": (sympy.Max(x, y), sympy.Heaviside(x - y, HALF)),
+    "a modulus and the other side": (Abs(x) * y, sympy.Heaviside(-x, HALF)),
+    "both sides of a plane": (x + Abs(x), x * y * sympy.Heaviside(x, HALF)),
+    "a step and a growing bell": (sympy.Heaviside(x), exp(x / 2) * sympy.Heaviside(x) * y),
+}
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_moments_of_pairs_against_sixty_digits(pair):
+    """E f g - E f E g, and cov(x, f), from formulas of single means."""
+    f, g = PAIRS[pair]
+    law = list(map(sympy.nsimplify, MEAN)), sympy.Matrix(COV).applyfunc(sympy.nsimplify)
+
+    def mean(h):
+        return sympy.re(expectation(sympy.expand(h), [x, y], *law).evalf(60))
+
+    found = moments([f, g], MEAN, COV)
+    singles = [mean(f), mean(g)]
+    for i, j in ((0, 0), (0, 1), (1, 1)):
+        exact = float(mean((f, g)[i] * (f, g)[j]) - singles[i] * singles[j])
+        assert found.cov[i, j] == pytest.approx(exact, rel=1e-12, abs=1e-14)
+    for i, s in enumerate((x, y)):
+        exact = [float(mean((s - law[0][i]) * h)) for h in (f, g)]
+        assert_allclose(found.cross[i], exact, rtol=1e-12, atol=1e-14)
+    assert_allclose(found.mean, [float(s) for s in singles], rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [sin(x + 2 * y), x * exp(y / 3) * cos(x), exp(-(x**2) / 2)],
+        [Abs(x), y * sympy.Max(x, 0) + x, y**2],
+    ],
+)
+def test_small_covariances_are_those_of_the_slopes(values):
+    """To first order of the variance, which is all there is: cov = J P J'."""
+    slope = sympy.Matrix(values).jacobian((x, y)).subs({x: MEAN[0], y: MEAN[1]})
+    slope = np.array(slope.evalf(25).tolist(), dtype=float)
+    for size, accuracy in ((1e-10, 1e-8), (1e-17, 1e-14)):
+        exact = slope @ (size * COV) @ slope.T
+        scale = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
+        assert (abs(moments(values, MEAN, size * COV).cov - exact) <= accuracy * scale).all()
+
+
+@pytest.mark.parametrize("name", ["van_der_pol", "kicked_duffing", "flip_process"])
+def test_moments_and_rates_of_the_examples_against_nodes(name):
+    system = getattr(zoo, name)()
+    rng = np.random.default_rng(0)
+    n = system.state_size
+    root = rng.standard_normal((n, n, 4))
+    law = rng.standard_normal((n, 4)), 0.4 * np.einsum("ik...,jk...->ij...", root, root)
+    for make, given in (("moments", system.sensor), ("flow", system)):
+        found, exact = (
+            getattr(rule, make)(given)(0.0, *law) for rule in (ExactGaussian(), GaussHermite(10))
+        )
+        for part, wanted in zip(found, exact, strict=True):
+            assert_allclose(*np.broadcast_arrays(part, wanted), rtol=1e-10, atol=1e-10)
+
+
+def test_noise_inside_sines_and_exponentials_against_nodes():
+    noise = Noise((v, w), mean=[0.7, -1.3], cov=[[0.5, 0.2], [0.2, 0.8]])
+    values = [sin(x + v) * y, exp(-(x**2)) + w * v, exp(x / 2 + v)]
+    numeric = [sympy.lambdify((x, y, v, w), part) for part in values]
+    found = moments(values, MEAN, COV / 4, noise)
+    exact = branch_moments(
+        lambda p, q: [f(*p, *q) for f in numeric], lambda p, q: 1.0,
+        MEAN, COV / 4, noise.mean, noise.cov, 22,
+    )[3:]  # fmt: skip
+    for part, wanted in zip(found, exact, strict=True):
+        assert_allclose(part, wanted, rtol=1e-9, atol=1e-10)
+    small = moments([sin(x + v) * exp(v)], MEAN[:1], [[0.0]], Noise((v,), cov=[[1e-17]])).cov
+    assert small[0, 0] == pytest.approx(1e-17 * (np.cos(0.4) + np.sin(0.4)) ** 2, rel=2e-15, abs=0)
+
+
+@pytest.mark.parametrize("mean", [0.0, 2.0])
+def test_sine_of_a_variance_beyond_all_exponents(mean):
+    for value in (sin(x), cos(3 * x)):
+        found = moments([value], [mean], [[1e200]])
+        assert found.cov[0, 0] == pytest.approx(0.5, rel=1e-15)
+
+
+ELU = sympy.Piecewise((exp(x) - 1, x < 0), (x, True))
+DECAYING = exp(-Abs(x))
+ONE_SIDED = (
+    ELU,
+    DECAYING,
+    sympy.Piecewise((x * exp(2 * x + 1), x < 1), (0, True)),
+    sympy.Piecewise((exp(-3 * x), x > -2), (x**2, True)),
+    sympy.Piecewise((exp(x - x**2 / 200), x < 0), (1, True)),
+)
+LAWS = ((0.3, 1.0), (0.0, 1e4), (800.0, 1.0), (-40.0, 9.0))
+
+
+def integrals(value, mean, variance):
+    """Mean, covariance with x and variance in thirty digits, piece by piece."""
+    with mp.workdps(30):
+        f, s = sympy.lambdify(x, value, "mpmath"), mp.sqrt(variance)
+        near = [
+            c + side * width for c in (-2, 0, 1) for width in (0, 0.3, 3, 30) for side in (1, -1)
+        ]
+        places = {mean + s * k for k in (-38, -20, -8, -4, -2, -1, 0, 1, 2, 4, 8, 20, 38)}
+        places |= {mp.mpf(p) for p in near if abs(p - mean) < 38 * s}
+        stops = sorted(places)
+
+        def of(g):
+            density = mp.mpf(1) / (s * mp.sqrt(2 * mp.pi))
+            return mp.quad(lambda u: g(u) * density * mp.exp(-(((u - mean) / s) ** 2) / 2), stops)
+
+        first = of(f)
+        cross = of(lambda u: (u - mean) * f(u))
+        return [float(p) for p in (first, cross, of(lambda u: (f(u) - first) ** 2))]
+
+
+@pytest.mark.parametrize("value", ONE_SIDED, ids=str)
+@pytest.mark.parametrize(("mean", "variance"), LAWS)
+def test_one_sided_exponentials_of_wide_and_far_laws(value, mean, variance):
+    """The factors of a mean are out of range where their product is not."""
+    first, cross, second = integrals(value, mean, variance)
+    noise = Noise((v,), cov=[[0.25]])
+    found = moments([value + v], [mean], [[variance]], noise)
+    scale = np.sqrt(variance * (second + 0.25))
+    assert_allclose(found.mean, [first], rtol=1e-11, atol=1e-13 * np.sqrt(second))
+    assert_allclose(found.cross, [[cross]], rtol=1e-11, atol=1e-11 * scale)
+    assert_allclose(found.cov, [[second + 0.25]], rtol=1e-10, atol=1e-18 * variance)
+
+
+def test_one_sided_exponential_of_two_states():
+    """The exponent leans on the plane at an angle; the numeric mean goes another way."""
+    value = sympy.Piecewise((exp(x + y / 2), x + y < 0), (0, True))
+    numeric = expectation_function(value, [x, y])
+    for mean, cov in (
+        ([0.0, 0.0], [[900.0, -500.0], [-500.0, 1600.0]]),
+        ([700.0, 300.0], [[4.0, 1.0], [1.0, 3.0]]),
+        ([0.4, -0.1], [[1.0, 0.2], [0.2, 2.0]]),
+    ):
+        found = moments([value], mean, cov)
+        assert np.isfinite(found.cov).all()
+        assert_allclose(found.mean, [numeric(mean, cov)], rtol=1e-10, atol=1e-280)
+
+
+@pytest.mark.parametrize("variance", [1.0, 1e6])
+def test_exponential_beside_an_error_function(variance):
+    """``exp(x) Phi(-2 x)`` under N(m, P), a half-space that is blurred."""
+    value = exp(x) * sympy.erfc(sympy.sqrt(2) * x) / 2
+    map = StochasticMap((x,), [value])
+    found = ExactGaussian().moments(map, spread=False)
+    for mean in (0.0, 5.0, 30.0):
+        with mp.workdps(40):
+            P, m = mp.mpf(variance), mp.mpf(mean)
+            exact = float(mp.exp(m + P / 2) * mp.ncdf(-2 * (m + P) / mp.sqrt(1 + 4 * P)))
+        one = found(0.0, np.array([mean]), np.array([[variance]]))
+        assert_allclose(one.mean, [exact], rtol=1e-11, atol=1e-300)
+
+
+@pytest.mark.parametrize("value", [ELU, DECAYING], ids=["elu", "decaying"])
+def test_filter_of_a_one_sided_sensor_starts_from_next_to_nothing_known(value):
+    """Its first variance is too large for an exponential of it; nothing becomes NaN."""
+    system = DiscreteSystem(
+        StochasticMap([x], [0.9 * x + v], Noise((v,), cov=[[0.25]])),
+        StochasticMap([x], [value + w], Noise((w,), cov=[[0.04]])),
+        mean0=300.0, cov0=1e4,
+    )  # fmt: skip
+    times = np.arange(30.0)
+    y = system.simulate(times, 50, seed=1).measurements
+    found = assumed_density(system).run(times, y)
+    for part in (found.mean, found.cov, found.loglik):
+        assert np.isfinite(part).all()
+    alone = assumed_density(system).run(times, y[..., 2:3])
+    assert_allclose(found.mean[..., 2:3], alone.mean, rtol=1e-12, atol=1e-12)
+
+
+# Known states
+
+SWITCHED = (
+    Abs(x),
+    sympy.Min(x, 0) + 1,
+    sympy.Min(x, 0) ** 3,
+    sympy.Piecewise((exp(x), x < 0), (1, True)),
+)
+JUMPS = ((sympy.sign(x), -1, 1), (sympy.Piecewise((x + 1, x >= 0), (0, True)), 0, 1))
+
+
+@pytest.mark.parametrize("value", SWITCHED, ids=str)
+@pytest.mark.parametrize("place", [0.0, 1.0, -1.0, 60.0, 3.7])
+def test_known_state_is_moved_as_it_is(value, place):
+    """On the kink and beside it."""
+    found = moments([value + v], [place], [[0.0]], Noise((v,), cov=[[0.25]]))
+    exact = float(value.subs(x, sympy.Float(place)))
+    assert found.mean[0] == pytest.approx(exact, rel=1e-14, abs=1e-150)
+    assert found.cov[0, 0] == pytest.approx(0.25, rel=1e-14)
+    assert found.cross[0, 0] == 0.0
+
+
+@pytest.mark.parametrize(("value", "low", "high"), JUMPS, ids=str)
+def test_state_known_to_be_on_a_jump_is_on_either_side(value, low, high):
+    """The limit of a variance that vanishes: one half of the mass goes each way."""
+    beside = float(value.subs(x, 0.5))
+    for place, (below, above) in ((0.0, (low, high)), (0.5, (beside, beside))):
+        for variance in (0.0, 1e-30):
+            found = moments([value], [place], [[variance]])
+            assert found.mean[0] == pytest.approx((below + above) / 2, abs=1e-14)
+            assert found.cov[0, 0] == pytest.approx((above - below) ** 2 / 4, abs=1e-14)
+
+
+@pytest.mark.parametrize("value", [*SWITCHED, *(jump[0] for jump in JUMPS)], ids=str)
+def test_filter_goes_on_from_a_known_state(value):
+    record = np.array([np.nan, 0.3, -0.2, 1.1, np.nan, 0.4])[:, None, None]
+    for place in (0.0, 1.0):
+        known, close = (
+            assumed_density(
+                DiscreteSystem(
+                    StochasticMap([x], [value + v], Noise((v,), cov=[[0.25]])),
+                    StochasticMap([x], [x + w], Noise((w,), cov=[[0.25]])),
+                    mean0=place, cov0=variance,
+                )
+            ).run(np.arange(6.0), record)
+            for variance in (0.0, 1e-24)
+        )  # fmt: skip
+        for part in ("mean", "cov", "loglik"):
+            found = getattr(known, part)
+            assert np.isfinite(found).all()
+            assert_allclose(found, getattr(close, part), rtol=1e-9, atol=1e-9)
+
+
+def test_variance_that_dies_away_leaves_the_filter_alive():
+    """A state that halves without noise: its variance passes every size down to zero."""
+    system = DiscreteSystem(
+        StochasticMap([x], [sympy.Max(x, 0) / 2]),
+        StochasticMap([x], [x + w], Noise((w,))),
+        mean0=0.5, cov0=1.0,
+    )  # fmt: skip
+    found = assumed_density(system).run(np.arange(1500.0), np.full((1500, 1, 1), np.nan))
+    assert np.isfinite(found.mean).all()
+    assert (found.cov >= 0.0).all()
+    assert (np.diff(found.mean.ravel()) <= 0.0).all()
+    assert found.cov[-1] == 0.0
+
+
+@pytest.mark.parametrize("cov", [np.ones((2, 2)), np.array([[0.1, 0.3], [0.3, 0.9]])])
+def test_two_states_whose_difference_is_known(cov):
+    """The larger of x and c x + d is one of them if the one is known from the other."""
+    slope = np.sqrt(cov[1, 1] / cov[0, 0])
+    for mean in ([0.2, 0.2 * slope], [0.2, 0.2 * slope + 0.5], [0.2, 0.2 * slope - 0.5]):
+        found = moments([sympy.Max(sympy.Float(slope) * x, y)], mean, cov)
+        assert found.mean[0] == pytest.approx(max(slope * mean[0], mean[1]), rel=1e-7)
+        assert found.cov[0, 0] == pytest.approx(cov[1, 1], rel=1e-7)
+        assert_allclose(found.cross[:, 0], cov @ [0.0, 1.0], rtol=1e-7)
+
+
+def test_one_of_two_states_is_known():
+    """The other one is averaged as if it were alone."""
+    for mean in ([0.0, 0.4], [0.3, -0.2]):
+        found = moments([Abs(y - 1) * x + y], mean, np.diag([0.0, 0.8]))
+        alone = moments([Abs(x - 1) * mean[0] + x], mean[1:], [[0.8]])
+        assert_allclose(found.mean, alone.mean, rtol=1e-13)
+        assert_allclose(found.cov, alone.cov, rtol=1e-13)
+        assert found.cross[0, 0] == 0.0
