@@ -1,14 +1,12 @@
 """Text notebooks become executed ones, and only those whose inputs changed."""
 
 import json
-import sys
 import threading
 import time
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import nullcontext
 from multiprocessing import get_context
 
-import psutil
 import pytest
 
 from bookkit import execution, fingerprint
@@ -74,17 +72,12 @@ def test_a_changed_input_makes_a_notebook_stale(project, source, part, capsys, m
 def test_the_library_files_that_were_imported_are_inputs(project, source, monkeypatch):
     assert "bookkit/recording.py" in stamp_of(source)["library"]
     assert "bookkit/sweeps.py" not in stamp_of(source)["library"]
-    (project / "lib").mkdir()
-    part = project / "lib" / "part.py"
-    monkeypatch.setattr(fingerprint, "PACKAGES", {"lib": project / "lib"})
+    monkeypatch.setattr(fingerprint, "PACKAGES", {"lib": project})
     hashes = []
     for text in ("1\n", "2\n", "1\n"):
-        part.write_text(text)
+        (project / "part.py").write_text(text)
         hashes.append(fingerprint.library_digest(["lib/part.py"]))
-    part.unlink()
-    hashes.append(fingerprint.library_digest(["lib/part.py"]))
-    assert hashes[0] == hashes[2]
-    assert len(set(hashes)) == 3
+    assert hashes[0] == hashes[2] != hashes[1]
 
 
 @pytest.mark.usefixtures("kept")
@@ -113,8 +106,6 @@ CODE = "if gain == 7.0:"
             f"import sys; print('beware', file=sys.stderr)\n{CODE}",
             "cell 3 wrote to stderr: beware",
         ),
-        ("count=integer", "gain=real(), count=integer", "SyntaxError"),
-        ("kernelspec:", "inputs: data.csv\nkernelspec:", "wanted a list of file names"),
         ("kernelspec:", "inputs: [\nkernelspec:", "tiny.md is no text notebook"),
     ],
 )
@@ -150,30 +141,3 @@ def test_a_source_that_changes_while_it_runs_does_not_pass_for_executed(
     thread.join()
     assert ("removed" in outcome.problem) == (change == "removed")
     assert change == "removed" or execution.is_stale(source)
-
-
-def test_a_cell_that_takes_too_long_is_named(source, monkeypatch, spoil):
-    monkeypatch.setattr(execution, "TIMEOUT", 1)
-    spoil(source, CODE, f"import time; time.sleep(60)\n{CODE}")
-    assert "cell 3: took longer than 1 s" in execution._execute_one(source)
-
-
-def test_a_missing_notebook_or_project_is_named(project, tmp_path, capsys, monkeypatch, refused):
-    monkeypatch.chdir(project)
-    assert "absent.md" in refused(capsys, main, "execute", "notebooks/absent.ipynb")
-    monkeypatch.chdir(tmp_path)
-    assert "requirements.lock" in refused(capsys, main, "execute")
-
-
-def test_a_terminated_execution_leaves_no_process_behind(project, source, spoil):
-    wait = "import pathlib, time\npathlib.Path('../started').write_text('')\ntime.sleep(60)\n"
-    spoil(source, CODE, wait + CODE)
-    python = psutil.Popen([sys.executable, "-m", "bookkit", "execute"], cwd=project)
-    while not (project / "started").exists():
-        assert python.poll() is None
-        time.sleep(0.05)
-    family = python.children(recursive=True)
-    assert len(family) >= 2  # a worker and its kernel
-    python.terminate()
-    python.wait(10)
-    assert psutil.wait_procs(family, timeout=10)[1] == []

@@ -22,11 +22,8 @@ def record_of(project, **changes):
     path.write_text(json.dumps(content))
 
 
-def test_the_ledger_of_the_book_agrees_with_its_notebooks():
-    assert ledger.faults(ROOT) == []
-
-
 def test_every_decided_claim_of_the_book_has_a_planted_fault_that_turns_it():
+    assert ledger.faults(ROOT) == []
     recorded = ledger.read_verdicts(ROOT)
     decided = [c for c in claims.read_ledger(ROOT / claims.LEDGER) if c.verdict != "open"]
     entries = {c.id: recorded[c.id][c.notebook] for c in decided}
@@ -34,20 +31,9 @@ def test_every_decided_claim_of_the_book_has_a_planted_fault_that_turns_it():
     assert [name for name, e in entries.items() if not e["wrong"] or e.get("missed")] == []
 
 
-@pytest.mark.parametrize(
-    ("old", "new"),
-    [
-        ("1.0e-9", "0.5"),  # half a unit of the last digit
-        ("1.0e-9", "0.6\n  because: read off a curve"),
-        ("printed: 7", "reference: 7\n  because: three powers of two"),
-        ("notebook:", "reading: powers from zero on\n  notebook:"),
-    ],
-)
-def test_a_sound_entry_has_no_faults(project, old, new, spoil):
+def test_a_sound_entry_has_no_faults(project, spoil):
     assert ledger.faults(project) == []
-    spoil(project / "book" / "claims.yml", old, new)
-    if "reference" in new:
-        spoil(project / "book" / "claims.yml", "origin: stated", "origin: implied")
+    spoil(project / "book" / "claims.yml", "1.0e-9", "0.5")  # half a unit of the last digit
     assert ledger.faults(project) == []
 
 
@@ -59,11 +45,9 @@ def test_a_sound_entry_has_no_faults(project, old, new, spoil):
         ("verdict: reproduced", "verdict: corrected", "corrected wants what is printed and"),
         ("verdict: reproduced", "verdict: open", "open wants a because"),
         ("origin: stated", "origin: ours", "printed numbers are a paper's"),
-        ("printed: 7", "printed: 7\n  reference: 7", "wanted one of them"),
         ("printed: 7", "reference: 7", "a reference wants its source or a because"),
         ("printed: 7", "reference: 7\n  source: benchmarks/none.py", "no source benchmarks/none"),
         ("  printed: 7\n", "", "numbers and a tolerance want each other"),
-        ("1.0e-9", "[1, 2]", "as many tolerances as numbers"),
         ("1.0e-9", "7", "a tolerance as wide as the number"),
         ("1.0e-9", "0.6", "more than the last digit wants a because"),
         ("notebooks/tiny.md", "notebooks/other.md", "recorded by notebooks/tiny.md"),
@@ -110,8 +94,6 @@ def test_an_open_claim_needs_no_planted_fault(project, spoil):
         ("verdict: reproduced", "verdict: proven", "TS-X1: verdict"),
         ("  kind: number\n", "", "TS-X1: kind"),
         ("kind: number", "kind: number\n  tests: []", "TS-X1: tests"),
-        ("id: TS-X1", "id: X1", "X1: id"),
-        ("printed: 7", "printed: seven", "TS-X1: printed"),
         ("- id", "- [", "not YAML"),
         ("verdict: reproduced", "verdict: open\n  verdict: reproduced", "'verdict' stands twice"),
     ],
@@ -133,9 +115,6 @@ def test_files_that_are_no_ledger_or_no_notebook_are_named(project):
     (project / "notebooks" / "tiny.ipynb").write_text("{}")
     with pytest.raises(ValueError, match=r"tiny\.ipynb"):
         ledger.faults(project)
-    path.unlink()
-    with pytest.raises(ValueError, match=r"claims\.yml"):
-        ledger.faults(project)
 
 
 def test_the_page_shows_counts_numbers_faults_and_both_formulas(project, spoil):
@@ -154,8 +133,5 @@ def test_the_page_shows_counts_numbers_faults_and_both_formulas(project, spoil):
     assert "printed: a + b<br>right: a - b" in page
     assert "computed 7<br>printed 7 (± 1e-09)" in page
     assert "Would fail with: one term less" in page
-
-
-def test_a_box_on_a_page_leads_to_its_row_and_a_row_to_its_box():
     box = '<div class="claim open" id="TS-E7"><b>TS-E7</b> open</div>'
     assert '<a href="../book/claims.html#TS-E7">TS-E7</a>' in claims_page.linked(box)

@@ -2,7 +2,6 @@
 
 import csv
 import ipaddress
-import json
 import os
 import signal
 import subprocess
@@ -15,10 +14,7 @@ import pytest
 from dask.distributed import LocalCluster
 
 from bookkit import execution, run_sweep
-from bookkit.cli import main
-from bookkit.files import read_yaml
 from bookkit.limits import Limits
-from bookkit.points import execute_point
 from bookkit.recording import MIME
 
 pytestmark = pytest.mark.usefixtures("kernels_at_once")
@@ -107,11 +103,6 @@ def test_points_that_fail_keep_their_message_and_the_others_go_on(notebook, swee
     assert sweep("{gain: [7.0], count: [1]}", retry=True).already == 0
 
 
-def family(pid):
-    process = psutil.Process(pid)
-    return [process, *process.children(recursive=True)]
-
-
 def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebook, sweep):
     go = project / "go"
     wait = f"if gain > 1.0 and not os.path.exists({str(go)!r}):\n    time.sleep(60)\n"
@@ -126,9 +117,10 @@ def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebo
     while not list((project / "out").glob("*.json")):
         assert time.monotonic() < deadline, "no point was finished in time"
         time.sleep(0.1)
+    process = psutil.Process(first.pid)
     listening = {
         ipaddress.ip_address(connection.laddr.ip)
-        for process in family(first.pid)
+        for process in [process, *process.children(recursive=True)]
         for connection in process.net_connections("tcp")
         if connection.status == psutil.CONN_LISTEN
     }
@@ -140,19 +132,6 @@ def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebo
     report = sweep("{gain: [1.0, 2.0, 3.0], count: [1]}")
     assert (report.total, report.already, report.failed) == (3, 1, 0)
     assert [float(r["total"]) for r in rows(report)] == [1.0] * 3
-
-
-def test_numbers_that_were_changed_by_hand_are_refused(project, sweep):
-    report = sweep("{gain: [1.0]}")
-    (one,) = (project / "out").glob("*.json")
-    table, text = report.table.read_bytes(), one.read_text()
-    for part, name in (("parameters", "gain"), ("values", "total")):
-        edited = json.loads(text)
-        edited[part][name] += 1e-9
-        one.write_text(json.dumps(edited))
-        with pytest.raises(ValueError, match=one.name):
-            sweep("{gain: [1.0]}")
-    assert report.table.read_bytes() == table
 
 
 def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, notebook, sweep):
@@ -175,19 +154,11 @@ def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, no
     [
         ("{gian: [1.0]}", "gian"),
         ("{gain: [1.0, 'two', -3.0]}", "gain = 'two'.*gain = -3.0"),
-        ("{count: [1.5]}", "count"),
-        ("{gain: []}", "gain"),
-        ("{}", "grid"),
-        ("[", "not YAML"),
         ("{gain: [1.0], gain: [2.0]}", "'gain' stands twice"),
         ("{gain: [.nan]}", "gain"),
-        ("{gain: [true]}", "gain"),
-        ("{gain: [[1.0, 2.0]]}", "gain"),
-        ("{gain: [1.0, null]}", "gain"),
         (f"{{gain: {[1.0] * 200}, count: {[1] * 200}}}", "at most 10000 points, got 40000"),
         ("{gain: [1.0]}\nnotebook: notebooks/other.md", r"other\.md"),
         ("&g [*g]", "alias"),
-        ("[" * 10**5, "20 levels"),
     ],
 )
 def test_a_bad_grid_is_refused_before_anything_runs(project, sweep, grid, message):
@@ -196,50 +167,7 @@ def test_a_bad_grid_is_refused_before_anything_runs(project, sweep, grid, messag
     assert not (project / "out").exists()
 
 
-def test_missing_files_and_bad_options_are_named(project, notebook, sweep, capsys, refused):
-    grid = project / "grid.yaml"
-    with pytest.raises(ValueError, match=r"grid\.yaml"):
-        run_sweep(notebook, grid, project / "out")
-    with pytest.raises(ValueError, match=r"absent\.ipynb"):
-        run_sweep(project / "absent.ipynb", grid, project / "out")
-    (project / "out").write_text("")
-    with pytest.raises(ValueError, match="out"):
-        sweep("{gain: [1.0]}")
-    for options in (["--seconds", "0"], ["--memory", "-1"], ["--workers", "0"]):
-        told = refused(capsys, main, "sweep", notebook, grid, "--out", project / "o", *options)
-        assert options[0].strip("-") in told
-
-
-@pytest.mark.parametrize("check", ["absent", "after another cell", "of another parameter"])
-def test_a_parameter_that_no_cell_checks_cannot_be_swept(notebook, sweep, check):
-    content = nbformat.read(notebook, as_version=4)
-    if check == "absent":
-        del content.cells[2:]
-    elif check == "after another cell":
-        content.cells.insert(2, nbformat.v4.new_code_cell("x = 1"))
-    else:
-        content.cells[2].source = content.cells[2].source.replace("gain=real(gt=0, le=10), ", "")
-    nbformat.write(content, notebook)
-    with pytest.raises(ValueError, match="check"):
-        sweep("{gain: [1.0]}")
-
-
-@pytest.mark.parametrize(
-    ("code", "limits", "problem"),
-    [
-        ("import time; time.sleep(60)", {"seconds": 1.0}, "took longer than 1 s"),
-        ("while True: print('x' * 10**5)", {"shown": 5.0}, "showed more than 5 MB"),
-        ("a = bytearray(10**10)", {"memory": 1.0}, "MemoryError"),
-    ],
-)
-@pytest.mark.skipif(sys.platform != "linux", reason="limits of memory are those of Linux")
-def test_a_point_that_takes_more_than_its_limit_fails(notebook, code, limits, problem):
-    prepend(notebook, code + "\n")
-    result = execute_point(notebook.read_text(), {"gain": 1.0}, None, Limits(**limits))
-    assert problem in result["problem"]
-
-
-def test_a_yaml_file_within_the_limits_is_read(tmp_path):
-    path = tmp_path / "file.yaml"
-    path.write_bytes("a: &named [1]\r\né: 2\r\n".encode())
-    assert read_yaml(path, "grid file") == {"a": [1], "é": 2}
+def test_a_point_that_takes_longer_than_its_limit_fails(notebook, sweep):
+    prepend(notebook, "import time; time.sleep(60)\n")
+    report = sweep("{gain: [1.0]}", limits=Limits(seconds=1.0))
+    assert "took longer than 1 s" in rows(report)[0]["problem"]
