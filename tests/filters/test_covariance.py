@@ -378,9 +378,16 @@ def test_mean_beyond_the_bound_has_diverged():
 def test_path_that_overflows_has_diverged_alone(options):
     """Of two records, and of one, whose numbers are plain floats."""
     system = JumpDiffusion(
-        (x,), [x**3 - 20 * x], [[1]], [x + v / 100], Noise((v,)), [1.0], [[1000.0]], step=0.02
+        (x,),
+        [sympy.exp(x) - 20 * x],
+        [[1]],
+        [x + v / 100],
+        Noise((v,)),
+        [1.0],
+        [[1000.0]],
+        step=0.02,
     )
-    filter, y = extended_kalman(system, **options), np.array([[[0.0, 50.0]], [[0.0, 0.0]]])
+    filter, y = extended_kalman(system, **options), np.array([[[0.0, 9.0]], [[0.0, 0.0]]])
     estimates = filter.run([0.0, 1.0], y)
     assert estimates.diverged.tolist() == [False, True]
     assert np.isfinite(estimates.mean[..., 0]).all()

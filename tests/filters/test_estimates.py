@@ -33,10 +33,10 @@ def common(estimates):
 def test_intervals_are_gaussian_ones(estimates):
     """Of records with covariances of their own or in common, and of a single time."""
     low, high = estimates.interval(0.9)
-    for k, i, record in ((2, 1, 0), (4, 2, 1)):
-        deviation = np.sqrt(estimates.cov[k, i, i, record])
-        wanted = norm.interval(0.9, estimates.mean[k, i, record], deviation)
-        np.testing.assert_allclose([low[k, i, record], high[k, i, record]], wanted, rtol=1e-12)
+    for k, i, which in ((2, 1, 0), (4, 2, 1)):
+        deviation = np.sqrt(estimates.cov[k, i, i, which])
+        wanted = norm.interval(0.9, estimates.mean[k, i, which], deviation)
+        np.testing.assert_allclose([low[k, i, which], high[k, i, which]], wanted, rtol=1e-12)
     low, high = common(estimates).interval()
     wanted = norm.interval(0.95, estimates.mean[4, 2, 1], np.sqrt(estimates.cov[4, 2, 2, 0]))
     np.testing.assert_allclose([low[4, 2, 1], high[4, 2, 1]], wanted, rtol=1e-12)
