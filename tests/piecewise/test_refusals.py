@@ -13,6 +13,11 @@ X, Z, V, W = sp.symbols("x z v w")
 TENT, HALF = PiecewiseLinearFilter(tent()), type(line_cells([[1.0], [0.0]], [0.0]).cells[0])
 LEFT, RIGHT = line_cells([[1.0], [0.0]], [0.0]).cells
 START = TENT.predict(TENT.initial(), 2.0)
+LEANING = PiecewiseLinearSystem(
+    [-INF, 0.0, INF], ([0.0, 0.0], [[0.5, 1e-9], [0.0, 1.0]]), ([0.0], [[1.0, 0.0]]), [[1.0]],
+    [0.1, 0.2], np.eye(2),
+)  # fmt: skip
+FOLLOWING = wave(6, dynamics=[2 * sp.sin(X)], noise=V, support="estimate")
 
 
 def system(**changes):
@@ -105,7 +110,9 @@ REFUSALS = [
     (filter_(max_branches=1), ValueError, "max_branches"),
     (run(0.0, 0.0, max_branches=7), ValueError, "max_branches.* 8 .* t = 2"),
     (run(0.1, model=tent(noise=[[0.1]]), method="exact"), ValueError, "method.* noise"),
-    (run(0.1, model=wave(6, support="estimate"), method="exact"), ValueError, "method"),
+    (run(0.1, model=LEANING, method="exact"), ValueError, "method.* depend on the others"),
+    (lambda: PiecewiseLinearFilter(FOLLOWING, method="exact").run(2, np.full((3, 1, 2), 0.3)
+     + np.array([0.0, 1.0])), ValueError, "method.* differ"),
     (run(0.2, model=tent(sensor_noise=[[0.0]], cov0=[[0.0]])), ValueError, "sensor_noise"),
     (run(0.2, model=tent(sensor_noise=[[0.0]]), prune=1e-3), ValueError, "prune"),
     (run(1e200), ValueError, "y"),
