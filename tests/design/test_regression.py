@@ -1,24 +1,64 @@
-"""Regression from merged moments, against least squares on the whole sample."""
+"""The regression that every design solves, against least squares with forty digits."""
 
+import mpmath
 import numpy as np
 import pytest
 
 from seedslib.design.regression import combine, inverse_root, regress, scatter
 
 
-def sample(rows=5, count=5000, seed=3):
+def sample(rows=5, count=400, seed=3):
+    """Rows that depend on each other, far from zero."""
     rng = np.random.default_rng(seed)
     mix = rng.standard_normal((rows, rows))
     return mix @ rng.standard_normal((rows, count)) + 10.0 * rng.standard_normal((rows, 1))
 
 
+def least_squares(targets, known):
+    """Gain, offset and mean products of the residuals, by normal equations of forty digits."""
+    with mpmath.workdps(40):
+        design = mpmath.matrix(np.vstack([known, np.ones(known.shape[1])]).tolist())
+        wanted = mpmath.matrix(targets.tolist())
+        found = (mpmath.inverse(design * design.T) * design * wanted.T).T
+        rest = wanted - found * design
+        cov = rest * rest.T / targets.shape[1]
+        found, cov = (np.array(part.tolist(), dtype=float) for part in (found, cov))
+    return found[:, :-1], found[:, -1], cov
+
+
+def fitted(rows, targets, size=None):
+    moments = scatter(rows)
+    return regress(moments.mean, moments.cov, targets, size)
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-7, 1e7])
+def test_regression_is_least_squares_in_every_unit(unit):
+    data = sample() * np.array([[1.0], [1.0], [unit], [1.0], [1 / unit]])
+    fit = fitted(data, 2)
+    gain, offset, cov = least_squares(data[:2], data[2:])
+    np.testing.assert_allclose(fit.gain, gain, rtol=1e-9)
+    np.testing.assert_allclose(fit.offset, offset, rtol=1e-9)
+    np.testing.assert_allclose(fit.cov, cov, rtol=1e-9)
+    wanted = gain @ data[2:] + offset[:, None]
+    np.testing.assert_allclose(fit.mean(data[2:]), wanted, rtol=1e-9, atol=1e-9)
+
+
+def test_regression_on_nearly_dependent_regressors_keeps_its_residuals():
+    data = sample()
+    data[4] = data[3] + 1e-4 * data[4]
+    fit, (_, _, cov) = fitted(data, 2), least_squares(data[:2], data[2:])
+    np.testing.assert_allclose(fit.cov, cov, rtol=1e-6)
+    rest = data[:2] - fit.mean(data[2:])
+    np.testing.assert_allclose(rest @ rest.T / data.shape[1], cov, rtol=1e-6)
+
+
 def test_blocks_merge_to_the_moments_of_the_whole():
     data = sample()
-    parts = [scatter(data[:, a : a + 700]) for a in range(0, 5000, 700)]
-    found = combine([scatter(data[:, :0]), *parts])
-    assert found.count == 5000
-    np.testing.assert_allclose(found.mean, data.mean(axis=1), rtol=1e-13)
-    np.testing.assert_allclose(found.cov, np.cov(data, bias=True), rtol=1e-11, atol=1e-12)
+    parts = [scatter(data[:, a:b]) for a, b in ((0, 0), (0, 70), (70, 70), (70, 71), (71, 400))]
+    for found in (combine(parts), combine(parts[1:])):
+        assert found.count == 400
+        np.testing.assert_allclose(found.mean, data.mean(axis=1), rtol=1e-13)
+        np.testing.assert_allclose(found.cov, np.cov(data, bias=True), rtol=1e-11)
 
 
 def test_moments_far_from_the_origin_keep_their_digits():
@@ -27,73 +67,58 @@ def test_moments_far_from_the_origin_keep_their_digits():
     np.testing.assert_allclose(far.cov, near.cov, rtol=1e-6, atol=1e-7)
 
 
-def test_regression_is_least_squares():
-    data = sample()
-    found = scatter(data)
-    fit = regress(found.mean, found.cov, 2)
-    design = np.concatenate([data[2:], np.ones((1, 5000))]).T
-    expected, _, _, _ = np.linalg.lstsq(design, data[:2].T, rcond=None)
-    np.testing.assert_allclose(fit.gain, expected[:3].T, rtol=1e-9)
-    np.testing.assert_allclose(fit.offset, expected[3], rtol=1e-8)
-    residual = data[:2].T - design @ expected
-    np.testing.assert_allclose(fit.cov, residual.T @ residual / 5000, rtol=1e-9)
-    np.testing.assert_allclose(fit.mean(data[2:]), (design @ expected).T, rtol=1e-9, atol=1e-9)
-
-
 def test_redundant_regressors_change_neither_forecast_nor_covariance():
     data = sample()
     doubled = np.concatenate([data, data[2:3] + data[3:4], 1e6 * data[4:5]])
-    lean, rich = (regress(s.mean, s.cov, 2) for s in (scatter(data), scatter(doubled)))
+    lean, rich = fitted(data, 2), fitted(doubled, 2)
     np.testing.assert_allclose(rich.mean(doubled[2:]), lean.mean(data[2:]), atol=1e-8)
     np.testing.assert_allclose(rich.cov, lean.cov, rtol=1e-9)
 
 
-def test_a_constant_regressor_is_dropped_although_its_rounding_varies():
+def test_constants_are_dropped_beside_their_size():
+    """Rounding about 3, and about 0 where the size of the component is known."""
+    data, size = sample(), np.array([0.0, 0.0, 0.0, 1.0])
+    noise = 1e-15 * np.random.default_rng(1).standard_normal((1, 400))
+    lean = fitted(data, 2)
+    for rows, given in (([data, 3.0 + noise], None), ([data, noise], size)):
+        fit = fitted(np.concatenate(rows), 2, given)
+        assert not fit.gain[:, -1].any()
+        np.testing.assert_allclose(fit.cov, lean.cov, rtol=1e-12)
+    assert fitted(np.concatenate([data, noise]), 2).gain[0, -1] != 0.0
+
+
+def test_what_is_explained_exactly_leaves_a_covariance_without_negative_eigenvalues():
     data = sample()
-    noise = 1e-15 * np.random.default_rng(1).standard_normal(5000)
-    found = scatter(np.concatenate([data, 3.0 + noise[None]]))
-    fit = regress(found.mean, found.cov, 2)
-    assert np.all(fit.gain[:, -1] == 0.0)
-    lean = scatter(data)
-    np.testing.assert_allclose(fit.cov, regress(lean.mean, lean.cov, 2).cov, rtol=1e-12)
-
-
-def test_a_regressor_near_zero_is_measured_against_the_size_it_should_have():
-    data = sample()
-    noise = 1e-15 * np.random.default_rng(1).standard_normal(5000)
-    found = scatter(np.concatenate([data, noise[None]]))
-    assert regress(found.mean, found.cov, 2).gain[0, -1] != 0.0
-    size = np.array([0.0, 0.0, 0.0, 1.0])
-    assert np.all(regress(found.mean, found.cov, 2, size).gain[:, -1] == 0.0)
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1.0, 1e9])
-def test_units_do_not_matter(unit):
-    data = sample()
-    found, other = scatter(data), scatter(data * np.array([[1.0], [1], [unit], [1], [1 / unit]]))
-    np.testing.assert_allclose(
-        regress(other.mean, other.cov, 2).cov, regress(found.mean, found.cov, 2).cov, rtol=1e-9
-    )
-
-
-def test_inverse_root_of_a_singular_covariance():
-    factor = np.random.default_rng(2).standard_normal((4, 2))
-    cov = factor @ factor.T
-    root = inverse_root(cov)
-    assert root.shape == (4, 2)
-    np.testing.assert_allclose(cov @ root @ root.T @ cov, cov, atol=1e-12)
-    assert inverse_root(np.zeros((3, 3))).shape == (3, 0)
+    data[0] = 2 * data[2] - data[3]
+    data[1] = data[4] + 1e-9 * data[1]
+    values = np.linalg.eigvalsh(fitted(data, 2).cov)
+    assert values.min() > -1e-18
+    assert values.max() < 1e-11
 
 
 def test_no_regressors_leave_mean_and_covariance():
-    found = scatter(sample()[:2])
-    fit = regress(found.mean, found.cov, 2)
-    np.testing.assert_array_equal(fit.offset, found.mean)
-    np.testing.assert_allclose(fit.cov, found.cov, rtol=1e-14)
+    moments = scatter(sample()[:2])
+    fit = regress(moments.mean, moments.cov, 2)
+    np.testing.assert_array_equal(fit.offset, moments.mean)
+    np.testing.assert_allclose(fit.cov, moments.cov, rtol=1e-14)
 
 
-def test_moments_that_are_none():
-    with pytest.raises(ValueError, match="positive semidefinite"):
+def test_root_of_a_singular_covariance_inverts_it_on_its_range():
+    unit = np.array([1e6, 1.0, 1e-5])
+    cov = np.cov(sample(3), bias=True)
+    mixed = np.array([[1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [0, 0, 0]]) * unit
+    wide = mixed @ cov @ mixed.T
+    root = inverse_root(wide)
+    assert root.shape == (5, 3)
+    np.testing.assert_allclose(wide @ root @ root.T @ wide, wide, rtol=1e-8)
+    size = np.array([1e6, 1.0, 1e6, 1e6, 0.0])  # the third is constant beside its size
+    assert inverse_root(wide, size).shape == (5, 2)
+    assert not inverse_root(wide, size)[2].any()
+    assert inverse_root(np.zeros((3, 3))).shape == (3, 0)
+
+
+def test_moments_that_are_none_are_refused():
+    with pytest.raises(ValueError, match="moments"):
         regress(np.zeros(2), np.array([[1.0, 2.0], [2.0, 1.0]]), 1)
-    with pytest.raises(ValueError, match="finite"):
+    with pytest.raises(ValueError, match="moments"):
         regress(np.zeros(2), np.array([[1.0, np.nan], [np.nan, 1.0]]), 1)

@@ -1,0 +1,272 @@
+"""Exact designs on grids: against Kalman, quadrature, simulation, and other designs."""
+
+import numpy as np
+import pytest
+import sympy
+
+from oracles.linear import Linear, kalman
+from seedslib import zoo
+from seedslib.base import Axis, Input, Nodes
+from seedslib.design import (
+    GridRisk,
+    Polynomial,
+    affine_synthesis,
+    grid_risk,
+    grid_synthesis,
+    optimal_risk,
+    synthesize,
+)
+from seedslib.designed import Memory, finite_memory, large_order
+from seedslib.linearization import ExactGaussian, Taylor
+from seedslib.models import (
+    DiscreteSystem,
+    FellerChain,
+    JumpDiffusion,
+    Noise,
+    StochasticMap,
+    SwitchingSystem,
+)
+
+x, v, w, t = sympy.symbols("x v w t")
+u = Input("u")
+TIMES = 0.25 * np.arange(5)
+GRID = {"x": (-3.5, 3.5, 141), "z": (-3.0, 3.0, 121), "y": (-8.0, 8.0, 97)}
+WIDE = {"x": (-14, 14, 141), "z": (-12, 12, 97)}
+
+
+@pytest.fixture(scope="module")
+def flip():
+    return zoo.flip_process()
+
+
+@pytest.fixture(scope="module")
+def exact(flip):
+    return grid_synthesis(flip, large_order(1), TIMES, **GRID, nodes=1)
+
+
+@pytest.fixture(scope="module")
+def gaussian(flip):
+    return affine_synthesis(flip, large_order(1), ExactGaussian(), TIMES, **GRID)
+
+
+@pytest.fixture(scope="module")
+def data(flip):
+    """Paths at the measurements and in the middle between them, where nothing is measured."""
+    return flip.simulate(0.125 * np.arange(9), 20_000, 98, measured=np.arange(0, 9, 2))
+
+
+def mse(filter):
+    return filter.predicted.rms[np.isin(filter.predicted.times, filter.times), 0] ** 2
+
+
+def within(squares, wanted, slack=0.0):
+    """Whether means of squares over the last axis are the wanted ones, by 4 standard errors."""
+    error = squares.std(axis=-1) / np.sqrt(squares.shape[-1])
+    return (np.abs(squares.mean(axis=-1) - wanted) < 4 * error + slack).all()
+
+
+def test_exact_filter_of_the_flip_process_has_the_errors_of_the_paper(flip, exact):
+    wanted = [0.14782, 0.13492, 0.13355, 0.13374, 0.13411]
+    np.testing.assert_allclose(mse(exact), wanted, rtol=2e-3)
+    risk = grid_risk(exact, **GRID)
+    assert isinstance(risk, GridRisk)
+    np.testing.assert_allclose(risk.mse, mse(exact), rtol=1e-9)
+    assert np.abs(risk.bias).max() < 1e-13
+    np.testing.assert_allclose(exact.covariances[:, 0, 0], risk.mse, rtol=1e-12)
+    default = grid_synthesis(flip, large_order(1), TIMES[:3], x=GRID["x"], nodes=0)
+    np.testing.assert_allclose(mse(default), wanted[:3], rtol=3e-3)
+
+
+def test_predicted_errors_are_those_of_simulated_paths_at_measurements_and_nodes(exact, data):
+    found = exact.run(data.times, data.measurements)
+    squares = (found.mean - data.states)[:, 0] ** 2
+    np.testing.assert_allclose(exact.predicted.times, data.times)
+    assert within(squares, exact.predicted.rms[:, 0] ** 2)
+    # each table is nearer to the one before, where their arguments are of one kind
+    assert np.isnan(exact.changes[0, :2]).all()
+    for k in (2, 3, 4):
+        y, known = data.measurements[2 * k], found.mean[2 * k - 2]
+        moved = (exact.output(k, y, known).mean - exact.output(k - 1, y, known).mean) ** 2
+        assert moved.mean() == pytest.approx(exact.changes[0, k] ** 2, rel=0.2)
+        assert exact.changes[1, k] == 0.0
+
+
+@pytest.mark.parametrize("l", [1, 2])
+def test_errors_of_the_optimal_function_are_orthogonal_to_every_function(flip, data, l):
+    """On common paths: any change h of the last function costs E h², with error bars."""
+    made = grid_synthesis(flip, large_order(l), TIMES[:4], **GRID, nodes=0)
+    y, x = data.measurements[:8:2], data.states[6, 0]
+    means = made.run(TIMES[:4], y).mean[:, 0]
+    last, known = y[3, 0], means[2]
+    changes = [
+        np.ones_like(last), last, known, np.sin(3 * last * known), np.tanh(2 * (last - known)),
+        means[1] if l == 2 else known**2,
+    ]  # fmt: skip
+    for change in changes:
+        cross = (means[3] - x) * change
+        assert abs(cross.mean()) < 4 * cross.std() / np.sqrt(len(cross))
+        more = (means[3] + 0.3 * change - x) ** 2 - (means[3] - x) ** 2 - 0.09 * change**2
+        assert within(more[None], 0.0)
+
+
+def test_filter_of_theorem_2_on_the_grid_has_the_parameters_of_simulated_ones(flip, gaussian, data):
+    """Gamma, kappa, T at all measurements: mean and standard error of independent designs."""
+    made, risk = gaussian
+    wanted = np.array([[p.item() for p in fit] for fit in made.fits])
+    np.testing.assert_allclose(wanted[0], [0.42102, 0.26389, 0.49577], atol=2e-3)
+    found = np.array([
+        [
+            [p.item() for p in fit]
+            for fit in synthesize(
+                flip, large_order(1), ExactGaussian(), TIMES, nodes=0, paths=1500, seed=seed
+            ).fits
+        ]
+        for seed in range(12)
+    ])  # fmt: skip
+    error = found.std(axis=0, ddof=1) / np.sqrt(12)
+    assert (np.abs(found.mean(axis=0) - wanted) < 4.5 * error).all()
+    squares = (made.run(TIMES, data.measurements[::2]).mean - data.states[::2])[:, 0] ** 2
+    assert within(squares, risk.mse)
+    assert risk.bias[2] == pytest.approx(0.0019, abs=2e-4)
+    np.testing.assert_allclose(grid_risk(made, **GRID).mse, risk.mse, rtol=1e-9)
+    linearised = affine_synthesis(flip, large_order(1), Taylor(), TIMES[:3], **GRID)[1]
+    np.testing.assert_allclose(linearised.mse, [0.14796, 0.20319, 0.20266], rtol=2e-3)
+
+
+@pytest.mark.parametrize(
+    ("memory", "predictor"), [(large_order(1), Polynomial(3, 2)), (finite_memory(1), None)]
+)
+def test_risk_of_a_simulated_design_is_its_held_out_error_and_above_the_optimum(
+    flip, exact, memory, predictor
+):
+    options = {"predictor": predictor} if predictor else {}
+    made = synthesize(
+        flip, memory, ExactGaussian(), TIMES, nodes=0, paths=12_000, seed=6, step=0.025, **options
+    )
+    risk, held = grid_risk(made, **GRID), made.held_out
+    assert (np.abs(np.sqrt(risk.mse) - held.rms[:, 0]) < 4 * held.error[:, 0]).all()
+    best = mse(exact) if memory.estimates else optimal_risk(flip, memory, TIMES, **GRID).mse
+    assert (best <= risk.mse + 1e-12).all()
+    assert (best[1:] < 0.8 * risk.mse[1:]).all()
+
+
+def test_two_measurements_are_weighed_by_bayes_formula(flip):
+    """With one remembered measurement the second estimate is the absolutely optimal one."""
+    table = grid_synthesis(flip, finite_memory(1), TIMES[:2], **GRID, nodes=0)
+    chain = FellerChain(flip, Axis(*GRID["x"]))
+    nodes, axis = chain.axis.nodes, Axis(*GRID["y"])
+    records = np.array([axis.nodes[list(pair)] for pair in ((30, 61), (61, 30), (48, 48))]).T
+    found = table.run(TIMES[:2], records[:, None]).mean[1, 0]
+    spread = 0.25 + 0.09 * nodes**2
+    for y, estimate in zip(records.T, found, strict=True):
+        likely = np.exp(-0.5 * (y[:, None] - nodes) ** 2 / spread) / np.sqrt(spread)
+        posterior = likely[1] * (chain.transition(0.0, 0.25) @ (likely[0] * chain.start()))
+        assert estimate == pytest.approx(posterior @ nodes / posterior.sum())
+
+
+def test_longer_memories_are_better_from_the_third_measurement_on(flip, exact):
+    second = grid_synthesis(flip, large_order(2), TIMES[:4], **GRID, nodes=0)
+    past = grid_synthesis(flip, finite_memory(1), TIMES[:4], **GRID, nodes=0)
+    one = mse(exact)[:4]
+    np.testing.assert_allclose(mse(second)[:2], one[:2], rtol=1e-12)
+    assert (mse(second)[2:] < one[2:]).all()
+    assert (mse(past)[2:] > one[2:]).all()
+    # after one step both remember the first measurement, one of them rounded
+    assert mse(past)[1] == pytest.approx(one[1], rel=1e-3)
+    assert second.order == 2
+
+
+def scalar(cls):
+    """A decaying scalar with a sensor of gain two, in continuous or discrete time."""
+    noise = Noise((w,), cov=[[0.8]])
+    if cls is JumpDiffusion:
+        return JumpDiffusion((x,), [-x / 2], [[1]], [2 * x + w], noise, [0.4], [[0.5]])
+    decay = np.exp(-0.2)
+    move = StochasticMap((x,), [decay * x + v], Noise((v,), cov=[[1 - decay**2]]))
+    return DiscreteSystem(move, StochasticMap((x,), [2 * x + w], noise), [0.4], [[0.5]])
+
+
+@pytest.mark.parametrize("cls", [JumpDiffusion, DiscreteSystem])
+def test_linear_gaussian_limit_is_the_kalman_filter(cls):
+    """Excess errors fall with the square of the step of the memory; estimates are Kalman's."""
+    system, steps = scalar(cls), 5
+    times = (0.4 if cls is JumpDiffusion else 1.0) * np.arange(steps)
+    one, decay = np.ones((steps, 1, 1)), np.exp(-0.2)
+    model = Linear(
+        decay * one[1:], 0 * one[1:, 0], (1 - decay**2) * one[1:], 2 * one, 0 * one[:, 0],
+        0.8 * one, np.array([0.4]), np.array([[0.5]]),
+    )  # fmt: skip
+    data, excess = system.simulate(times, 20, 3), []
+    wanted = [kalman(model, record) for record in data.measurements[..., :20].T.swapaxes(1, 2)]
+    for count in (41, 81):
+        axes = {"x": (-5, 5, 241), "z": (-4, 4, count), "y": (-14, 14, 141)}
+        found = grid_synthesis(system, large_order(1), times, **axes, nodes=0)
+        excess.append(mse(found) - wanted[0].cov[:, 0, 0])
+    assert (excess[0][1:] > 0).all()
+    np.testing.assert_allclose(excess[0][2:] / excess[1][2:], 4.0, rtol=0.3)
+    np.testing.assert_allclose(excess[1], 0.0, atol=1.5e-3)
+    means = np.stack([row.mean[:, 0] for row in wanted], axis=-1)
+    assert np.abs(found.run(times, data.measurements).mean[:, 0] - means).max() < 0.02
+
+
+def test_nodes_of_the_state_design_as_an_axis_does_where_they_are_even():
+    axes = {"z": (-4, 4, 41), "y": (-14, 14, 71)}
+    risk = [
+        optimal_risk(scalar(DiscreteSystem), Memory(1), range(4), x=nodes, **axes).mse
+        for nodes in ((-5, 5, 61), Nodes(np.linspace(-5, 5, 61)), Nodes(5 * np.sinh(
+            np.linspace(-1.5, 1.5, 61)) / np.sinh(1.5)))
+    ]  # fmt: skip
+    np.testing.assert_allclose(risk[1], risk[0], rtol=1e-12)
+    np.testing.assert_allclose(risk[2], risk[0], rtol=1e-3)
+
+
+def continuous(u):
+    sensor = [x + u / 3 + (1 + u / 8) * w]
+    return JumpDiffusion([x], [u - x], [[1 + u / 5]], sensor, Noise((w,)), [0], [[1]], step=0.05)
+
+
+def switching(u):
+    stay = 1 / (1 + sympy.exp(-u))
+    leave, moves = [[stay, 1 - stay], [1 - stay, stay]], [[x / 2 + u + v], [x / 2 - u + 2 * v]]
+    first = [(0.5, [0], [[1]]), (0.5, [1], [[1]])]
+    return SwitchingSystem(
+        [x], moves, Noise((v,)), leave, [[x + u / 5 + w], [x + w / 2]], Noise((w,)), first
+    )
+
+
+IRREGULAR = np.array([0.5, 0.9, 1.6, 1.9, 2.8])
+VALUES = np.array([0.5, -1.0, 2.0, 0.3, 1.0])
+
+
+@pytest.mark.parametrize(("kind", "times"), [(continuous, IRREGULAR), (switching, range(5))])
+def test_inputs_are_the_same_course_as_a_function_of_time(kind, times):
+    """In exact designs, their runs, their risk, and affine designs; forecasts between too."""
+    steps = zip(VALUES, times[1:], strict=False)
+    course = sympy.Piecewise(*((value, t < end) for value, end in steps), (1, True))
+    told, written, given = kind(u), kind(course), {"inputs": {u: VALUES}}
+    found = grid_synthesis(told, Memory(1), times, nodes=1, **given, **WIDE)
+    wanted = grid_synthesis(written, Memory(1), times, nodes=1, **WIDE)
+    np.testing.assert_allclose(found.predicted.rms, wanted.predicted.rms, rtol=1e-9)
+    assert np.ptp(found.predicted.rms) > 0.01
+    y = written.simulate(times, 4, 0).measurements
+    np.testing.assert_allclose(
+        found.run(times, y, **given).mean, wanted.run(times, y).mean, rtol=1e-8
+    )
+    risk = optimal_risk(told, Memory(1), times, **given, **WIDE)
+    np.testing.assert_allclose(risk.mse, mse(wanted), rtol=1e-9)
+    if kind is switching:
+        np.testing.assert_allclose(risk.mode_error, wanted.predicted.mode_rate, rtol=1e-9)
+        return
+    made, risk = affine_synthesis(told, Memory(1), Taylor(), times, **given, **WIDE)
+    other, wanted = affine_synthesis(written, Memory(1), Taylor(), times, **WIDE)
+    np.testing.assert_allclose(risk.mse, wanted.mse, rtol=1e-9)
+    np.testing.assert_allclose(made.fits[2].offset, other.fits[2].offset, rtol=1e-8)
+    again = grid_risk(made, **given, **WIDE)
+    np.testing.assert_allclose(again.mse, risk.mse, rtol=1e-6)
+
+
+def test_probability_beyond_an_axis_is_warned_of_by_name(flip):
+    few = {"x": (-3.5, 3.5, 71), "nodes": 0}
+    for name, change in (("z", (-0.5, 0.5, 31)), ("y", (-2.0, 2.0, 41)), ("x", (-1.5, 1.5, 71))):
+        with pytest.warns(UserWarning, match=f"{name}: "):
+            grid_synthesis(flip, large_order(1), TIMES[:3], **{**few, name: change})

@@ -1,0 +1,256 @@
+"""Optimal functions as tables by regression on paths: against grids, sums by hand, and paths."""
+
+import numpy as np
+import pytest
+import sympy
+
+from seedslib import zoo
+from seedslib.base import Axis
+from seedslib.design import grid_risk, grid_synthesis, optimal_risk, simulated_synthesis
+from seedslib.design.tables.regression import histogram_table, likelihood_table
+from seedslib.designed import Memory, finite_memory, large_order
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+
+x, q, v, w, r, s = sympy.symbols("x q v w r s")
+TIMES = 0.25 * np.arange(5)
+GRID = {"x": (-3.5, 3.5, 141), "z": (-3.0, 3.0, 161), "y": (-8.0, 8.0, 97)}
+TABLES = {"z": (-2.0, 2.0, 81), "y": (-8.0, 8.0, 97)}
+
+
+@pytest.fixture(scope="module")
+def flip():
+    return zoo.flip_process()
+
+
+@pytest.mark.parametrize(("method", "most"), [("likelihood", 1.006), ("histogram", 1.025)])
+def test_risk_comes_close_to_that_of_the_exact_design(flip, method, most):
+    """True risks, without random numbers; the histogram needs more paths for less."""
+    exact = optimal_risk(flip, large_order(1), TIMES, **GRID).mse
+    made = simulated_synthesis(
+        flip, large_order(1), TIMES, paths=10_000, seed=1, method=method, nodes=0, **TABLES
+    )
+    risk = grid_risk(made, **GRID).mse
+    assert 1.0 <= risk[1:].mean() / exact[1:].mean() < most
+    if method == "histogram":
+        assert risk[1:].mean() / exact[1:].mean() > 1.006
+    # what the design says of itself, on paths that it has not seen, is true within its error
+    for says in (made.predicted, made.held_out):
+        apart = np.abs(says.rms[:, 0] - np.sqrt(risk))
+        assert (apart < 4 * says.error[:, 0]).all()
+    assert not made.predicted.in_sample
+    assert (made.design.paths, made.held_out.paths) == (20_000, 1250)
+    # on the way to the last table the tables come closer to each other
+    assert np.isnan(made.changes[0, :2]).all()
+    assert made.changes[0, 2] > made.changes[0, 4] > 0
+
+
+def test_more_paths_bring_estimates_of_a_switching_system_nearer_to_the_exact_ones():
+    system, axes = zoo.scalar_switching("A1H"), {"z": (-6, 6, 61), "y": (-16, 18, 69)}
+    exact = grid_synthesis(
+        system, large_order(1), range(4), x=(-8, 8, 81), z=(-6, 6, 121), y=(-16, 18, 137)
+    )
+    data = system.simulate(range(4), 4000, 12)
+    wanted, apart = exact.run(data.times, data.measurements), []
+    for paths in (1000, 16_000):
+        made = simulated_synthesis(system, large_order(1), range(4), paths=paths, seed=1, **axes)
+        found = made.run(data.times, data.measurements)
+        apart.append(((found.mean - wanted.mean)[3] ** 2).mean())
+    assert apart[1] < 0.4 * apart[0]
+    assert apart[1] < 0.02
+    assert (found.modes != wanted.modes).mean() < 0.05
+    rate = made.predicted.mode_rate - exact.predicted.mode_rate
+    assert (np.abs(rate) < 4 * made.predicted.mode_error + 0.005).all()
+    rate = made.held_out.mode_rate - made.predicted.mode_rate
+    assert (np.abs(rate) < 4.5 * made.held_out.mode_error).all()
+
+
+@pytest.mark.parametrize("method", ["likelihood", "histogram"])
+@pytest.mark.parametrize("memory", [large_order(1), Memory(1, 0, 1), Memory(0, 1, 1)])
+def test_indicators_bring_designs_near_the_optimum_of_their_memory(memory, method):
+    system, times = zoo.dependent_switching(), np.arange(3)
+    axes = {"z": (-4, 4, 33), "y": (-7, 11, 49)}
+    best = optimal_risk(system, memory, times, x=(-6, 6, 49), **axes)
+    made = simulated_synthesis(
+        system, memory, times, paths=6000, seed=3, method=method, probabilities=True, **axes
+    )
+    data = system.simulate(times, 10_000, 4)
+    found = made.run(times, data.measurements, indicators=data.indicators)
+    square = (found.mean - data.states)[:, 0] ** 2
+    error = 4 * square.std(axis=1) / 100
+    loose = 1.03 if method == "likelihood" else 1.08
+    assert (square.mean(axis=1) < loose * best.mse + error).all()
+    assert (square.mean(axis=1) > best.mse - error).all()
+    wrong = (found.modes != data.modes).mean(axis=1)
+    assert (np.abs(wrong - best.mode_error) < 0.012 + 4 * np.sqrt(wrong / 10_000)).all()
+    np.testing.assert_allclose(found.mode_prob.sum(axis=1), 1.0)
+    if not memory.indicators:
+        # a missing indicator: worse than seen, better than nothing known
+        unseen = np.full((1, 10_000), -1)
+        blind = made.run(times[:1], data.measurements[:1], indicators=unseen)
+        assert wrong[0] + 0.03 < (blind.modes != data.modes[:1]).mean() < 0.4
+        assert ((blind.mean - data.states[:1]) ** 2).mean() < 0.5 * data.states[0].var()
+
+
+@pytest.mark.parametrize("method", ["likelihood", "histogram"])
+def test_functions_are_fitted_and_tried_on_sets_of_paths_in_turn(flip, method):
+    """What is predicted is the error on the set after the one that a function was fitted to."""
+    for sets in (2, 3):
+        made = simulated_synthesis(
+            flip, Memory(1), TIMES[:4], paths=300, seed=3, sets=sets, nodes=1, method=method,
+            **TABLES,
+        )  # fmt: skip
+        grid = made.predicted.times
+        streams = np.random.SeedSequence(3).spawn(sets + 1)[:sets]
+        paths = [flip.simulate(grid, 300, s, measured=range(0, 7, 2)) for s in streams]
+        for j in range(7):
+            data = paths[((j + 1) // 2 + 1) % sets]
+            found = made.run(grid[: j + 1], data.measurements[: j + 1]).mean[j]
+            square = (found - data.states[j])[0] ** 2
+            np.testing.assert_allclose(made.predicted.rms[j], np.sqrt(square.mean()), rtol=1e-9)
+            error = square.std() / np.sqrt(300) / (2 * made.predicted.rms[j])
+            np.testing.assert_allclose(made.predicted.error[j], error, rtol=1e-9)
+        rms = made.predicted.rms[::2, 0]
+        np.testing.assert_allclose(made.covariances[:, 0, 0], rms**2, rtol=1e-12)
+
+
+def test_likelihood_weights_by_hand():
+    """Paths at two nodes of the memory, no smoothing: ratios of likelihood-weighted sums."""
+    rng = np.random.default_rng(3)
+    states, known = rng.standard_normal((1, 60)), np.where(np.arange(60) < 30, 1.0, 2.0)[None]
+    axes = (Axis(-4.0, 4.0, 9),), (Axis(0.0, 3.0, 4),)
+    sensor, grid = zoo.flip_process().sensor, axes[0][0].nodes
+
+    def log_density(part):
+        return sensor.log_density(0.0, grid[None, None], states[:, part, None])
+
+    table = likelihood_table(log_density, states, known, *axes, 1e-9)
+    assert table.shape == (1, 9, 4)
+    for cell in (1, 2):
+        here = states[0, known[0] == cell]
+        for y in (-1.0, 0.0, 3.0):
+            spread = 0.25 + 0.09 * here**2
+            likely = np.exp(-0.5 * (y - here) ** 2 / spread) / np.sqrt(spread)
+            wanted = (likely @ here) / likely.sum()
+            assert table[0, int(y) + 4, cell] == pytest.approx(wanted, rel=1e-12)
+
+
+def test_histograms_are_means_of_paths_and_of_the_nearest_crowd():
+    rng = np.random.default_rng(4)
+    states, y = rng.standard_normal((1, 90)), rng.integers(-1, 2, (1, 90)).astype(float)
+    table = histogram_table(states, y, (Axis(-1.0, 1.0, 3),), 1e-9)
+    wanted = [states[y == value].mean() for value in (-1.0, 0.0, 1.0)]
+    np.testing.assert_allclose(table[0], wanted, rtol=1e-12)
+    states = np.repeat([2.0, 5.0], 50)[None]
+    known, axis = np.repeat([0.0, 3.0], 50)[None], Axis(-10.0, 13.0, 93)
+    table = histogram_table(states, known, (axis,), 0.1)
+    # at the end, beyond every kernel, the mean of all
+    for node, value in ((0.0, 2.0), (3.0, 5.0), (4.0, 5.0), (-10.0, 3.5)):
+        assert table[0, np.argmin(np.abs(axis.nodes - node))] == pytest.approx(value)
+
+
+def test_two_components_two_measurements_and_default_axes():
+    """Unlike components: axes reach a tenth of the range of the paths beyond either end."""
+    moves = StochasticMap([x, q], [x + q / 2 + v, q - x / 3 + w], Noise((v, w)))
+    sensor = StochasticMap([x, q], [x + r, 5 * q + s], Noise((r, s)))
+    system = DiscreteSystem(moves, sensor, [1.0, -2.0], [[1.0, 0.2], [0.2, 2.0]])
+    z, y = [(-7, 8, 11), (-9, 6, 11)], [(-7, 9, 21), (-45, 30, 61)]
+    made = simulated_synthesis(
+        system, Memory(1), range(2), paths=2000, seed=3, z=z, method="histogram"
+    )
+    other = simulated_synthesis(
+        system, Memory(1), range(2), paths=2000, seed=3, components=1, y=y, method="histogram"
+    )
+    data = system.simulate(range(2), 2000, np.random.SeedSequence(3).spawn(3)[0])
+    parts = [*data.measurements.swapaxes(0, 1), data.states[:, 0]]
+    axes = [*made.steps[1].shown.axes[:2], other.steps[1].shown.axes[2]]
+    for axis, part, count in zip(axes, parts, (49, 49, 81), strict=True):
+        reach = 0.1 * np.ptp(part)
+        np.testing.assert_allclose([axis.low, axis.high], [part.min() - reach, part.max() + reach])
+        assert axis.count == count
+    assert (made.order, other.order) == (2, 1)
+    # two steps of a linear system are a regression on both measurements
+    made = simulated_synthesis(system, Memory(1), range(2), paths=2000, seed=3, z=z, y=y)
+    fresh = system.simulate(range(2), 4000, 9)
+    known = np.concatenate([*fresh.measurements, np.ones((1, 4000))])
+    weights = np.linalg.lstsq(known.T, fresh.states[1].T, rcond=None)[0]
+    least = np.sqrt(((fresh.states[1] - weights.T @ known) ** 2).mean(axis=1))
+    error = made.run(range(2), fresh.measurements).mean[1] - fresh.states[1]
+    assert (np.sqrt((error**2).mean(axis=1)) < 1.12 * least).all()
+
+
+def test_one_component_of_two_with_a_mixed_memory():
+    system, times = zoo.van_der_pol(), 0.5 * np.arange(3)
+    made = simulated_synthesis(
+        system, Memory(1, 1), times, paths=2000, seed=1, nodes=1, components=1, z=(-4, 4, 11),
+        y=[(-3, 14, 9), (-8, 8, 9)],
+    )  # fmt: skip
+    assert made.order == 3
+    data = system.simulate(times, 500, 55)
+    found = made.run(times, data.measurements)
+    assert found.mean.shape == (3, 1, 500)
+    assert made.steps[1].shown.estimate.shape == (1, 9, 9, 11, 9, 9)
+    assert np.sqrt(((found.mean - data.states[:, :1]) ** 2).mean(axis=2)).max() < 0.35
+
+
+@pytest.mark.parametrize("unit", [1e-9, 1e9])
+def test_default_axes_follow_the_unit_and_equal_seeds_give_equal_tables(unit):
+    def table(unit):
+        system = DiscreteSystem(
+            StochasticMap((x,), [0.9 * x + unit * w], Noise((w,))),
+            StochasticMap((x,), [x + unit * v], Noise((v,))), mean0=[0], cov0=[[unit**2]],
+        )  # fmt: skip
+        return simulated_synthesis(system, finite_memory(1), range(2), paths=500, seed=1)
+
+    plain, again, other = table(1.0), table(1.0), table(unit)
+    np.testing.assert_array_equal(plain.steps[1].shown.estimate, again.steps[1].shown.estimate)
+    one, two = (made.steps[1].blind.axes[0] for made in (plain, other))
+    np.testing.assert_allclose([two.low, two.high], [unit * one.low, unit * one.high], 1e-9)
+    np.testing.assert_allclose(other.predicted.rms, unit * plain.predicted.rms, rtol=1e-3)
+    assert plain.design.entropy == 1
+
+
+def test_a_known_state_has_an_axis_about_its_value():
+    system = DiscreteSystem(
+        StochasticMap((x,), [x + 0 * w], Noise((w,))), StochasticMap((x,), [x + v], Noise((v,))),
+        mean0=[3.0], cov0=[[0.0]],
+    )  # fmt: skip
+    made = simulated_synthesis(system, Memory(1), range(2), paths=100, seed=1)
+    axis = made.steps[1].blind.axes[0]
+    assert axis.low < 3.0 < axis.high
+    np.testing.assert_allclose(made.predicted.rms, 0.0, atol=1e-9)
+
+
+@pytest.mark.filterwarnings("ignore:held out:UserWarning")
+def test_diverged_paths_are_left_out_and_counted():
+    system = JumpDiffusion.from_functions(
+        lambda t, x: np.where(np.abs(x) > 1.5, x**9, -x),
+        lambda t, x: np.ones((1, 1, *x.shape[1:])),
+        StochasticMap.from_functions(
+            1, 1, lambda t, x, v: x + v, Noise(1),
+            log_density=lambda t, y, x: (-0.5 * (y - x) ** 2)[0],
+        ),
+        [0.0],
+        [[0.3]],
+        step=0.05,
+    )  # fmt: skip
+    with pytest.warns(UserWarning, match="paths"):
+        made = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
+    assert 0 < made.design.diverged < 2000
+    assert made.design.paths == 4000
+    assert np.isfinite(made.steps[1].shown.estimate).all()
+
+
+def test_a_sensor_without_density_takes_the_histogram_of_a_linear_system_to_kalman():
+    """The same system as array functions, which know no density."""
+    noise = Noise(1)
+    move = StochasticMap.from_functions(1, 1, lambda t, x, v: 0.9 * x + 0.4 * v, noise)
+    show = StochasticMap.from_functions(1, 1, lambda t, x, v: x + 0.7 * v, noise)
+    system = SwitchingSystem.from_maps([[move]], [[show]], [(1.0, [0.3], [[0.8]])])
+    made = simulated_synthesis(
+        system, large_order(1), range(3), paths=12_000, seed=1, method="histogram"
+    )
+    variance = 0.8
+    for k in range(3):
+        variance = variance * 0.49 / (variance + 0.49)
+        assert made.predicted.rms[k, 0] ** 2 == pytest.approx(variance, rel=0.06)
+        variance = 0.81 * variance + 0.16

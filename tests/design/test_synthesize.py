@@ -1,0 +1,401 @@
+"""Designs on simulated paths: what is fitted, on which paths, and what is said of them."""
+
+import warnings
+from itertools import combinations_with_replacement
+
+import numpy as np
+import pytest
+import sympy
+
+from oracles.linear import kalman
+from seedslib import zoo
+from seedslib.base import Input
+from seedslib.design import Affine, Continuous, Crew, Polynomial, synthesize
+from seedslib.designed import Memory, finite_memory
+from seedslib.evaluation import compare
+from seedslib.filters import assumed_density
+from seedslib.linearization import Cubature, ExactGaussian, Taylor
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from systems import INPUTS, TIMES, discrete_system, linear_numbers, with_gaps
+
+x, y, v, w, t = sympy.symbols("x y v w t")
+u = Input("u")
+STOPS = np.array([0.3, 0.8, 1.8, 2.4])
+VALUES = {u: np.array([0.5, -1.0, 2.0, 0.3])}
+READ = np.array([[True, True], [False, True], [True, True], [True, False]])
+HELD_OUT = 0x48454C44
+"""Key of the held-out paths among the children of a seed."""
+
+
+@pytest.fixture(scope="module")
+def curved():
+    """Two unlike components, time and an input in state and sensor."""
+    return JumpDiffusion(
+        (x, y),
+        [y + u / 2, -sympy.sin(x) - 0.3 * y + t / 4],
+        [[0.3, 0], [0.2, 0.5]],
+        [x + y**2 / 4 + u / 3 + v, y + (1 + t / 5) * w],
+        Noise((v, w), cov=[[0.3, 0.1], [0.1, 0.5]]),
+        [0.4, -0.2],
+        [[0.5, 0.1], [0.1, 0.3]],
+        step=0.1,
+    )
+
+
+@pytest.fixture(scope="module")
+def oscillator():
+    return zoo.van_der_pol()
+
+
+def best(features, targets):
+    """Least-squares forecast of the targets from features and a constant."""
+    known = np.vstack([*features, np.ones(targets.shape[1])])
+    return np.linalg.lstsq(known.T, targets.T, rcond=None)[0].T @ known
+
+
+def powers(memory, degree):
+    """Products of up to so many standardised components, cut at 3.5 deviations."""
+    z = (memory - memory.mean(axis=1)[:, None]) / memory.std(axis=1)[:, None]
+    z = np.clip(z, -3.5, 3.5)
+    return [
+        np.prod(z[list(chosen)], axis=0)
+        for total in range(1, degree + 1)
+        for chosen in combinations_with_replacement(range(len(z)), total)
+    ]
+
+
+def positive(cov):
+    """Where a covariance, (n, n, N), is well above the floor of a polynomial forecast."""
+    mean = cov.mean(axis=2)
+    relative = np.linalg.eigvals(np.linalg.solve(mean, np.moveaxis(cov, 2, 0))).real
+    return relative.min(axis=1) > 0.06
+
+
+CASES = {
+    "one component of two, gaps, nodes that see": (
+        Memory(2), Taylor(), {"components": 1, "measured": READ, "measured_nodes": True},
+    ),
+    "estimates and measurements": (Memory(1, 1), ExactGaussian(), {"scheme": "heun"}),
+    "polynomials of estimates": (Memory(1), Taylor(), {"predictor": Polynomial(3, 2)}),
+    "polynomials of measurements": (
+        finite_memory(2), Cubature(), {"predictor": Polynomial(2, 0), "step": 0.05},
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_design_is_a_run_on_its_own_paths_with_least_squares_forecasts(curved, case):
+    memory, rule, options = CASES[case]
+    n, paths = options.get("components", 2), 1500
+    made = synthesize(
+        curved, memory, rule, STOPS, nodes=1, paths=paths, seed=8, inputs=VALUES, **options
+    )
+    stops = made.predicted.times
+    rows = np.searchsorted(stops, STOPS)
+    np.testing.assert_array_equal(rows, [0, 2, 4, 6])
+    mask = np.zeros((7, 2), dtype=bool)
+    mask[rows] = options.get("measured", True)
+    held = {u: np.repeat(VALUES[u], 2)[:7]}
+    simulation = {key: options[key] for key in ("step", "scheme") if key in options}
+    data = curved.simulate(stops, paths, 8, measured=mask, inputs=held, **simulation)
+    found = made.run(stops, data.measurements, inputs=held).mean
+    squares = (found - data.states[:, :n]) ** 2
+    np.testing.assert_allclose(made.predicted.rms, np.sqrt(squares.mean(axis=2)), rtol=1e-9)
+    error = squares.std(axis=2) / np.sqrt(paths) / (2 * made.predicted.rms)
+    np.testing.assert_allclose(made.predicted.error, error, rtol=1e-8)
+    assert made.predicted.in_sample
+    first = np.concatenate([data.states[0], data.measurements[0]])
+    np.testing.assert_allclose(made.start.mean, first[:2].mean(axis=1))
+    np.testing.assert_allclose(made.start.moments.mean, first[2:].mean(axis=1))
+    cov = np.cov(first, bias=True)
+    np.testing.assert_allclose(made.start.cov, cov[:2, :2])
+    np.testing.assert_allclose(made.start.moments.cross, cov[:2, 2:])
+    np.testing.assert_allclose(made.start.moments.cov, cov[2:, 2:])
+    z, shown = found[rows], data.measurements[rows]
+    for k, fit in enumerate(made.fits):
+        newest = slice(k, None, -1)
+        parts = [*z[newest][: memory.estimates], *shown[newest][: memory.measurements]]
+        known = np.concatenate(parts)
+        predictor, features = options.get("predictor"), known
+        if predictor:
+            features = powers(known, predictor.mean_degree)
+        target = data.states[rows[k + 1]]
+        wanted = best(features, target)
+        np.testing.assert_allclose(fit.mean(known), wanted, rtol=1e-6, atol=1e-8)
+        rest = target - wanted
+        np.testing.assert_allclose(fit.cov, rest @ rest.T / paths, rtol=1e-7)
+        if predictor and predictor.cov_degree:
+            products = np.stack([rest[0] ** 2, rest[0] * rest[1], rest[1] ** 2])
+            a, b, c = best(powers(known, predictor.cov_degree), products)
+            cov = np.array([[a, b], [b, c]])
+            good = positive(cov)
+            assert good.mean() > 0.5
+            claimed = fit.forecast(known)[1]
+            np.testing.assert_allclose(claimed[..., good], cov[..., good], rtol=1e-5, atol=1e-7)
+        if options.get("measured_nodes"):
+            known = np.concatenate([known, np.nan_to_num(shown[k])])
+            if not READ[k].all():
+                continue  # what is missing is remembered as what was expected
+        target = data.states[rows[k] + 1][:n]
+        (fit,) = made.node_fits[k]
+        wanted = best(known, target)
+        np.testing.assert_allclose(fit.mean(known), wanted, rtol=1e-6, atol=1e-8)
+        rest = target - wanted
+        np.testing.assert_allclose(fit.cov, rest @ rest.T / paths, rtol=1e-7)
+
+
+def test_continuous_forecast_is_fitted_at_every_step(oscillator):
+    times, paths = [0.0, 0.2, 0.4], 1000
+    made = synthesize(
+        oscillator, Memory(1), Taylor(), times, predictor=Continuous(), paths=paths, seed=3,
+        step=0.05, horizon=0.5,
+    )  # fmt: skip
+    stops = made.predicted.times
+    np.testing.assert_allclose(stops, 0.05 * np.arange(11))
+    data = oscillator.simulate(stops, paths, 3, measured=[0, 4, 8], step=0.05)
+    found = made.run(stops, data.measurements).mean
+    rms = np.sqrt(((found - data.states) ** 2).mean(axis=2))
+    np.testing.assert_allclose(made.predicted.rms, rms, rtol=1e-9)
+    for k, fits in enumerate(made.node_fits):
+        for fit, z, state in zip(fits, found[4 * k :], data.states[4 * k :], strict=False):
+            wanted = best(z, state)
+            np.testing.assert_allclose(fit.mean(z), wanted, rtol=1e-6, atol=1e-8)
+            rest = state - wanted
+            np.testing.assert_allclose(fit.cov, rest @ rest.T / paths, rtol=1e-7)
+    state = made.correct(made.predict(made.initial((paths,)), 0.0), data.measurements[0])
+    forecast = made.predict(state, 0.2)
+    rest = data.states[4] - forecast.mean
+    assert np.abs(rest.mean(axis=1)).max() < 1e-12
+    np.testing.assert_allclose(forecast.cov, rest @ rest.T / paths, rtol=1e-7)
+
+
+def test_held_out_errors_are_those_of_a_run_on_other_paths_of_the_seed(curved):
+    made = synthesize(
+        curved, Memory(2), ExactGaussian(), STOPS, nodes=1, paths=5000, seed=7, inputs=VALUES,
+        measured=READ,
+    )  # fmt: skip
+    stream = np.random.SeedSequence(7, spawn_key=(HELD_OUT,)).spawn(1)[0]
+    stops = made.predicted.times
+    mask = np.zeros((7, 2), dtype=bool)
+    mask[::2] = READ
+    values = {u: np.repeat(VALUES[u], 2)[:7]}
+    data = curved.simulate(stops, 625, stream, measured=mask, inputs=values)
+    found = made.run(STOPS, data.measurements[::2], inputs=VALUES).mean
+    square, held = (found - data.states[::2]) ** 2, made.held_out
+    assert (held.paths, held.diverged) == (625, 0)
+    np.testing.assert_allclose(held.rms, np.sqrt(square.mean(axis=2)), rtol=1e-12)
+    spread = square.std(axis=2) / 25.0 / (2.0 * held.rms)
+    np.testing.assert_allclose(held.error, spread, rtol=1e-10)
+    np.testing.assert_allclose(held.deviation, data.states[::2].std(axis=2), rtol=1e-12)
+    np.testing.assert_array_equal(held.times, STOPS)
+
+
+def test_a_seed_of_any_kind_gives_one_design_and_a_generator_is_drawn_from_once(oscillator):
+    def made(seed):
+        return synthesize(
+            oscillator, Memory(1), Taylor(), [0, 0.2], paths=600, seed=seed, step=0.05, nodes=0
+        )
+
+    one, two, other = made(3), made(np.random.SeedSequence(3)), made(4)
+    np.testing.assert_array_equal(one.fits[0].gain, two.fits[0].gain)
+    np.testing.assert_array_equal(one.held_out.rms, two.held_out.rms)
+    assert not np.array_equal(one.fits[0].gain, other.fits[0].gain)
+    assert one.design.entropy == 3
+    assert (one.design.paths, one.held_out.paths) == (600, 512)
+    rng = np.random.default_rng(5)
+    assert not np.array_equal(made(rng).fits[0].gain, made(rng).fits[0].gain)
+
+
+def numbers(filter):
+    """All arrays of a design."""
+    found = [*filter.predicted, *filter.held_out]
+    for fit in [*filter.fits, *(f for row in getattr(filter, "node_fits", ()) for f in row)]:
+        found += [*getattr(fit, "fit", fit)]
+    for part in getattr(filter, "arrivals", ()):
+        found += [*part]
+    flat = []
+    for part in found:
+        flat += [*part] if isinstance(part, tuple) else [part]
+    return [np.asarray(part) for part in flat if part is not None]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"memory": Memory(2), "nodes": 2},
+        {"memory": Memory(1), "predictor": Polynomial(2, 2)},
+        {"memory": Memory(1), "predictor": Continuous()},
+        {"memory": Memory(1), "availability": 0.8},
+        {"memory": Memory(1), "system": zoo.scalar_switching()},
+        {"memory": Memory(1), "system": zoo.scalar_switching(), "availability": 0.7},
+    ],
+)
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_design_does_not_depend_on_threads_bit_by_bit(oscillator, options):
+    """70 000 paths are nine blocks, and two of those held out."""
+    options = {"system": oscillator, **options}
+    system, memory = options.pop("system"), options.pop("memory")
+    switching = system is not oscillator
+    paths = 70_000 if switching else 17_000
+    times = [0.0, 1.0, 2.0] if switching else [0.0, 0.2, 0.4]
+    more = {} if switching else {"step": 0.1}
+    one, two = (
+        numbers(
+            synthesize(
+                system, memory, ExactGaussian(), times, paths=paths, seed=5, workers=workers,
+                **more, **options,
+            )
+        )
+        for workers in (Crew(), 2)
+    )  # fmt: skip
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_discrete_reference_system_is_designed_to_its_kalman_filter():
+    """Time-varying, driven, with noise means, a late irregular start and a schedule of gaps."""
+    mask = ~np.isnan(with_gaps(np.zeros((7, 2))))
+    system = discrete_system()
+    made = synthesize(
+        system, Memory(1), Taylor(), TIMES, paths=20_000, seed=1, inputs=INPUTS, measured=mask
+    )
+    assert all(len(nodes) == 0 for nodes in made.node_times)
+    data = system.simulate(TIMES, 200, 2, inputs=INPUTS, measured=mask)
+    wanted = kalman(linear_numbers(), data.measurements[..., 0])
+    for fit, cov in zip(made.fits, wanted.predicted_cov[1:], strict=True):
+        scale = np.sqrt(np.diagonal(cov))
+        np.testing.assert_allclose(fit.cov / np.outer(scale, scale), cov / np.outer(scale, scale),
+                                   atol=4 * np.sqrt(2 / 20_000))  # fmt: skip
+    deviation = np.sqrt(np.diagonal(wanted.cov, axis1=1, axis2=2))
+    np.testing.assert_allclose(made.predicted.rms, deviation, rtol=4 / np.sqrt(2 * 20_000))
+    means = [kalman(linear_numbers(), record).mean for record in data.measurements[..., :5].T
+             .swapaxes(1, 2)]  # fmt: skip
+    found = made.run(TIMES, data.measurements[..., :5], inputs=INPUTS).mean
+    apart = (found - np.moveaxis(means, 0, -1)) / deviation[..., None]
+    assert np.abs(apart).max() < 0.1
+
+
+def test_design_with_two_blocks_of_held_out_paths_finds_the_error_of_the_filter():
+    """Blocks differ from one another, so their moments must be merged by their counts."""
+    system = DiscreteSystem(
+        StochasticMap((x,), [0.9 * x + w], Noise((w,), cov=[[0.5]])),
+        StochasticMap((x,), [x + v], Noise((v,), cov=[[0.3]])), [1], [[2]],
+    )  # fmt: skip
+    made = synthesize(system, Memory(1), Taylor(), [0, 1], paths=66_000, seed=1)
+    assert made.held_out.paths == 8250
+    root = np.random.SeedSequence(1, spawn_key=(HELD_OUT,))
+    squares, states = [], []
+    for stream, count in zip(root.spawn(2), (8192, 58), strict=True):
+        data = system.simulate([0, 1], count, stream)
+        squares.append((made.run([0, 1], data.measurements).mean - data.states) ** 2)
+        states.append(data.states)
+    squares, states = np.concatenate(squares, axis=2), np.concatenate(states, axis=2)
+    np.testing.assert_allclose(made.held_out.rms, np.sqrt(squares.mean(axis=2)), rtol=1e-12)
+    np.testing.assert_allclose(made.held_out.deviation, states.std(axis=2), rtol=1e-12)
+
+
+def test_polynomial_forecasts_beat_affine_ones_and_the_assumed_density_filter(oscillator):
+    """Paired differences on paths of their own."""
+    times = 0.5 * np.arange(6)
+    options = {"nodes": 0, "paths": 8192, "seed": 11, "step": 0.02}
+    filters = {
+        "affine": synthesize(oscillator, Memory(1), ExactGaussian(), times, **options),
+        "cubic": synthesize(
+            oscillator, Memory(1), ExactGaussian(), times, predictor=Polynomial(3, 2), **options
+        ),
+        "density": assumed_density(oscillator, step=0.05),
+    }
+    table = compare(filters, oscillator, times, 40_960, 12, components=1, step=0.02)
+    for name in ("affine", "density"):
+        apart = table.difference("cubic", name)
+        assert apart.average[0] < -4 * apart.average_error[0]
+    # the paper's errors at 2.5
+    for name, printed in (("affine", 0.392), ("cubic", 0.340)):
+        error = np.hypot(table[name].rms_error[-1, 0], filters[name].predicted.error[-1, 0])
+        assert abs(table[name].rms[-1, 0] - printed) < 4 * error + 3e-3
+
+
+def test_polynomial_of_degrees_one_and_zero_is_affine_where_nothing_is_clipped():
+    system = JumpDiffusion(
+        (x,), [-sympy.sin(x)], [[0.3 * sympy.cos(x)]], [sympy.sin(x) + v / 5], Noise((v,)), [0],
+        [[1]], initial=lambda rng, count: rng.uniform(-1, 1, (1, count)),
+    )  # fmt: skip
+    one, two = (
+        synthesize(system, Memory(1), ExactGaussian(), [0, 0.5, 1], predictor=p, paths=1500, seed=1)
+        for p in (Affine(), Polynomial(1, 0))
+    )
+    np.testing.assert_allclose(one.predicted.rms, two.predicted.rms, rtol=1e-12)
+    for a, b in zip(one.fits, two.fits, strict=True):
+        np.testing.assert_allclose(a.cov, b.residual, rtol=1e-12)
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_nodes_are_even_or_as_given(oscillator):
+    options = {"paths": 300, "seed": 1, "step": 0.1}
+    given = [[0.1, 0.45], [], [1.2]]
+    made = synthesize(oscillator, Memory(1), Taylor(), [0, 0.5, 1, 1.5], nodes=given, **options)
+    np.testing.assert_allclose(made.predicted.times, [0, 0.1, 0.45, 0.5, 1, 1.2, 1.5])
+    made = synthesize(oscillator, Memory(1), Taylor(), [0.5, 1.5], nodes=4, **options)
+    np.testing.assert_allclose(made.predicted.times, 0.5 + 0.2 * np.arange(6))
+
+
+def exploding():
+    """Paths that start beyond 1 leave every bound in finite time."""
+    return JumpDiffusion((x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], step=0.02)
+
+
+def test_paths_that_leave_the_bound_are_left_out_and_counted():
+    with pytest.warns(UserWarning, match="paths"):
+        made = synthesize(exploding(), Memory(1), Taylor(), [0, 0.1], paths=5000, seed=1, bound=0.9)
+    # the initial law is N(0, .09): 0.27 % beyond three deviations
+    assert made.design.diverged == pytest.approx(13.5, abs=4 * np.sqrt(13.5))
+    with pytest.warns(UserWarning, match="paths"):
+        made = synthesize(
+            exploding(), Memory(1), ExactGaussian(), np.arange(7) * 0.5, paths=3000, seed=1, bound=5
+        )
+    assert 0 < made.design.diverged < 60
+    assert made.held_out.diverged == 0  # they are nobody's error
+    assert all(np.isfinite(part).all() for part in numbers(made))
+    assert made.predicted.rms.max() < 0.3
+
+
+@pytest.mark.filterwarnings("ignore:(paths|held out):UserWarning")
+def test_errors_that_rest_on_few_paths_are_warned_of():
+    with pytest.warns(UserWarning, match="bound"):
+        made = synthesize(
+            exploding(), Memory(1), ExactGaussian(), np.arange(9) * 0.5, paths=5000, seed=1
+        )
+    assert all(np.isfinite(part).all() for part in numbers(made))
+
+
+def test_few_paths_and_estimates_without_information_are_warned_of(oscillator):
+    for paths, few in ((99, 1), (100, 0)):  # fifty for each of two coefficients
+        with warnings.catch_warnings(record=True) as said:
+            warnings.simplefilter("always")
+            synthesize(oscillator, Memory(1), Taylor(), [0, 0.2], paths=paths, seed=1, step=0.1)
+        assert sum(str(one.message).startswith("paths") for one in said) == few
+    blind = JumpDiffusion((x,), [-x], [[1]], [v], Noise((v,)), [0.3], [[0]])
+    with pytest.warns(UserWarning, match="memory"):
+        synthesize(blind, Memory(1), Taylor(), [0, 0.5, 1], paths=1000, seed=1)
+
+
+def test_a_wide_prior_keeps_the_digits_of_what_is_left():
+    system = DiscreteSystem(
+        StochasticMap((x,), [0.9 * x + w], Noise((w,))),
+        StochasticMap((x,), [x + v], Noise((v,))), [0], [[1e18]],
+    )  # fmt: skip
+    made = synthesize(system, Memory(1), Taylor(), [0, 1, 2], paths=20_000, seed=1)
+    forecasts = [0.81 + 1, 0.81 * 1.81 / 2.81 + 1]
+    for fit, wanted in zip(made.fits, forecasts, strict=True):
+        assert fit.cov[0, 0] == pytest.approx(wanted, rel=0.05)
+
+
+def test_array_functions_are_designed_with_points():
+    sensor = StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, Noise(1))
+    system = JumpDiffusion.from_functions(
+        lambda t, x: -x, lambda t, x: np.ones((1, *x.shape)), sensor, [0.0], [[1.0]]
+    )
+    with pytest.raises(ValueError, match="Cubature"):
+        synthesize(system, Memory(1), ExactGaussian(), [0, 1], paths=200, seed=1)
+    made = synthesize(system, Memory(1), Cubature(), [0, 1], paths=4000, seed=1)
+    assert made.predicted.rms[0, 0] == pytest.approx(np.sqrt(0.5), abs=0.05)
