@@ -1,8 +1,6 @@
 """Parameters and inputs: names with values, of a block of code, of paths and of processes."""
 
-import multiprocessing
 import pickle
-from concurrent.futures import ProcessPoolExecutor
 
 import numpy as np
 import pytest
@@ -93,10 +91,3 @@ def test_an_input_has_no_value_of_its_own():
         system.drift(0.0, np.ones((1, 1)))
     with assigned({Input("u"): 2.0}):
         assert system.drift(0.0, np.ones((1, 1)))[0, 0] == pytest.approx(-2 + np.sin(1))
-
-
-def test_a_pool_of_processes_runs_a_filter_to_equal_bits():
-    filter = extended_kalman(flow())
-    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as pool:
-        found = pool.submit(filter.run, TIMES, Y).result(timeout=120)
-    np.testing.assert_array_equal(found.mean, filter.run(TIMES, Y).mean)

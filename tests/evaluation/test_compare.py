@@ -88,19 +88,20 @@ def rooted(squares):
 
 
 def test_errors_and_paired_differences_are_those_of_the_paths():
-    """Modes, inputs, indicators, gaps and a window, on two blocks of paths of late times."""
+    """Modes, indicators, inputs of each path, gaps and a window, on two blocks of paths."""
     system, paths = Recorded(switching_system()), 2500
     mask = np.ones((7, 3), dtype=bool)
     mask[[1, 2, 2, 4], [0, 1, 2, 2]] = False
+    own = {u: row[:, None] * np.linspace(-1, 1, paths) for u, row in INPUTS.items()}
     bank = SwitchingFilter(system.system, Taylor())
     filters = {"guess": Guess(), "bank": bank}
-    found = compare(filters, system, TIMES, paths, 5, window=(2, 4), measured=mask, inputs=INPUTS)
+    found = compare(filters, system, TIMES, paths, 5, window=(2, 4), measured=mask, inputs=own)
     assert len(system.made) == 2
     y, indicators = system.all("measurements"), system.all("indicators")
     np.testing.assert_array_equal(np.isnan(y).all(axis=2), ~mask[:, :2])
     runs = {
         "guess": Guess().run(TIMES, y, indicators=indicators),
-        "bank": bank.run(TIMES, y, indicators=indicators, inputs=INPUTS),
+        "bank": bank.run(TIMES, y, indicators=indicators, inputs=own),
     }
     errors = {name: run.mean - system.all("states") for name, run in runs.items()}
     wrong = {name: run.modes != system.all("modes") for name, run in runs.items()}
@@ -139,38 +140,6 @@ def test_errors_and_paired_differences_are_those_of_the_paths():
         spread = averaged(wanted[1])[1]
         np.testing.assert_allclose(getattr(apart, error), spread, rtol=1e-6, err_msg=field)
     assert f"wrong mode {found['bank'].average_mode_error:.4f}" in str(found)
-
-
-def test_inputs_of_the_paths_are_those_of_truth_and_filters():
-    """Each path under an input of its own, on two blocks: as if the filter ran on it alone."""
-    system = Recorded(switching_system(indicator=False))
-    own = {u: row[:, None] * np.linspace(-1, 1, 2100) for u, row in INPUTS.items()}
-    bank = SwitchingFilter(system.system, Taylor())
-    found = evaluate(bank, system, TIMES, 2100, 2, inputs=own)
-    run = bank.run(TIMES, system.all("measurements"), inputs=own)
-    square = (run.mean - system.all("states")) ** 2
-    np.testing.assert_allclose(found.rms, np.sqrt(square.mean(axis=2)), rtol=1e-10)
-
-
-def test_standard_errors_are_the_spread_of_repetitions():
-    system = autoregression()
-    filters = {"kalman": extended_kalman(system), "half": Scripted(lambda i: 0.5 + 0.0 * i)}
-    found = [compare(filters, system, GRID, 200, seed, consistency=True) for seed in range(50)]
-    rows = [c["kalman"] for c in found]
-    apart = [c.difference("half", "kalman") for c in found]
-    # the spread of a standard deviation from 50 repetitions is 10 %
-    for runs, field, error in (
-        (rows, "rms", "rms_error"),
-        (rows, "bias", "bias_error"),
-        (rows, "nis_ratio", "nis_ratio_error"),
-        (rows, "nees_ratio", "nees_ratio_error"),
-        (rows, "average_log_score", "average_log_score_error"),
-        (apart, "rms", "error"),
-        (apart, "average_square", "average_square_error"),
-    ):
-        spread = np.std([getattr(row, field) for row in runs], axis=0, ddof=1)
-        claimed = np.mean([getattr(row, error) for row in runs], axis=0)
-        np.testing.assert_allclose(spread, claimed, rtol=0.4, err_msg=field)
 
 
 # Diverged paths

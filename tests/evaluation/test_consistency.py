@@ -9,9 +9,9 @@ from oracles.linear import kalman
 from seedslib.design import synthesize
 from seedslib.designed import Memory
 from seedslib.evaluation import compare, evaluate
-from seedslib.filters import Estimates, KalmanFilter, extended_kalman, unscented_kalman
+from seedslib.filters import Estimates, KalmanFilter, extended_kalman
 from seedslib.linearization import ExactGaussian
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from systems import INPUTS, TIMES, Recorded, linear_numbers, linear_system
 
 x, v, w = sympy.symbols("x v w", real=True)
@@ -112,26 +112,6 @@ def test_a_consistent_filter_is_told_from_a_bold_one():
     assert apart.average_log_score > 8 * apart.average_log_score_error
     assert apart.log_score_error[6] == pytest.approx((one - two)[6].std() / np.sqrt(1500))
     assert f"{right.nees_ratio:.4g} ± {right.nees_ratio_error:.2g}" in repr(found)
-
-
-def test_filters_of_a_flow_with_sensors_of_two_rates_claim_what_they_err_by():
-    p, s, d = sympy.symbols("p s d", real=True)
-    r = sympy.symbols("r1 r2", real=True)
-    system = JumpDiffusion(
-        [p, s, d], [s, -p - 0.3 * s + d, -0.2 * d], [[0], [0.1], [0.1]],
-        [p + r[0], sympy.tanh(s) + r[1]], Noise(r, cov=np.diag([0.05**2, 0.1**2])),
-        [0, 0, 0], np.eye(3) * 0.2, step=0.02,
-    )  # fmt: skip
-    number = np.arange(21)
-    mask = np.stack([number % 5 != 3, number % 5 == 0], axis=1)
-    filters = {"extended": extended_kalman(system), "unscented": unscented_kalman(system)}
-    found = compare(
-        filters, system, number / 10, 500, 5, measured=mask, consistency=True, window=(10, None)
-    )
-    for name, row in found.items():
-        assert abs(row.nees_ratio - 1) < 4 * row.nees_ratio_error, name
-        assert abs(row.nis_ratio - 1) < 4 * row.nis_ratio_error, name
-        assert row.nees_ratio_error < 0.05
 
 
 class Claims:

@@ -12,10 +12,10 @@ from oracles.linear import Regression
 from seedslib.base import Parameter, assigned
 from seedslib.designed import SwitchingFilter
 from seedslib.evaluation import fit
-from seedslib.filters import GridBayesFilter, KalmanFilter, extended_kalman
+from seedslib.filters import GridBayesFilter, KalmanFilter
 from seedslib.linearization import Taylor
-from seedslib.models import JumpDiffusion, LinearSystem, Noise, StochasticMap, SwitchingSystem
-from systems import INPUTS, TIMES, linear_numbers, linear_system, record, switching_system
+from seedslib.models import LinearSystem, Noise, SwitchingSystem
+from systems import INPUTS, TIMES, linear_numbers, linear_system, record
 
 NILE = np.loadtxt(Path(__file__).parents[1] / "data" / "nile.csv", delimiter=",", skiprows=1)[:, 1]
 YEARS = np.arange(100.0)
@@ -55,6 +55,9 @@ def test_maximum_and_errors_are_those_of_the_dense_likelihood(nile):
         low, high = nile.interval(level).T
         np.testing.assert_allclose((high - low) / 2, width * nile.errors, rtol=1e-6)
         np.testing.assert_allclose((high + low) / 2, nile.values)
+    with nile.assigned():
+        again = KalmanFilter(LinearSystem(1, Q, 1, R, 1000, 1e5)).run(YEARS, NILE[:, None])
+    assert again.loglik.sum() == pytest.approx(nile.loglik, abs=1e-9)
     assert f"{q:.6g}" in str(nile)
     assert "not converged" not in str(nile)
 
@@ -111,56 +114,29 @@ def test_two_records_with_gaps_and_inputs_are_fitted_by_the_sum_of_their_likelih
 
 
 def test_indicators_of_each_record_are_told():
-    """The maximum beats its neighbours, with the likelihood of the records one by one."""
+    """The maximum is that of the records one by one, each with its own indicators."""
+    x, v, w = sp.symbols("x v w")
     level = Parameter("c", 0.2)
-    system = switching_system()
-    moves = [[b.map for b in row] for row in system.branches]
-    readings = [[b.map for b in row] for row in system.readings]
-    data = system.simulate(TIMES, 3, 1, inputs=INPUTS)
-    shifted = [
-        [StochasticMap(m.state, [m.expressions[0] + level - 0.5, *m.expressions[1:]], m.noise,
-                       m.weight_expression) for m in row]
-        for row in readings
-    ]  # fmt: skip
-    model = SwitchingSystem.from_maps(moves, shifted, system.initial, indicator=True)
-    bank = SwitchingFilter(model, Taylor())
-    found = fit(bank, TIMES, data.measurements, [level], indicators=data.indicators, inputs=INPUTS)
+    system = SwitchingSystem(
+        (x,), [[0.8 * x + v], [0.3 * x + 1 + v]], Noise((v,)), [[0.9, 0.1], [0.2, 0.8]],
+        [[x + w], [x + level + w / 2]], Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        indicator=[[0.8, 0.2], [0.1, 0.9]],
+    )  # fmt: skip
+    times, bank = range(20), SwitchingFilter(system, Taylor())
+    with assigned({level: 1.5}):
+        data = system.simulate(times, 3, 1)
+    y, shown = data.measurements, data.indicators
+    found = fit(bank, times, y, [level], indicators=shown)
 
     def loglik(value):
         with assigned({level: value}):
-            return sum(
-                bank.run(
-                    TIMES,
-                    data.measurements[..., k],
-                    indicators=data.indicators[:, k],
-                    inputs=INPUTS,
-                ).loglik.sum()
-                for k in range(3)
-            )
+            runs = (bank.run(times, y[..., k], indicators=shown[:, k]) for k in range(3))
+            return sum(run.loglik.sum() for run in runs)
 
     best = found.values[0]
     assert found.loglik == pytest.approx(loglik(best), abs=1e-8)
     assert loglik(best) > max(loglik(best + 0.05), loglik(best - 0.05))
-    assert abs(best - 0.5) < 4 * found.errors[0]
-
-
-def test_three_parameters_of_a_jump_diffusion_are_found_again():
-    x, v, z = sp.symbols("x v z")
-    a, q, r = Parameter("a", 0.5), Parameter("q", 0.5, positive=True), Parameter("r", 0.5)
-    system = JumpDiffusion(
-        [x], [-a * x], [[q]], [x + r * v], Noise((v,)), [0], [[1]], intensity=0.2, jump=[1.5 * z],
-        marks=Noise((z,)), step=0.1,
-    )  # fmt: skip
-    times, truth = np.arange(0, 12, 0.1), {a: 1.0, q: 0.8, r: 0.3}
-    with assigned(truth):
-        y = system.simulate(times, 8, 3).measurements
-    found = fit(extended_kalman(system), times, y, [a, q, r], bounds={r: (0.01, 2.0)})
-    # the filter takes the jumps for noise of their variance, so the truth is near
-    assert found.converged
-    assert np.all(np.abs(found.values - list(truth.values())) < 4 * found.errors)
-    with found.assigned():
-        again = extended_kalman(system).run(times, y).loglik.sum()
-    assert again == pytest.approx(found.loglik, abs=1e-8)
+    assert abs(best - 1.5) < 4 * found.errors[0]
 
 
 def test_a_filter_on_a_grid_is_made_for_every_value():

@@ -5,12 +5,9 @@ import pickle
 import numpy as np
 import pytest
 import sympy
-from scipy.linalg import expm
 
 from oracles.linear import moment_rates
-from seedslib import zoo
 from seedslib.base import Parameter, assigned
-from seedslib.filters import extended_kalman
 from seedslib.models import JumpDiffusion, Noise, StochasticMap
 from systems import COV0, INPUTS, MEAN0, TIMES, U, continuous_numbers, continuous_system
 
@@ -122,19 +119,6 @@ def test_array_functions_have_the_paths_and_the_rates_of_formulas():
                 np.testing.assert_allclose(found[:, k], square[lower], rtol=1e-9)
 
 
-@pytest.mark.parametrize("scheme", ["euler", "heun"])
-def test_a_linear_equation_has_its_exact_moments(scheme):
-    system, paths = zoo.linear_gaussian(), 20_000
-    end = system.simulate([0.0, 1.0], paths, 5, step=0.02, scheme=scheme).states[1]
-    drift = np.array([[0, 1], [-1, -0.4]])
-    phi, grid = expm(drift), np.linspace(0, 1, 501)
-    columns = np.array([expm(drift * (1 - u))[:, 1] for u in grid])
-    cov = phi @ phi.T + np.trapezoid(columns[:, :, None] * columns[:, None, :], grid, axis=0)
-    error = 4 * np.sqrt(cov.max() / paths)
-    np.testing.assert_allclose(end.mean(axis=1), phi @ [1, -0.5], atol=error + 0.005)
-    np.testing.assert_allclose(np.cov(end), cov, atol=cov.max() * 4 * np.sqrt(2 / paths) + 0.015)
-
-
 # The scheme of Heun
 
 
@@ -154,13 +138,6 @@ def test_heun_converges_to_the_integral_of_ito_path_by_path():
         first, second, third = states[k]
         np.testing.assert_allclose(second, c * (first**2 - s**2 * now) / (2 * s), atol=1e-12)
         assert abs(third.mean()) <= 4 * third.std() / np.sqrt(paths)
-
-
-@pytest.mark.parametrize("scheme", ["euler", "heun"])
-def test_the_mean_of_a_martingale_stays(scheme):
-    """For dX = X dW the mean of Ito stays 1; that of Stratonovich would be exp(1/2)."""
-    end = scalar(diffusion=x).simulate([0.0, 1.0], 10_000, 9, scheme=scheme).states[1, 0]
-    assert abs(end.mean() - 1) < 4 * end.std() / np.sqrt(len(end))
 
 
 def test_heun_takes_the_coefficients_at_both_ends_of_a_step():
@@ -191,20 +168,6 @@ def test_jump_and_intensity_are_those_before_the_step(scheme):
         system = scalar(intensity=CERTAIN * (t - vanishes) ** 2, jump=[10 * t])
         got = one_step(system, 0.5, scheme=scheme)
         np.testing.assert_allclose(got, 6.0 if jumps else 1.0, rtol=1e-13)
-
-
-def test_a_frozen_state_waits_for_its_first_jump_as_long_as_its_intensity_says():
-    """With X ~ N(0, 1) and intensity X^2 the chance of no jump up to t is (1 + 2 t)^(-1/2)."""
-    count = sympy.Symbol("count")
-    system = JumpDiffusion(
-        (x, count), [0, 0], [[0], [0]], [x + v], Noise((v,)), [0, 0], [[1, 0], [0, 0]],
-        intensity=x**2, jump=[0, 1], step=0.002,
-    )  # fmt: skip
-    times, paths = [0.0, 0.5, 1.0], 20_000
-    none = (system.simulate(times, paths, 3).states[:, 1] == 0).mean(axis=1)
-    for got, now in zip(none[1:], times[1:], strict=True):
-        want = (1 + 2 * now) ** -0.5
-        assert abs(got - want) < 4 * np.sqrt(want * (1 - want) / paths)
 
 
 def test_jumps_of_many_steps_and_a_step_that_is_too_coarse_for_them():
@@ -266,11 +229,3 @@ def test_array_functions_without_noise_and_with_a_sampled_start():
     np.testing.assert_allclose(states, 2 * np.exp([[0.0], [-0.5], [-1.0]]) * np.ones(3), rtol=1e-3)
     with pytest.raises(ValueError, match="scheme"):
         system.simulate([0.0, 1.0], 2, 0, scheme="heun")
-
-
-def test_a_measured_angle_may_go_round():
-    turn = 2 * np.pi
-    system = JumpDiffusion([x], [0], [[1]], [x + v], Noise((v,)), [3], [[0.1]], period={0: turn})
-    filter, beyond = extended_kalman(system), np.array([[3.1], [-3.1]])
-    found = filter.run([0.0, 1.0], beyond).mean
-    assert found == pytest.approx(filter.run([0.0, 1.0], beyond + np.array([[0], [turn]])).mean)

@@ -11,7 +11,6 @@ from scipy import stats
 
 from seedslib.base import ELAPSED, Input, Parameter, assigned
 from seedslib.filters import ParticleFilter
-from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import Taylor, Unscented
 from seedslib.models import DiscreteSystem, Noise, StochasticMap, inputs_of
 
@@ -171,13 +170,6 @@ def test_a_weight_that_looks_at_the_noise_tilts_the_moments():
     np.testing.assert_allclose(whole.conditional_moments(0, np.array([[0.7]]))[1].ravel(), 4.0)
 
 
-def test_functions_without_moments_need_gaussian_noise():
-    shapeless = Noise(1, sample=lambda rng, count: rng.uniform(-1, 1, (1, count)))
-    other = StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, shapeless)
-    with pytest.raises(NoClosedForm):
-        other.conditional_moments(0, np.ones((1, 2)))
-
-
 # Densities
 
 
@@ -224,6 +216,9 @@ def test_density_of_a_map_affine_in_noise_of_a_known_density():
     found = map.log_density(1.5, shown, at)
     wanted = stats.t.logpdf(shown[0], DEGREES, 1.5 * np.sin(at[0]), 2 + at[0] ** 2)
     np.testing.assert_allclose(found, np.where(np.isnan(shown[0]), 0.0, wanted), rtol=1e-13)
+    spread = map.log_density(1.5, np.array([[[0.5], [-7.0]]]), at)
+    wanted = stats.t.logpdf([[0.5], [-7.0]], DEGREES, 1.5 * np.sin(at[0]), 2 + at[0] ** 2)
+    np.testing.assert_allclose(spread, wanted, rtol=1e-13)
     for value in ([x + v**2], [x], [x + v, v]):
         assert not StochasticMap([x], value, HEAVY).has_log_density
     assert not StochasticMap([x], [x + v], HEAVY, period={0: 6.0}).has_log_density

@@ -1,21 +1,16 @@
 """Switching systems: the law of modes, states, measurements and indicators on simulated paths."""
 
-import pickle
-
 import numpy as np
 import pytest
 import sympy
 from scipy.integrate import quad
-from scipy.linalg import expm
 from scipy.stats import norm
 
 from seedslib import zoo
-from seedslib.base import ELAPSED, Parameter, assigned
+from seedslib.base import Parameter, assigned
 from seedslib.designed import SwitchingFilter
-from seedslib.filters import RaoBlackwellFilter, extended_kalman
-from seedslib.linearization import GaussHermite, Taylor
+from seedslib.linearization import GaussHermite
 from seedslib.models import (
-    DiscreteSystem,
     Noise,
     StochasticMap,
     SwitchingSystem,
@@ -25,15 +20,10 @@ from systems import (
     COVS,
     INPUTS,
     MEANS,
-    NOISE_COV,
-    NOISE_MEAN,
     PROBABILITIES,
-    SENSOR_COV,
-    SENSOR_MEAN,
     TIMES,
     U,
     chances,
-    linear_numbers,
     switching_numbers,
     switching_system,
 )
@@ -152,42 +142,6 @@ def test_dependent_noises_have_the_joint_law_of_correlated_pairs():
         assert abs(mine.mean() - wanted.mean()) < 4 * error
 
 
-def test_probabilities_of_switching_over_gaps_are_those_of_a_chain_in_continuous_time():
-    """Rates 1 and 1/2 of leaving; the filters agree with lengths written as a function of time."""
-    time, gaps, paths = sympy.Symbol("t"), np.array([0.0, 0.3, 1.0, 1.1, 2.5]), 10_000
-
-    def made(dt):
-        gone = 1 - sympy.exp(-3 * dt / 2)
-        moves = [[X * (1 - dt / 3) + sympy.sqrt(dt) * V], [X + dt + 2 * sympy.sqrt(dt) * V]]
-        return system(
-            "old", dynamics=moves, time=time, initial=[(1.0, [0], [[1]]), (0.0, [1], [[1]])],
-            switching=[[1 - 2 * gone / 3, 2 * gone / 3], [gone / 3, 1 - gone / 3]],
-        )  # fmt: skip
-
-    modes = made(ELAPSED).simulate(gaps, paths, 0).modes
-    generator = np.array([[-1, 0.5], [1, -0.5]])
-    for k, now in enumerate(gaps):
-        share = expm(generator * now)[1, 0]
-        assert abs(modes[k].mean() - share) <= 4.5 * np.sqrt(share * (1 - share) / paths)
-    pairs = [(dt, time < b) for dt, b in zip(np.diff(gaps), gaps[1:], strict=True)]
-    # dt is mentioned and unused
-    written = made(sympy.Max(sympy.Piecewise(*pairs, (1, True)), ELAPSED - 9))
-    y = made(ELAPSED).simulate(gaps, 4, 0).measurements
-    for filter in (lambda s: SwitchingFilter(s, Taylor()), lambda s: RaoBlackwellFilter(s, 20)):
-        found, wanted = (filter(s).run(gaps, y) for s in (made(ELAPSED), written))
-        assert np.allclose(found.mean, wanted.mean, rtol=1e-11)
-        assert np.allclose(found.loglik, wanted.loglik, rtol=1e-11)
-
-
-def test_the_two_timings_are_one_where_all_modes_move_alike():
-    old, new = (
-        system(drives, dynamics=[[X / 2 + V]] * 2).simulate(range(6), 50, 1)
-        for drives in ("old", "new")
-    )
-    for one, two in zip(old[:4], new[:4], strict=True):
-        np.testing.assert_array_equal(one, two)
-
-
 # Imposed courses of the modes
 
 
@@ -223,20 +177,10 @@ def test_each_path_may_have_a_course_of_its_own():
 
 
 def test_initial_moments_are_those_of_the_mixture():
-    made = switching_system()
+    made, apart = switching_system(), MEANS - PROBABILITIES @ MEANS
     np.testing.assert_allclose(made.mean0, PROBABILITIES @ MEANS, rtol=1e-14)
-    apart = MEANS - made.mean0
     wanted = np.einsum("i,ijk->jk", PROBABILITIES, COVS) + (apart.T * PROBABILITIES) @ apart
     np.testing.assert_allclose(made.cov0, wanted, rtol=1e-13)
-    with assigned({u: row[2] for u, row in INPUTS.items()} | {ELAPSED: TIMES[3] - TIMES[2]}):
-        for mode, map in enumerate(made.dynamics):
-            at = np.array([[0.3], [-0.2], [1.0]])
-            numbers = linear_numbers(mode=mode)
-            mean, cov = map.conditional_moments(TIMES[2], at)
-            np.testing.assert_allclose(mean, numbers.F[2] @ at + numbers.b[2][:, None], rtol=1e-12)
-            np.testing.assert_allclose(cov.reshape(3, 3, -1)[..., 0], numbers.Q[2], rtol=1e-12)
-    assert made.noise == Noise(made.noise.symbols, NOISE_MEAN, NOISE_COV)
-    assert made.sensor_noise == Noise(made.sensor_noise.symbols, SENSOR_MEAN, SENSOR_COV)
 
 
 def test_densities_of_branches_integrate_to_their_probabilities():
@@ -284,61 +228,34 @@ def test_density_of_a_measurement_with_its_indicator():
     assert np.abs((drawn[1] == 0).mean(axis=0) - chance).max() < 0.035
 
 
-def slow(t, x, v):
-    return 0.5 * x + 0.3 * v
-
-
-def fast(t, x, v):
-    return -0.8 * x + 1 + 2.0 * v
-
-
-def stay_slow(t, x, v):
-    return stays(0, x[0])
-
-
-def leave_slow(t, x, v):
-    return 1 - stays(0, x[0])
-
-
-def stay_fast(t, x, v):
-    return stays(1, x[0])
-
-
-def leave_fast(t, x, v):
-    return 1 - stays(1, x[0])
-
-
 @pytest.mark.parametrize("drives", ["old", "new"])
 def test_maps_of_array_functions_make_the_system_of_the_formulas(drives):
     """Maps of one value are a row where the old mode drives the step, a column for the new one."""
-    noise = Noise((V,))
-    weights = [[stay_slow, leave_slow], [leave_fast, stay_fast]]
-    values = [[slow, fast]] * 2 if drives == "new" else [[slow] * 2, [fast] * 2]
-    moves = [
-        [
-            StochasticMap.from_functions(1, 1, value, noise, weight=weight)
-            for value, weight in zip(*row, strict=True)
-        ]
-        for row in zip(values, weights, strict=True)
-    ]
+
+    def move(i, l):
+        drive = l if drives == "new" else i
+
+        def value(t, x, v):
+            return SLOPE[drive] * x + drive + PUSH[drive] * v
+
+        def weight(t, x, v):
+            return stays(i, x[0]) if i == l else 1 - stays(i, x[0])
+
+        return StochasticMap.from_functions(1, 1, value, Noise((V,)), weight=weight)
+
+    moves = [[move(i, l) for l in (0, 1)] for i in (0, 1)]
     readings = [[StochasticMap((X,), [X + W / s], Noise((W,)))] for s in (1, 2)]
     initial = [(0.5, [0], [[1]]), (0.5, [1], [[2]])]
-    model, written = (
-        SwitchingSystem.from_maps(moves, readings, initial, drives=drives),
-        system(drives),
-    )
-    one, two = (each.simulate(range(5), 30, 1) for each in (model, written))
+    model = SwitchingSystem.from_maps(moves, readings, initial, drives=drives)
+    one, two = (each.simulate(range(5), 30, 1) for each in (model, system(drives)))
     np.testing.assert_allclose(one.states, two.states, rtol=1e-13)
     np.testing.assert_array_equal(one.modes, two.modes)
-    runs = [
-        SwitchingFilter(each, GaussHermite(5)).run(range(5), two.measurements)
-        for each in (model, written, pickle.loads(pickle.dumps(model)))
-    ]
-    np.testing.assert_array_equal(runs[0].mean, runs[2].mean)
-    if drives == "new":  # the switch is a step of its own; of the old mode points look at weights
-        np.testing.assert_allclose(runs[0].mean, runs[1].mean, rtol=1e-9)
+    filters = (SwitchingFilter(each, GaussHermite(5)) for each in (model, system(drives)))
+    runs = [filter.run(range(5), two.measurements).mean for filter in filters]
+    if drives == "new":  # the switch is a step of its own, without the noise
+        np.testing.assert_allclose(*runs, rtol=1e-9)
     other = "old" if drives == "new" else "new"
-    with pytest.raises(ValueError, match="switching"):
+    with pytest.raises(ValueError, match=r"^switching"):
         SwitchingSystem.from_maps(moves, readings, initial, drives=other)
 
 
@@ -362,18 +279,3 @@ def test_averaged_switching_has_the_means_of_the_probabilities():
             assert found == pytest.approx(share, rel=1e-12)
         value = [map.value(0.0, np.ones((1, 1)), np.ones((1, 1))) for map in averaged.dynamics]
         assert np.ravel(value) == pytest.approx([0.8, 2.2])
-
-
-def test_one_mode_with_a_measured_angle_is_the_filter_without_modes():
-    turn = 2 * np.pi
-    move = StochasticMap([X], [X + V], Noise((V,)))
-    sensor = StochasticMap([X], [X + W], Noise((W,)), period={0: turn})
-    modes = SwitchingSystem(
-        [X], [[X + V]], Noise((V,)), [[1]], [[X + W]], Noise((W,)), [(1, [3], [[0.1]])],
-        period={0: turn},
-    )  # fmt: skip
-    y = np.array([[3.1], [-3.1]])
-    wanted = extended_kalman(DiscreteSystem(move, sensor, [3], [[0.1]])).run([0.0, 1.0], y)
-    found = SwitchingFilter(modes, Taylor()).run([0.0, 1.0], y)
-    assert found.mean == pytest.approx(wanted.mean, rel=1e-9)
-    assert wanted.mean[1, 0] > 3.0
