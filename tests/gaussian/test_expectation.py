@@ -82,6 +82,8 @@ def test_mean_of_every_kind_of_function_against_quadrature(kind):
     )
     known = float(value(*MEAN)), float(value(*other))
     assert batch.tolist() == pytest.approx([exact, *known], rel=1e-12, abs=1e-13)
+    values = function.compiled().value(np.stack([MEAN, other], axis=1))
+    assert values[0].tolist() == pytest.approx(known, rel=1e-12, abs=1e-13)
     if "norm" not in kind:
         formula = complex(expectation(f, [x, y], list(MEAN), sp.Matrix(COV)).evalf())
         assert formula == pytest.approx(exact, rel=1e-10, abs=1e-11)
@@ -329,6 +331,7 @@ BATCHED = {
     "piecewise": [abs(x - y), x * y],
     "one coordinate": sp.Max(y, 0),
     "norm": sp.sqrt(x**2 + y**2),
+    "distant norm": sp.sqrt((x - 20) ** 2 + y**2),
     "mixed": [x * y, sp.sin(x), abs(x - y), sp.sqrt(x**2 + y**2 + 1)],
 }
 SHAPES = [((3, 3), (3,)), ((2, 4, 3), (4, 3)), ((2, 0), (0,)), ((5, 3), ()), ((3,), (5, 3))]

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from oracles.gaussian import branch_moments
 from seedslib import zoo
 from seedslib.filters import assumed_density
-from seedslib.gaussian import expectation, expectation_function
+from seedslib.gaussian import expectation_function
 from seedslib.linearization import ExactGaussian, GaussHermite
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
@@ -24,66 +24,6 @@ def moments(values, mean, cov, noise=None):
     state = (x, y)[: len(mean)]
     map = StochasticMap(state, values, noise or Noise())
     return ExactGaussian().moments(map)(0.0, np.array(mean), np.array(cov))
-
-
-PAIRS = {
-    "polynomials": (x**2 * y - x, x * y - y**3),
-    "sines that swing together": (cos(x + 0.3), cos(2 * x + y)),
-    "sines that swing against each other": (sin(x + 2 * y), cos(x - 3 * y)),
-    "sines beside powers": (x * sin(y), y * cos(x) + sin(x)),
-    "sums": (sin(x) + cos(2 * y) * x + exp(x / 3), cos(x - y) - sin(x)),
-    "a sine and a power": (cos(y + 1) * x, x**2 - y),
-    "exponentials of unlike sign": (exp(x / 3), x * exp(-y / 2)),
-    "exponentials of one sign": (exp(x / 3), exp(x / 2 - y)),
-    "an exponential and a sine": (exp(x / 3) * y, sin(2 * y - x)),
-    "two growing sines": (exp(x / 3) * cos(2 * y), y * exp(y / 4) * sin(x)),
-    "a bell and a power": (exp(-(x**2)) * y, x - y**2),
-    "two bells": (x * exp(-(x**2) / 2), exp(-x * y / 4)),
-    "a swinging bell and a sine": (exp(-(x**2)) * cos(x - y), sin(y) * x),
-    "two swinging bells": (x * exp(-(x**2) / 2) * sin(x), exp(-(x**2) / 3 + x / 2) * cos(2 * x)),
-    "a step and a power": (sympy.Heaviside(x - HALF, HALF), x * y),
-    "a larger one and a step": (sympy.Max(x, y), sympy.Heaviside(x - y, HALF)),
-    "a modulus and the other side": (Abs(x) * y, sympy.Heaviside(-x, HALF)),
-    "both sides of a plane": (x + Abs(x), x * y * sympy.Heaviside(x, HALF)),
-    "a step and a growing bell": (sympy.Heaviside(x), exp(x / 2) * sympy.Heaviside(x) * y),
-}
-
-
-@pytest.mark.parametrize("pair", PAIRS)
-def test_moments_of_pairs_against_sixty_digits(pair):
-    """E f g - E f E g, and cov(x, f), from formulas of single means."""
-    f, g = PAIRS[pair]
-    law = list(map(sympy.nsimplify, MEAN)), sympy.Matrix(COV).applyfunc(sympy.nsimplify)
-
-    def mean(h):
-        return sympy.re(expectation(sympy.expand(h), [x, y], *law).evalf(60))
-
-    found = moments([f, g], MEAN, COV)
-    singles = [mean(f), mean(g)]
-    for i, j in ((0, 0), (0, 1), (1, 1)):
-        exact = float(mean((f, g)[i] * (f, g)[j]) - singles[i] * singles[j])
-        assert found.cov[i, j] == pytest.approx(exact, rel=1e-12, abs=1e-14)
-    for i, s in enumerate((x, y)):
-        exact = [float(mean((s - law[0][i]) * h)) for h in (f, g)]
-        assert_allclose(found.cross[i], exact, rtol=1e-12, atol=1e-14)
-    assert_allclose(found.mean, [float(s) for s in singles], rtol=1e-13)
-
-
-@pytest.mark.parametrize(
-    "values",
-    [
-        [sin(x + 2 * y), x * exp(y / 3) * cos(x), exp(-(x**2) / 2)],
-        [Abs(x), y * sympy.Max(x, 0) + x, y**2],
-    ],
-)
-def test_small_covariances_are_those_of_the_slopes(values):
-    """To first order of the variance, which is all there is: cov = J P J'."""
-    slope = sympy.Matrix(values).jacobian((x, y)).subs({x: MEAN[0], y: MEAN[1]})
-    slope = np.array(slope.evalf(25).tolist(), dtype=float)
-    for size, accuracy in ((1e-10, 1e-8), (1e-17, 1e-14)):
-        exact = slope @ (size * COV) @ slope.T
-        scale = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
-        assert (abs(moments(values, MEAN, size * COV).cov - exact) <= accuracy * scale).all()
 
 
 @pytest.mark.parametrize("name", ["van_der_pol", "kicked_duffing", "flip_process"])
