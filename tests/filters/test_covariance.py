@@ -39,7 +39,6 @@ from systems import (
     growth,
     linear_numbers,
     oscillator,
-    pendulum,
     record,
 )
 
@@ -188,56 +187,6 @@ def test_threads_and_blocks_give_equal_bits():
 
 
 # Nonlinear systems in discrete time
-
-
-def by_hand(system, move, show, jacobians, times, y):
-    """The extended Kalman filter from functions and their Jacobians."""
-    m, P, rows = system.mean0, system.cov0, []
-    Q, R = system.dynamics.noise.cov, system.sensor.noise.cov
-    for k in range(len(times)):
-        if k:
-            F, G, _ = jacobians(m)
-            m, P = move(times[k - 1], m), F @ P @ F.T + G @ Q @ G.T
-        H = jacobians(m)[2]
-        spread = H @ P @ H.T + R
-        gain = P @ H.T @ np.linalg.inv(spread)
-        m, P = m + gain @ (y[k] - show(m)), P - gain @ spread @ gain.T
-        rows.append(m)
-    return np.array(rows)
-
-
-def test_extended_filter_equals_the_recursion_with_jacobians():
-    times, step = 2.0 + np.arange(6.0), 0.1
-    system = pendulum(step)
-    y = system.simulate(times, 1, 1).measurements[..., 0]
-    mean = by_hand(
-        system,
-        lambda t, m: np.array([m[0] + step * m[1], m[1] - 9.8 * step * np.sin(m[0])]),
-        lambda m: np.sin(m[:1]),
-        lambda m: (
-            np.array([[1, step], [-9.8 * step * np.cos(m[0]), 1]]),
-            np.array([[0.0], [1.0]]),
-            np.array([[np.cos(m[0]), 0.0]]),
-        ),
-        times,
-        y,
-    )
-    np.testing.assert_allclose(extended_kalman(system).run(times, y).mean, mean, rtol=1e-11)
-    system = growth()
-    y = system.simulate(times, 1, 1).measurements[..., 0]
-    mean = by_hand(
-        system,
-        lambda t, m: m / 2 + 25 * m / (1 + m**2) + 8 * np.cos(1.2 * t),
-        lambda m: m**2 / 20,
-        lambda m: (
-            np.array([[0.5 + 25 * (1 - m[0] ** 2) / (1 + m[0] ** 2) ** 2]]),
-            np.eye(1),
-            m[:, None] / 10,
-        ),
-        times,
-        y,
-    )
-    np.testing.assert_allclose(extended_kalman(system).run(times, y).mean, mean, rtol=1e-11)
 
 
 def test_points_of_high_order_equal_quadrature_of_the_step():

@@ -11,7 +11,7 @@ from oracles.linear import Linear, Regression, Switching, histories
 from seedslib.base import ELAPSED, Input, Nodes, assigned
 from seedslib.filters import GridBayesFilter, KalmanFilter, ParticleFilter, smooth
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
-from seedslib.zoo import dependent_switching, manoeuvring_target
+from seedslib.zoo import dependent_switching
 from systems import growth
 
 x, v, w = sympy.symbols("x v w", real=True)
@@ -311,36 +311,3 @@ def test_variance_far_from_the_origin_keeps_its_digits():
     estimates = GridBayesFilter(system, (shift - 6, shift + 6, 121)).run([0, 1], [[0.3], [-0.2]])
     np.testing.assert_allclose(estimates.cov[:, 0, 0], [0.2, 1.05 * 0.25 / 1.3], rtol=1e-6)
     assert estimates.mean[0, 0] - shift == pytest.approx(0.24, rel=1e-6)
-
-
-def sampled(rng, count):
-    return rng.standard_normal((1, count))
-
-
-def map_of(value, noise=v):
-    return StochasticMap([x], [value], Noise([noise]))
-
-
-TWO = np.eye(2)
-
-
-@pytest.mark.filterwarnings("ignore:x. more than")
-@pytest.mark.parametrize(
-    ("make", "name"),
-    [
-        (lambda: LinearSystem(1, 0, 1, 1, 0, 1), "dynamics"),
-        (lambda: LinearSystem(TWO, np.ones((2, 2)), TWO, TWO, [0, 0], TWO), "dynamics"),
-        (lambda: LinearSystem(TWO, TWO, TWO, TWO, [0, 0], np.diag([1, 0])), "cov0"),
-        (lambda: LinearSystem(*[np.eye(3)] * 4, [0] * 3, np.eye(3)), "system"),
-        (lambda: DiscreteSystem(map_of(x + v**2), map_of(x + w, w), 0, 1), "dynamics"),
-        (lambda: DiscreteSystem(map_of(x + v), map_of(x + w, w), 0, 1, sampled), "system"),
-        (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=(0,)), "system"),
-        (lambda: manoeuvring_target("none"), "system"),
-    ],
-)
-def test_system_without_densities_on_nodes_is_refused(make, name):
-    system = make()
-    many = system.state_size > 1 and not hasattr(system, "modes")
-    axes = [(-5, 5, 11)] * system.state_size if many else (-5, 5, 11)
-    with pytest.raises(ValueError, match=name):
-        GridBayesFilter(system, axes).run([0, 1], np.zeros((2, system.measurement_size)))

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from oracles.linear import Linear, Regression, kalman
-from seedslib.filters import KalmanFilter, extended_kalman, smooth
+from seedslib.filters import KalmanFilter, smooth
 from seedslib.models import LinearSystem
 from systems import INPUTS, TIMES, linear_numbers, linear_system, record
 
@@ -168,8 +168,3 @@ def test_matrices_from_a_table_that_ends(diffuse):
     estimates = KalmanFilter(system).run(times, y)
     np.testing.assert_allclose(estimates.mean, wanted.mean, rtol=1e-8)
     np.testing.assert_allclose(estimates.cov, wanted.cov, rtol=1e-8)
-
-
-def test_other_filters_refuse_a_diffuse_start():
-    with pytest.raises(ValueError, match=r"^system: "):
-        extended_kalman(linear_system(diffuse=DIFFUSE))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import sympy
 
-from oracles.linear import Linear, Switching, histories
+from oracles.linear import histories
 from seedslib.base import assigned
 from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
 from seedslib.models import Noise, SwitchingSystem
@@ -37,18 +37,6 @@ def test_likelihood_of_drawn_histories_is_unbiased(drives):
         assert (np.abs(estimates.mode_prob[3, :, part] @ weights - law.mode_prob) < 0.05).all()
     assert estimates.mode_prob.sum(axis=1) == pytest.approx(1.0)
     assert not estimates.diverged.any()
-
-
-def test_more_histories_come_closer():
-    system, times = manoeuvring_target("none"), np.arange(9.0)
-    data = system.simulate(times, 60, 5)
-    exact = RaoBlackwellFilter(system, 256).run(times, data.measurements, seed=1)
-    distance = []
-    for count in (4, 64):
-        estimates = RaoBlackwellFilter(system, count).run(times, data.measurements, seed=2)
-        distance.append(np.sqrt(((estimates.mode_prob - exact.mode_prob)[5:] ** 2).mean()))
-    assert distance[1] < 0.03
-    assert distance[0] > 3 * distance[1]
 
 
 def test_exact_indicator_gives_the_filter_with_known_modes():
@@ -117,58 +105,3 @@ def test_log_odds_of_histories_may_be_of_any_size():
         state = filter.step(state, float(k), [0.0])
     total = np.logaddexp.reduce(state.log_prob[1], axis=None)
     np.testing.assert_allclose(total, -800 / 1.000001, rtol=1e-9)
-
-
-def test_components_that_a_mode_lacks_have_mean_and_variance_zero():
-    """A mode of one component beside one of two, against the sum over histories."""
-    a, b, *noise = sympy.symbols("a b p q", real=True)
-    moves = [[0.9 * a + noise[0], 0], [a + 0.5 * b + noise[0], b + noise[1]]]
-    chain, covs = np.array([[0.9, 0.1], [0.2, 0.8]]), (np.diag([1.0, 0.0]), np.eye(2))
-    initial = [(0.7, [0, 0], covs[0]), (0.3, [1, -1], covs[1])]
-    system = SwitchingSystem(
-        (a, b), moves, Noise(noise), chain.tolist(), [[a + w]] * 2, Noise((w,)), initial,
-        drives="new",
-    )  # fmt: skip
-    y = np.array([[0.3], [1.2], [-0.4], [2.0]])
-    slopes = np.array([[[0.9, 0], [0, 0]], [[1, 0.5], [0, 1]]])
-    sensor = np.tile([[[1.0, 0.0]]], (4, 1, 1)), np.zeros((4, 1)), np.ones((4, 1, 1))
-    modes = [
-        Linear(np.tile(F, (3, 1, 1)), np.zeros((3, 2)), np.tile(Q, (3, 1, 1)), *sensor, mean, cov)
-        for F, Q, mean, cov in zip(slopes, covs, np.array([[0.0, 0], [1, -1]]), covs, strict=True)
-    ]
-    model = Switching(modes, np.array([0.7, 0.3]), np.tile(chain, (3, 1, 1)), None)
-    law = histories(model, y, None, 3, 3, "new")
-    estimates = RaoBlackwellFilter(system, 16).run(range(4), y)
-    np.testing.assert_allclose(estimates.mean[3], law.mean, rtol=1e-11)
-    np.testing.assert_allclose(estimates.cov[3], law.cov, rtol=1e-11)
-    np.testing.assert_allclose(estimates.mode_prob[3], law.mode_prob, rtol=1e-11)
-    known = KnownModeFilter(system).run(range(4), y, modes=np.zeros(4, int))
-    assert (known.mean[:, 1] == 0).all()
-    assert np.isfinite(known.loglik).all()
-
-
-GIVEN = {
-    "state": (x,), "dynamics": [[x + v]], "noise": Noise((v,)), "switching": [[1]],
-    "sensor": [[x + w]], "sensor_noise": Noise((w,)), "initial": [(1, [0], [[1]])],
-}  # fmt: skip
-HALF = [[1 / (1 + sympy.exp(x)), 1 - 1 / (1 + sympy.exp(x))]] * 2
-TWO = {"dynamics": [[x + v]] * 2, "sensor": [[x + w]] * 2, "initial": [(0.5, [0], [[1]])] * 2}
-UNIFORM = Noise((v,), cov=[[1 / 3]], sample=lambda rng, n: rng.uniform(-1, 1, (1, n)))
-
-
-@pytest.mark.parametrize(
-    ("change", "name"),
-    [
-        ({"dynamics": [[sympy.sin(x) + v]]}, "dynamics"),
-        ({"dynamics": [[x * v]]}, "dynamics"),
-        ({"sensor": [[x**2 + w]]}, "sensor"),
-        ({"sensor": [[x * w]]}, "sensor"),
-        ({"noise": UNIFORM}, "dynamics"),
-        (TWO | {"switching": HALF}, "switching"),
-        (TWO | {"switching": [[0.5, 0.5]] * 2, "indicator": HALF}, "indicator"),
-    ],
-)
-def test_system_that_is_not_jump_linear_is_refused(change, name):
-    RaoBlackwellFilter(SwitchingSystem(**GIVEN))
-    with pytest.raises(ValueError, match=f"^{name}: "):
-        RaoBlackwellFilter(SwitchingSystem(**GIVEN | change))

@@ -20,8 +20,15 @@ from seedslib.filters import (
     smooth,
 )
 from seedslib.linearization import Taylor
-from seedslib.models import JumpDiffusion, LinearSystem, Noise
-from systems import U, growth
+from seedslib.models import (
+    DiscreteSystem,
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    StochasticMap,
+    SwitchingSystem,
+)
+from systems import U, growth, linear_system
 
 x, v, w = sp.symbols("x v w")
 LINE = LinearSystem(0.5, 1, 1, 1, 0, 1)
@@ -33,6 +40,27 @@ TWO, Y = [0.0, 1.0], np.zeros((2, 1))
 ESTIMATES = Estimates(np.zeros((2, 1)), np.ones((2, 1, 1)))
 SHOWN = np.zeros(2, int)
 STATE = KALMAN.step(KALMAN.initial(), 0.0, [0.0])
+
+TWICE, HALF = np.eye(2), [[1 / (1 + sp.exp(x)), 1 - 1 / (1 + sp.exp(x))]] * 2
+UNIFORM = Noise((v,), cov=[[1 / 3]], sample=lambda rng, n: rng.uniform(-1, 1, (1, n)))
+
+
+def switching(moves=x + v, shows=x + w, leave=((0.9, 0.1), (0.2, 0.8)), noise=None, **options):
+    """Two modes of one law."""
+    noise, sensor_noise = noise or Noise((v,)), Noise((w,))
+    initial = [(0.5, [0], [[1]])] * 2
+    return SwitchingSystem(
+        (x,), [[moves]] * 2, noise, leave, [[shows]] * 2, sensor_noise, initial, **options
+    )
+
+
+def on_nodes(system, mean0=0, cov0=1, initial=None):
+    """A run of the grid filter, of a system or of a map of the next state."""
+    if isinstance(system, sp.Expr):
+        maps = StochasticMap([x], [system], Noise([v])), StochasticMap([x], [x + w], Noise([w]))
+        system = DiscreteSystem(*maps, mean0, cov0, initial)
+    axes = [(-5, 5, 11)] * system.state_size if system.state_size > 1 else (-5, 5, 11)
+    return GridBayesFilter(system, axes).run(TWO, np.zeros((2, system.measurement_size)))
 
 
 def known(**options):
@@ -53,10 +81,29 @@ ROWS = [
     (lambda: ParticleFilter(LINE, 0), ValueError, "particles"),
     (lambda: RaoBlackwellFilter(growth()), TypeError, "system"),
     (lambda: RaoBlackwellFilter(BANK, 0), ValueError, "particles"),
+    (lambda: RaoBlackwellFilter(switching(sp.sin(x) + v)), ValueError, "dynamics"),
+    (lambda: RaoBlackwellFilter(switching(x * v)), ValueError, "dynamics"),
+    (lambda: RaoBlackwellFilter(switching(noise=UNIFORM)), ValueError, "dynamics"),
+    (lambda: RaoBlackwellFilter(switching(shows=x**2 + w)), ValueError, "sensor"),
+    (lambda: RaoBlackwellFilter(switching(shows=x * w)), ValueError, "sensor"),
+    (lambda: RaoBlackwellFilter(switching(leave=HALF)), ValueError, "switching"),
+    (lambda: RaoBlackwellFilter(switching(indicator=HALF)), ValueError, "indicator"),
+    (lambda: extended_kalman(linear_system(diffuse=(0,))), ValueError, "system"),
     (lambda: KnownModeFilter(LINE), TypeError, "system"),
     (lambda: KnownModeFilter(BANK, 5), TypeError, "linearization"),
     (lambda: GridBayesFilter(zoo.flip_process()), TypeError, "system"),
     (lambda: GridBayesFilter(LINE, (0, 1)), TypeError, "x"),
+    (lambda: GridBayesFilter(BANK), ValueError, "system"),
+    (lambda: on_nodes(LinearSystem(1, 0, 1, 1, 0, 1)), ValueError, "dynamics"),
+    (lambda: on_nodes(x + v**2), ValueError, "dynamics"),
+    (lambda: on_nodes(x + v, initial=lambda rng, n: rng.random((1, n))), ValueError, "system"),
+    (lambda: on_nodes(LinearSystem(1, 1, 1, 1, 0, 0, diffuse=(0,))), ValueError, "system"),
+    (lambda: on_nodes(LinearSystem(*[np.eye(3)] * 4, [0] * 3, np.eye(3))), ValueError, "system"),
+    (
+        lambda: on_nodes(LinearSystem(TWICE, TWICE, TWICE, TWICE, [0, 0], np.diag([1, 0]))),
+        ValueError,
+        "cov0",
+    ),
     (lambda: Gated(PARTICLES), TypeError, "filter"),
     (lambda: Gated(KALMAN, 1), ValueError, "probability"),
     (lambda: Gated(KALMAN, patience=0), ValueError, "patience"),
@@ -117,6 +164,7 @@ ROWS = [
 ]
 
 
+@pytest.mark.filterwarnings("ignore:x. more than")
 @pytest.mark.parametrize(("call", "error", "name"), ROWS)
 def test_wrong_argument_is_refused_by_its_name(call, error, name):
     with pytest.raises(error, match=rf"^{name}\b"):
