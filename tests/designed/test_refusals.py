@@ -1,0 +1,358 @@
+"""What filters refuse: arguments by their names, and parts that do not fit together."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+import sympy
+
+from seedslib import zoo
+from seedslib.design import (
+    BoundedPolynomial,
+    Continuous,
+    Polynomial,
+    grid_synthesis,
+    minimax_synthesis,
+    synthesize,
+)
+from seedslib.designed import (
+    Memory,
+    Past,
+    SwitchingFilter,
+    SwitchingRules,
+    finite_memory,
+    large_order,
+    load,
+    save,
+)
+from seedslib.filters import smooth
+from seedslib.linearization import GaussHermite, Taylor
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
+
+pytestmark = pytest.mark.filterwarnings(
+    "ignore:paths. .* too few paths", "ignore:availability", "ignore:y. the axes miss"
+)
+x, y, v, w, p, q = sympy.symbols("x y v w p q", real=True)
+TIMES, ONES = np.arange(3.0), np.ones((3, 1))
+
+
+def pair():
+    moved = [0.9 * x + 0.3 * y + v, -0.2 * x + 0.8 * y + w]
+    return DiscreteSystem(
+        StochasticMap([x, y], moved, Noise((v, w))),
+        StochasticMap([x, y], [x + p, y + q], Noise((p, q))), [0.2, -0.3], np.eye(2),
+    )  # fmt: skip
+
+
+def affine(**options):
+    return synthesize(zoo.linear_gaussian(), Memory(1), Taylor(), TIMES, nodes=1, paths=300,
+                      seed=1, step=0.25, **options)  # fmt: skip
+
+
+def modes(memory=None, **options):
+    return synthesize(
+        zoo.manoeuvring_target("noisy"), memory or Memory(2, 1, 1, True), Taylor(), TIMES,
+        paths=3000, seed=1, **options,
+    )  # fmt: skip
+
+
+def tables(system, memory=None, **options):
+    axes = {"x": (-8, 8, 41), "z": (-6, 6, 9), "y": (-16, 18, 31)}
+    return grid_synthesis(system, memory or Memory(1), [0.0, 0.25, 0.5], **axes | options)
+
+
+KINDS = {
+    "affine": affine,
+    "one component": lambda: affine(components=1, measured_nodes=True, horizon=2.5),
+    "continuous": lambda: affine(predictor=Continuous()),
+    "polynomial": lambda: affine(predictor=Polynomial(2, 1)),
+    "availability": lambda: synthesize(
+        pair(), Memory(1), Taylor(), TIMES, paths=300, seed=1, availability=[0.6, 1.0]
+    ),
+    "modes": modes,
+    "modes with availability": lambda: modes(Memory(1), availability=[0.6, 0.8]),
+    "table": lambda: tables(zoo.flip_process(), nodes=1),
+    "table with availability": lambda: tables(zoo.flip_process(), nodes=1, availability=0.6),
+    "table of modes": lambda: tables(
+        zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True
+    ),
+    "table of modes with availability": lambda: tables(
+        zoo.scalar_switching(), probabilities=True, availability=0.6
+    ),
+    "minimax": lambda: minimax_synthesis(
+        pair(), Memory(1), TIMES, paths=600, seed=1, correction=BoundedPolynomial(2)
+    ),
+    "minimax of the residual": lambda: minimax_synthesis(
+        pair(), Memory(1), TIMES, paths=600, seed=1
+    ),
+}
+PARTS = ["times", "start", "fits", "node_times", "node_fits", "predicted", "held_out", "steps",
+         "covariances", "changes", "arrivals", "measured", "availability"]  # fmt: skip
+
+
+def leaves(thing, path=()):
+    """Paths and arrays of a tree of named tuples and tuples; of a tuple its second entry."""
+    if isinstance(thing, np.ndarray):
+        yield path, thing
+    elif hasattr(thing, "_fields"):
+        for name, part in zip(thing._fields, thing, strict=True):
+            yield from leaves(part, (*path, name))
+    elif isinstance(thing, tuple) and thing:
+        place = min(1, len(thing) - 1)
+        yield from leaves(thing[place], (*path, place))
+
+
+def put(thing, path, value):
+    if not path:
+        return value
+    if isinstance(path[0], str):
+        return thing._replace(**{path[0]: put(getattr(thing, path[0]), path[1:], value)})
+    parts = list(thing)
+    parts[path[0]] = put(parts[path[0]], path[1:], value)
+    return tuple(parts)
+
+
+def broken(array, name):
+    """The same array with a longer axis, of another kind, without a number, indefinite."""
+    for axis in range(array.ndim):
+        yield f"axis {axis}", np.pad(array, [(0, int(i == axis)) for i in range(array.ndim)])
+    yield "another kind", array.astype(bool) if array.dtype.kind == "f" else array + 0.5
+    if array.dtype.kind == "f" and array.size:
+        lost = array.copy()
+        lost.flat[-1] = np.nan
+        yield "NaN", lost
+    if array.dtype.kind in "iu" and array.size:
+        yield "too large", array + array.dtype.type(100)
+        yield "below zero", array - array.dtype.type(100)
+    if name in ("cov", "covs", "before", "after") and array.any():
+        yield "indefinite", -array
+
+
+UNKNOWN = {"rms", "error", "mode_rate", "mode_error", "deviation", "changes", "log_weight"}
+"""Numbers that a design may not know."""
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_parts_of_another_shape_or_kind_are_refused_by_their_name(kind):
+    """Each array of a filter, one at a time: an axis longer, no floats, a NaN, not semidefinite."""
+    filter, accepted, said, count = KINDS[kind](), [], [], 0
+    known = {field.name for field in fields(filter) if field.init}
+    for part in PARTS:
+        if part not in known:
+            continue
+        for path, array in leaves(getattr(filter, part)):
+            for how, value in broken(array, path[-1] if path else part):
+                name = path[-1] if path else part
+                free = how == "NaN" and name in UNKNOWN
+                # neither the times of what was held out nor the classes before are looked at
+                free |= (part, name) == ("held_out", "times")
+                free |= (part, name, how) == ("fits", "before", "indefinite")
+                if free:
+                    continue
+                count += 1
+                changed = put(getattr(filter, part), path, value)
+                try:
+                    replace(filter, **{part: changed})
+                except (TypeError, ValueError) as error:
+                    if not isinstance(error, np.linalg.LinAlgError):
+                        said.append(str(error))
+                else:
+                    accepted.append((part, path, how))
+    assert count > 20
+    assert accepted == []
+    assert [message for message in said if not any(part in message for part in PARTS)] == []
+
+
+# Calls, the error, and the argument that its message begins with
+
+
+@pytest.fixture(scope="module")
+def made():
+    """A filter of each kind, made once."""
+    return {kind: make() for kind, make in KINDS.items()}
+
+
+def stepped(filter, count, y=None):
+    state = filter.initial()
+    for now in filter.times[:count]:
+        state = filter.step(state, now, np.full(filter.system.measurement_size, 0.3))
+    return state
+
+
+def indicated(tell, rule=None):
+    system = SwitchingSystem(
+        (x,), [[x / 2 + v], [x + v]], Noise((v,)), [[0.9, 0.1], [0.5, 0.5]], [[x + w]] * 2,
+        Noise((w,)), [(0.5, [0], [[1]])] * 2, indicator=[[tell, 1 - tell], [0.5, 0.5]],
+    )  # fmt: skip
+    return SwitchingFilter(system, rule or GaussHermite(3))
+
+
+def forecast(made, kind="affine"):
+    return made[kind].predict(made[kind].initial((3,)), 0.0)
+
+
+def scheduled():
+    return affine(measured=[[True], [False], [True]])
+
+
+TARGET, BANK = zoo.manoeuvring_target("noisy"), lambda: SwitchingFilter(TARGET, Taylor())
+SHOWN = np.zeros((3, 4), dtype=int)
+T = sympy.Symbol("t")
+REFUSED = [
+    # memories
+    *[(lambda _, call=call, l=l: call(l), error, "l") for call in (large_order, finite_memory)
+      for l, error in ((0, ValueError), (-1, ValueError), (1.5, TypeError), (True, TypeError))],
+    (lambda _: Memory(), ValueError, "memory"),
+    (lambda _: Memory(indicators=2), ValueError, "memory"),
+    (lambda _: Memory(-1), ValueError, "estimates"),
+    (lambda _: Memory(1, measurements=2.0), TypeError, "measurements"),
+    (lambda _: Memory(1, indicators=-1), ValueError, "indicators"),
+    (lambda _: Memory(1, log_odds=1), TypeError, "log_odds"),
+    (lambda _: Memory(0, 1, log_odds=True), ValueError, "log_odds"),
+    (lambda _: Memory(1).push(Past(), measurement=ONES), ValueError, "estimate"),
+    (lambda _: Memory(1, 1).push(Past(), estimate=ONES), ValueError, "measurement"),
+    (lambda _: Memory(1, 0, 1).push(Past(), estimate=ONES), ValueError, "indicator"),
+    (lambda _: Memory(1, log_odds=True).push(Past(), estimate=ONES), ValueError, "log_odds"),
+    (lambda _: Polynomial(0), ValueError, "mean_degree"),
+    (lambda _: Polynomial(2, 0.5), TypeError, "cov_degree"),
+    (lambda _: BoundedPolynomial(0), ValueError, "degree"),
+    # filters of finite order: fields
+    *[(lambda m, change=change: replace(m["affine"], **change), error, next(iter(change)))
+      for change, error in (
+        ({"components": 0}, ValueError), ({"components": 3}, ValueError),
+        ({"cycle": 3}, ValueError), ({"cycle": -1}, ValueError), ({"cycle": True}, ValueError),
+        ({"between": "cubic"}, ValueError), ({"times": [0.0, 1.0, 2.0]}, TypeError),
+        ({"times": TIMES[::-1].copy()}, ValueError), ({"times": np.empty(0)}, ValueError),
+        ({"fits": ()}, ValueError), ({"node_times": ()}, ValueError),
+        ({"measured": ONES[:2] > 0}, ValueError), ({"measured": "all"}, ValueError),
+        ({"availability": [1.5]}, ValueError),
+    )],
+    *[(lambda m, shift=shift: replace(m["affine"], node_times=tuple(
+        grid + shift for grid in m["affine"].node_times)), ValueError, "node_times")
+      for shift in (-0.5, 0.5)],
+    (lambda m: replace(m["affine"], fits=(*m["affine"].fits[:1], 3)), TypeError, "fits"),
+    (lambda m: replace(m["affine"], availability=np.array([0.5])), ValueError, "fits"),
+    (lambda m: replace(m["availability"], availability=np.array([0.6, 0.5])), ValueError, "fits"),
+    (lambda m: m["affine"].forecasting("cubic"), ValueError, "between"),
+    # steps
+    (lambda m: m["affine"].correct(m["affine"].initial(), [0.0]), ValueError, "state"),
+    (lambda m: m["affine"].expect(m["affine"].initial()), ValueError, "state"),
+    (lambda m: m["affine"].predict(forecast(m), 1.0), ValueError, "state"),
+    (lambda m: m["affine"].forecast(forecast(m), 0.5), ValueError, "state"),
+    (lambda m: m["affine"].predict(m["affine"].initial(), 0.5), ValueError, "t"),
+    (lambda m: m["affine"].predict(stepped(m["affine"], 3), 3.0), ValueError, "t"),
+    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 2.5), ValueError, "t"),
+    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 0.5), ValueError, "t"),
+    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 1.5, "x"), ValueError, "kind"),
+    (lambda m: m["affine"].correct(forecast(m), np.zeros((2, 3))), ValueError, "y"),
+    (lambda m: m["affine"].correct(forecast(m), [[0, np.inf, 0]]), ValueError, "y"),
+    (lambda m: m["affine"].correct(forecast(m), [["a", "b", "c"]]), TypeError, "y"),
+    (lambda _: (f := scheduled()).correct(f.predict(stepped(f, 1), 1.0), [0.5]), ValueError, "y"),
+    # records
+    *[(lambda m, times=times: m["affine"].run(times, np.full((len(times), 1), np.nan)),
+       ValueError, "times")
+      for times in (TIMES[1:], TIMES + 0.25, [0, 2.0], [0, 1, 2, 3.5], [0, 0, 1])],
+    (lambda m: m["affine"].run([0, 0.25, 1], np.zeros((3, 1))), ValueError, "measurements"),
+    (lambda m: m["affine"].run([0, 1], np.zeros((2, 3))), ValueError, "measurements"),
+    (lambda m: m["affine"].run([0, 1], [[np.inf], [0]]), ValueError, "measurements"),
+    (lambda m: m["affine"].run(TIMES, ONES, indicators=[0, 0, 0]), ValueError, "indicators"),
+    (lambda _: scheduled().run(TIMES, ONES), ValueError, "measurements"),
+    # filters of modes
+    (lambda _: SwitchingFilter(zoo.flip_process(), Taylor()), TypeError, "system"),
+    (lambda _: SwitchingFilter(TARGET, "taylor"), TypeError, "linearization"),
+    (lambda _: SwitchingFilter(TARGET, Taylor(), normalisation="other"), ValueError,
+     "normalisation"),
+    (lambda _: SwitchingRules(TARGET, Taylor(), "other"), ValueError, "normalisation"),
+    (lambda _: SwitchingFilter(TARGET, Taylor(), "one"), TypeError, "memory"),
+    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1)), ValueError, "times"),
+    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES), ValueError, "fits"),
+    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES, fits=[1, 2]), TypeError,
+     "fits"),
+    (lambda _: SwitchingFilter(zoo.scalar_switching(), Taylor(), Memory(1, 0, 1), times=TIMES,
+                               fits=[1, 2]), ValueError, "memory"),
+    (lambda _: SwitchingFilter(zoo.steady_target(), Taylor(), Memory(1, log_odds=True),
+                               times=TIMES, fits=[1, 2]), ValueError, "memory"),
+    (lambda m: replace(m["modes"], memory=Memory(1)), ValueError, "fits"),
+    (lambda m: replace(m["modes"], arrivals=m["modes with availability"].arrivals), ValueError,
+     "arrivals"),
+    (lambda m: replace(m["modes with availability"], arrivals=()), ValueError, "arrivals"),
+    (lambda m: replace(m["modes with availability"], fits=tuple(
+        part.fit for part in m["modes with availability"].fits)), ValueError, "fits"),
+    (lambda _: indicated(1 / (2 + x**2 + T)), ValueError, "split"),
+    (lambda _: indicated(1 / (2 + x**2), Taylor()), ValueError, ""),
+    (lambda _: BANK().predict(BANK().step(BANK().initial(), 1.0, [0.0], 1), 1.0), ValueError, "t"),
+    (lambda _: BANK().correct(BANK().initial(), [0.0], 1), ValueError, "state"),
+    (lambda _: BANK().predict(BANK().predict(BANK().initial(), 0.0), 1.0), ValueError, "state"),
+    *[(lambda _, told=told: BANK().correct(BANK().predict(BANK().initial((2,)), 0.0),
+                                           np.zeros((1, 2)), told), error, "indicator")
+      for told, error in ((None, ValueError), (np.array([2, 0]), ValueError),
+                          (np.array([0.5, 0.0]), TypeError))],
+    *[(lambda m, change=change: m["modes"].run(**{
+        "times": TIMES, "measurements": np.zeros((3, 1, 4)), "indicators": SHOWN, **change}),
+       error, next(iter(change)))
+      for change, error in (
+        ({"indicators": None}, ValueError), ({"indicators": SHOWN + 2}, ValueError),
+        ({"indicators": SHOWN + 0.5}, TypeError), ({"indicators": SHOWN[:, :3]}, ValueError),
+        ({"measurements": np.full((3, 1, 4), np.inf)}, ValueError),
+        ({"measurements": np.zeros((3, 2, 4))}, ValueError),
+        ({"times": [0.0, 2.0, 1.0]}, ValueError),
+    )],
+    (lambda m: m["modes"].run([0.0, 1.0, 3.0], np.zeros((3, 1, 4)), indicators=SHOWN), ValueError,
+     "t"),
+    (lambda m: m["modes"].run(TIMES, np.zeros((3, 1, 4)), indicators=SHOWN - 1), ValueError,
+     "indicator"),
+    (lambda m: smooth(m["modes"], TIMES, np.zeros((3, 1, 4)), indicators=SHOWN), TypeError,
+     "filter"),
+    # tables and other output functions
+    (lambda m: m["table"].correct(m["table"].initial(), [0.0]), ValueError, "state"),
+    (lambda m: m["table"].predict(m["table"].predict(m["table"].initial(), 0.0), 0.25),
+     ValueError, "state"),
+    (lambda m: m["table"].predict(m["table"].initial(), 0.25), ValueError, "t"),
+    (lambda m: m["table"].predict(stepped(m["table"], 3), 0.75), ValueError, "t"),
+    (lambda m: m["table"].forecast(stepped(m["table"], 1), 0.3), ValueError, "t"),
+    (lambda m: m["table"].run([0, 0.5], np.zeros((2, 1))), ValueError, "times"),
+    (lambda m: m["table"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, 0]), ValueError,
+     "indicators"),
+    (lambda m: m["table of modes"].run([0, 0.1, 0.25], np.zeros((3, 1)), indicators=[0, 0, 0]),
+     ValueError, "measurements"),
+    (lambda m: m["table of modes"].run([0, 0.1, 0.25], np.full((3, 1), np.nan),
+                                       indicators=[0, 0, 0]), ValueError, "times"),
+    (lambda m: m["table of modes"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, -1]),
+     ValueError, "indicator"),
+    (lambda m: m["minimax"].run([0.0], [[1.0, np.nan]]), ValueError, "y"),
+    (lambda _: tables(zoo.flip_process(), Memory(0, 1), nodes=0).run([0.0], [[np.nan]]),
+     ValueError, "y"),
+    (lambda m: replace(m["table"], steps=m["table"].steps[:2]), ValueError, "steps"),
+    (lambda m: replace(m["table"], steps=(1, 2, 3)), (TypeError, AttributeError), ""),
+    (lambda m: replace(m["table"], between="cubic"), ValueError, "between"),
+    (lambda m: replace(m["table"], memory=Memory(2)), ValueError, "steps"),
+    (lambda m: replace(m["table of modes"], memory=Memory(1)), ValueError, "steps"),
+    (lambda m: replace(m["table with availability"], arrivals=()), ValueError, "arrivals"),
+    (lambda m: replace(m["table"], node_fits=((),)), ValueError, "node_times, node_fits"),
+    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, correction=3),
+     TypeError, "correction"),
+    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, prediction=3),
+     TypeError, "prediction"),
+    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1,
+                                 correction=lambda t, m, y: np.zeros(3)), ValueError, "correction"),
+    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1,
+                                 prediction=lambda t, u: np.zeros((1, 3))), ValueError,
+     "prediction"),
+    (lambda m: replace(m["minimax"], fits=tuple(f._replace(bounded=None) for f in
+                                                m["minimax"].fits)), ValueError, "fits"),
+    # files
+    (lambda _: save({}, "x.npz"), TypeError, "filter"),
+    (lambda _: save(BANK(), "x.npz"), TypeError, "filter"),
+    (lambda _: load("no such file.npz"), FileNotFoundError, ""),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("number", range(len(REFUSED)))
+def test_refusal_names_its_argument(made, number):
+    call, error, argument = REFUSED[number]
+    with pytest.raises(error) as caught:
+        call(made)
+    message = str(caught.value)
+    assert message.startswith(argument), message
+    if argument:
+        assert message[len(argument)] in ":[.,", message
