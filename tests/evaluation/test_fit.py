@@ -78,39 +78,32 @@ def test_the_maximum_of_the_diffuse_likelihood_is_that_of_the_textbook():
     assert found.values == pytest.approx([1469.18, 15098.5], rel=1e-5)
 
 
-def test_two_records_with_gaps_and_inputs_are_fitted_by_the_sum_of_their_likelihoods():
-    """A factor of the input of the reference system, between bounds, against the regression."""
-    factor, form = Parameter("g", 0.4), linear_system().dynamics.formulas
-    sensor = linear_system().sensor.formulas
-    F, cov, B, inputs = form
-    H, noise, D, _ = sensor
-    system = LinearSystem(
-        F, cov, H, noise, linear_numbers().mean0, linear_numbers().cov0, B=B * factor, D=D,
-        inputs=inputs,
-    )  # fmt: skip
-    y = np.stack([record(linear_numbers(means=False), seed)[1] for seed in (1, 2)], axis=-1)
+def test_records_with_gaps_and_inputs_of_their_own_are_fitted_by_the_sum_of_their_likelihoods():
+    """The factor of an input, with bounds of all kinds, against the regression of each record."""
+    factor, model = Parameter("g", 0.4), linear_numbers(means=False)
+    F, cov, B, inputs = linear_system().dynamics.formulas
+    H, noise, D, _ = linear_system().sensor.formulas
+    start = model.mean0, model.cov0
+    system = LinearSystem(F, cov, H, noise, *start, B=B * factor, D=D, inputs=inputs)
+    own = {u: row[:, None] * [1.0, 0.3, -0.5] for u, row in INPUTS.items()}
+    each = [linear_numbers(TIMES, {u: v[:, k] for u, v in own.items()}, means=False)
+            for k in range(3)]  # fmt: skip
+    y = np.stack([record(one, seed)[1] for seed, one in enumerate(each)], axis=-1)
 
     def exact(g):
-        model = linear_numbers(means=False)
-        model = model._replace(b=g * model.b)
-        return sum(Regression(model).loglik(y[..., k]) for k in range(2))
+        models = (one._replace(b=g * one.b) for one in each)
+        return sum(Regression(one).loglik(y[..., k]) for k, one in enumerate(models))
 
-    found = fit(
-        KalmanFilter(system), TIMES, y, [factor], bounds={factor: (0.0, 3.0)}, inputs=INPUTS
-    )
     best = minimize(lambda u: -exact(u[0]), [0.8], tol=1e-10)
-    assert found.converged
-    assert found.values[0] == pytest.approx(best.x[0], rel=1e-5)
-    assert found.loglik == pytest.approx(-best.fun, abs=1e-8)
-    curvature = (exact(found.values[0] + 0.1) - 2 * exact(found.values[0]) +
-                 exact(found.values[0] - 0.1)) / 0.01  # fmt: skip
-    assert found.errors[0] == pytest.approx(1 / np.sqrt(-curvature), rel=1e-5)
-    # inputs of each record, and the bounds of one side
-    own = {u: np.stack([row, row], axis=-1) for u, row in INPUTS.items()}
-    for bounds in ({factor: (-np.inf, 3.0)}, {factor: (0.1, np.inf)}, None):
-        again = fit(KalmanFilter(system), TIMES, y, [factor], bounds=bounds, inputs=own)
-        assert again.values[0] == pytest.approx(found.values[0], rel=1e-5)
-        assert again.errors[0] == pytest.approx(found.errors[0], rel=1e-4)
+    point = best.x[0]
+    bend = (exact(point + 0.1) - 2 * exact(point) + exact(point - 0.1)) / 0.01
+    for limits in ((0.0, 3.0), (-np.inf, 3.0), (0.1, np.inf), None):
+        bounds = {factor: limits} if limits else None
+        found = fit(KalmanFilter(system), TIMES, y, [factor], bounds=bounds, inputs=own)
+        assert found.converged
+        assert found.values[0] == pytest.approx(point, rel=1e-5)
+        assert found.loglik == pytest.approx(-best.fun, abs=1e-8)
+        assert found.errors[0] == pytest.approx(1 / np.sqrt(-bend), rel=1e-4)
 
 
 def test_indicators_of_each_record_are_told():

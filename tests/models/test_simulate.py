@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, inputs_of
 from systems import INPUTS, TIMES, discrete_system
 
 GRID = np.arange(6.0)
@@ -27,7 +27,7 @@ def pair():
 SYSTEMS = {
     "diffusion": (zoo.van_der_pol, [0.0, 0.1, 0.3], {}),
     "jumps": (zoo.kicked_duffing, [0.0, 0.1, 0.3], {"scheme": "heun"}),
-    "discrete": (discrete_system, TIMES[:3], {"inputs": {u: v[:3] for u, v in INPUTS.items()}}),
+    "discrete": (discrete_system, TIMES[:3], {}),
     "modes": (zoo.manoeuvring_target, GRID[:3], {}),
 }
 
@@ -36,17 +36,25 @@ SYSTEMS = {
 def test_numbers_depend_neither_on_threads_nor_on_how_many_paths_follow(name):
     make, times, options = SYSTEMS[name]
     system = make()
-    whole = system.simulate(times, MANY, 7, availability=0.7, **options)
+
+    def made(paths, seed=7, workers=1):
+        own = np.linspace(-1, 1, MANY)[:paths]
+        inputs = {u: INPUTS[u][:3, None] * own for u in inputs_of(system)}
+        return system.simulate(
+            times, paths, seed, availability=0.7, workers=workers, inputs=inputs, **options
+        )
+
+    whole = made(MANY)
     assert whole.history is None
     for paths, workers in ((MANY, 2), (8200, 1), (3, 1), (1, 1)):
-        part = system.simulate(times, paths, 7, availability=0.7, workers=workers, **options)
+        part = made(paths, workers=workers)
         for one, two in zip(part[1:5], whole[1:5], strict=True):
             assert (one is None) == (two is None)
             if one is not None:
                 np.testing.assert_array_equal(one, two[..., :paths])
     blocks = whole.states[..., :300], whole.states[..., 8192:]
     assert not np.isclose(*blocks).any(axis=(0, 1)).all()
-    assert not np.array_equal(system.simulate(times, 3, 8, **options).states, whole.states[..., :3])
+    assert not np.array_equal(made(3, seed=8).states, whole.states[..., :3])
 
 
 def test_a_seed_may_be_a_number_a_sequence_or_a_generator():
