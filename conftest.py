@@ -6,6 +6,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")  # threads that wait for each other burn time
 os.environ.setdefault("PYDEVD_DISABLE_FILE_VALIDATION", "1")
 
+from collections import Counter
+from pathlib import PurePosixPath
 from unittest.mock import patch
 
 from jupyter_client.provisioning import local_provisioner
@@ -41,6 +43,26 @@ def _setup(self):
                 _start_kernel(self)
         else:
             _start_kernel(self)
+
+
+def _subject(nodeid):
+    """The folder of a test (or its file, above the folders), or the paper of a notebook."""
+    folder, *inner = PurePosixPath(nodeid.partition("::")[0]).parts
+    if folder == "notebooks":
+        return f"notebooks/{inner[0].partition('_')[0]}_*"
+    return "/".join((folder, *inner[:1]))
+
+
+def pytest_terminal_summary(terminalreporter):
+    """Seconds by package, the slowest first, so that a slow one is seen when it comes."""
+    seconds = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            if hasattr(report, "duration"):
+                seconds[_subject(report.nodeid)] += report.duration
+    terminalreporter.section("seconds by package")
+    for subject, total in seconds.most_common():
+        terminalreporter.line(f"{total:7.1f}  {subject}")
 
 
 IPyNbCell.compare_outputs = _compare_outputs

@@ -1,250 +1,201 @@
-"""Mutants of a file: what the operators of mutmut make of it, each a piece of text replaced."""
+"""Mutants of the library: drawn with mutmut's operators, kept as lines of text, found again."""
 
 from __future__ import annotations
 
 import ast
-import hashlib
-from collections.abc import Iterable
-from dataclasses import dataclass
-from itertools import islice
+import contextlib
+import csv
+import random
+from collections.abc import Iterable, Iterator
+from dataclasses import astuple, dataclass, fields
 from pathlib import Path
 
-import libcst as cst
 import yaml
-from libcst import metadata
-from mutmut.mutation.mutators import mutation_operators
 
 ROOT = Path(__file__).resolve().parents[2]
-
-ROOMS = {
-    "correction": ("base/correction.py", "base/diffuse.py"),
-    "semidefinite": ("base/semidefinite.py", "base/triangles.py"),
-    "linearization": ("linearization",),
-    "memory": ("designed/memory.py", "designed/arrivals.py", "designed/gaps.py"),
-    "models": ("models",),
-    "filters": ("filters",),
-    "designed": ("designed",),
-    "design": ("design",),
-    "gaussian means": ("gaussian/means", "gaussian/quadrature.py"),
-    "gaussian errors": ("gaussian/errors",),
-    "gaussian regions": ("gaussian/regions",),
-    "delay": ("delay",),
-    "piecewise": ("piecewise",),
-    "two-step": ("two_step",),
-    "bisection": ("pareto",),
-    "riemann": ("riemann",),
-}
-"""What is mutated, as files and folders of the library; a file belongs to the first that has it."""
-
-UNTOUCHED = ("__repr__", "_repr_html_", "_repr_pretty_")
-"""Functions that write for a reader: a mutant there changes words."""
-
-NAMES_ALONE = {"operator_string", "operator_dict_arguments"}
-"""Operators left out: they change sentences and names."""
-
-NOTHING_COMPUTED = (
-    cst.Raise, cst.Assert, cst.Annotation, cst.Decorator, cst.Import, cst.ImportFrom,
-    cst.BaseString,
-)  # fmt: skip
-CALLS_LEFT_OUT = ("len", "isinstance", "errstate")
-"""Calls that are left alone; the last one only says which warnings of NumPy are not wanted."""
+LIBRARY = ROOT / "seedslib"
+HERE = Path(__file__).parent
+FROZEN, FAULTS = HERE / "frozen.csv", HERE / "faults.yml"
 
 
 @dataclass(frozen=True)
 class Mutant:
-    """A piece of text of one function, replaced.
+    """Whole lines of one function, replaced.
 
     Attributes
     ----------
+    package : str
     file : str
-        Below the library's folder.
+        Below the library's folder, when it was drawn.
     function : str
-        Qualified name, empty at the level of the module.
+        Qualified name; empty at the level of the module. Of a planted fault, its description.
     line : int
-    end : int
-        Lines of the piece, from 1.
-    start : int
-    stop : int
-        Place of the piece in the text.
+        First line of `before`, when it was drawn.
     operator : str
-    after : str
-        What stands there instead.
-    key : str
-        Names the mutant as long as its function is written as it is.
+        mutmut's name for the kind of change; ``fault`` for one planted by hand.
+    before, after : str
+        Whole lines; `before` stands once in the function.
+    killed_by : str
+        Test that failed with it when it was frozen.
     """
 
+    package: str
     file: str
     function: str
     line: int
-    end: int
-    start: int
-    stop: int
     operator: str
+    before: str
     after: str
-    key: str
-
-    def applied(self, text: str) -> str:
-        """The file's text with this mutant in it."""
-        return text[: self.start] + self.after + text[self.stop :]
+    killed_by: str = ""
 
 
-class _Collector(cst.CSTVisitor):
-    METADATA_DEPENDENCIES = (metadata.ByteSpanPositionProvider, metadata.PositionProvider)
+def read(path: Path = FROZEN) -> list[Mutant]:
+    """Mutants of a committed list."""
+    with path.open(newline="") as file:
+        return [Mutant(**{**row, "line": int(row["line"])}) for row in csv.DictReader(file)]
 
-    def __init__(self, file: str, text: str, module: cst.Module):
-        super().__init__()
-        self.file, self.data, self.module = file, text.encode(), module
-        self.names: list[str] = []
-        self.sources: list[str] = [""]
-        self.seen: dict[tuple, int] = {}
-        self.found: list[Mutant] = []
 
-    def on_visit(self, node: cst.CSTNode) -> bool:
-        if isinstance(node, NOTHING_COMPUTED) or _asserts(node):
-            return False
-        if isinstance(node, cst.If) and "TYPE_CHECKING" in self.module.code_for_node(node.test):
-            return False
-        if isinstance(node, cst.Call) and _called(node) in CALLS_LEFT_OUT:
-            return False
-        if isinstance(node, cst.Assign) and "__all__" in self.module.code_for_node(node.targets[0]):
-            return False
-        if isinstance(node, cst.FunctionDef | cst.ClassDef):
-            self.names.append(node.name.value)
-            if len(self.names) == 1 or isinstance(node, cst.FunctionDef):
-                self.sources.append(self.module.code_for_node(node))
+def write(mutants: Iterable[Mutant], path: Path = FROZEN) -> None:
+    """Write a list by package, file and line."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow([field.name for field in fields(Mutant)])
+        writer.writerows(sorted(map(astuple, mutants)))
+
+
+def faults() -> list[Mutant]:
+    """The faults planted by hand."""
+    return [
+        Mutant(f["file"].split("/")[0], f["file"], f["name"], 0, "fault", f["before"], f["after"])
+        for f in yaml.safe_load(FAULTS.read_text())
+    ]
+
+
+def files_of(package: str, library: Path = LIBRARY) -> list[str]:
+    """Python files of a package, or the one of a module of this name."""
+    paths = [*library.glob(f"{package}.py"), *(library / package).rglob("*.py")]
+    return sorted(path.relative_to(library).as_posix() for path in paths)
+
+
+def functions_of(text: str) -> Iterator[tuple[str, int, int]]:
+    """Qualified name, first and last line of every function and class of a module."""
+
+    def inside(node, names):
+        for child in ast.iter_child_nodes(node):
+            if isinstance(child, ast.FunctionDef | ast.ClassDef | ast.AsyncFunctionDef):
+                within = (*names, child.name)
+                yield ".".join(within), child.lineno, child.end_lineno
+                yield from inside(child, within)
             else:
-                self.sources.append(self.sources[-1])
-            if node.name.value in UNTOUCHED:
-                return False
-        self._mutate(node)
-        return True
+                yield from inside(child, names)
 
-    def on_leave(self, original_node: cst.CSTNode) -> None:
-        if isinstance(original_node, cst.FunctionDef | cst.ClassDef):
-            self.names.pop()
-            self.sources.pop()
+    yield from inside(ast.parse(text), ())
 
-    def _mutate(self, node: cst.CSTNode) -> None:
-        for kind, operator in mutation_operators:
-            if not isinstance(node, kind) or operator.__name__ in NAMES_ALONE:
-                continue
-            for changed in operator(node):
-                if _strict(node) and not _strict(changed):
-                    continue
-                self._add(node, changed, operator.__name__.removeprefix("operator_"))
 
-    def _add(self, node: cst.CSTNode, changed: cst.CSTNode, operator: str) -> None:
-        span = self.get_metadata(metadata.ByteSpanPositionProvider, node)
-        where = self.get_metadata(metadata.PositionProvider, node)
-        piece = self.data[span.start : span.start + span.length].decode()
-        after = self.module.code_for_node(changed)
-        before = self.module.code_for_node(node)
+def located(mutant: Mutant, library: Path = LIBRARY) -> tuple[str, int, str] | None:
+    """File, first line and the file's text with a mutant in it; None where it applies no more.
+
+    The function is looked for in its file, then in the others of the package, so that files may
+    be joined, renamed and edited elsewhere; last, the lines alone are looked for in the package.
+    """
+    files = files_of(mutant.package, library)
+    files.sort(key=lambda name: name != mutant.file)
+    texts = {name: (library / name).read_text() for name in files}
+    for name, text in texts.items():
+        lines = text.splitlines(keepends=True)
+        for function, first, last in functions_of(text):
+            part = "".join(lines[first - 1 : last])
+            if function == mutant.function and part.count(mutant.before) == 1:
+                start = sum(map(len, lines[: first - 1])) + part.index(mutant.before)
+                return name, *_spoilt(mutant, text, start)
+    counts = {name: text.count(mutant.before) for name, text in texts.items()}
+    once = [name for name, count in counts.items() if count == 1]
+    if once and (once[0] == mutant.file or sum(counts.values()) == 1):
+        text = texts[once[0]]
+        return once[0], *_spoilt(mutant, text, text.index(mutant.before))
+    return None
+
+
+def _spoilt(mutant: Mutant, text: str, start: int) -> tuple[int, str]:
+    line = text.count("\n", 0, start) + 1
+    return line, text[:start] + mutant.after + text[start + len(mutant.before) :]
+
+
+def draw(package: str, seed: int, library: Path = LIBRARY) -> Iterator[Mutant]:
+    """All mutants of a package that can be compiled, in an order drawn by a seed."""
+    every = [m for name in files_of(package, library) for m in mutants_of(package, name, library)]
+    random.Random(f"{package} {seed}").shuffle(every)
+    for mutant in every:
+        place = located(mutant, library)
+        with contextlib.suppress(SyntaxError, ValueError):
+            compile(place[2], mutant.file, "exec")
+            yield mutant
+
+
+def mutants_of(package: str, file: str, library: Path = LIBRARY) -> list[Mutant]:
+    """What mutmut's operators make of the computing lines of a file.
+
+    Messages, annotations, decorators, imports, strings and assertions are left alone.
+    """
+    import libcst as cst
+    from libcst import metadata
+    from mutmut.mutation.mutators import mutation_operators
+
+    text = (library / file).read_text()
+    data, lines = text.encode(), text.splitlines(keepends=True)
+    spans = list(functions_of(text))
+    module = metadata.MetadataWrapper(cst.parse_module(text))
+    places = module.resolve(metadata.ByteSpanPositionProvider)
+    silent = (cst.Raise, cst.Assert, cst.Annotation, cst.Decorator, cst.Import, cst.ImportFrom,
+              cst.BaseString)  # fmt: skip
+    names_only = {"operator_string", "operator_dict_arguments"}
+    mutants: dict[tuple[str, str], Mutant] = {}
+
+    def add(node, changed, operator):
+        place = places[node]
+        start = len(data[: place.start].decode())
+        piece = data[place.start : place.start + place.length].decode()
+        before = module.module.code_for_node(node)
+        after = module.module.code_for_node(changed)
         if before.strip() != piece.strip() or after == before:
             return
+        if before.count("strict=True") > after.count("strict=True"):  # an assertion
+            return
         after = after if before == piece else after.strip()  # some spans have the space before
-        name = ".".join(self.names)
-        place = (name, operator, piece, after.strip())
-        count = self.seen[place] = self.seen.get(place, -1) + 1
-        # of the function's own text: a change elsewhere in the file leaves the name as it is
-        parts = (self.file, name, self.sources[-1], operator, piece, after.strip(), str(count))
-        key = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:12]
-        start = len(self.data[: span.start].decode())
-        self.found.append(
-            Mutant(
-                self.file, name, where.start.line, where.end.line, start, start + len(piece),
-                operator, after, key,
-            )
-        )  # fmt: skip
+        whole = text[:start] + after + text[start + len(piece) :]
+        first = text.count("\n", 0, start)
+        last = text.count("\n", 0, start + len(piece.rstrip()))
+        inner = [s for s in spans if s[1] <= first + 1 <= s[2]]
+        function, top, bottom = max(inner, key=lambda s: s[1], default=("", 1, len(lines)))
+        if function.rpartition(".")[2] in ("__repr__", "_repr_html_", "_repr_pretty_"):
+            return
+        part = "".join(lines[top - 1 : bottom])
+        while part.count("".join(lines[first : last + 1])) > 1 and first > top - 1:
+            first -= 1  # lines above, until the piece of text is the only one of its kind
+        old = "".join(lines[first : last + 1])
+        if part.count(old) != 1:
+            return
+        ahead, behind = sum(map(len, lines[:first])), sum(map(len, lines[last + 1 :]))
+        new = whole[ahead : len(whole) - behind]
+        mutants[old, new] = Mutant(package, file, function, first + 1, operator, old, new)
 
+    def visit(node):
+        if isinstance(node, cst.Arg) and node.keyword and node.keyword.value == "strict":
+            return
+        if isinstance(node, silent) or (
+            isinstance(node, cst.Call) and getattr(node.func, "value", "") in ("len", "isinstance")
+        ):
+            return
+        if isinstance(node, cst.If) and "TYPE_CHECKING" in module.module.code_for_node(node.test):
+            return
+        if isinstance(node, cst.Assign) and "__all__" in module.module.code_for_node(node):
+            return
+        for kind, operator in mutation_operators:
+            if isinstance(node, kind) and operator.__name__ not in names_only:
+                for changed in operator(node):
+                    add(node, changed, operator.__name__.removeprefix("operator_"))
+        for child in node.children:
+            visit(child)
 
-def _called(node: cst.Call) -> str:
-    """Last name of what is called."""
-    return node.func.attr.value if isinstance(node.func, cst.Attribute) else getattr(
-        node.func, "value", ""
-    )  # fmt: skip
-
-
-def _asserts(node: cst.CSTNode) -> bool:
-    """Whether this is the argument ``strict=True`` of a zip, an assertion."""
-    return isinstance(node, cst.Arg) and node.keyword is not None and node.keyword.value == "strict"
-
-
-def _strict(node: cst.CSTNode) -> bool:
-    """Whether this is a call with the argument ``strict=True``."""
-    return isinstance(node, cst.Call) and any(
-        _asserts(arg) and arg.value.value == "True" for arg in node.args
-    )
-
-
-def mutants_of(file: str, library: Path = ROOT / "seedslib") -> list[Mutant]:
-    """All mutants of a file, by key."""
-    text = (library / file).read_text()
-    wrapper = metadata.MetadataWrapper(cst.parse_module(text))
-    collector = _Collector(file, text, wrapper.module)
-    wrapper.visit(collector)
-    return sorted(collector.found, key=lambda m: m.key)
-
-
-def sound(m: Mutant, library: Path = ROOT / "seedslib") -> bool:
-    """Whether the file with a mutant in it can be compiled."""
-    try:
-        compile(m.applied((library / m.file).read_text()), "mutant", "exec")
-    except SyntaxError:
-        return False
-    return True
-
-
-def planted(library: Path = ROOT / "seedslib") -> list[Mutant]:
-    """The faults of faults.yml.
-
-    Raises
-    ------
-    ValueError
-        One whose text does not stand once in its file.
-    """
-    found = []
-    for k, fault in enumerate(yaml.safe_load(Path(__file__).with_name("faults.yml").read_text())):
-        text, before = (library / fault["file"]).read_text(), fault["before"]
-        if text.count(before) != 1:
-            raise ValueError(f"{fault['name']}: its text stands {text.count(before)} times")
-        start = text.index(before)
-        line = text.count("\n", 0, start) + 1
-        found.append(
-            Mutant(
-                fault["file"], fault["name"], line, line + before.rstrip().count("\n"), start,
-                start + len(before), "fault", fault["after"], f"fault {k:02}",
-            )
-        )  # fmt: skip
-    return found
-
-
-def sample(files: Iterable[str], skip: int, stop: int) -> list[Mutant]:
-    """The sound mutants of some files from place `skip` to place `stop` by their keys.
-
-    The keys are hashes, so that this is a random sample; and it stays, but for the functions that
-    are edited.
-    """
-    every = sorted((m for file in files for m in mutants_of(file)), key=lambda m: m.key)
-    return list(islice(filter(sound, every), skip, stop))
-
-
-def files_of(room: str, library: Path = ROOT / "seedslib") -> list[str]:
-    """Files of a room that compute, sorted."""
-    taken: set[str] = set()
-    for name, places in ROOMS.items():
-        found = {
-            str(path.relative_to(library))
-            for place in places
-            for path in (library.glob(place) if "." in place else (library / place).rglob("*.py"))
-            if path.name != "__init__.py"
-        } - taken  # fmt: skip
-        if name == room:
-            return sorted(found)
-        taken |= found
-    raise ValueError(f"room: got {room!r}, wanted one of {', '.join(ROOMS)}")
-
-
-def fingerprint(file: str, library: Path = ROOT / "seedslib") -> str:
-    """What the program of a file says, whatever its comments and its layout."""
-    tree = ast.parse((library / file).read_text())
-    return hashlib.sha256(ast.dump(tree).encode()).hexdigest()[:12]
+    visit(module.module)
+    return sorted(mutants.values(), key=astuple)

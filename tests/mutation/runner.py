@@ -1,4 +1,4 @@
-"""One mutant against tests: a copy of the library, a process, the first failure."""
+"""Mutants against tests: a copy of the library for each process, and the first test that fails."""
 
 from __future__ import annotations
 
@@ -10,45 +10,76 @@ import os
 import resource
 import shutil
 import signal
+import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import pytest
-from mutants import ROOT
+from mutants import LIBRARY, ROOT, Mutant, located
 
 MEMORY = 4 << 30
-"""Resident memory of a process that runs a mutant, in bytes."""
+"""Bytes in memory that a process may have; with a mutant it may want more and more."""
+SECONDS = 60.0
+"""Seconds of tests that a mutant meets, those of its line that are over soonest first."""
+ELSEWHERE = ("tests/bookkit", "tests/peers", "tests/mutation", "tests/extra/test_cluster.py")
+"""Tests that say nothing of a mutant, or whose workers start with the program that runs here."""
+QUIET = ["-q", "-n0", "-p", "no:cacheprovider"]
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """What became of a mutant.
+class Touches:
+    """Which tests run which lines of the library, from one run of them under coverage."""
 
-    Attributes
-    ----------
-    verdict : str
-        ``killed``, ``survived`` or ``slow`` (a mutant that does not come to an end).
-    by : str
-        The first test that failed; ``import`` where the library or a test cannot be imported.
-    tests : int
-        How many tests were to be run.
-    """
+    def __init__(self, tests: Sequence[str]):
+        from coverage import CoverageData
 
-    verdict: str
-    by: str
-    tests: int
+        self.seconds: dict[str, float] = {}
+        self.lines: dict[str, dict[int, set[str]]] = {}
+        with tempfile.TemporaryDirectory() as folder:
+            path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+            skipped = [f"--ignore={name}" for name in ELSEWHERE]
+            subprocess.run(
+                [sys.executable, "-m", "pytest", "-q", "-n2", "--dist=loadscope", "-p", "touches",
+                 "-p", "no:cacheprovider", *skipped, *tests],
+                cwd=ROOT, env={**os.environ, "PYTHONPATH": path, "TOUCHES": folder},
+                check=True, stdout=subprocess.DEVNULL,
+            )  # fmt: skip
+            for file in Path(folder).glob("touches.*.json"):
+                self.seconds |= json.loads(file.read_text())
+            for file in set(Path(folder).glob("touches.*")) - set(Path(folder).glob("*.json")):
+                data = CoverageData(str(file))
+                data.read()
+                for name in data.measured_files():
+                    rows = self.lines.setdefault(name.rpartition("/seedslib/")[2], {})
+                    for line, contexts in data.contexts_by_lineno(name).items():
+                        rows.setdefault(line, set()).update(set(contexts) & set(self.seconds))
+
+    def near(self, file: str, first: int, last: int) -> list[str]:
+        """Tests that run one of these lines (or the file, where none does), soonest over first."""
+        rows = self.lines.get(file, {})
+        tests = set().union(*(rows.get(line, ()) for line in range(first, last + 1)))
+        tests = tests or set().union(*rows.values())
+        whole: dict[str, float] = {}
+        for test in tests:
+            module = test.partition("::")[0]
+            whole[module] = whole.get(module, 0.0) + self.seconds[test]
+        order = sorted(tests, key=lambda t: (whole[t.partition("::")[0]], self.seconds[t], t))
+        spent, chosen = 0.0, []
+        for test in order:
+            spent += self.seconds[test]
+            if chosen and spent > SECONDS:
+                break
+            chosen.append(test)
+        return chosen
 
 
 class _First:
-    """Plugin that runs tests in the order given and keeps the name of the first that fails."""
+    """Plugin that runs tests in the order given and writes down the first that fails."""
 
     def __init__(self, path: Path, tests: Sequence[str]):
-        self.path = path
-        self.order = {test: k for k, test in enumerate(tests)}
+        self.path, self.order = path, {test: k for k, test in enumerate(tests)}
 
     @pytest.hookimpl(trylast=True)
     def pytest_collection_modifyitems(self, items):
@@ -63,234 +94,127 @@ class _First:
             self.path.write_text("import")
 
 
-ELSEWHERE = ("tests/extra/test_cluster.py",)
-"""Tests whose workers begin with the program that started them: they fail where mutants run."""
-
-OURS = ("seedslib", "bookkit", "tests", "oracles", "mutants", "__main__")
-
-
-class _Names:
-    """Plugin that keeps the names of all tests."""
-
-    names: Sequence[str] = ()
-
-    def pytest_collection_finish(self, session):
-        self.names = [item.nodeid for item in session.items]
-
-
-def preload() -> set[str]:
-    """Import once what every process would import: all but the library, the book and the tests.
-
-    Returns the names of the tests that can be run here.
-    """
+def preload(tests: Sequence[str]) -> None:
+    """Import once what the tests import: all but the library, the book and the tests."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
-        try:
-            quiet = os.open(os.devnull, os.O_RDWR)
-            os.dup2(quiet, 1)
-            os.dup2(quiet, 2)
-            os.chdir(ROOT)
-            found = _Names()
-            flags = ["--collect-only", "-qq", "-n0", "-p", "no:cacheprovider"]
-            pytest.main([*flags, "tests"], plugins=[found])
-            with os.fdopen(writing, "w") as pipe:
-                json.dump([list(sys.modules), list(found.names)], pipe)
-        finally:
-            os._exit(0)
+        _silence()
+        os.chdir(ROOT)
+        pytest.main([*QUIET, "--collect-only", *tests])
+        with os.fdopen(writing, "w") as pipe:
+            json.dump(list(sys.modules), pipe)
+        os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as pipe:
-        modules, tests = json.load(pipe)
+        modules = json.load(pipe)
     os.waitpid(child, 0)
     for name in modules:
-        if not name.startswith(OURS):
+        if not name.startswith(("seedslib", "bookkit", "tests", "oracles", "systems", "__main__")):
             with contextlib.suppress(ImportError):
                 importlib.import_module(name)
-    assert not any(n.startswith("seedslib") for n in sys.modules), "a mutant is imported anew"
+    assert not any(name.startswith("seedslib") for name in sys.modules)
     gc.freeze()
-    return {test for test in tests if not test.startswith(ELSEWHERE)}
+
+
+def _silence() -> None:
+    quiet = os.open(os.devnull, os.O_RDWR)
+    for stream in (0, 1, 2):
+        os.dup2(quiet, stream)
 
 
 class Slot:
-    """A copy of the library in which one file at a time is spoilt."""
+    """A copy of the library in which one file at a time is spoilt, and a process that tests it."""
 
     def __init__(self, folder: Path):
-        self.folder = folder
-        shutil.rmtree(folder, ignore_errors=True)
-        shutil.copytree(ROOT / "seedslib", folder / "seedslib")
-        self.note = folder / "first"
-        self.child = 0
+        self.folder, self.note = folder, folder / "first"
+        shutil.copytree(LIBRARY, folder / "seedslib")
 
-    def start(self, file: str, text: str, tests: Sequence[str], seconds: float) -> None:
-        """Run tests with another text of a file, in a process with so many seconds of a core."""
-        self.file, self.tests = file, tests
+    def start(self, mutant: Mutant, file: str, text: str, tests: Sequence[str], limit: float):
+        self.mutant, self.file, self.ends = mutant, file, time.monotonic() + 90.0 + 4.0 * limit
         self.note.unlink(missing_ok=True)
         (self.folder / "seedslib" / file).write_text(text)
-        self.ends = time.monotonic() + 90.0 + 4.0 * seconds
         self.child = os.fork()
         if not self.child:
-            self._run(seconds)
+            try:
+                self._test(tests, limit)
+            finally:
+                os._exit(70)
 
-    def _run(self, seconds: float) -> None:
-        code = 70
-        try:
-            os.setsid()
-            limit = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime + seconds)
-            resource.setrlimit(resource.RLIMIT_CPU, (limit, limit + 5))
-            quiet = os.open(os.devnull, os.O_RDWR)
-            for stream in (0, 1, 2):
-                os.dup2(quiet, stream)
-            os.environ["PYTHONPATH"] = os.pathsep.join(
-                [str(self.folder), os.environ.get("PYTHONPATH", "")]
-            )
-            os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
-            sys.dont_write_bytecode = True
-            sys.path.insert(0, str(self.folder))
-            os.chdir(ROOT)
-            flags = ["-q", "-x", "-n0", "-p", "no:cacheprovider", "--no-header", "--tb=no"]
-            code = int(pytest.main([*flags, *self.tests], plugins=[_First(self.note, self.tests)]))
-        finally:
-            os._exit(code)
+    def _test(self, tests: Sequence[str], limit: float) -> None:
+        os.setsid()
+        used = int(resource.getrusage(resource.RUSAGE_SELF).ru_utime + limit)
+        resource.setrlimit(resource.RLIMIT_CPU, (used, used + 5))
+        _silence()
+        path = os.pathsep.join([str(self.folder), os.environ.get("PYTHONPATH", "")])
+        os.environ.update(PYTHONPATH=path, PYTHONDONTWRITEBYTECODE="1")
+        sys.dont_write_bytecode = True
+        sys.path.insert(0, str(self.folder))
+        os.chdir(ROOT)
+        os._exit(int(pytest.main([*QUIET, "-x", *tests], plugins=[_First(self.note, tests)])))
 
-    def done(self) -> Outcome | None:
-        """The outcome, or None while the tests go on."""
+    def verdict(self) -> tuple[str, str] | None:
+        """What became of the mutant and the test that failed; None while the tests go on."""
         pid, status = os.waitpid(self.child, os.WNOHANG)
         if pid:
-            outcome = self._outcome(status)
+            code = os.waitstatus_to_exitcode(status)
+            if self.note.exists():
+                outcome = "killed", self.note.read_text()
+            elif code in (-signal.SIGXCPU, -signal.SIGKILL):
+                outcome = "killed", "endless"
+            elif code < 0:
+                outcome = "killed", "crash"
+            else:
+                outcome = ("survived" if code in (0, 5) else "not run"), ""
         elif time.monotonic() > self.ends or self._resident() > MEMORY:
-            outcome = Outcome("slow", "", len(self.tests))
+            outcome = "killed", "endless"
         else:
             return None
-        self._tidy()
+        with contextlib.suppress(ProcessLookupError, ChildProcessError):
+            os.killpg(self.child, signal.SIGKILL)
+            os.waitpid(self.child, 0)
+        shutil.copy2(LIBRARY / self.file, self.folder / "seedslib" / self.file)
         return outcome
 
-    def _outcome(self, status: int) -> Outcome:
-        if os.WIFEXITED(status) and os.WEXITSTATUS(status) in (0, 5):
-            return Outcome("survived", "", len(self.tests))
-        if os.WIFSIGNALED(status) and os.WTERMSIG(status) in (signal.SIGXCPU, signal.SIGKILL):
-            return Outcome("slow", "", len(self.tests))
-        if self.note.exists():
-            return Outcome("killed", self.note.read_text(), len(self.tests))
-        if os.WIFSIGNALED(status):
-            return Outcome("killed", "crash", len(self.tests))
-        raise RuntimeError(  # such as a test that is not there any more
-            f"no test failed and pytest ended with {os.WEXITSTATUS(status)}: note the tests anew"
-        )
-
     def _resident(self) -> int:
-        """Bytes in memory (an address space cannot be limited: sanitizers want terabytes of it)."""
         try:
             pages = Path(f"/proc/{self.child}/statm").read_text().split()[1]
         except (OSError, IndexError):
             return 0
         return int(pages) * os.sysconf("SC_PAGE_SIZE")
 
-    def _tidy(self) -> None:
-        try:
-            os.killpg(self.child, signal.SIGKILL)
-            os.waitpid(self.child, 0)
-        except (ProcessLookupError, ChildProcessError):
-            pass
-        source = ROOT / "seedslib" / self.file
-        shutil.copy2(source, self.folder / "seedslib" / self.file)
-        self.child = 0
 
+def judged(mutants: Iterable[Mutant], touches: Touches) -> Iterator[tuple[Mutant, str, str]]:
+    """Every mutant with its verdict and the test that failed, as they come, two at a time.
 
-def outcomes(
-    jobs: Iterable[tuple[object, str, str, Sequence[str], float]], folder: Path, slots: int = 2
-) -> Iterator[tuple[object, Outcome]]:
-    """Run jobs ``(name, file, text, tests, seconds)`` in `slots` processes, as they end."""
-    free = [Slot(folder / str(k)) for k in range(slots)]
-    busy: dict[Slot, object] = {}
-    waiting = iter(jobs)
-    more = True
-    while more or busy:
-        while more and free:
-            job = next(waiting, None)
-            if job is None:
-                more = False
-                break
-            name, file, text, tests, seconds = job
-            slot = free.pop()
-            slot.start(file, text, tests, seconds)
-            busy[slot] = name
-        for slot in list(busy):
-            outcome = slot.done()
-            if outcome is not None:
-                yield busy.pop(slot), outcome
-                free.append(slot)
-        time.sleep(0.02)
-
-
-@dataclass(frozen=True)
-class Touches:
-    """Which tests run which lines of the library, and their seconds.
-
-    Attributes
-    ----------
-    lines : dict
-        File below the library's folder: line: numbers of tests.
-    tests : list of str
-    seconds : list of float
+    Verdicts are ``killed``, ``survived``, ``untouched`` (no test runs the file), ``gone`` (the
+    lines are not in the library any more) and ``not run``.
     """
-
-    lines: dict[str, dict[int, list[int]]]
-    tests: list[str]
-    seconds: list[float]
-
-    @classmethod
-    def read(cls, path: Path, there: set[str]) -> Touches:
-        """Read what `touches` has written, of the tests that are there still."""
-        found = json.loads(path.read_text())
-        known = {k for k, test in enumerate(found["tests"]) if test in there}
-        lines = {
-            file: {int(line): [t for t in tests if t in known] for line, tests in rows.items()}
-            for file, rows in found["lines"].items()
-        }
-        return cls(lines, found["tests"], found["seconds"])
-
-    @cached_property
-    def took(self) -> dict[str, float]:
-        """Seconds by test."""
-        return dict(zip(self.tests, self.seconds, strict=True))
-
-    def of(self, file: str, first: int, last: int) -> list[str]:
-        """Tests that run one of these lines, the fastest modules first."""
-        rows = self.lines.get(file, {})
-        return self._named({t for line in range(first, last + 1) for t in rows.get(line, ())})
-
-    def of_file(self, file: str) -> list[str]:
-        """Tests that run any line of a file, the fastest modules first."""
-        return self._named({t for tests in self.lines.get(file, {}).values() for t in tests})
-
-    def _named(self, numbers: set[int]) -> list[str]:
-        whole: dict[str, float] = {}
-        for t in numbers:
-            whole[self._module(t)] = whole.get(self._module(t), 0.0) + self.seconds[t]
-
-        def place(t):
-            return whole[self._module(t)], self._module(t), self.seconds[t], t
-
-        return [self.tests[t] for t in sorted(numbers, key=place)]
-
-    def _module(self, t: int) -> str:
-        return self.tests[t].partition("::")[0]
-
-    def chosen(self, tests: Sequence[str], room: str, seconds: float, modules: int) -> list[str]:
-        """Tests that fit into so many seconds and modules, those of the room and the fast first."""
-        near = f"tests/{room}"
-        spent, taken, used = 0.0, set(), set()
-        for test in sorted(tests, key=lambda t: (not t.startswith(near), self.took[t], t)):
-            module = test.partition("::")[0]
-            if taken and spent + self.took[test] > seconds:
-                continue
-            if module not in used and len(used) >= modules:
-                continue
-            used.add(module)
-            taken.add(test)
-            spent += self.took[test]
-        return [test for test in tests if test in taken]
-
-    def spent(self, tests: Sequence[str]) -> float:
-        """Seconds that tests take in all."""
-        return sum(self.took[t] for t in tests)
+    preload(sorted({test.partition("::")[0] for test in touches.seconds}))
+    waiting, more, busy = iter(mutants), True, []
+    with tempfile.TemporaryDirectory() as folder:
+        free = [Slot(Path(folder) / str(k)) for k in range(2)]
+        while more or busy:
+            while more and free:
+                mutant = next(waiting, None)
+                if mutant is None:
+                    more = False
+                    break
+                place = located(mutant)
+                if place is None:
+                    yield mutant, "gone", ""
+                    continue
+                file, first, text = place
+                tests = touches.near(file, first, first + mutant.before.rstrip().count("\n"))
+                if not tests:
+                    yield mutant, "untouched", ""
+                    continue
+                busy.append(free.pop())
+                limit = 10.0 + 6.0 * sum(touches.seconds[test] for test in tests)
+                busy[-1].start(mutant, file, text, tests, limit)
+            for slot in list(busy):
+                if (outcome := slot.verdict()) is not None:
+                    yield slot.mutant, *outcome
+                    busy.remove(slot)
+                    free.append(slot)
+            time.sleep(0.02)

@@ -1,7 +1,4 @@
-"""Plugin of pytest that notes which test runs which lines of the library, and how long it takes.
-
-One data file of coverage for each process, ``.touches.<process>``, and beside it the seconds.
-"""
+"""Plugin of pytest: which test runs which lines of the library, and how long it takes."""
 
 import json
 import os
@@ -13,9 +10,11 @@ import pytest
 
 FOLDER = Path(os.environ.get("TOUCHES", "."))
 measured = coverage.Coverage(
-    data_file=str(FOLDER / f".touches.{os.getpid()}"), source=["seedslib"], config_file=False,
+    data_file=str(FOLDER / f"touches.{os.getpid()}"),
+    source=["seedslib"],
+    config_file=False,
     messages=False,
-)  # fmt: skip
+)
 seconds = {}
 
 
@@ -36,4 +35,4 @@ def pytest_unconfigure():
     measured.stop()
     if seconds:
         measured.save()
-        (FOLDER / f".touches.{os.getpid()}.json").write_text(json.dumps(seconds))
+        (FOLDER / f"touches.{os.getpid()}.json").write_text(json.dumps(seconds))
