@@ -9,7 +9,6 @@ from scipy.special import ndtr
 
 from oracles.gaussian import hermite_mean, panel_mean, random_law
 from seedslib.gaussian import (
-    FunctionClass,
     expectation,
     expectation_function,
     posterior_variance_function,
@@ -197,11 +196,6 @@ def test_two_ways_to_write_a_function_have_one_mean(name):
     assert one == pytest.approx(other, rel=1e-14, abs=1e-16)
 
 
-def test_equal_exponentials_cancel_before_they_overflow():
-    function = expectation_function(sp.cosh(x + y) - sp.exp(x) * sp.cosh(y), [x, y])
-    assert function([400.0, 400.0], np.zeros((2, 2))) == -0.5
-
-
 def test_parameters_are_numbers_of_a_call():
     a, b = sp.symbols("a b")
     f = [sp.exp(-a * x**2) * sp.Heaviside(x + b * y, HALF) + b * sp.sin(a * y), a * x + b]
@@ -358,8 +352,3 @@ def test_batch_axes_are_aligned_at_the_end(make, name, rank):
         for index in np.ndindex(*batch):
             one = function(means[:, *index], covs[:, :, *index])
             assert found[..., *index] == pytest.approx(one, rel=1e-11, abs=1e-12)
-
-
-def test_kind_of_a_function_is_told_by_what_gives_its_mean():
-    assert expectation_function(abs(x) + sp.sin(y), [x, y]).kind is FunctionClass.MIXED
-    assert isinstance(expectation_function(x * y, [x, y])(np.zeros(2), np.eye(2)), float)

@@ -63,19 +63,6 @@ def test_linear_estimator_is_the_regression_and_ends_are_exact():
     assert_allclose(known.estimate([0.7, -0.4], 3), [0.49 * -0.4], rtol=1e-10)
 
 
-@pytest.mark.filterwarnings("ignore:f. the quadrature rule:UserWarning")
-def test_expansion_of_some_of_six_components():
-    rng = np.random.default_rng(1)
-    mean, cov, error_cov = random_case(rng, 6)
-    symbols = sp.symbols("u0:6")
-    f = sp.sin(symbols[4]) * symbols[1]
-    expansion = hermite_expansion(f, symbols, mean, cov, error_cov, degree=12, nodes=40)
-    exact = mean_square_errors(f, symbols)(mean, cov, error_cov).optimal
-    assert expansion.lower()[0, 0] <= exact * (1 + 1e-12)
-    assert expansion.upper()[0, 0] >= exact * (1 - 1e-12)
-    assert expansion.estimate(rng.normal(size=(6, 3)), 2).shape == (1, 3)
-
-
 @pytest.mark.parametrize(
     ("f", "symbols"),
     [(abs(x), [x]), (sp.exp(-8 * x**2), [x]), (sp.sin(9 * x), [x]), (sp.Max(x, y), [x, y])],

@@ -288,14 +288,6 @@ def test_only_the_components_of_the_function_matter():
         assert_allclose(found, mean_square_errors(f, [x, y])(*small), rtol=1e-11)
 
 
-def test_errors_follow_the_units():
-    base = mean_square_errors(x * y**2, [x, y])
-    law = random_case(np.random.default_rng(5), 2)
-    unit = np.array([1e9, 1e-6])
-    scaled = base(law[0] * unit, *(part * np.outer(unit, unit) for part in law[1:]))
-    assert_allclose(scaled, np.array(base(*law)) * (1e9 * 1e-12) ** 2, rtol=1e-9)
-
-
 def test_dense_polynomial_of_six_variables_has_the_error_of_its_expansion():
     """Of a power of one direction in six variables: the scalar error of that direction."""
     symbols = sp.symbols("u0:6")

@@ -4,7 +4,7 @@ import mpmath as mp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.special import elliprg, erf, gammaln, hyp1f1, hyp2f1
+from scipy.special import elliprg, gammaln, hyp1f1, hyp2f1
 
 from seedslib.gaussian import norm_errors, norm_mean
 
@@ -68,15 +68,6 @@ def test_norm_mean_of_an_isotropic_law(n):
     length = np.exp(gammaln((n + 1) / 2) - gammaln(n / 2))
     exact = np.sqrt(2) * 1.5 * length * hyp1f1(-0.5, n / 2, -n * 0.16 / (2 * 1.5**2))
     assert norm_mean(np.full(n, 0.4), 2.25 * np.eye(n)) == pytest.approx(exact, rel=1e-13)
-
-
-def test_norm_mean_of_one_number_is_that_of_a_modulus():
-    m, P = np.array([0.0, 0.3, -2.0, 9.0]), np.array([1.0, 0.0, 0.7, 4.0])
-    exact = [np.sqrt(2 / np.pi), 0.3]
-    for a, b in zip(m[2:], P[2:], strict=True):
-        bell = np.sqrt(2 * b / np.pi) * np.exp(-a * a / (2 * b))
-        exact.append(a * erf(a / np.sqrt(2 * b)) + bell)
-    assert_allclose(norm_mean(m[None], P[None, None]), exact, rtol=4e-15)
 
 
 def test_norm_mean_of_degenerate_laws():

@@ -8,7 +8,7 @@ from scipy.special import ndtr
 
 from oracles.gaussian import branch_moments, random_law
 from seedslib import zoo
-from seedslib.base import Parameter, assigned
+from seedslib.base import Input, Parameter, assigned
 from seedslib.filters import CovarianceFilter
 from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import (
@@ -190,7 +190,7 @@ def test_rates_of_a_jump_diffusion(rule):
 
 @pytest.mark.parametrize("rule", RULES)
 def test_moments_of_a_law_of_lower_rank(rule):
-    """A known component, and two that move together."""
+    """A known component, two that move together, and a map without noise."""
     for cov in (np.diag([0.0, 0.3]), np.array([[1.0, 2.0], [2.0, 4.0]]), np.zeros((2, 2))):
         mean = np.array([1.0, -0.5])
         found = rule.moments(MAP)(AT, mean, cov)
@@ -198,6 +198,9 @@ def test_moments_of_a_law_of_lower_rank(rule):
         for part, close in zip(found, near, strict=True):
             assert_allclose(part, close, atol=2e-4 if cov.any() else 1e-6)
         assert_allclose(found.cross, cov @ np.linalg.pinv(cov) @ found.cross, atol=1e-12)
+    still = rule.moments(StochasticMap((x, y), [2 * x - t * y]))(AT, np.ones(2), np.eye(2))
+    assert_allclose(still.mean, [2 - AT], rtol=1e-14)
+    assert_allclose(still.cov, [[4 + AT**2]], rtol=1e-12)
 
 
 def test_parameters_are_taken_at_the_moment():
@@ -248,22 +251,35 @@ def test_a_rule_that_can_change_derives_whenever_it_is_asked():
 
 
 def test_moments_of_matrices():
-    """A sensor with more rows than the state, for batches of either argument."""
-    G, Q = np.array([[0.5, -0.2], [0.1, 0.8]]), np.array([[1.0, 0.3], [0.3, 0.5]])
-    H = np.array([[0.9, 0.3], [0.2, 0.7], [-0.4, 0.5]])
-    R = np.array([[0.4, 0.1, 0], [0.1, 0.3, 0], [0, 0, 2]])
-    system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2))
+    """Functions of time and driven by an input; a sensor with more rows than the state."""
+    u = Input("u")
+
+    def matrices(t):
+        G = np.array([[0.5, -0.2 * t], [0.1, 0.8]])
+        H = np.array([[0.9, 0.3 * t], [0.2, 0.7], [-0.4, 0.5 * t**2]])
+        R = np.array([[0.4, 0.1, 0], [0.1, 0.3 * t, 0], [0, 0, 2]])
+        B, D = np.array([[0.5], [t]]), np.array([[t], [0.3], [-0.7]])
+        return [(G, t * np.array([[1.0, 0.3], [0.3, 0.5]]), B), (H, R, D)]
+
+    (G, Q, B), (H, R, D) = ([lambda t, i=i, j=j: matrices(t)[i][j] for j in range(3)]
+                            for i in range(2))  # fmt: skip
+    system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2), B=B, D=D, inputs=(u,))
     means, covs = laws(2)
-    for map, slope, noise in ((system.dynamics, G, Q), (system.sensor, H, R)):
+    for map, (slope, noise, push) in zip(
+        (system.dynamics, system.sensor), matrices(AT), strict=True
+    ):
         for mean, cov in ((means, covs), (means, covs[..., 2]), (means[:, 1], covs[..., 2])):
-            found = Matrices().moments(map)(0.0, mean, cov)
-            assert_allclose(found.mean, slope @ mean, rtol=1e-13)
-            cross = np.einsum("ij...,kj->ik...", cov, slope)
-            assert_allclose(found.cross, cross, atol=1e-14)
+            with assigned({u: -0.6}):
+                found = Matrices().moments(map)(AT, mean, cov)
+                without = Matrices().moments(map, spread=False)(AT, mean, cov)
+            shift = -0.6 * push.reshape(-1, *(1,) * (mean.ndim - 1))
+            assert_allclose(found.mean, slope @ mean + shift, rtol=1e-13)
+            assert_allclose(found.cross, np.einsum("ij...,kj->ik...", cov, slope), atol=1e-14)
             square = np.einsum("ij,jk...,lk->il...", slope, cov, slope)
             noises = noise.reshape(*noise.shape, *(1,) * (square.ndim - 2))
             assert_allclose(found.cov, square + noises, rtol=1e-13)
-            assert Matrices().moments(map, spread=False)(0.0, mean, cov).cov is None
+            assert without.cov is None
+            assert_allclose(without.mean, found.mean, rtol=1e-15)
 
 
 class Lattice(Linearization):
