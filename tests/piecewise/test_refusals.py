@@ -86,6 +86,7 @@ REFUSALS = [
     (functions(sensor=[X + V + W]), ValueError, "noise"),
     (functions(noise=Noise((V, W), cov=[[1.0, 0.5], [0.5, 1.0]])), ValueError, "noise"),
     (functions(noise=Noise(2)), ValueError, "noise"),
+    (functions(noise=(X, V, W)), ValueError, ".*noise"),
     (functions(breakpoints=[1.0]), ValueError, "breakpoints"),
     (functions(breakpoints=[1.0, 0.0]), ValueError, "breakpoints"),
     (functions(breakpoints=[(-INF, 0.0), (0.0, INF)]), ValueError, "support"),

@@ -60,12 +60,14 @@ def test_lines_cut_the_plane_into_the_cells_of_their_sides(length):
     assert cells.radius == pytest.approx(4.0 * reach + 1.0, rel=1e-9)
 
 
-def test_plane_cells_from_vertices_and_half_planes():
-    """A square, in either orientation, in a frame; a common edge is that of the first cell."""
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+@pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
+def test_plane_cells_from_vertices_and_half_planes(size):
+    """A turned square, in either orientation, in a frame; an edge is that of the first cell."""
+    turn = size * np.array([[0.8, -0.6], [0.6, 0.8]])
+    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) @ turn.T
     half = type(line_cells([[1.0], [0.0]], [0.0]).cells[0])
     outer = [
-        half(np.array(normals, float).T, np.array(offsets, float))
+        half(turn @ np.array(normals, float).T, size**2 * np.array(offsets, float))
         for normals, offsets in (
             ([[3, 0]], [0]), ([[-1, 0]], [-1]), ([[-1, 0], [1, 0], [0, 1]], [0, 1, 0]),
             ([[-1, 0], [1, 0], [0, -1]], [0, 1, -1]),
@@ -75,14 +77,16 @@ def test_plane_cells_from_vertices_and_half_planes():
     wanted = np.select([x < 0, x > 1, y < 0, y > 1], [1, 2, 3, 4], default=0)
     for first in (square, square[::-1].tolist()):
         cells = plain([first, *outer], 5).regions
-        np.testing.assert_array_equal(cells.locate(points), wanted)
-        assert cells.locate(np.array([[0.0, 1.0], [0.5, 0.5]])).tolist() == [0, 0]
-    middle = PiecewiseLinearSystem.from_functions(
+        np.testing.assert_array_equal(cells.locate(np.tensordot(turn, points, 1)), wanted)
+    middles = np.array([[0.5, -1.0, 2.0, 0.5, 0.5], [0.5, 0.0, 0.0, -1.0, 2.0]])
+    system = PiecewiseLinearSystem.from_functions(
         state=(X, Z), dynamics=[X * Z, Z], sensor=[Z], breakpoints=[square, *outer],
-        initial=([0.2, 0.7], np.eye(2)),
-        support=[[0.5, -1.0, 2.0, 0.5, 0.5], [0.5, 0.0, 0.0, -1.0, 2.0]],
+        initial=([0.2, 0.7], np.eye(2)), support=turn @ middles,
     )  # fmt: skip
-    np.testing.assert_allclose(middle.dynamics_at(0.0).matrix[0, :, 0, 0], [0.5, 0.5])
+    slopes = system.dynamics_at(0.0).matrix[0, :, :, 0]
+    np.testing.assert_allclose(slopes, (turn @ middles)[::-1], atol=1e-15)
+    edge = line_cells([[1.0], [0.0]], [0.5]).locate(np.array([[0.4, 0.5, 0.6], [1.0, 1.0, 1.0]]))
+    assert edge.tolist() == [0, 0, 1]
 
 
 def test_prior_probabilities_of_plane_cells_are_those_of_draws():
