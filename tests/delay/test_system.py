@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from oracles.delay import Regression, varying_system
-from seedslib.delay import DelaySystem, examples
+from seedslib.delay import DelayKalmanFilter, DelaySystem, examples
 
 GIVEN = {
     "dynamics": {0: [[0.5, 0.1], [0.0, 0.4]], 2: [[0.1, 0.0], [0.2, 0.1]]},
@@ -112,18 +112,37 @@ def test_simulated_paths_are_those_of_their_seed():
     assert np.isfinite(shown[[2, 4]]).mean() == pytest.approx(0.5, abs=0.12)
 
 
-def test_examples_have_their_spectral_radii():
-    radius = examples.spectral_radius
-    assert radius(examples.precise_sensor()) == pytest.approx(0.9459, abs=5e-5)
-    assert radius(examples.two_noises()) == pytest.approx(0.9545, abs=5e-5)
-    assert radius(examples.rotation(0.7, 3)) == pytest.approx(0.972, abs=5e-4)
-    assert radius(examples.rotation(0.8, 3)) > 1.0
-    assert examples.scalar(0.6, 0.3, delay=0).augmented().transition[0, 0] == pytest.approx(0.9)
-    plants = list(examples.random_plants(8))
-    radii = [radius(plant) for plant in plants]
+def test_examples_have_their_spectral_radii_and_optimal_errors():
+    def root(near, far):
+        return np.abs(np.roots([1.0, -near, 0.0, 0.0, -far])).max()
+
+    for system, radius, steps, trace in (
+        (examples.precise_sensor(), 0.9459, 50, 1.584208),
+        (examples.two_noises(), 0.9545, 100, 71.44573),
+        (examples.rotation(0.7, 3), 0.9717, 60, 1.917649),
+        (examples.scalar(0.5, -0.6, 4.0, 3), root(0.5, -0.6), 60, 1.252144),
+        (examples.scalar(0.9, 0.0, delay=0), 0.9, 60, 0.597407),
+        (examples.scalar(1.2, -1.2, 10.0, 3), root(1.2, -1.2), 60, 6.334987),
+    ):
+        assert examples.spectral_radius(system) == pytest.approx(radius, abs=5e-5)
+        cov = DelayKalmanFilter(system).gains(steps).cov[-1]
+        assert np.trace(cov) == pytest.approx(trace, rel=1e-6)
+
+
+def test_random_plants_are_stable_and_as_they_are_described():
+    plants = list(examples.random_plants(20, seed=3))
+    assert {p.state_size for p in plants} == {1, 2, 3}
+    assert {p.max_delay for p in plants} == {1, 2, 3, 4, 5, 6}
+    radii = [examples.spectral_radius(p) for p in plants]
     assert 0.6 <= min(radii) <= max(radii) <= 0.98
-    assert len(set(radii)) == 8
-    other = list(examples.random_plants(20, seed=3))
-    assert {p.state_size for p in other} == {1, 2, 3}
-    assert {p.max_delay for p in other} == {1, 2, 3, 4, 5, 6}
-    assert all(p.measurement_size <= p.state_size for p in other)
+    for p in plants:
+        m, n, step = p.measurement_size, p.state_size, p.step(1)
+        assert m <= n
+        assert step.noise_input.shape == (n, 1)
+        assert 0.1 <= step.sensor_cov[0, 0] <= 10.0
+        np.testing.assert_array_equal(step.sensor_cov, step.sensor_cov[0, 0] * np.eye(m))
+        np.testing.assert_array_equal(p.start_blocks()[:2], [np.eye(n), 0.3 * np.eye(n)])
+    again = examples.random_plants(20, seed=3)
+    assert all(
+        (p.step(1).sensor == q.step(1).sensor).all() for p, q in zip(plants, again, strict=True)
+    )

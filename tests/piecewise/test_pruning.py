@@ -65,8 +65,11 @@ def test_pruned_posteriors_are_those_of_the_kept_itineraries(options):
             np.testing.assert_allclose(kept, weights, rtol=2e-3 if neglect else 1e-8)
             top = state.weights[:, n].max()
             for threshold in (0.1, 0.5):
-                count = state.noticeable(threshold)[n]
-                assert count == (state.weights[:, n] >= threshold * top).sum()
+                assert (
+                    state.noticeable(threshold)[n] == (state.weights[:, n] >= threshold * top).sum()
+                )
+                count = state.noticeable(threshold, relative=False)[n]
+                assert count == (state.weights[:, n] >= threshold).sum()
     np.testing.assert_allclose(state.error_bound, 1 - 1 / (1 + state.lost), rtol=1e-12)
     forward = PiecewiseLinearFilter(system, **options).predict(state, 5.0)
     np.testing.assert_array_equal(forward.lost, state.lost)
