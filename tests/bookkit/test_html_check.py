@@ -28,6 +28,7 @@ ALT, LINK, CDN = 'alt="A line that rises"', "other.html#there", "//cdn.example.o
     ("old", "new", "fault"),
     [
         (ALT, "", "image without alt text: picture.png"),
+        (ALT, 'alt="x/picture.PNG"', "image without alt text: picture.png"),
         ('src="picture.png"', 'src="lost.png"', "image file is missing: lost.png"),
         (LINK, "another.html", "dead link: another.html ('link')"),
         (LINK, "other.html#here", "dead anchor: other.html#here ('link')"),
@@ -39,6 +40,7 @@ ALT, LINK, CDN = 'alt="A line that rises"', "other.html#there", "//cdn.example.o
         ("<p>", '<p><span class="problematic">`lost`</span>', "a reference was not resolved"),
         ("_static/mathjax/tex.js", "https://e.org/mathjax.js", "loads https://e.org/mathjax.js"),
         ("<p>", f'<p><img src="picture.png" {ALT} srcset="picture.png, {CDN} 2x">', f"loads {CDN}"),
+        ("<p>", f'<p><div style="background: url({CDN})"></div>', f"loads {CDN}"),
         ("<p>", f"<p><style>p {{ background: url('{CDN}') }}</style>", f"loads {CDN}"),
     ],
 )

@@ -68,7 +68,7 @@ NUMBERS = {
     "seed": lambda v: discrete().simulate(TIMES, 2, v),
     "nodes": lambda v: designed(nodes=v),
     "n": cubature,
-    "order": partial(gauss_hermite, 2),
+    "order": lambda v: (gauss_hermite(2, 3), gauss_hermite(2, v)),  # 3.0 is not the cached 3
     "step": lambda v: diffusion(step=v),
     "rtol": lambda v: extended_kalman(diffusion(), rtol=v),
     "low, high": lambda v: Axis(v, 2.0, 3),
@@ -86,7 +86,7 @@ def test_an_array_that_is_none_is_refused_by_its_name(name, argument):
 
 @pytest.mark.parametrize("argument", NUMBERS)
 def test_a_number_that_is_none_is_refused_by_its_name(argument):
-    for bad in [*BAD, np.nan, "0.5", *[-1, 1.5, True] * (argument in list(NUMBERS)[:5])]:
+    for bad in [*BAD, np.nan, "0.5", *[-1, 1.5, 3.0, True] * (argument in list(NUMBERS)[:5])]:
         with pytest.raises((TypeError, ValueError), match=rf"^{argument}\b"):
             NUMBERS[argument](bad)
 
