@@ -2,7 +2,6 @@
 
 import contextlib
 import os
-import pickle
 import subprocess
 import sys
 
@@ -13,7 +12,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.design import Affine, Continuous, Crew, Polynomial, synthesize
+from seedslib.design import Continuous, Crew, Polynomial, synthesize
 from seedslib.designed import Memory
 from seedslib.extra import cluster
 from seedslib.linearization import Cubature, ExactGaussian, Taylor
@@ -27,26 +26,24 @@ QUIET = {
 }  # fmt: skip
 
 
-@pytest.fixture(scope="module")
-def processes():
-    """A cluster of two processes: what makes a design run on it."""
+def running(size, processes):
+    """Workers of a local cluster: what makes a design run on it."""
     with (
-        distributed.LocalCluster(n_workers=2, processes=True, **QUIET) as made,
+        distributed.LocalCluster(n_workers=size, processes=processes, **QUIET) as made,
         distributed.Client(made, set_as_default=False) as client,
         cluster(client) as workers,
     ):
         yield workers
+
+
+@pytest.fixture(scope="module")
+def processes():
+    yield from running(2, True)
 
 
 @pytest.fixture(scope="module")
 def inside():
-    """A cluster of one worker in this process."""
-    with (
-        distributed.LocalCluster(n_workers=1, processes=False, **QUIET) as made,
-        distributed.Client(made, set_as_default=False) as client,
-        cluster(client) as workers,
-    ):
-        yield workers
+    yield from running(1, False)
 
 
 def numbers(filter):
@@ -76,26 +73,23 @@ def bounded():
 
 
 PLAIN = {"paths": 17_000, "seed": 5}
+OSCILLATOR, EXACT = zoo.van_der_pol, ExactGaussian()
 DESIGNS = {
-    "affine": (zoo.van_der_pol, Memory(2), ExactGaussian(), TIMES,
-               BASE | {"predictor": Affine(), "measured_nodes": True}),
-    "polynomial": (zoo.van_der_pol, Memory(1, 1), ExactGaussian(), TIMES,
-                   BASE | {"predictor": Polynomial(2, 2), "nodes": 0}),
-    "continuous": (zoo.van_der_pol, Memory(1), ExactGaussian(), TIMES,
-                   BASE | {"predictor": Continuous(), "step": 0.25}),
-    "few paths": (zoo.van_der_pol, Memory(1), Taylor(), TIMES, BASE | {"paths": 500}),
-    "lost paths": (bounded, Memory(1), ExactGaussian(), TIMES,
-                   BASE | {"bound": 1.2, "step": 0.02}),
-    "functions": (functions, Memory(2), Cubature(), np.arange(4), PLAIN),
-    "modes": (lambda: zoo.manoeuvring_target("noisy"), Memory(0, 1, 1), Taylor(), np.arange(3.0),
-              PLAIN),
-}  # fmt: skip
+    "affine": (OSCILLATOR, Memory(2), EXACT, TIMES, {"measured_nodes": True}),
+    "polynomial": (OSCILLATOR, Memory(1, 1), EXACT, TIMES, {"predictor": Polynomial(2, 2)}),
+    "continuous": (OSCILLATOR, Memory(1), EXACT, TIMES, {"predictor": Continuous()}),
+    "few paths": (OSCILLATOR, Memory(1), Taylor(), TIMES, {"paths": 500}),
+    "lost paths": (bounded, Memory(1), EXACT, TIMES, {"bound": 1.2, "step": 0.02}),
+    "functions": (functions, Memory(2), Cubature(), np.arange(4), {}),
+    "modes": (zoo.manoeuvring_target, Memory(0, 1, 1), Taylor(), np.arange(3.0), {}),
+}
 
 
 @pytest.mark.filterwarnings("ignore:.*diverged:UserWarning")
 @pytest.mark.parametrize("name", DESIGNS)
 def test_a_design_on_a_cluster_has_the_bits_of_one_thread(name, processes):
     model, memory, rule, times, options = DESIGNS[name]
+    options = (BASE if times is TIMES else PLAIN) | options
     system = model()
     here = synthesize(system, memory, rule, times, **options)
     there = synthesize(system, memory, rule, times, workers=processes, **options)
@@ -105,11 +99,13 @@ def test_a_design_on_a_cluster_has_the_bits_of_one_thread(name, processes):
         assert here.design.diverged > 10
 
 
+def plain(**options):
+    return synthesize(zoo.van_der_pol(), Memory(1), Taylor(), TIMES, **BASE, **options)
+
+
 def test_an_address_is_enough_and_a_client_is_left_open(processes):
     with cluster(processes.client.scheduler.address) as workers:
-        there = synthesize(zoo.van_der_pol(), Memory(1), Taylor(), TIMES, workers=workers, **BASE)
-    here = synthesize(zoo.van_der_pol(), Memory(1), Taylor(), TIMES, **BASE)
-    assert numbers(here) == numbers(there)
+        assert numbers(plain(workers=workers)) == numbers(plain())
     with cluster(processes.client) as workers:
         assert isinstance(workers, Crew)
     assert processes.client.status == "running"
@@ -124,10 +120,7 @@ def test_an_error_of_the_work_comes_home(inside):
     with pytest.raises(ArithmeticError, match="no such law"):
         synthesize(system, Memory(1), Taylor(), TIMES, workers=inside, **BASE)
     # and leaves the cluster fit for the next design
-    options = BASE | {"paths": 500}
-    there = synthesize(zoo.van_der_pol(), Memory(1), Taylor(), TIMES, workers=inside, **options)
-    here = synthesize(zoo.van_der_pol(), Memory(1), Taylor(), TIMES, **options)
-    assert numbers(here) == numbers(there)
+    assert numbers(plain(workers=inside)) == numbers(plain())
 
 
 def deadly(mark, parent):
@@ -162,14 +155,10 @@ def test_a_lost_cluster_is_an_error(tmp_path):
     mark = tmp_path / "mark"
     mark.touch()
     system = deadly(str(mark), os.getpid())
-    with (
-        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
-        distributed.LocalCluster(n_workers=1, processes=True, **QUIET) as made,
-        distributed.Client(made, set_as_default=False) as client,
-        cluster(client) as workers,
-        pytest.raises(RuntimeError, match="cluster was lost"),
-    ):
-        synthesize(system, Memory(1), Cubature(), np.arange(4), workers=workers, **PLAIN)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        for workers in running(1, True):
+            with pytest.raises(RuntimeError, match="cluster was lost"):
+                synthesize(system, Memory(1), Cubature(), np.arange(4), workers=workers, **PLAIN)
 
 
 def test_dask_is_not_loaded_without_a_cluster():
@@ -179,15 +168,3 @@ def test_dask_is_not_loaded_without_a_cluster():
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, check=True)
     assert done.stdout.split() == []
-
-
-@pytest.mark.parametrize(
-    "model", [zoo.van_der_pol, zoo.kicked_duffing, zoo.flip_process, zoo.scalar_switching]
-)
-def test_a_system_that_was_used_travels_to_the_same_bits(model):
-    system = model()
-    times = np.arange(3.0) if hasattr(system, "modes") else TIMES
-    data = system.simulate(times, 300, 1)
-    again = pickle.loads(pickle.dumps(system)).simulate(times, 300, 1)
-    np.testing.assert_array_equal(again.states, data.states)
-    np.testing.assert_array_equal(again.measurements, data.measurements)
