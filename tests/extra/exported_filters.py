@@ -8,7 +8,7 @@ measurements as a whole and in part.
 import math
 import warnings
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Any
 
 import numpy as np
@@ -43,56 +43,36 @@ a, b, t = sympy.symbols("a b t", real=True)
 v, w = sympy.symbols("v1:3", real=True), sympy.symbols("w1:3", real=True)
 z = sympy.Symbol("z", real=True)
 FORCE, BIAS = Input("force"), Input("bias")
+PUSHED = {FORCE: systems.INPUTS[systems.U]}
+NOISE = Noise(v, [0.1, -0.2], [[0.1, 0.03], [0.03, 0.2]])
+SENSOR_NOISE = Noise(w, [0.2, -0.1], [[0.2, 0.05], [0.05, 0.1]])
 
 
 # Models
 
 
-def moves(inputs=False):
-    """What leaves the next state without its noise."""
-    push = FORCE if inputs else sympy.cos(2 * t)
-    return [a + ELAPSED * b, 0.9 * b + ELAPSED * (push - sympy.sin(a + t))]
+def cart(shows="bearing", inputs=False):
+    """A cart on a spring: its range and its bearing, which turns at pi.
 
-
-def noises(mean=True):
-    return (
-        Noise(v, [0.1, -0.2] if mean else None, [[0.1, 0.03], [0.03, 0.2]]),
-        Noise(w, [0.2, -0.1] if mean else None, [[0.2, 0.05], [0.05, 0.1]]),
-    )
-
-
-def cart(inputs=False, covered=False):
-    """A cart on a spring: its range and its bearing, which turns at pi, or a bent one of both.
-
-    If `covered`, noises enter in a bent way, so that rules with points must cover them.
+    Or a sensor that is "smooth", with means in closed form and without inputs, or noises that enter
+    in a bent way in both maps, which rules with points must have "covered".
     """
-    move, (noise, sensor_noise) = moves(inputs), noises()
-    bias = BIAS if inputs else 0
-    if covered:
-        move = [move[0] + sympy.exp(v[0] / 3), move[1] + v[1] * (1 + v[0]) / 2]
-        shows = [a + a**2 / 9 + w[0] + bias, sympy.sin(b) + w[1] ** 2 * t / 9 + w[0]]
+    push, bias = (FORCE, BIAS) if inputs else (sympy.cos(2 * t), 0)
+    move = [a + ELAPSED * b, 0.9 * b + ELAPSED * (push - sympy.sin(a + t))]
+    spread, period = [v[0] / 2, (1 + b / 4) * v[1]], None
+    if shows == "bearing":
+        shown = [sympy.sqrt(1 + a**2 + b**2) + w[0] + bias, sympy.atan2(b, a) + w[1] * (1 + t / 9)]
+        period = {1: 2 * math.pi}
+    elif shows == "smooth":
+        shown = [a + a**2 / 9 + w[0], sympy.sin(b) * t / 3 + a + w[1]]
     else:
-        move = [move[0] + v[0] / 2, move[1] + (1 + b / 4) * v[1]]
-        shows = [sympy.sqrt(1 + a**2 + b**2) + w[0] + bias, sympy.atan2(b, a) + w[1] * (1 + t / 9)]
+        spread = [sympy.exp(v[0] / 3), v[1] * (1 + v[0]) / 2]
+        shown = [a + a**2 / 9 + w[0] + bias, sympy.sin(b) + w[1] ** 2 * t / 9 + w[0]]
+    move = [part + noise for part, noise in zip(move, spread, strict=True)]
     return DiscreteSystem(
-        StochasticMap((a, b), move, noise, time=t),
-        StochasticMap(
-            (a, b), shows, sensor_noise, time=t, period=None if covered else {1: 2 * math.pi}
-        ),
+        StochasticMap((a, b), move, NOISE, time=t),
+        StochasticMap((a, b), shown, SENSOR_NOISE, time=t, period=period),
         [-2.0, 0.3],
-        [[0.5, 0.1], [0.1, 0.8]],
-    )
-
-
-def smooth(inputs=False):
-    """The cart with means in closed form; inputs act in its dynamics only."""
-    move = moves(inputs)
-    shows = [a + a**2 / 9 + w[0], sympy.sin(b) * t / 3 + a + w[1]]
-    noise, sensor_noise = noises()
-    return DiscreteSystem(
-        StochasticMap((a, b), [move[0] + v[0] / 2, move[1] + (1 + b / 4) * v[1]], noise, time=t),
-        StochasticMap((a, b), shows, sensor_noise, time=t),
-        [0.5, 0.3],
         [[0.5, 0.1], [0.1, 0.8]],
     )
 
@@ -101,12 +81,27 @@ def functions():
     """All functions of one number that C has, and choices."""
     s = sympy.tanh(a) / 2
     moved = [
-        sympy.asin(s) + sympy.acos(s) / 3 + sympy.atan(a) / 3 + sympy.asinh(a) / 4
-        + sympy.acosh(2 + s) + sympy.atanh(s) + sympy.sinh(s) + sympy.cosh(s) / 3
-        + sympy.erf(a) / 2 - sympy.erfc(2 * a) / 3 + sympy.tan(s) - sympy.Abs(a) / 5,
-        ELAPSED * b + sympy.sign(a) + sympy.Heaviside(b, 0.5) / 3 + sympy.Max(a, b) / 3
-        - sympy.Min(a, 2) / 3 + sympy.floor(a) / 3 - sympy.ceiling(b) / 5 + sympy.cbrt(2 + s),
-    ]  # fmt: skip
+        sympy.asin(s)
+        + sympy.acos(s) / 3
+        + sympy.atan(a) / 3
+        + sympy.asinh(a) / 4
+        + sympy.acosh(2 + s)
+        + sympy.atanh(s)
+        + sympy.sinh(s)
+        + sympy.cosh(s) / 3
+        + sympy.erf(a) / 2
+        - sympy.erfc(2 * a) / 3
+        + sympy.tan(s)
+        - sympy.Abs(a) / 5,
+        ELAPSED * b
+        + sympy.sign(a)
+        + sympy.Heaviside(b, 0.5) / 3
+        + sympy.Max(a, b) / 3
+        - sympy.Min(a, 2) / 3
+        + sympy.floor(a) / 3
+        - sympy.ceiling(b) / 5
+        + sympy.cbrt(2 + s),
+    ]
     shown = [
         sympy.log(2 + a**2)
         + sympy.exp(-(b**2))
@@ -114,12 +109,13 @@ def functions():
         + (2 + s) ** sympy.Rational(5, 2),
         sympy.Piecewise((a * b, a < 0), (b**3 / 5, a <= 1), (a, b >= -1), (b, True)),
     ]
-    return DiscreteSystem(
-        StochasticMap((a, b), [m + n for m, n in zip(moved, v, strict=True)], noises()[0]),
-        StochasticMap((a, b), [m + n for m, n in zip(shown, w, strict=True)], noises()[1]),
-        [0.3, -0.2],
-        [[1.0, 0.2], [0.2, 0.7]],
+    dynamics, sensor = (
+        StochasticMap(
+            (a, b), [part + each for part, each in zip(map, noise.symbols, strict=True)], noise
+        )
+        for map, noise in ((moved, NOISE), (shown, SENSOR_NOISE))
     )
+    return DiscreteSystem(dynamics, sensor, [0.3, -0.2], [[1.0, 0.2], [0.2, 0.7]])
 
 
 def kicked(inputs=False):
@@ -130,7 +126,7 @@ def kicked(inputs=False):
         [b, push - a - a**3 / 5 - b * t / 9],
         [[0.2, 0.1 * t], [0, 0.3 + a**2 / 9]],
         [a + t * b / 9 + w[0] + (BIAS if inputs else 0), a * b / 3 + b + w[1]],
-        noises()[1],
+        SENSOR_NOISE,
         [0.5, 0.2],
         [[0.3, 0.1], [0.1, 0.4]],
         intensity=0.3 + a**2 / 5,
@@ -145,10 +141,16 @@ def tide():
     """A number driven with the period 2, seen by two sensors of the same period."""
     turn = sympy.sin(sympy.pi * t)
     return JumpDiffusion(
-        (a,), [-a + sympy.cos(sympy.pi * t)], [[0.5]],
-        [(2 + turn) * a + w[0], a - turn * a**2 / 9 + w[1]], noises()[1], [0.0], [[1.0]],
-        time=t, step=0.1,
-    )  # fmt: skip
+        (a,),
+        [-a + sympy.cos(sympy.pi * t)],
+        [[0.5]],
+        [(2 + turn) * a + w[0], a - turn * a**2 / 9 + w[1]],
+        SENSOR_NOISE,
+        [0.0],
+        [[1.0]],
+        time=t,
+        step=0.1,
+    )
 
 
 def driven(drives, told=True):
@@ -156,155 +158,147 @@ def driven(drives, told=True):
     far = sympy.exp(-((a - 1) ** 2) / 4)
     leave = far * (1 + sympy.sin(t)) / 4
     return SwitchingSystem(
-        (a,), [[0.9 * a + v[0]], [0.3 * a + ELAPSED + v[0] / 2]], Noise(v[:1], [0.1], [[0.8]]),
+        (a,),
+        [[0.9 * a + v[0]], [0.3 * a + ELAPSED + v[0] / 2]],
+        Noise(v[:1], [0.1], [[0.8]]),
         [[1 - leave, leave], [0.4, 0.6]],
-        [[a + w[0], a * t / 3 + w[1]], [a / 2 + w[0], 2 * a + w[1]]], noises()[1],
-        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[0.7]])], drives=drives, time=t, period={0: 6.0},
+        [[a + w[0], a * t / 3 + w[1]], [a / 2 + w[0], 2 * a + w[1]]],
+        SENSOR_NOISE,
+        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[0.7]])],
+        drives=drives,
+        time=t,
+        period={0: 6.0},
         indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]] if told else None,
-    )  # fmt: skip
+    )
 
 
 def shrinking():
     """Modes without noise, whose indicator the state moves, so that forecasts are split by it."""
     far = sympy.exp(-((a - 1) ** 2) / 4)
     return SwitchingSystem(
-        (a,), [[a / 2 + sympy.sin(t)], [-0.7 * a]], Noise(()), [[0.9, 0.1], [0.3, 0.7]],
-        [[a + w[0]], [a / 2 + w[0]]], Noise(w[:1]), [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[2.0]])],
-        time=t, indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]],
-    )  # fmt: skip
+        (a,),
+        [[a / 2 + sympy.sin(t)], [-0.7 * a]],
+        Noise(()),
+        [[0.9, 0.1], [0.3, 0.7]],
+        [[a + w[0]], [a / 2 + w[0]]],
+        Noise(w[:1]),
+        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[2.0]])],
+        time=t,
+        indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]],
+    )
 
 
 # Filters
 
 
-def design(system, memory, rule, times=TIMES, **options):
-    return synthesize(
-        system, memory, rule, times, **{"paths": 500, "seed": 1, "nodes": 1, **options}
-    )
+def design(system, memory, rule, *, lasting=None, between="interpolated", **options):
+    """A designed filter, without an end where it is said how to make it so."""
+    options = {"times": TIMES, "paths": 500, "seed": 1, "nodes": 1, **options}
+    found = synthesize(system, memory, rule, options.pop("times"), **options)
+    if lasting is not None:
+        found = stationary(found, **{"tolerance": 9.0, "paths": 50, **lasting})
+    return found if between == "interpolated" else found.forecasting(between)
 
 
-def lasting(filter, **options):
-    return stationary(filter, **{"tolerance": 9.0, "paths": 50, **options})
-
-
-def schedule():
-    """The second component is read at every other time, and the first not at the beginning."""
-    mask = np.ones((7, 2), dtype=bool)
-    mask[::2, 1] = mask[0, 0] = False
-    return mask
-
-
-def tables(memory, count=4, nodes=2):
-    return grid_synthesis(
-        zoo.flip_process(), memory, 0.25 * np.arange(float(count)), x=(-3.5, 3.5, 61),
-        z=(-2.5, 2.5, 9), y=(-8, 8, 25), nodes=nodes,
-    )  # fmt: skip
+def tables(system, memory, *, steps=4, lasting=None, nodes=2):
+    axes = {"x": (-3.5, 3.5, 61), "z": (-2.5, 2.5, 9), "y": (-8, 8, 25)}
+    found = grid_synthesis(system, memory, 0.25 * np.arange(steps), nodes=nodes, **axes)
+    return found if lasting is None else stationary(found, paths=50, **lasting)
 
 
 def mode_tables(system, memory, **options):
-    return simulated_synthesis(
-        system, memory, np.arange(6.0), y=(-12, 12, 9), z=[(-8, 8, 7)] * system.state_size,
-        paths=2000, seed=1, nodes=0, **options,
-    )  # fmt: skip
+    axes = {"y": (-12, 12, 9), "z": [(-8, 8, 7)] * system.state_size}
+    options = {"paths": 2000, "seed": 1, "nodes": 0, **options, **axes}
+    return simulated_synthesis(system, memory, np.arange(6.0), **options)
 
 
-CARRIED = {
-    "Kalman, inputs": lambda: KalmanFilter(systems.linear_system()),
-    "Kalman": lambda: KalmanFilter(systems.linear_system(inputs=False)),
-    "extended": lambda: extended_kalman(cart()),
-    "extended, inputs": lambda: extended_kalman(cart(inputs=True)),
-    "assumed density": lambda: assumed_density(smooth()),
-    "unscented": lambda: unscented_kalman(cart(), alpha=0.6, beta=2.0, kappa=1.0),
-    "unscented, all functions": lambda: unscented_kalman(functions()),
-    "cubature, covered noise": lambda: cubature_kalman(cart(covered=True)),
-    "Gauss-Hermite, covered noise, inputs": lambda: CovarianceFilter(
-        cart(inputs=True, covered=True), GaussHermite(3)
+def schedule(columns=2):
+    """The second component is read at every other time, and the first not at the beginning."""
+    mask = np.ones((7, columns), dtype=bool)
+    mask[::2, 1] = mask[0, 0] = mask[::3, 2:] = False
+    return mask
+
+
+EULER, CONTINUOUS = {"integrator": "euler", "step": 0.03}, {"predictor": Continuous()}
+ENDLESS = {"times": 0.5 * np.arange(13.0), "lasting": {"cycle": 4}}
+SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}, "availability": [0.8, 1.0]}
+PART = {"components": 1, "horizon": 5.1, "between": "piecewise constant"}
+SCHEDULE, CLASSES = {"measured": schedule()}, {"availability": [0.7, 0.8], "measured_nodes": True}
+WHOLE = {"split": False}
+old, new = partial(driven, "old"), partial(driven, "new")
+linear, bent = partial(systems.linear_system, inputs=False), partial(cart, "covered")
+jumping = partial(systems.switching_system, inputs=False)
+
+FILTERS = {
+    "Kalman, inputs": (KalmanFilter, systems.linear_system, {}),
+    "Kalman": (KalmanFilter, linear, {}),
+    "extended": (extended_kalman, cart, {}),
+    "extended, inputs": (extended_kalman, cart, {}),
+    "assumed density": (assumed_density, partial(cart, "smooth"), {}),
+    "unscented": (unscented_kalman, cart, {"alpha": 0.6, "beta": 2.0, "kappa": 1.0}),
+    "unscented, all functions": (unscented_kalman, functions, {}),
+    "cubature, covered noise": (cubature_kalman, bent, {}),
+    "Gauss-Hermite, covered noise, inputs": (CovarianceFilter, bent, GaussHermite(3), {}),
+    "Gauss-Hermite, loops": (CovarianceFilter, cart, GaussHermite(9), {}),
+    "Gauss-Hermite, loops, inputs": (CovarianceFilter, cart, GaussHermite(9), {}),
+    "extended, continuous": (extended_kalman, kicked, {}),
+    "assumed density, Euler, inputs": (assumed_density, kicked, EULER),
+    "assumed density, Runge-Kutta": (assumed_density, kicked, {"step": 0.07}),
+    "unscented, continuous, inputs": (unscented_kalman, kicked, {}),
+    "cubature, Euler": (cubature_kalman, kicked, EULER),
+    # designed
+    "affine": (design, kicked, Memory(2, 1), ExactGaussian(), {"nodes": 2}),
+    "affine, part of the state": (design, kicked, finite_memory(2), Taylor(), PART),
+    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
+    "affine, points": (design, kicked, Memory(2), Unscented(), {"between": "constant"}),
+    "affine, many points": (design, cart, Memory(1), GaussHermite(9), {}),
+    "polynomial": (design, kicked, Memory(1), Taylor(), {"predictor": Polynomial(3, 2)}),
+    "polynomial means": (design, kicked, Memory(2, 1), Taylor(), {"predictor": Polynomial(2, 0)}),
+    "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS | {"horizon": 5.1}),
+    "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
+    "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
+    "classes": (design, kicked, Memory(1), Taylor(), {"availability": [0.7, 1.0]}),
+    "schedule and classes": (design, cart, Memory(2), Taylor(), SCHEDULE | CLASSES),
+    "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
+    "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
+    "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),
+    "table": (tables, zoo.flip_process, large_order(2), {}),
+    "table of measurements": (tables, zoo.flip_process, finite_memory(1), {}),
+    "stationary table": (
+        tables,
+        zoo.flip_process,
+        large_order(1),
+        {"steps": 8, "lasting": {"tolerance": 1.0}},
     ),
-    "Gauss-Hermite, loops": lambda: CovarianceFilter(cart(), GaussHermite(9)),
-    "Gauss-Hermite, loops, inputs": lambda: CovarianceFilter(cart(inputs=True), GaussHermite(9)),
-    "extended, continuous": lambda: extended_kalman(kicked()),
-    "assumed density, Euler, inputs": lambda: assumed_density(
-        kicked(inputs=True), integrator="euler", step=0.02
+    # with modes
+    "IMM, old mode": (SwitchingFilter, jumping, Taylor(), {}),
+    "IMM, new mode": (SwitchingFilter, partial(jumping, "new"), Taylor(), {}),
+    "IMM, no indicator": (SwitchingFilter, partial(old, told=False), ExactGaussian(), {}),
+    "IMM, old mode, moved by the state": (SwitchingFilter, old, Taylor(), WHOLE),
+    "IMM, new mode, moved by the state": (SwitchingFilter, new, Taylor(), WHOLE),
+    "IMM, old mode, split": (SwitchingFilter, shrinking, Taylor(), {}),
+    "modes and measurements": (design, old, Memory(1, 2), Taylor(), WHOLE),
+    "modes and log-odds": (design, new, Memory(2, 0, 1, log_odds=True), Taylor(), WHOLE),
+    "modes of measurements": (
+        design,
+        partial(jumping, indicator=False),
+        finite_memory(2),
+        Taylor(),
+        {"paths": 2000},
     ),
-    "assumed density, Runge-Kutta": lambda: assumed_density(kicked(), step=0.07),
-    "unscented, continuous, inputs": lambda: unscented_kalman(kicked(inputs=True)),
-    "cubature, Euler": lambda: cubature_kalman(kicked(), integrator="euler", step=0.03),
+    "modes on a schedule": (design, old, Memory(1), Taylor(), WHOLE | {"measured": schedule(3)}),
+    "stationary modes": (
+        design,
+        zoo.scalar_switching,
+        large_order(2),
+        Taylor(),
+        {"times": np.arange(12.0), "lasting": {"cycle": 2}},
+    ),
+    "table of modes": (mode_tables, zoo.scalar_switching, large_order(1), {"probabilities": True}),
+    "table with indicator": (mode_tables, zoo.manoeuvring_target, large_order(1), {}),
+    "table of indicators": (mode_tables, zoo.manoeuvring_target, Memory(1, 0, 1), {}),
 }
-DESIGNED = {
-    "affine": lambda: design(kicked(), Memory(2, 1), ExactGaussian(), nodes=2),
-    "affine, part of the state": lambda: design(
-        kicked(), finite_memory(2), Taylor(), components=1, horizon=5.1
-    ).forecasting("piecewise constant"),
-    "affine, inputs": lambda: design(
-        smooth(inputs=True), Memory(1), Taylor(), inputs={FORCE: systems.INPUTS[systems.U]}
-    ),
-    "affine, points": lambda: design(
-        kicked(), Memory(2), Unscented(), measured_nodes=True
-    ).forecasting("constant"),
-    "affine, many points": lambda: design(cart(), Memory(1), GaussHermite(9)),
-    "polynomial": lambda: design(kicked(), Memory(1), Taylor(), predictor=Polynomial(3, 2)),
-    "polynomial means": lambda: design(
-        kicked(), Memory(2, 1), Taylor(), predictor=Polynomial(2, 0)
-    ),
-    "continuous": lambda: design(
-        kicked(), Memory(1), ExactGaussian(), predictor=Continuous(), horizon=5.1
-    ),
-    "continuous, points": lambda: design(kicked(), Memory(1), Cubature(), predictor=Continuous()),
-    "schedule": lambda: design(cart(), Memory(1, 1), Taylor(), measured=schedule()),
-    "classes": lambda: design(kicked(), Memory(1), Taylor(), availability=[0.7, 1.0]),
-    "schedule and classes": lambda: design(
-        smooth(), Memory(2), Taylor(), measured=schedule(), availability=[0.7, 0.8],
-        measured_nodes=True,
-    ),
-    "stationary": lambda: lasting(
-        design(tide(), Memory(2), Taylor(), 0.5 * np.arange(13.0)), cycle=4
-    ),
-    "stationary, short": lambda: lasting(
-        design(tide(), Memory(1, 1), Taylor(), 0.5 * np.arange(13.0), availability=[0.8, 1.0]),
-        cycle=4, transient=3,
-    ),
-    "stationary, continuous": lambda: lasting(
-        design(tide(), Memory(1), Taylor(), 0.5 * np.arange(13.0), predictor=Continuous()), cycle=4
-    ),
-    "table": lambda: tables(large_order(2)),
-    "table of measurements": lambda: tables(finite_memory(1)),
-    "stationary table": lambda: lasting(tables(large_order(1), 8, nodes=1), tolerance=1.0),
-}  # fmt: skip
-MODES = {
-    "IMM, old mode": lambda: SwitchingFilter(systems.switching_system(inputs=False), Taylor()),
-    "IMM, new mode": lambda: SwitchingFilter(
-        systems.switching_system("new", inputs=False), Taylor()
-    ),
-    "IMM, no indicator": lambda: SwitchingFilter(driven("old", told=False), ExactGaussian()),
-    "IMM, old mode, moved by the state": lambda: SwitchingFilter(
-        driven("old"), Taylor(), split=False
-    ),
-    "IMM, old mode, split": lambda: SwitchingFilter(shrinking(), Taylor()),
-    "IMM, new mode, moved by the state": lambda: SwitchingFilter(
-        driven("new"), Taylor(), split=False
-    ),
-    "modes and measurements": lambda: design(driven("old"), Memory(1, 2), Taylor(), split=False),
-    "modes and log-odds": lambda: design(
-        driven("new"), Memory(2, 0, 1, log_odds=True), Taylor(), split=False
-    ),
-    "modes of measurements": lambda: design(
-        systems.switching_system(inputs=False, indicator=False), finite_memory(2), Taylor(),
-        paths=2000,
-    ),
-    "modes on a schedule": lambda: design(
-        driven("old"), Memory(1), Taylor(), split=False,
-        measured=np.column_stack([schedule(), np.arange(7) % 3 > 0]),
-    ),
-    "stationary modes": lambda: lasting(
-        design(zoo.scalar_switching(), large_order(2), Taylor(), np.arange(12.0)), cycle=2
-    ),
-    "table of modes": lambda: mode_tables(
-        zoo.scalar_switching(), large_order(1), probabilities=True
-    ),
-    "table with indicator": lambda: mode_tables(zoo.manoeuvring_target(), large_order(1)),
-    "table of indicators": lambda: mode_tables(zoo.manoeuvring_target(), Memory(1, 0, 1)),
-}  # fmt: skip
-FILTERS = CARRIED | DESIGNED | MODES
+"""By name: what makes it, its system, further arguments, options."""
 
 
 # Records
@@ -324,11 +318,6 @@ class Case:
     def carried(self):
         """Whether the filter carries mean and covariance."""
         return isinstance(self.filter, CovarianceFilter)
-
-    @property
-    def designed(self):
-        """Whether the filter is known at certain times only."""
-        return getattr(self.filter, "memory", None) is not None
 
     @property
     def modes(self):
@@ -359,7 +348,10 @@ def case(name):
     """A kind of filter and its records, made once."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        filter = FILTERS[name]()
+        make, system, *more, options = FILTERS[name]
+        filter = make(
+            system(inputs=True) if name.endswith("inputs") else system(), *more, **options
+        )
     rng = np.random.default_rng(len(name))
     system, memory = filter.system, getattr(filter, "memory", None)
     times = 1.0 * np.arange(7) if name == "IMM, old mode, split" else TIMES
@@ -371,7 +363,7 @@ def case(name):
         told = systems.INPUTS if "Kalman" in name else (FORCE, BIAS)
         inputs = {p: rng.normal(size=(len(times), PATHS)) for p in told}
     if name == "affine, inputs":  # those of the design
-        inputs = {FORCE: np.tile(systems.INPUTS[systems.U][:, None], PATHS)}
+        inputs = {p: np.tile(x[:, None], PATHS) for p, x in PUSHED.items()}
     data = system.simulate(times, PATHS, 3, **({"inputs": inputs} if inputs else {}))
     y, indicators = data.measurements.copy(), data.indicators
     whole = memory is not None and "table" in name

@@ -21,9 +21,11 @@ from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 TIMES = 0.5 * np.arange(3)
 BASE = {"paths": 17_000, "seed": 5, "step": 0.1, "nodes": 1}
 QUIET = {
-    "dashboard_address": None, "silence_logs": 50, "threads_per_worker": 1,
+    "dashboard_address": None,
+    "silence_logs": 50,
+    "threads_per_worker": 1,
     "scheduler_kwargs": {"dashboard_address": "127.0.0.1:0"},
-}  # fmt: skip
+}
 
 
 def running(size, processes):
@@ -66,10 +68,18 @@ def bounded():
     """Jumps, an initial law by a closure, and paths that run away."""
     x, z, v = sympy.symbols("x z v")
     return JumpDiffusion(
-        (x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], intensity=x**2 + 0.1,
-        jump=[z], marks=Noise((z,), cov=[[0.01]]),
+        (x,),
+        [x**3 - x],
+        [[0.1]],
+        [x + v],
+        Noise((v,)),
+        [0],
+        [[0.09]],
+        intensity=x**2 + 0.1,
+        jump=[z],
+        marks=Noise((z,), cov=[[0.01]]),
         initial=lambda rng, count: rng.standard_normal((1, count)) * 0.3,
-    )  # fmt: skip
+    )
 
 
 PLAIN = {"paths": 17_000, "seed": 5}

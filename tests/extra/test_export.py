@@ -161,13 +161,21 @@ def record_in_c(name, text, real):
         modes += " for (i = 0; i < @NAME_MODES; i++) put((double)s.prob[i]);"
     source = RECORD
     for mark, part in (
-        ("@STEP", whole), ("@FORECAST", forecast), ("@MODES", modes), ("@LAST", last),
-        ("@TOLD", ", told" * ("int indicator" in text)), ("@NOW", now), ("@REAL", real),
-        ("@TIME", "t, " * timed), ("@LATER", "9.0@F, " * timed),
-        ("@F", "F" * (real == "float")), ("@INPUTS", inputs[1] if inputs else "1"),
+        ("@STEP", whole),
+        ("@FORECAST", forecast),
+        ("@MODES", modes),
+        ("@LAST", last),
+        ("@TOLD", ", told" * ("int indicator" in text)),
+        ("@NOW", now),
+        ("@REAL", real),
+        ("@TIME", "t, " * timed),
+        ("@LATER", "9.0@F, " * timed),
+        ("@F", "F" * (real == "float")),
+        ("@INPUTS", inputs[1] if inputs else "1"),
         ("@ROWS", "@NAME_ESTIMATE" if "_ESTIMATE " in text else "@NAME_STATE"),
-        ("@NAME", name.upper()), ("@name", name),
-    ):  # fmt: skip
+        ("@NAME", name.upper()),
+        ("@name", name),
+    ):
         source = source.replace(mark, part)
     return source
 
@@ -304,11 +312,13 @@ def test_javascript_equals_the_filter(name, tmp_path):
     one = case(name)
     text = to_js(one.filter, tmp_path / "made.mjs")
     data = {
-        "times": one.times.tolist(), "y": for_json(one.y[..., 0].tolist()),
+        "times": one.times.tolist(),
+        "y": for_json(one.y[..., 0].tolist()),
         "told": None if one.indicators is None else one.indicators[:, 0].tolist(),
         "later": [one.later(k).tolist() for k in range(len(one.times))],
-        "timed": "step(state, t, y" in text, "coded": "y, indicator)" in text,
-    }  # fmt: skip
+        "timed": "step(state, t, y" in text,
+        "coded": "y, indicator)" in text,
+    }
     (tmp_path / "data.json").write_text(json.dumps(data))
     (tmp_path / "run.mjs").write_text(RUN)
     done = subprocess.run([NODE, "run.mjs"], cwd=tmp_path, capture_output=True, text=True)
