@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from seedslib import zoo
-from seedslib.design import binned_synthesis, grid_risk
+from seedslib.design import binned_synthesis
 from seedslib.designed import Memory, finite_memory, large_order
 
 
@@ -43,19 +43,6 @@ def test_first_two_steps_are_quantiles_means_and_majorities():
     np.testing.assert_allclose(own.rms[:, 0], np.sqrt(square.mean(axis=1)))
     np.testing.assert_allclose(filter.covariances[:, 0, 0], square.mean(axis=1))
     np.testing.assert_allclose(own.mode_rate, (found.modes != mode).mean(axis=1))
-
-
-def test_errors_come_to_the_optimum_as_cells_and_paths_grow():
-    """True risks, from the grid: above the optimum, falling, and flattered by the own paths."""
-    flip, times = zoo.flip_process(), 0.25 * np.arange(4)
-    axes = {"x": (-3.5, 3.5, 101), "z": (-3, 3, 161), "y": (-8, 8, 97)}
-    exact, risks = 0.13374, []
-    for bins, paths in ((6, 4000), (20, 40_000)):
-        filter = binned_synthesis(flip, large_order(1), times, paths=paths, seed=2, bins=bins)
-        risks.append(grid_risk(filter, **axes).mse[-1])
-        assert filter.predicted.rms[-1, 0] ** 2 < risks[-1]
-    assert exact < risks[1] < risks[0]
-    assert risks[1] < 1.045 * exact
 
 
 def test_too_many_cells_for_the_paths_are_warned_of():

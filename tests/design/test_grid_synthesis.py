@@ -6,7 +6,7 @@ import sympy
 
 from oracles.linear import Linear, kalman
 from seedslib import zoo
-from seedslib.base import Axis, Input, Nodes
+from seedslib.base import Input, Nodes
 from seedslib.design import (
     GridRisk,
     Polynomial,
@@ -20,18 +20,15 @@ from seedslib.designed import Memory, finite_memory, large_order
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import (
     DiscreteSystem,
-    FellerChain,
     JumpDiffusion,
     Noise,
     StochasticMap,
-    SwitchingSystem,
 )
 
 x, v, w, t = sympy.symbols("x v w t")
 u = Input("u")
 TIMES = 0.25 * np.arange(5)
 GRID = {"x": (-3.5, 3.5, 141), "z": (-3.0, 3.0, 121), "y": (-8.0, 8.0, 97)}
-WIDE = {"x": (-14, 14, 141), "z": (-12, 12, 97)}
 
 
 @pytest.fixture(scope="module")
@@ -99,9 +96,13 @@ def test_errors_of_the_optimal_function_are_orthogonal_to_every_function(flip, d
     means = made.run(TIMES[:4], y).mean[:, 0]
     last, known = y[3, 0], means[2]
     changes = [
-        np.ones_like(last), last, known, np.sin(3 * last * known), np.tanh(2 * (last - known)),
+        np.ones_like(last),
+        last,
+        known,
+        np.sin(3 * last * known),
+        np.tanh(2 * (last - known)),
         means[1] if l == 2 else known**2,
-    ]  # fmt: skip
+    ]
     for change in changes:
         cross = (means[3] - x) * change
         assert abs(cross.mean()) < 4 * cross.std() / np.sqrt(len(cross))
@@ -114,15 +115,17 @@ def test_filter_of_theorem_2_on_the_grid_has_the_parameters_of_simulated_ones(fl
     made, risk = gaussian
     wanted = np.array([[p.item() for p in fit] for fit in made.fits])
     np.testing.assert_allclose(wanted[0], [0.42102, 0.26389, 0.49577], atol=2e-3)
-    found = np.array([
+    found = np.array(
         [
-            [p.item() for p in fit]
-            for fit in synthesize(
-                flip, large_order(1), ExactGaussian(), TIMES, nodes=0, paths=1500, seed=seed
-            ).fits
+            [
+                [p.item() for p in fit]
+                for fit in synthesize(
+                    flip, large_order(1), ExactGaussian(), TIMES, nodes=0, paths=1500, seed=seed
+                ).fits
+            ]
+            for seed in range(12)
         ]
-        for seed in range(12)
-    ])  # fmt: skip
+    )
     error = found.std(axis=0, ddof=1) / np.sqrt(12)
     assert (np.abs(found.mean(axis=0) - wanted) < 4.5 * error).all()
     squares = (made.run(TIMES, data.measurements[::2]).mean - data.states[::2])[:, 0] ** 2
@@ -150,32 +153,6 @@ def test_risk_of_a_simulated_design_is_its_held_out_error_and_above_the_optimum(
     assert (best[1:] < 0.8 * risk.mse[1:]).all()
 
 
-def test_two_measurements_are_weighed_by_bayes_formula(flip):
-    """With one remembered measurement the second estimate is the absolutely optimal one."""
-    table = grid_synthesis(flip, finite_memory(1), TIMES[:2], **GRID, nodes=0)
-    chain = FellerChain(flip, Axis(*GRID["x"]))
-    nodes, axis = chain.axis.nodes, Axis(*GRID["y"])
-    records = np.array([axis.nodes[list(pair)] for pair in ((30, 61), (61, 30), (48, 48))]).T
-    found = table.run(TIMES[:2], records[:, None]).mean[1, 0]
-    spread = 0.25 + 0.09 * nodes**2
-    for y, estimate in zip(records.T, found, strict=True):
-        likely = np.exp(-0.5 * (y[:, None] - nodes) ** 2 / spread) / np.sqrt(spread)
-        posterior = likely[1] * (chain.transition(0.0, 0.25) @ (likely[0] * chain.start()))
-        assert estimate == pytest.approx(posterior @ nodes / posterior.sum())
-
-
-def test_longer_memories_are_better_from_the_third_measurement_on(flip, exact):
-    second = grid_synthesis(flip, large_order(2), TIMES[:4], **GRID, nodes=0)
-    past = grid_synthesis(flip, finite_memory(1), TIMES[:4], **GRID, nodes=0)
-    one = mse(exact)[:4]
-    np.testing.assert_allclose(mse(second)[:2], one[:2], rtol=1e-12)
-    assert (mse(second)[2:] < one[2:]).all()
-    assert (mse(past)[2:] > one[2:]).all()
-    # after one step both remember the first measurement, one of them rounded
-    assert mse(past)[1] == pytest.approx(one[1], rel=1e-3)
-    assert second.order == 2
-
-
 def scalar(cls):
     """A decaying scalar with a sensor of gain two, in continuous or discrete time."""
     noise = Noise((w,), cov=[[0.8]])
@@ -193,9 +170,15 @@ def test_linear_gaussian_limit_is_the_kalman_filter(cls):
     times = (0.4 if cls is JumpDiffusion else 1.0) * np.arange(steps)
     one, decay = np.ones((steps, 1, 1)), np.exp(-0.2)
     model = Linear(
-        decay * one[1:], 0 * one[1:, 0], (1 - decay**2) * one[1:], 2 * one, 0 * one[:, 0],
-        0.8 * one, np.array([0.4]), np.array([[0.5]]),
-    )  # fmt: skip
+        decay * one[1:],
+        0 * one[1:, 0],
+        (1 - decay**2) * one[1:],
+        2 * one,
+        0 * one[:, 0],
+        0.8 * one,
+        np.array([0.4]),
+        np.array([[0.5]]),
+    )
     data, excess = system.simulate(times, 20, 3), []
     wanted = [kalman(model, record) for record in data.measurements[..., :20].T.swapaxes(1, 2)]
     for count in (41, 81):
@@ -213,56 +196,14 @@ def test_nodes_of_the_state_design_as_an_axis_does_where_they_are_even():
     axes = {"z": (-4, 4, 41), "y": (-14, 14, 71)}
     risk = [
         optimal_risk(scalar(DiscreteSystem), Memory(1), range(4), x=nodes, **axes).mse
-        for nodes in ((-5, 5, 61), Nodes(np.linspace(-5, 5, 61)), Nodes(5 * np.sinh(
-            np.linspace(-1.5, 1.5, 61)) / np.sinh(1.5)))
-    ]  # fmt: skip
+        for nodes in (
+            (-5, 5, 61),
+            Nodes(np.linspace(-5, 5, 61)),
+            Nodes(5 * np.sinh(np.linspace(-1.5, 1.5, 61)) / np.sinh(1.5)),
+        )
+    ]
     np.testing.assert_allclose(risk[1], risk[0], rtol=1e-12)
     np.testing.assert_allclose(risk[2], risk[0], rtol=1e-3)
-
-
-def continuous(u):
-    sensor = [x + u / 3 + (1 + u / 8) * w]
-    return JumpDiffusion([x], [u - x], [[1 + u / 5]], sensor, Noise((w,)), [0], [[1]], step=0.05)
-
-
-def switching(u):
-    stay = 1 / (1 + sympy.exp(-u))
-    leave, moves = [[stay, 1 - stay], [1 - stay, stay]], [[x / 2 + u + v], [x / 2 - u + 2 * v]]
-    first = [(0.5, [0], [[1]]), (0.5, [1], [[1]])]
-    return SwitchingSystem(
-        [x], moves, Noise((v,)), leave, [[x + u / 5 + w], [x + w / 2]], Noise((w,)), first
-    )
-
-
-IRREGULAR = np.array([0.5, 0.9, 1.6, 1.9, 2.8])
-VALUES = np.array([0.5, -1.0, 2.0, 0.3, 1.0])
-
-
-@pytest.mark.parametrize(("kind", "times"), [(continuous, IRREGULAR), (switching, range(5))])
-def test_inputs_are_the_same_course_as_a_function_of_time(kind, times):
-    """In exact designs, their runs, their risk, and affine designs; forecasts between too."""
-    steps = zip(VALUES, times[1:], strict=False)
-    course = sympy.Piecewise(*((value, t < end) for value, end in steps), (1, True))
-    told, written, given = kind(u), kind(course), {"inputs": {u: VALUES}}
-    found = grid_synthesis(told, Memory(1), times, nodes=1, **given, **WIDE)
-    wanted = grid_synthesis(written, Memory(1), times, nodes=1, **WIDE)
-    np.testing.assert_allclose(found.predicted.rms, wanted.predicted.rms, rtol=1e-9)
-    assert np.ptp(found.predicted.rms) > 0.01
-    y = written.simulate(times, 4, 0).measurements
-    np.testing.assert_allclose(
-        found.run(times, y, **given).mean, wanted.run(times, y).mean, rtol=1e-8
-    )
-    risk = optimal_risk(told, Memory(1), times, **given, **WIDE)
-    np.testing.assert_allclose(risk.mse, mse(wanted), rtol=1e-9)
-    if kind is switching:
-        np.testing.assert_allclose(risk.mode_error, wanted.predicted.mode_rate, rtol=1e-9)
-        return
-    made, risk = affine_synthesis(told, Memory(1), Taylor(), times, **given, **WIDE)
-    other, wanted = affine_synthesis(written, Memory(1), Taylor(), times, **WIDE)
-    np.testing.assert_allclose(risk.mse, wanted.mse, rtol=1e-9)
-    np.testing.assert_allclose(made.fits[2].offset, other.fits[2].offset, rtol=1e-8)
-    again = grid_risk(made, **given, **WIDE)
-    np.testing.assert_allclose(again.mse, risk.mse, rtol=1e-6)
 
 
 def test_probability_beyond_an_axis_is_warned_of_by_name(flip):

@@ -9,10 +9,8 @@ import sympy
 
 from seedslib import zoo
 from seedslib.design import (
-    Continuous,
     Polynomial,
     binned_synthesis,
-    simulated_synthesis,
     synthesize,
 )
 from seedslib.designed import Memory, load, save
@@ -84,16 +82,27 @@ SENTENCES = {
 
 def affine(paths, seed):
     return synthesize(
-        zoo.van_der_pol(), Memory(2), Unscented(), [0.0, 0.5, 1.0], paths=paths, seed=seed,
-        nodes=1, step=0.1,
-    )  # fmt: skip
+        zoo.van_der_pol(),
+        Memory(2),
+        Unscented(),
+        [0.0, 0.5, 1.0],
+        paths=paths,
+        seed=seed,
+        nodes=1,
+        step=0.1,
+    )
 
 
 def quartic(paths, seed):
     return synthesize(
-        sine(), Memory(2, 2), Unscented(), range(4), paths=paths, seed=seed,
+        sine(),
+        Memory(2, 2),
+        Unscented(),
+        range(4),
+        paths=paths,
+        seed=seed,
         predictor=Polynomial(4, 0),
-    )  # fmt: skip
+    )
 
 
 def counted(paths, seed):
@@ -158,26 +167,3 @@ def test_a_cubic_forecast_with_a_long_memory_diverges_on_other_paths(tmp_path):
     assert dataclasses.replace(short).held_out is short.held_out
     with pytest.raises(ValueError, match="read-only"):
         short.held_out.rms[0] = 0.0
-
-
-@pytest.mark.parametrize("name", ["van_der_pol", "flip_process", "linear_gaussian"])
-def test_sound_designs_warn_of_nothing(name):
-    system, times = getattr(zoo, name)(), 0.5 * np.arange(4)
-    for memory, predictor in ((Memory(2), None), (Memory(1), Continuous())):
-        options = {"predictor": predictor} if predictor else {}
-        _, said = heard(
-            lambda m=memory, o=options: synthesize(
-                system, m, ExactGaussian(), times, paths=2000, seed=2, nodes=1, step=0.05, **o
-            )
-        )
-        assert not said
-
-
-def test_tables_on_too_few_paths_point_at_their_caller_too(flat):
-    made, said = heard(
-        lambda: simulated_synthesis(flat, Memory(1), range(6), paths=60, seed=0, kernel=0.1)
-    )
-    assert doubtful(made)["predicted"] == any(
-        text.startswith(SENTENCES["predicted"]) for text in said
-    )
-    assert made.held_out.paths == 512

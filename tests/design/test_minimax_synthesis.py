@@ -6,8 +6,8 @@ import sympy
 
 from oracles.linear import kalman
 from seedslib.base import ELAPSED
-from seedslib.design import BoundedPolynomial, grid_risk, minimax_synthesis, stationary
-from seedslib.designed import Memory, load, save
+from seedslib.design import BoundedPolynomial, grid_risk, minimax_synthesis
+from seedslib.designed import Memory
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from systems import EVEN, discrete_system, linear_numbers
 
@@ -120,35 +120,16 @@ def test_design_of_a_linear_system_is_the_kalman_filter():
 def test_older_estimates_are_moved_through_all_steps_to_the_present():
     system = DiscreteSystem(
         StochasticMap((x,), [x * (1 - ELAPSED / 4) + w], Noise((w,), cov=[[0.5]])),
-        StochasticMap((x,), [x + v], Noise((v,), cov=[[1]])), [0], [[1]],
-    )  # fmt: skip
+        StochasticMap((x,), [x + v], Noise((v,), cov=[[1]])),
+        [0],
+        [[1]],
+    )
     made = minimax_synthesis(system, Memory(2, measurements=1), [0, 1, 1.5, 3.5], paths=500, seed=1)
     u = np.array([[2.0], [3.0], [7.0]])
     np.testing.assert_allclose(
         made.basics(3).prediction(u)[:, 0], [2 * 0.5, 3 * 0.875 * 0.5, 7.0], rtol=1e-14
     )
     np.testing.assert_allclose(made.basics(1).prediction(u[1:])[:, 0], [3 * 0.75, 7.0])
-
-
-def test_basic_functions_are_told_the_time(cubic):
-    """The prediction the time that it leaves, the correction the one of the measurement."""
-    left, met = [], []
-
-    def prediction(t, u):
-        left.append(t)
-        return u
-
-    def correction(t, forecast, y):
-        met.append(t)
-        return y - forecast
-
-    made = minimax_synthesis(
-        cubic, Memory(1), [0, 2, 4], paths=100, seed=1, prediction=prediction, correction=correction
-    )
-    assert (sorted(set(left)), sorted(set(met))) == ([0, 2], [0, 2, 4])
-    left.clear(), met.clear()
-    made.run([0, 2, 4], np.ones((3, 1)))
-    assert (left, met) == ([0, 2], [0, 2, 4])
 
 
 def test_bounded_polynomials_beat_the_residual_and_stay_in_the_range_of_the_states(cubic, bounded):
@@ -165,22 +146,3 @@ def test_bounded_polynomials_beat_the_residual_and_stay_in_the_range_of_the_stat
     found = bounded.run(TIMES[:21], record).mean[20, 0]
     seen = cubic.simulate(TIMES, 12_000, np.random.SeedSequence(1).spawn(3)[0]).states[20, 0]
     np.testing.assert_array_equal(found, [seen.max()] * 3 + [seen.min()] * 3)
-
-
-def test_frozen_design_keeps_its_error_and_comes_back_from_a_file(cubic, bounded, tmp_path):
-    lasting, times = stationary(bounded, 0.2), np.arange(300.0)
-    data = cubic.simulate(times, 500, 11)
-    y = data.measurements.copy()
-    y[7, :, 2] = np.nan
-    found = lasting.run(times, y).mean
-    square = (found - data.states)[:, 0] ** 2
-    halves = square[20:].reshape(2, -1).mean(axis=1)
-    assert np.ptp(halves) < 0.06 * halves.mean()
-    assert square.max() < 200.0
-    before = found[6, 0, 2]
-    fit = bounded.fits[7].forecast
-    wanted = fit.gain[0, 0] * before / (1 + before**2) + fit.offset[0]
-    assert found[7, 0, 2] == pytest.approx(wanted, rel=1e-12)
-    save(lasting, tmp_path / "f.npz")
-    again = load(tmp_path / "f.npz", cubic)
-    np.testing.assert_array_equal(again.run(times, y).mean, found)

@@ -17,26 +17,30 @@ TURN = np.array([[0.8, 0.4], [-0.4, 0.8]])
 
 def switching(modes, factor=1):
     """A turn, or a turn and a pull to the side, that switch with the second component."""
+    loud = (1 + t) / 3
     turn = [factor * sum(TURN[i, j] * x for j, x in enumerate((x1, x2))) for i in (0, 1)]
     moves = [[turn[0] + v1, turn[1] + v2], [x1 / 2 - 1 + v1, x2 / 2 + 1 + v2]][:modes]
     leave = 2 / (5 * (1 + sympy.exp(1 - x2)))
     return SwitchingSystem(
-        (x1, x2), moves, Noise((v1, v2), cov=np.eye(2) / 4),
+        (x1, x2),
+        moves,
+        Noise((v1, v2), cov=np.eye(2) / 4),
         [[1 - leave, leave], [0.3, 0.7]] if modes == 2 else [[1]],
-        [[x1 + w], [x1 + x2 / 2 + w]][:modes], Noise((w,)),
+        [[x1 + w * loud], [x1 + x2 / 2 + w * loud]][:modes],
+        Noise((w,)),
         [(1 / modes, [0, 0], [[1, 0], [0, 1]])] * modes,
-    )  # fmt: skip
+    )
 
 
 def by_loops(chain, times, z, y):
     """(4.4)-(4.10) written out: a dictionary from (mode, node) to the law of the chain."""
     nodes = [np.array([a, b]) for a in z[0].nodes for b in z[1].nodes]
     values, modes = chain.values, chain.modes
-    likely = np.exp(chain.log_likelihood(times[0], y.nodes[None])) * y.weights[:, None]
-    likely /= likely.sum(axis=0)
     label = np.repeat(np.arange(modes), values.shape[1] // modes)
     joint, found = {None: chain.start()}, []
-    for k in range(len(times)):
+    for k, time in enumerate(times):
+        likely = np.exp(chain.log_likelihood(time, y.nodes[None])) * y.weights[:, None]
+        likely /= likely.sum(axis=0)
         square, wrong, new = 0.0, 0.0, {}
         for law in joint.values():
             for part in likely * law:
@@ -49,10 +53,12 @@ def by_loops(chain, times, z, y):
                 wrong += mass - shares.max()
                 for corner, node in enumerate(nodes):
                     ends = zip(mean, node, z, strict=True)
-                    near = np.prod([
-                        max(0.0, 1 - abs(np.clip(m, a.low, a.high) - c) / a.step)
-                        for m, c, a in ends
-                    ])  # fmt: skip
+                    near = np.prod(
+                        [
+                            max(0.0, 1 - abs(np.clip(m, a.low, a.high) - c) / a.step)
+                            for m, c, a in ends
+                        ]
+                    )
                     if near:
                         cell = int(shares.argmax()), corner
                         new[cell] = new.get(cell, 0.0) + near * part
@@ -98,9 +104,15 @@ def test_linear_system_of_one_mode_is_the_kalman_filter_of_each_time():
     moves = (0.5 + times[:-1] / 4)[:, None, None] * TURN
     many = np.ones((3, 1, 1))
     model = Linear(
-        moves, np.zeros((2, 2)), many[1:] * np.eye(2) / 4, many * [[1.0, 0.0]], np.zeros((3, 1)),
-        many, np.zeros(2), np.eye(2),
-    )  # fmt: skip
+        moves,
+        np.zeros((2, 2)),
+        many[1:] * np.eye(2) / 4,
+        many * [[1.0, 0.0]],
+        np.zeros((3, 1)),
+        ((1 + times) / 3)[:, None, None] ** 2,
+        np.zeros(2),
+        np.eye(2),
+    )
     wanted = np.diagonal(kalman(model, np.zeros((3, 1))).cov, axis1=1, axis2=2)
     lost = [
         np.array([s.mse for s in plane_steps(chain, times, z=[(-3.2, 3.2, n)] * 2, y=(-9, 9, 22))])
@@ -111,22 +123,3 @@ def test_linear_system_of_one_mode_is_the_kalman_filter_of_each_time():
     assert np.abs(lost[0][0]).max() < 3e-4
     assert lost[0][-1].sum() / lost[1][-1].sum() == pytest.approx(4, rel=0.25)
     np.testing.assert_allclose(lost[1][-1], 0, atol=0.025)
-
-
-def test_exact_forecasts_of_both_arguments_are_means_of_the_moved_laws():
-    """E X'² - E f² is the error of a forecast f(y, u), which is better than one from u alone."""
-    ahead = 0.4
-    chain = PlaneChain(zoo.linear_gaussian(), [(-5, 5, 25), (-5, 5, 25)], 0.2)
-    mean, square = chain.back(np.stack([chain.values[0], chain.values[0] ** 2]), 0.0, ahead)
-    *_, step = plane_steps(chain, [0, 0.5], z=[(-3, 4, 8), (-3, 3, 7)], y=(-9, 9, 25))
-    first = step.likelihood @ (step.law * mean[:, None])
-    known = step.mass > 1e-290
-    both = square @ step.law.sum(axis=1) - (first[known] ** 2 / step.mass[known]).sum()
-    alone = square @ step.law.sum(axis=1) - ((mean @ step.law) ** 2 / step.law.sum(axis=0)).sum()
-    assert both < alone
-    cell = np.argmax(step.mass.sum(axis=0))
-    event = np.argmax(step.mass[:, cell])
-    law = step.likelihood[event] * step.law[:, cell]
-    later = chain.move(law[:, None], 0.0, ahead)[:, 0]
-    wanted = chain.values[0] @ later / later.sum()
-    assert first[event, cell] / step.mass[event, cell] == pytest.approx(wanted, abs=2e-3)

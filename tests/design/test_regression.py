@@ -67,14 +67,6 @@ def test_moments_far_from_the_origin_keep_their_digits():
     np.testing.assert_allclose(far.cov, near.cov, rtol=1e-6, atol=1e-7)
 
 
-def test_redundant_regressors_change_neither_forecast_nor_covariance():
-    data = sample()
-    doubled = np.concatenate([data, data[2:3] + data[3:4], 1e6 * data[4:5]])
-    lean, rich = fitted(data, 2), fitted(doubled, 2)
-    np.testing.assert_allclose(rich.mean(doubled[2:]), lean.mean(data[2:]), atol=1e-8)
-    np.testing.assert_allclose(rich.cov, lean.cov, rtol=1e-9)
-
-
 def test_constants_are_dropped_beside_their_size():
     """Rounding about 3, and about 0 where the size of the component is known."""
     data, size = sample(), np.array([0.0, 0.0, 0.0, 1.0])
@@ -94,13 +86,6 @@ def test_what_is_explained_exactly_leaves_a_covariance_without_negative_eigenval
     values = np.linalg.eigvalsh(fitted(data, 2).cov)
     assert values.min() > -1e-18
     assert values.max() < 1e-11
-
-
-def test_no_regressors_leave_mean_and_covariance():
-    moments = scatter(sample()[:2])
-    fit = regress(moments.mean, moments.cov, 2)
-    np.testing.assert_array_equal(fit.offset, moments.mean)
-    np.testing.assert_allclose(fit.cov, moments.cov, rtol=1e-14)
 
 
 def test_root_of_a_singular_covariance_inverts_it_on_its_range():

@@ -5,13 +5,11 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.base import Axis
 from seedslib.design import grid_risk, grid_synthesis, optimal_risk, simulated_synthesis
-from seedslib.design.tables.regression import histogram_table, likelihood_table
-from seedslib.designed import Memory, finite_memory, large_order
+from seedslib.designed import Memory, large_order
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
 
-x, q, v, w, r, s = sympy.symbols("x q v w r s")
+x, q, v, w, r, s, t = sympy.symbols("x q v w r s t")
 TIMES = 0.25 * np.arange(5)
 GRID = {"x": (-3.5, 3.5, 141), "z": (-3.0, 3.0, 161), "y": (-8.0, 8.0, 97)}
 TABLES = {"z": (-2.0, 2.0, 81), "y": (-8.0, 8.0, 97)}
@@ -96,9 +94,16 @@ def test_functions_are_fitted_and_tried_on_sets_of_paths_in_turn(flip, method):
     """What is predicted is the error on the set after the one that a function was fitted to."""
     for sets in (2, 3):
         made = simulated_synthesis(
-            flip, Memory(1), TIMES[:4], paths=300, seed=3, sets=sets, nodes=1, method=method,
+            flip,
+            Memory(1),
+            TIMES[:4],
+            paths=300,
+            seed=3,
+            sets=sets,
+            nodes=1,
+            method=method,
             **TABLES,
-        )  # fmt: skip
+        )
         grid = made.predicted.times
         streams = np.random.SeedSequence(3).spawn(sets + 1)[:sets]
         paths = [flip.simulate(grid, 300, s, measured=range(0, 7, 2)) for s in streams]
@@ -113,54 +118,20 @@ def test_functions_are_fitted_and_tried_on_sets_of_paths_in_turn(flip, method):
         np.testing.assert_allclose(made.covariances[:, 0, 0], rms**2, rtol=1e-12)
 
 
-def test_likelihood_weights_by_hand():
-    """Paths at two nodes of the memory, no smoothing: ratios of likelihood-weighted sums."""
-    rng = np.random.default_rng(3)
-    states, known = rng.standard_normal((1, 60)), np.where(np.arange(60) < 30, 1.0, 2.0)[None]
-    axes = (Axis(-4.0, 4.0, 9),), (Axis(0.0, 3.0, 4),)
-    sensor, grid = zoo.flip_process().sensor, axes[0][0].nodes
-
-    def log_density(part):
-        return sensor.log_density(0.0, grid[None, None], states[:, part, None])
-
-    table = likelihood_table(log_density, states, known, *axes, 1e-9)
-    assert table.shape == (1, 9, 4)
-    for cell in (1, 2):
-        here = states[0, known[0] == cell]
-        for y in (-1.0, 0.0, 3.0):
-            spread = 0.25 + 0.09 * here**2
-            likely = np.exp(-0.5 * (y - here) ** 2 / spread) / np.sqrt(spread)
-            wanted = (likely @ here) / likely.sum()
-            assert table[0, int(y) + 4, cell] == pytest.approx(wanted, rel=1e-12)
-
-
-def test_histograms_are_means_of_paths_and_of_the_nearest_crowd():
-    rng = np.random.default_rng(4)
-    states, y = rng.standard_normal((1, 90)), rng.integers(-1, 2, (1, 90)).astype(float)
-    table = histogram_table(states, y, (Axis(-1.0, 1.0, 3),), 1e-9)
-    wanted = [states[y == value].mean() for value in (-1.0, 0.0, 1.0)]
-    np.testing.assert_allclose(table[0], wanted, rtol=1e-12)
-    states = np.repeat([2.0, 5.0], 50)[None]
-    known, axis = np.repeat([0.0, 3.0], 50)[None], Axis(-10.0, 13.0, 93)
-    table = histogram_table(states, known, (axis,), 0.1)
-    # at the end, beyond every kernel, the mean of all
-    for node, value in ((0.0, 2.0), (3.0, 5.0), (4.0, 5.0), (-10.0, 3.5)):
-        assert table[0, np.argmin(np.abs(axis.nodes - node))] == pytest.approx(value)
-
-
 def test_two_components_two_measurements_and_default_axes():
-    """Unlike components: axes reach a tenth of the range of the paths beyond either end."""
+    """Unlike components, time, a late start: axes reach a tenth of the range beyond the paths."""
+    times = [3.0, 4.0]
     moves = StochasticMap([x, q], [x + q / 2 + v, q - x / 3 + w], Noise((v, w)))
-    sensor = StochasticMap([x, q], [x + r, 5 * q + s], Noise((r, s)))
+    sensor = StochasticMap([x, q], [x + r * t / 4, 5 * q + s], Noise((r, s)))
     system = DiscreteSystem(moves, sensor, [1.0, -2.0], [[1.0, 0.2], [0.2, 2.0]])
     z, y = [(-7, 8, 11), (-9, 6, 11)], [(-7, 9, 21), (-45, 30, 61)]
     made = simulated_synthesis(
-        system, Memory(1), range(2), paths=2000, seed=3, z=z, method="histogram"
+        system, Memory(1), times, paths=2000, seed=3, z=z, method="histogram"
     )
     other = simulated_synthesis(
-        system, Memory(1), range(2), paths=2000, seed=3, components=1, y=y, method="histogram"
+        system, Memory(1), times, paths=2000, seed=3, components=1, y=y, method="histogram"
     )
-    data = system.simulate(range(2), 2000, np.random.SeedSequence(3).spawn(3)[0])
+    data = system.simulate(times, 2000, np.random.SeedSequence(3).spawn(3)[0])
     parts = [*data.measurements.swapaxes(0, 1), data.states[:, 0]]
     axes = [*made.steps[1].shown.axes[:2], other.steps[1].shown.axes[2]]
     for axis, part, count in zip(axes, parts, (49, 49, 81), strict=True):
@@ -169,55 +140,13 @@ def test_two_components_two_measurements_and_default_axes():
         assert axis.count == count
     assert (made.order, other.order) == (2, 1)
     # two steps of a linear system are a regression on both measurements
-    made = simulated_synthesis(system, Memory(1), range(2), paths=2000, seed=3, z=z, y=y)
-    fresh = system.simulate(range(2), 4000, 9)
+    made = simulated_synthesis(system, Memory(1), times, paths=2000, seed=3, z=z, y=y)
+    fresh = system.simulate(times, 4000, 9)
     known = np.concatenate([*fresh.measurements, np.ones((1, 4000))])
     weights = np.linalg.lstsq(known.T, fresh.states[1].T, rcond=None)[0]
     least = np.sqrt(((fresh.states[1] - weights.T @ known) ** 2).mean(axis=1))
-    error = made.run(range(2), fresh.measurements).mean[1] - fresh.states[1]
+    error = made.run(times, fresh.measurements).mean[1] - fresh.states[1]
     assert (np.sqrt((error**2).mean(axis=1)) < 1.12 * least).all()
-
-
-def test_one_component_of_two_with_a_mixed_memory():
-    system, times = zoo.van_der_pol(), 0.5 * np.arange(3)
-    made = simulated_synthesis(
-        system, Memory(1, 1), times, paths=2000, seed=1, nodes=1, components=1, z=(-4, 4, 11),
-        y=[(-3, 14, 9), (-8, 8, 9)],
-    )  # fmt: skip
-    assert made.order == 3
-    data = system.simulate(times, 500, 55)
-    found = made.run(times, data.measurements)
-    assert found.mean.shape == (3, 1, 500)
-    assert made.steps[1].shown.estimate.shape == (1, 9, 9, 11, 9, 9)
-    assert np.sqrt(((found.mean - data.states[:, :1]) ** 2).mean(axis=2)).max() < 0.35
-
-
-@pytest.mark.parametrize("unit", [1e-9, 1e9])
-def test_default_axes_follow_the_unit_and_equal_seeds_give_equal_tables(unit):
-    def table(unit):
-        system = DiscreteSystem(
-            StochasticMap((x,), [0.9 * x + unit * w], Noise((w,))),
-            StochasticMap((x,), [x + unit * v], Noise((v,))), mean0=[0], cov0=[[unit**2]],
-        )  # fmt: skip
-        return simulated_synthesis(system, finite_memory(1), range(2), paths=500, seed=1)
-
-    plain, again, other = table(1.0), table(1.0), table(unit)
-    np.testing.assert_array_equal(plain.steps[1].shown.estimate, again.steps[1].shown.estimate)
-    one, two = (made.steps[1].blind.axes[0] for made in (plain, other))
-    np.testing.assert_allclose([two.low, two.high], [unit * one.low, unit * one.high], 1e-9)
-    np.testing.assert_allclose(other.predicted.rms, unit * plain.predicted.rms, rtol=1e-3)
-    assert plain.design.entropy == 1
-
-
-def test_a_known_state_has_an_axis_about_its_value():
-    system = DiscreteSystem(
-        StochasticMap((x,), [x + 0 * w], Noise((w,))), StochasticMap((x,), [x + v], Noise((v,))),
-        mean0=[3.0], cov0=[[0.0]],
-    )  # fmt: skip
-    made = simulated_synthesis(system, Memory(1), range(2), paths=100, seed=1)
-    axis = made.steps[1].blind.axes[0]
-    assert axis.low < 3.0 < axis.high
-    np.testing.assert_allclose(made.predicted.rms, 0.0, atol=1e-9)
 
 
 @pytest.mark.filterwarnings("ignore:held out:UserWarning")
@@ -226,13 +155,16 @@ def test_diverged_paths_are_left_out_and_counted():
         lambda t, x: np.where(np.abs(x) > 1.5, x**9, -x),
         lambda t, x: np.ones((1, 1, *x.shape[1:])),
         StochasticMap.from_functions(
-            1, 1, lambda t, x, v: x + v, Noise(1),
+            1,
+            1,
+            lambda t, x, v: x + v,
+            Noise(1),
             log_density=lambda t, y, x: (-0.5 * (y - x) ** 2)[0],
         ),
         [0.0],
         [[0.3]],
         step=0.05,
-    )  # fmt: skip
+    )
     with pytest.warns(UserWarning, match="paths"):
         made = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
     assert 0 < made.design.diverged < 2000

@@ -8,7 +8,7 @@ import sympy
 from scipy.linalg import solve_discrete_are
 
 from seedslib import zoo
-from seedslib.design import Polynomial, binned_synthesis, grid_synthesis, stationary, synthesize
+from seedslib.design import Polynomial, grid_synthesis, stationary, synthesize
 from seedslib.designed import Memory, large_order, load, save
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -29,16 +29,19 @@ def pair():
     return DiscreteSystem(
         StochasticMap([x, y], moves, Noise([v, w])),
         StochasticMap([x, y], [x + noise[0], y + noise[1]], Noise(noise, cov=np.diag(LOUD))),
-        [0.5, -0.5], [[4.0, 1.0], [1.0, 3.0]],
-    )  # fmt: skip
+        [0.5, -0.5],
+        [[4.0, 1.0], [1.0, 3.0]],
+    )
 
 
 def walk(factor=0.9, loud=1.0):
     """X' = factor X + W, Y = X + V, where the variance of V may be a function of time."""
     return DiscreteSystem(
         StochasticMap([x], [factor * x + w], Noise([w])),
-        StochasticMap([x], [x + sympy.sqrt(loud) * v], Noise([v])), [0.0], [[4.0]],
-    )  # fmt: skip
+        StochasticMap([x], [x + sympy.sqrt(loud) * v], Noise([v])),
+        [0.0],
+        [[4.0]],
+    )
 
 
 def riccati(mask):
@@ -92,23 +95,6 @@ def test_periodic_schedule_goes_on_in_turn(pair):
     np.testing.assert_allclose(held.deviation[0], [2.0, np.sqrt(3.0)], rtol=0.06)
 
 
-def test_steps_that_differ_in_turn_are_refused_without_their_cycle():
-    """A sensor that is loud every second time: two gains in turn, and none that serves both."""
-    system = walk(loud=13 - 12 * sympy.cos(sympy.pi * t))
-    made = synthesize(system, large_order(1), Taylor(), TIMES, paths=12_000, seed=1)
-    with pytest.raises(ValueError, match="tolerance"):
-        stationary(made)
-    lasting = stationary(made, cycle=2)
-    cov, wanted = 4.0, []
-    for k in range(160):
-        cov = 0.81 * cov + 1.0 if k else cov
-        cov -= cov**2 / (cov + (1.0, 25.0)[k % 2])
-        wanted.append(cov)
-    data = system.simulate(LONG, 5, 5)
-    found = lasting.run(LONG, data.measurements, covariances=True)
-    np.testing.assert_allclose(found.cov[50:, 0, 0, 0], wanted[50:], rtol=0.03)
-
-
 def test_steps_are_the_run_and_forecasts_go_on_after_the_design():
     system, times = zoo.van_der_pol(), 0.25 * np.arange(17)
     made = synthesize(
@@ -154,27 +140,6 @@ def test_a_short_transient_keeps_few_tables_and_the_predicted_error(tmp_path):
     assert abs(square.mean() - made.predicted.rms[-1, 0] ** 2) < 4 * doubt
     with pytest.raises(ValueError, match="filter"):
         stationary(again)
-
-
-def test_polynomials_of_two_estimates_and_histograms_go_on(tmp_path):
-    system, times = walk(), np.arange(17.0)
-    lasting = stationary(
-        synthesize(
-            system, large_order(2), Taylor(), times, predictor=Polynomial(2, 0), paths=10_000,
-            seed=1,
-        ),
-        0.05,
-    )  # fmt: skip
-    save(lasting, tmp_path / "polynomial.npz")
-    again = load(tmp_path / "polynomial.npz", system)
-    data = system.simulate(np.arange(60.0), 20, 3)
-    a, b = (f.run(data.times, data.measurements).mean for f in (lasting, again))
-    np.testing.assert_array_equal(a, b)
-    cells = stationary(
-        binned_synthesis(system, large_order(1), times, paths=40_000, seed=1, bins=15), 0.3
-    )
-    found = cells.run(data.times, data.measurements).mean
-    assert np.sqrt(((found - a) ** 2).mean()) < 0.3
 
 
 def test_what_does_not_settle_or_runs_away_is_refused():

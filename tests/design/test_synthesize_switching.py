@@ -8,8 +8,8 @@ from seedslib import zoo
 from seedslib.base import Input
 from seedslib.design import cells_from_moments, synthesize
 from seedslib.designed import Memory
-from seedslib.linearization import ExactGaussian, Taylor
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+from seedslib.linearization import ExactGaussian
+from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w, r, t = sympy.symbols("x y v w r t")
 u = Input("u")
@@ -122,52 +122,6 @@ def test_cells_from_moments_are_conditional_normal_laws():
     bad = np.array([[1.0, 1.5], [1.5, 1.0]])[..., None, None]
     raised = cells_from_moments(np.ones((1, 1)), np.zeros((2, 1, 1)), bad, 1)
     assert 0 < raised.cov[0, 0, 0, 0] < 1e-9
-
-
-def continuous(u):
-    return JumpDiffusion(
-        [x], [u - x], [[1 + u / 5]], [x + u / 3 + w], Noise((w,)), [0], [[1]], step=0.05
-    )
-
-
-def discrete(u):
-    moves = StochasticMap([x], [0.8 * sympy.sin(x) + u + 0.3 * v], Noise((v,)))
-    return DiscreteSystem(moves, StochasticMap([x], [x + u * x / 5 + w], Noise((w,))), [0], [[1]])
-
-
-def switching(u):
-    stay = 1 / (1 + sympy.exp(-u))
-    leave, moves = [[stay, 1 - stay], [1 - stay, stay]], [[x / 2 + u + v], [x / 2 - u + 2 * v]]
-    first = [(0.5, [0], [[1]]), (0.5, [1], [[1]])]
-    return SwitchingSystem(
-        [x], moves, Noise((v,)), leave, [[x + u / 5 + w], [x + w / 2]], Noise((w,)), first
-    )
-
-
-@pytest.mark.parametrize(
-    ("kind", "rate"),
-    [(continuous, None), (continuous, 0.8), (discrete, None), (discrete, 0.8), (switching, None)],
-)
-@pytest.mark.filterwarnings("ignore::UserWarning")
-def test_inputs_are_the_same_course_as_a_function_of_time(kind, rate):
-    """A late start, uneven steps in continuous time; paths held out and runs take them too."""
-    times = [0.5, 1.0, 2.0, 2.5] if kind is continuous else [1.0, 2.0, 3.0, 4.0]
-    values = np.array([0.5, -1.0, 2.0, 0.3])
-    steps = zip(values, times[1:], strict=False)
-    course = sympy.Piecewise(*((value, t < end) for value, end in steps), (0.3, True))
-    more = {"paths": 1500, "seed": 3, "availability": rate}
-    given = {"inputs": {u: values}}
-    found = synthesize(kind(u), Memory(1), Taylor(), times, **given, **more)
-    wanted = synthesize(kind(course), Memory(1), Taylor(), times, **more)
-    np.testing.assert_allclose(found.predicted.rms, wanted.predicted.rms, rtol=1e-9)
-    np.testing.assert_allclose(found.held_out.rms, wanted.held_out.rms, rtol=1e-9)
-    y = kind(course).simulate(times, 6, 1, availability=rate).measurements
-    one, two = found.run(times, y, **given).mean, wanted.run(times, y).mean
-    np.testing.assert_allclose(one, two, rtol=1e-8)
-    other = found.run(times, y, inputs={u: values + 1}).mean
-    assert not np.allclose(other, one, rtol=1e-3)
-    with pytest.raises(ValueError, match="u"):
-        synthesize(kind(u), Memory(1), Taylor(), times, **more)
 
 
 def test_a_schedule_of_position_and_indicator_is_claimed_honestly():
