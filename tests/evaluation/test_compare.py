@@ -5,8 +5,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.delay import DelayKalmanFilter
-from seedslib.delay.examples import two_noises
+from seedslib.delay import DelayKalmanFilter, examples
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.evaluation import compare, evaluate
@@ -323,7 +322,7 @@ def test_errors_on_the_circle_are_as_without_the_cut():
 
 
 def test_a_system_that_measures_nothing_at_first_has_no_score_there():
-    system = two_noises()
+    system = examples.two_noises()
     found = evaluate(DelayKalmanFilter(system), system, np.arange(9.0), 600, 3, consistency=True)
     score = found.log_score
     assert np.isnan(score[0])
