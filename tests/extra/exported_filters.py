@@ -45,6 +45,7 @@ z = sympy.Symbol("z", real=True)
 FORCE, BIAS = Input("force"), Input("bias")
 PUSHED = {FORCE: systems.INPUTS[systems.U]}
 NOISE = Noise(v, [0.1, -0.2], [[0.1, 0.03], [0.03, 0.2]])
+COV = [[0.5, 0.1], [0.1, 0.8]]
 SENSOR_NOISE = Noise(w, [0.2, -0.1], [[0.2, 0.05], [0.05, 0.1]])
 
 
@@ -69,123 +70,72 @@ def cart(shows="bearing", inputs=False):
         spread = [sympy.exp(v[0] / 3), v[1] * (1 + v[0]) / 2]
         shown = [a + a**2 / 9 + w[0] + bias, sympy.sin(b) + w[1] ** 2 * t / 9 + w[0]]
     move = [part + noise for part, noise in zip(move, spread, strict=True)]
-    return DiscreteSystem(
-        StochasticMap((a, b), move, NOISE, time=t),
-        StochasticMap((a, b), shown, SENSOR_NOISE, time=t, period=period),
-        [-2.0, 0.3],
-        [[0.5, 0.1], [0.1, 0.8]],
-    )
+    dynamics = StochasticMap((a, b), move, NOISE, time=t)
+    sensor = StochasticMap((a, b), shown, SENSOR_NOISE, time=t, period=period)
+    return DiscreteSystem(dynamics, sensor, [-2.0, 0.3], COV)
 
 
 def functions():
     """All functions of one number that C has, and choices."""
-    s = sympy.tanh(a) / 2
+    s, inside = sympy.tanh(a) / 2, (sympy.asin, sympy.acos, sympy.atanh, sympy.sinh, sympy.tan)
+    anywhere = (sympy.atan, sympy.asinh, sympy.erf, sympy.erfc, sympy.Abs, sympy.sign, sympy.floor)
     moved = [
-        sympy.asin(s)
-        + sympy.acos(s) / 3
-        + sympy.atan(a) / 3
-        + sympy.asinh(a) / 4
-        + sympy.acosh(2 + s)
-        + sympy.atanh(s)
-        + sympy.sinh(s)
-        + sympy.cosh(s) / 3
-        + sympy.erf(a) / 2
-        - sympy.erfc(2 * a) / 3
-        + sympy.tan(s)
-        - sympy.Abs(a) / 5,
-        ELAPSED * b
-        + sympy.sign(a)
-        + sympy.Heaviside(b, 0.5) / 3
-        + sympy.Max(a, b) / 3
-        - sympy.Min(a, 2) / 3
-        + sympy.floor(a) / 3
-        - sympy.ceiling(b) / 5
-        + sympy.cbrt(2 + s),
+        sum(f(s) / (k + 2) for k, f in enumerate(inside)) + sympy.acosh(2 + s) + sympy.cosh(s),
+        ELAPSED * b + sum(f(a) / (k + 2) for k, f in enumerate(anywhere)) - sympy.ceiling(b) / 5,
     ]
     shown = [
-        sympy.log(2 + a**2)
-        + sympy.exp(-(b**2))
-        + (1 + a**2) ** -2
-        + (2 + s) ** sympy.Rational(5, 2),
-        sympy.Piecewise((a * b, a < 0), (b**3 / 5, a <= 1), (a, b >= -1), (b, True)),
+        sympy.log(2 + a**2) + sympy.exp(-(b**2)) + (1 + a**2) ** -2 + sympy.cbrt(2 + s),
+        sympy.Piecewise((a * b, a < 0), (b**3 / 5, a <= 1), (a, b >= -1), (b, True))
+        + (2 + s) ** 2.5
+        + sympy.Heaviside(b, 0.5) / 3
+        + sympy.Max(a, b) / 3
+        - sympy.Min(a, 2) / 3,
     ]
-    dynamics, sensor = (
-        StochasticMap(
-            (a, b), [part + each for part, each in zip(map, noise.symbols, strict=True)], noise
-        )
-        for map, noise in ((moved, NOISE), (shown, SENSOR_NOISE))
-    )
-    return DiscreteSystem(dynamics, sensor, [0.3, -0.2], [[1.0, 0.2], [0.2, 0.7]])
+    dynamics = StochasticMap((a, b), [moved[0] + v[0], moved[1] + v[1]], NOISE)
+    sensor = StochasticMap((a, b), [shown[0] + w[0], shown[1] + w[1]], SENSOR_NOISE)
+    return DiscreteSystem(dynamics, sensor, [0.3, -0.2], COV)
 
 
 def kicked(inputs=False):
     """A driven oscillator in continuous time that is kicked, the oftener the farther it is out."""
-    push = FORCE if inputs else sympy.cos(2 * t)
-    return JumpDiffusion(
-        (a, b),
-        [b, push - a - a**3 / 5 - b * t / 9],
-        [[0.2, 0.1 * t], [0, 0.3 + a**2 / 9]],
-        [a + t * b / 9 + w[0] + (BIAS if inputs else 0), a * b / 3 + b + w[1]],
-        SENSOR_NOISE,
-        [0.5, 0.2],
-        [[0.3, 0.1], [0.1, 0.4]],
-        intensity=0.3 + a**2 / 5,
-        jump=[-a / 5, z * (1 + t / 9)],
-        marks=Noise((z,), [0.3], [[0.2]]),
-        time=t,
-        step=0.1,
-    )
+    push, bias = (FORCE, BIAS) if inputs else (sympy.cos(2 * t), 0)
+    drift, diffusion = [b, push - a - a**3 / 5 - b * t / 9], [[0.2, 0.1 * t], [0, 0.3 + a**2 / 9]]
+    shown = [a + t * b / 9 + w[0] + bias, a * b / 3 + b + w[1]]
+    jumps = {"intensity": 0.3 + a**2 / 5, "jump": [-a / 5, z * (1 + t / 9)]}
+    jumps["marks"] = Noise((z,), [0.3], [[0.2]])
+    options = {"time": t, "step": 0.1, **jumps}
+    return JumpDiffusion((a, b), drift, diffusion, shown, SENSOR_NOISE, [0.5, 0.2], COV, **options)
 
 
 def tide():
     """A number driven with the period 2, seen by two sensors of the same period."""
-    turn = sympy.sin(sympy.pi * t)
-    return JumpDiffusion(
-        (a,),
-        [-a + sympy.cos(sympy.pi * t)],
-        [[0.5]],
-        [(2 + turn) * a + w[0], a - turn * a**2 / 9 + w[1]],
-        SENSOR_NOISE,
-        [0.0],
-        [[1.0]],
-        time=t,
-        step=0.1,
-    )
+    turn, drift, options = sympy.sin(sympy.pi * t), [-a + sympy.cos(sympy.pi * t)], {"time": t}
+    shown = [(2 + turn) * a + w[0], a - turn * a**2 / 9 + w[1]]
+    return JumpDiffusion((a,), drift, [[0.5]], shown, SENSOR_NOISE, [0], [[1]], step=0.1, **options)
+
+
+INITIAL = [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[0.7]])]
+FAR = sympy.exp(-((a - 1) ** 2) / 4)
+INDICATOR = [[1 - FAR / 2, FAR / 2], [FAR / 3, 1 - FAR / 3]]
 
 
 def driven(drives, told=True):
-    """Two modes; the state moves the switch and the indicator, and the bearing turns at pi."""
-    far = sympy.exp(-((a - 1) ** 2) / 4)
-    leave = far * (1 + sympy.sin(t)) / 4
-    return SwitchingSystem(
-        (a,),
-        [[0.9 * a + v[0]], [0.3 * a + ELAPSED + v[0] / 2]],
-        Noise(v[:1], [0.1], [[0.8]]),
-        [[1 - leave, leave], [0.4, 0.6]],
-        [[a + w[0], a * t / 3 + w[1]], [a / 2 + w[0], 2 * a + w[1]]],
-        SENSOR_NOISE,
-        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[0.7]])],
-        drives=drives,
-        time=t,
-        period={0: 6.0},
-        indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]] if told else None,
-    )
+    """Two modes; the state moves the switch and the indicator, and the bearing turns at three."""
+    leave = FAR * (1 + sympy.sin(t)) / 4
+    moves = [[0.9 * a + v[0]], [0.3 * a + ELAPSED + v[0] / 2]], Noise(v[:1], [0.1], [[0.8]])
+    switch = [[1 - leave, leave], [0.4, 0.6]]
+    shows = [[a + w[0], a * t / 3 + w[1]], [a / 2 + w[0], 2 * a + w[1]]], SENSOR_NOISE
+    options = {"drives": drives, "time": t, "period": {0: 6.0}}
+    options["indicator"] = INDICATOR if told else None
+    return SwitchingSystem((a,), *moves, switch, *shows, INITIAL, **options)
 
 
 def shrinking():
-    """Modes without noise, whose indicator the state moves, so that forecasts are split by it."""
-    far = sympy.exp(-((a - 1) ** 2) / 4)
-    return SwitchingSystem(
-        (a,),
-        [[a / 2 + sympy.sin(t)], [-0.7 * a]],
-        Noise(()),
-        [[0.9, 0.1], [0.3, 0.7]],
-        [[a + w[0]], [a / 2 + w[0]]],
-        Noise(w[:1]),
-        [(0.6, [0.0], [[1.0]]), (0.4, [1.0], [[2.0]])],
-        time=t,
-        indicator=[[1 - far / 2, far / 2], [far / 3, 1 - far / 3]],
-    )
+    """Modes without noise, so that forecasts are split by the indicator in closed form."""
+    moves, shows = [[a / 2 + sympy.sin(t)], [-0.7 * a]], [[a + w[0]], [a / 2 + w[0]]]
+    switch, options = [[0.9, 0.1], [0.3, 0.7]], {"time": t, "indicator": INDICATOR}
+    noises = Noise(()), Noise(w[:1])
+    return SwitchingSystem((a,), moves, noises[0], switch, shows, noises[1], INITIAL, **options)
 
 
 # Filters
@@ -225,9 +175,12 @@ SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}, "availability": [0.8
 PART = {"components": 1, "horizon": 5.1, "between": "piecewise constant"}
 SCHEDULE, CLASSES = {"measured": schedule()}, {"availability": [0.7, 0.8], "measured_nodes": True}
 WHOLE = {"split": False}
+LASTING_TABLE = {"steps": 8, "lasting": {"tolerance": 1.0}}
+LASTING_MODES = {"times": np.arange(12.0), "lasting": {"cycle": 2}}
 old, new = partial(driven, "old"), partial(driven, "new")
 linear, bent = partial(systems.linear_system, inputs=False), partial(cart, "covered")
 jumping = partial(systems.switching_system, inputs=False)
+unmarked = partial(jumping, indicator=False)
 
 FILTERS = {
     "Kalman, inputs": (KalmanFilter, systems.linear_system, {}),
@@ -264,12 +217,7 @@ FILTERS = {
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),
     "table": (tables, zoo.flip_process, large_order(2), {}),
     "table of measurements": (tables, zoo.flip_process, finite_memory(1), {}),
-    "stationary table": (
-        tables,
-        zoo.flip_process,
-        large_order(1),
-        {"steps": 8, "lasting": {"tolerance": 1.0}},
-    ),
+    "stationary table": (tables, zoo.flip_process, large_order(1), LASTING_TABLE),
     # with modes
     "IMM, old mode": (SwitchingFilter, jumping, Taylor(), {}),
     "IMM, new mode": (SwitchingFilter, partial(jumping, "new"), Taylor(), {}),
@@ -279,21 +227,9 @@ FILTERS = {
     "IMM, old mode, split": (SwitchingFilter, shrinking, Taylor(), {}),
     "modes and measurements": (design, old, Memory(1, 2), Taylor(), WHOLE),
     "modes and log-odds": (design, new, Memory(2, 0, 1, log_odds=True), Taylor(), WHOLE),
-    "modes of measurements": (
-        design,
-        partial(jumping, indicator=False),
-        finite_memory(2),
-        Taylor(),
-        {"paths": 2000},
-    ),
+    "modes of measurements": (design, unmarked, finite_memory(2), Taylor(), {"paths": 2000}),
     "modes on a schedule": (design, old, Memory(1), Taylor(), WHOLE | {"measured": schedule(3)}),
-    "stationary modes": (
-        design,
-        zoo.scalar_switching,
-        large_order(2),
-        Taylor(),
-        {"times": np.arange(12.0), "lasting": {"cycle": 2}},
-    ),
+    "stationary modes": (design, zoo.scalar_switching, large_order(2), Taylor(), LASTING_MODES),
     "table of modes": (mode_tables, zoo.scalar_switching, large_order(1), {"probabilities": True}),
     "table with indicator": (mode_tables, zoo.manoeuvring_target, large_order(1), {}),
     "table of indicators": (mode_tables, zoo.manoeuvring_target, Memory(1, 0, 1), {}),
@@ -319,24 +255,14 @@ class Case:
         """Whether the filter carries mean and covariance."""
         return isinstance(self.filter, CovarianceFilter)
 
-    @property
-    def modes(self):
-        return getattr(self.filter.system, "modes", 0)
-
     def later(self, k):
         """Times after measurement k that the filter can forecast to, up to the next measurement."""
-        filter = self.filter
-        if self.modes:
+        if hasattr(self.filter.system, "modes"):
             return np.array([])
         if self.carried:
             return self.times[k] + np.array([0.0, 0.35, 1.1])
-        served = filter.served(k)
-        nodes = list(filter.node_times[served]) if served < len(filter.node_times) else []
-        start = filter.times[served]
-        last = served + 1 == len(filter.times)
-        end = (nodes or [start])[-1] if last else filter.times[served + 1]
-        found = np.array([start, *nodes, 0.3 * start + 0.7 * end, end])
-        return self.times[k] - start + found
+        ahead = np.append(self.times, self.times[-1])[k + 1] - self.times[k]
+        return self.times[k] + ahead * np.array([0.0, 1 / 3, 0.45, 0.5, 2 / 3, 1.0])
 
     def at(self, k, i=0):
         """The inputs at measurement k of a record, as a context."""
@@ -356,8 +282,9 @@ def case(name):
     system, memory = filter.system, getattr(filter, "memory", None)
     times = 1.0 * np.arange(7) if name == "IMM, old mode, split" else TIMES
     if memory is not None:
-        count = 30 if filter.cycle else len(filter.times)
-        times = np.array([filter.clock.moment(k, filter.cycle) for k in range(count)])
+        times = filter.times
+        if "stationary" in name:
+            times = times[0] + (times[1] - times[0]) * np.arange(30)
     inputs = {}
     if name.endswith("inputs"):
         told = systems.INPUTS if "Kalman" in name else (FORCE, BIAS)
