@@ -8,7 +8,7 @@ import sympy
 from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
-from oracles.linear import Linear, Regression, discretised, kalman, moment_rates, moments
+from oracles.linear import Linear, Regression, constant, discretised, kalman, moment_rates, moments
 from seedslib.base import assigned
 from seedslib.filters import (
     CovarianceFilter,
@@ -194,8 +194,10 @@ def test_points_of_high_order_equal_quadrature_of_the_step():
     noises = Noise((v,), 0.3, [[0.5]]), Noise((w,), -0.2, [[0.4]])
     system = DiscreteSystem(
         StochasticMap((x,), [x / 2 + sympy.sin(2 * x + t) + t * v], noises[0]),
-        StochasticMap((x,), [sympy.exp(x / 2) / (1 + t) + w], noises[1]), [0.5], [[0.8]],
-    )  # fmt: skip
+        StochasticMap((x,), [sympy.exp(x / 2) / (1 + t) + w], noises[1]),
+        [0.5],
+        [[0.8]],
+    )
     filter = CovarianceFilter(system, GaussHermite(40))
     state = filter.predict(filter.predict(filter.initial(), 3.0), 4.0)
     nodes = np.linspace(-12, 12, 4001)
@@ -301,10 +303,7 @@ def test_exact_sensor_that_is_contradicted_has_diverged(make):
 
 @pytest.mark.parametrize("make", [KalmanFilter, *FILTERS])
 def test_outlier_of_a_million_deviations_is_filtered_as_any_other(make):
-    model = Linear(
-        np.full((7, 1, 1), 0.9), np.zeros((7, 1)), np.full((7, 1, 1), 0.3), np.ones((8, 1, 1)),
-        np.zeros((8, 1)), np.full((8, 1, 1), 0.5), np.zeros(1), np.eye(1),
-    )  # fmt: skip
+    model = constant(0.9, 0.3, 1, 0.5, 0, 1, 7)
     y = np.array([0.3, -1.0, 0.2, 1e6, 0.1, np.nan, 0.4, -0.6])[:, None]
     estimates = make(LinearSystem(0.9, 0.3, 1, 0.5, 0, 1)).run(np.arange(8.0), y)
     assert not estimates.diverged

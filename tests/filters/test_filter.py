@@ -4,14 +4,13 @@ The reference systems depend on time, start late, have inputs and noise means, a
 gaps. Filters of modes are compared with the sum over all histories of the modes.
 """
 
-import inspect
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 
 from oracles.linear import Regression, along, histories
-from seedslib import delay, designed, filters, piecewise
 from seedslib.base import Parameter, assigned
 from seedslib.filters import (
     CovarianceFilter,
@@ -56,7 +55,7 @@ class Case(NamedTuple):
     law: Any
     logliks: np.ndarray
     inputs: dict
-    options: dict = {}  # noqa: RUF012
+    options: dict
 
     def told(self, k):
         """Arguments of a step to time k: the indicator, and the mode."""
@@ -72,19 +71,19 @@ class Case(NamedTuple):
 
 
 def linear_case(filter, *, means, times=TIMES):
-    model = linear_numbers(times, means=means)
-    y, exact = record(model)[1], Regression(model)
-    law = lambda k, last: exact.estimate(y, k, last)  # noqa: E731
-    return Case(filter, times, y, law, exact.logliks(y), INPUTS)
+    return regression_case(filter, linear_numbers(times, means=means), times)
 
 
 def known_mode_case(drives):
     chain = along(switching_numbers(), MODES, drives)
-    case = linear_case(KnownModeFilter(switching_system(drives)), means=True)
-    exact, y = Regression(chain), record(chain)[1]
-    law = lambda k, last: exact.estimate(y, k, last)  # noqa: E731
     options = {"modes": MODES, "indicators": INDICATORS}
-    return case._replace(y=y, law=law, logliks=exact.logliks(y), options=options)
+    return regression_case(KnownModeFilter(switching_system(drives)), chain, TIMES, **options)
+
+
+def regression_case(filter, model, times, **options):
+    y, exact = record(model)[1], Regression(model)
+    law = partial(exact.estimate, y)
+    return Case(filter, times, y, law, exact.logliks(y), INPUTS, options)
 
 
 def history_case(drives):
@@ -284,37 +283,3 @@ def test_steps_of_unequal_length_need_the_elapsed_time():
     assert later.time == EVEN[2]
     same = filter.predict(state, EVEN[1])
     np.testing.assert_array_equal(same.mean, state.mean)
-
-
-VERBS = {
-    "initial": ("batch", "seed"),
-    "predict": ("state", "t"),
-    "correct": ("state", "y"),
-    "report": ("state",),
-    "step": ("state", "t", "y"),
-    "forecast": ("state", "t"),
-    "run": ("times", "measurements"),
-}
-
-
-@pytest.mark.parametrize(
-    "kind",
-    [
-        filters.CovarianceFilter,
-        filters.ParticleFilter,
-        filters.RaoBlackwellFilter,
-        filters.GridBayesFilter,
-        filters.KnownModeFilter,
-        designed.FiniteOrderFilter,
-        designed.SwitchingFilter,
-        designed.TableFilter,
-        delay.DelayKalmanFilter,
-        piecewise.PiecewiseLinearFilter,
-    ],
-)
-def test_every_filter_has_the_same_verbs(kind):
-    assert issubclass(kind, filters.Filter)
-    for verb, wanted in VERBS.items():
-        names = tuple(inspect.signature(getattr(kind, verb)).parameters)[1:]
-        assert names[: len(wanted)] == wanted, verb
-    assert set(kind.takes) <= set(inspect.signature(kind.run).parameters)

@@ -33,9 +33,16 @@ def system(drives):
     up = [f(t, x) for f in chance(sympy)]
     tell = [[0.5 * sympy.exp(-(x**2)), 1 - 0.5 * sympy.exp(-(x**2))], [0.3, 0.7]]
     return SwitchingSystem(
-        (x,), moves, Noise((v,)), [[1 - p, p] for p in up], [[x + w], [x + 2 + w / 2]],
-        Noise((w,)), [(p, [m], [[c]]) for p, m, c in START], indicator=tell, drives=drives,
-    )  # fmt: skip
+        (x,),
+        moves,
+        Noise((v,)),
+        [[1 - p, p] for p in up],
+        [[x + w], [x + 2 + w / 2]],
+        Noise((w,)),
+        [(p, [m], [[c]]) for p, m, c in START],
+        indicator=tell,
+        drives=drives,
+    )
 
 
 def moments(weight, *parts):
@@ -110,9 +117,14 @@ def test_modes_are_reported_with_certainty():
 
 def test_switch_that_never_happens_is_refused():
     absorbing = SwitchingSystem(
-        (x,), [[x + v]] * 2, Noise((v,)), [[1, 0], [0.5, 0.5]], [[x + w]] * 2, Noise((w,)),
+        (x,),
+        [[x + v]] * 2,
+        Noise((v,)),
+        [[1, 0], [0.5, 0.5]],
+        [[x + w]] * 2,
+        Noise((w,)),
         [(0.5, [0], [[1]])] * 2,
-    )  # fmt: skip
+    )
     filter, y = KnownModeFilter(absorbing), np.zeros((3, 1, 2))
     assert np.isfinite(filter.run(range(3), y, modes=[[1, 0], [0, 0], [0, 0]]).mean).all()
     with pytest.raises(ValueError, match=r"^mode: "):

@@ -40,9 +40,7 @@ def unbiased(loglik, exact):
     return abs(ratio.mean() - 1) < 4 * ratio.std() / np.sqrt(len(ratio))
 
 
-@pytest.mark.parametrize(
-    ("make", "means"), [(discrete_system, True), (linear_system, False)]
-)  # fmt: skip
+@pytest.mark.parametrize(("make", "means"), [(discrete_system, True), (linear_system, False)])
 def test_particles_come_to_regression(make, means):
     """Of formulas and of matrices; with inputs, noise means, unequal steps and gaps."""
     model = linear_numbers(means=means)

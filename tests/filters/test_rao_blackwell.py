@@ -77,9 +77,15 @@ def test_threads_and_streams_of_drawn_histories():
 def test_indicator_that_no_mode_shows_is_marked_for_good():
     """In a run and step by step; the estimate stays a number."""
     system = SwitchingSystem(
-        (x,), [[x / 2 + v]] * 2, Noise((v,)), [[1, 0], [0, 1]], [[x + w]] * 2, Noise((w,)),
-        [(1, [0], [[1]]), (0, [0], [[1]])], indicator=[[1, 0], [0.5, 0.5]],
-    )  # fmt: skip
+        (x,),
+        [[x / 2 + v]] * 2,
+        Noise((v,)),
+        [[1, 0], [0, 1]],
+        [[x + w]] * 2,
+        Noise((w,)),
+        [(1, [0], [[1]]), (0, [0], [[1]])],
+        indicator=[[1, 0], [0.5, 0.5]],
+    )
     filter, y = RaoBlackwellFilter(system, 5), np.ones((3, 1, 2))
     shown = np.array([[0, 0], [0, 1], [-1, 0]])
     estimates = filter.run(range(3), y, indicators=shown)
@@ -96,9 +102,14 @@ def test_indicator_that_no_mode_shows_is_marked_for_good():
 def test_log_odds_of_histories_may_be_of_any_size():
     """Eight histories of three steps are all kept; their weights differ by e to the 1400."""
     system = SwitchingSystem(
-        (x,), [[v]] * 2, Noise((v,), cov=[[1e-6]]), [[0.5, 0.5]] * 2, [[x + w], [40 + x + w]],
-        Noise((w,)), [(0.5, [0], [[1e-6]])] * 2,
-    )  # fmt: skip
+        (x,),
+        [[v]] * 2,
+        Noise((v,), cov=[[1e-6]]),
+        [[0.5, 0.5]] * 2,
+        [[x + w], [40 + x + w]],
+        Noise((w,)),
+        [(0.5, [0], [[1e-6]])] * 2,
+    )
     filter = RaoBlackwellFilter(system, 100)
     state = filter.initial()
     for k in range(3):

@@ -28,6 +28,15 @@ class Linear(NamedTuple):
     cov0: np.ndarray
 
 
+def constant(F, Q, H, R, mean0, cov0, steps):
+    """A `Linear` system of K steps whose matrices do not change, without offsets."""
+    F, Q, H, R, cov0 = (np.atleast_2d(part).astype(float) for part in (F, Q, H, R, cov0))
+    moves = np.tile(F, (steps, 1, 1)), np.zeros((steps, len(F))), np.tile(Q, (steps, 1, 1))
+    count = steps + 1
+    shows = np.tile(H, (count, 1, 1)), np.zeros((count, len(H))), np.tile(R, (count, 1, 1))
+    return Linear(*moves, *shows, np.atleast_1d(mean0).astype(float), cov0)
+
+
 class Regression:
     """States and measurements as linear functions of the start and of all noises."""
 
