@@ -77,7 +77,7 @@ KINDS = {
     ),
     "continuous": lambda: finite_order(Memory(1), Taylor(), predictor=Continuous()),
     "availability": lambda: finite_order(Memory(1), Taylor(), availability=[0.7, 1.0], nodes=0),
-    "exact": lambda: replace(linear(), cycle=2),
+    "exact": lambda: replace(linear(), cycle=np.int64(2)),
     "schedule": lambda: linear(horizon=2, measured=[[True], [False], [True], [True]]),
     "modes": lambda: modes(Memory(2, 1, 1, True)),
     "modes with availability": lambda: replace(modes(Memory(1), availability=[0.7, 1.0]), cycle=1),

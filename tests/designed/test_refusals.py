@@ -122,8 +122,8 @@ def broken(array, name):
         lost.flat[-1] = np.nan
         yield "NaN", lost
     if array.dtype.kind in "iu" and array.size:
-        yield "too large", array + array.dtype.type(100)
-        yield "below zero", array - array.dtype.type(100)
+        yield "too large", array + array.dtype.type(1)
+        yield "below zero", array - array.max() - array.dtype.type(1)
     if name in ("cov", "covs", "before", "after") and array.any():
         yield "indefinite", -array
 
@@ -154,7 +154,7 @@ def test_parts_of_another_shape_or_kind_are_refused_by_their_name(kind):
                 try:
                     replace(filter, **{part: changed})
                 except (TypeError, ValueError) as error:
-                    if not isinstance(error, np.linalg.LinAlgError):
+                    if part != "fits" or not isinstance(error, np.linalg.LinAlgError):
                         said.append(str(error))
                 else:
                     accepted.append((part, path, how))

@@ -13,7 +13,7 @@ from oracles.switching import SwitchingOracle, merged
 from seedslib import zoo
 from seedslib.base import ELAPSED, Input, assigned
 from seedslib.design import grid_risk, synthesize
-from seedslib.designed import CellFit, Memory, SwitchingFilter, large_order
+from seedslib.designed import Memory, SwitchingFilter
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
 from seedslib.models import Noise, SwitchingSystem
 
@@ -324,55 +324,6 @@ def test_angles_are_taken_nearest_to_what_is_expected():
     assert_allclose(bank.mean[1][:, near], flat.mean[1][:, near], rtol=1e-9)
 
 
-def test_positions_far_from_the_origin_lose_no_digits():
-    system = zoo.manoeuvring_target("noisy")
-    near = system.simulate(np.arange(8.0), 50, 9)
-    filter = SwitchingFilter(system, ExactGaussian())
-    state = filter.initial((50,))
-    away = np.array([1e7, 0])[:, None, None, None]
-    far = state._replace(law=state.law._replace(mean=state.law.mean + away))
-    for k in range(8):
-        state = filter.step(state, float(k), near.measurements[k], near.indicators[k])
-        far = filter.step(far, float(k), near.measurements[k] + 1e7, near.indicators[k])
-    assert_allclose(far.mean[0] - 1e7, state.mean[0], atol=1e-6)
-    assert_allclose(far.law.cov, state.law.cov, rtol=1e-6)
-
-
-@pytest.mark.parametrize("unit", [1e-30, 1.0, 1e30])
-def test_designs_do_not_depend_on_the_unit(unit):
-    """And a component without noise, known from the start, is as good as any other."""
-
-    def system(scale):
-        return SwitchingSystem(
-            (x, y), [[0.5 * x + scale * v, y], [0.9 * x - y + scale * (1 + v), y]], Noise((v,)),
-            [[0.8, 0.2], [0.3, 0.7]], [[x + y + scale * w]] * 2, Noise((w,)),
-            [(0.5, [0, scale], np.diag([scale**2, 0]))] * 2, indicator=[[0.9, 0.1], [0.2, 0.8]],
-        )  # fmt: skip
-
-    times = np.arange(5.0)
-    found = []
-    for scale in (1.0, unit):
-        data = system(scale).simulate(times, 50, 7)
-        made = synthesize(system(scale), Memory(2, 1), Taylor(), times, paths=2000, seed=3)
-        run = made.run(times, data.measurements, indicators=data.indicators)
-        found.append(run.mean / scale)
-    assert_allclose(found[1], found[0], atol=1e-10)
-
-
-def test_rules_with_negative_weights_lose_no_path():
-    system = zoo.dependent_switching()
-    data = system.simulate(np.arange(12.0), 400, 3)
-    rule = Unscented(alpha=0.3, beta=2.0, kappa=0.0)
-    with pytest.warns(UserWarning, match="covariances: eigenvalues of"):
-        found = SwitchingFilter(system, rule).run(
-            data.times, data.measurements, indicators=data.indicators, covariances=True
-        )
-    assert not found.diverged.any()
-    assert found.cov.min() >= 0
-    assert_allclose(found.mode_prob.sum(axis=1), 1.0, rtol=1e-12)
-    assert np.square(found.mean - data.states).mean() < np.square(data.states).mean()
-
-
 @pytest.mark.parametrize("indicator", [False, True])
 def test_paths_that_are_lost_are_marked_and_leave_the_others_alone(indicator):
     system = SwitchingSystem(
@@ -425,39 +376,6 @@ def test_fits_of_ones_own_forecast():
     assert_array_equal(foreign.run(times, record).mean, made.run(times, record).mean)
     none = made.run(times, record[..., :0])
     assert none.mean.shape == (4, 1, 0)
-
-
-def test_known_modes_with_exact_laws_in_the_memory_are_the_kalman_filter_given_them():
-    """The error does not depend on the modes: gain one, covariance P, in a filter of order one."""
-    system = SwitchingSystem(
-        (x, y), [[x + y + v / 2, 0.9 * y + v + drive] for drive in (0.0, 1.0)],
-        Noise((v,), cov=[[0.3]]), [[0.9, 0.1], [0.3, 0.7]], [[x + w]] * 2,
-        Noise((w,), cov=[[2.0]]), [(0.5, [1.0, -0.5], [[4, 0.5], [0.5, 1]])] * 2,
-        indicator=[[1, 0], [0, 1]],
-    )  # fmt: skip
-    data = system.simulate(np.arange(13.0), 40, 5)
-    move, push = np.array([[1, 1], [0, 0.9]]), np.array([0.5, 1.0])
-    mean, cov = np.array([[1.0], [-0.5]]), np.array([[4, 0.5], [0.5, 1.0]])
-    means, fits = [], []
-    for k, shown in enumerate(data.measurements):
-        if k:
-            mean = move @ mean + np.array([[0.0], [1.0]]) * data.modes[k - 1]
-            cov = move @ cov @ move.T + 0.3 * np.outer(push, push)
-        gain = cov[:, :1] / (cov[0, 0] + 2.0)
-        mean, cov = mean + gain * (shown - mean[:1]), cov - gain @ cov[:1]
-        means.append(mean)
-        both, zero = np.ones((1, 1, 2, 2)), np.zeros((2, 2, 2))
-        fits.append(CellFit(
-            np.array([[0.0, -np.inf], [-np.inf, 0.0]]), zero, np.zeros((2, 2, 2, 2)),
-            np.eye(2)[:, :, None, None] * both, zero, cov[:, :, None, None] * both,
-        ))  # fmt: skip
-    exact = SwitchingFilter(
-        system, ExactGaussian(), large_order(1), times=data.times, fits=fits[:-1]
-    )
-    for filter in (exact, SwitchingFilter(system, ExactGaussian())):
-        found = filter.run(data.times, data.measurements, indicators=data.indicators)
-        assert_array_equal(found.modes, data.modes)
-        assert_allclose(found.mean, means, atol=1e-11)
 
 
 def test_risk_with_an_input_is_that_of_the_input_as_a_function_of_time():

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import sympy
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.optimize import minimize_scalar
 from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
@@ -262,39 +261,6 @@ def test_posterior_law_is_that_of_the_joint_density(n, m):
     assert_allclose(lemmas.weigh(sensed, np.full(m, np.nan))[0].prob, chance, rtol=1e-12)
     none = sensed._replace(log_prob=np.full(3, -np.inf))
     assert lemmas.weigh(none, seen)[1] == -np.inf
-
-
-def test_posterior_law_of_a_singular_measurement():
-    """A component measured twice without noise of its own: the pseudo-inverse of (6.17)."""
-    cross, spread = np.full((1, 2, 1), 0.6), np.full((2, 2, 1), 0.9)
-    prior = np.zeros(1), np.array([[0.5]]), np.array([[[1.0]]])
-    law, _ = lemmas.weigh(Sensed(*prior, Moments(np.full((2, 1), 0.2), cross, spread)), np.ones(2))
-    gain = cross[..., 0] @ np.linalg.pinv(spread[..., 0])
-    assert_allclose(law.mean[:, 0], 0.5 + gain @ [0.8, 0.8], rtol=1e-12)
-    assert_allclose(law.cov[..., 0], 1 - gain @ cross[..., 0].T, rtol=1e-12)
-
-
-def test_decision_and_estimate_minimise_the_criterion():
-    """(3.1), (3.2): the criterion (1.7) itself, minimised without any formula, is least there."""
-    chance, means, covs, sensed = three_modes(1, 1)
-    mode, estimate = lemmas.decide(lemmas.weigh(sensed, np.array([0.3]))[0])
-    axis = np.linspace(-14, 14, 4001)
-    both = np.stack([axis, np.full_like(axis, 0.3)], axis=-1)
-    density = np.array([
-        c * multivariate_normal(means[:, i], covs[..., i]).pdf(both) for i, c in enumerate(chance)
-    ])  # fmt: skip
-    density /= density.sum()
-    for weight in (0.1, 1.0, 20.0):
-        least = []
-        for i in range(3):
-
-            def loss(place, i=i, weight=weight):
-                return (density * weight * (axis - place) ** 2).sum() + 1 - density[i].sum()
-
-            best = minimize_scalar(loss, bracket=(-3, 3))
-            least.append(best.fun)
-            assert best.x == pytest.approx(estimate[0], abs=1e-5)
-        assert np.argmin(least) == mode
 
 
 # Lemmas 3, 4 and 6 with dependent noises: (6.23), (6.27), (6.35)

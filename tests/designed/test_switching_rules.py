@@ -5,10 +5,8 @@ import pytest
 import sympy
 from numpy.testing import assert_allclose
 
-from oracles.wave import wave
 from seedslib.design import synthesize
-from seedslib.designed import Memory, SwitchingFilter, SwitchingRules, large_order, lemmas
-from seedslib.filters import GridBayesFilter
+from seedslib.designed import SwitchingFilter, SwitchingRules, large_order, lemmas
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
 from seedslib.models import Noise, StochasticMap, SwitchingSystem
 
@@ -194,28 +192,6 @@ def test_array_functions_are_the_formulas(dependent):
     assert_allclose(one.fits[-1].gain, two.fits[-1].gain, atol=1e-9)
 
 
-def test_indicator_of_array_functions_that_changes_with_time_cannot_split():
-    def shown(more):
-        return [
-            StochasticMap.from_functions(
-                1, 1, lambda t, x, w: x + w, Noise((w,)),
-                weight=lambda t, x, w, k=k: abs(k - 1 / (2 + x[0] ** 2 + more(t))),
-            )
-            for k in (0, 1)
-        ]  # fmt: skip
-
-    move = StochasticMap((x,), [x / 2 + v], Noise((v,)), sympy.Integer(1))
-    still, *moving = (
-        SwitchingSystem.from_maps([[move]], [shown(more)], [(1, [0.3], [[1.0]])], indicator=True)
-        for more in (lambda t: 0.0, lambda t: 1e-9 * t, lambda t: (0.0, 1.0)[int(t)])
-    )
-    assert SwitchingFilter(still, GaussHermite(3)).rules.split is True
-    for system in moving:
-        with pytest.raises(ValueError, match="split"):
-            SwitchingFilter(system, GaussHermite(3))
-        assert SwitchingFilter(system, GaussHermite(3), split=False).rules.split is False
-
-
 def test_rules_of_points_mend_probabilities_and_variances():
     """Negative weights may leave a sum that is not one and a variance below zero; it is counted."""
     record = np.array([[0.4, -2.0, np.nan]])
@@ -238,28 +214,3 @@ def test_rules_of_points_mend_probabilities_and_variances():
     assert found.mended == 6
     assert wanted.mended == 5
     assert_allclose(found.mean, wanted.mean, rtol=1e-9)
-
-
-def test_missing_measurement_is_remembered_as_its_mean_over_the_modes():
-    """Weighed by what the modes are without it, per path; a known one as it is."""
-    rules = SwitchingRules(system(), ExactGaussian())
-    before = law(2)
-    ahead = ModeLaw(*(part[..., None, :] for part in before))
-    state = rules.start((2,))._replace(index=0, time=NOW, law=ahead)
-    found = rules.correct(state, np.array([[np.nan, 0.7]]), None, Memory(1, 1))
-    prob, mean, _ = parts(before)
-    expected = prob[0] * (mean[0] + NOW) + prob[1] * (2 * mean[1] - 1)
-    assert_allclose(found.past.measurements[0][0], [expected[0], 0.7], rtol=1e-12)
-    assert_allclose(found.past.estimates[0][0, 0], (prob * mean).sum(axis=0)[0], rtol=1e-12)
-
-
-def test_filter_of_the_new_mode_is_near_the_bayes_filter_and_the_other_timing_is_not():
-    system, times = wave(), np.arange(10.0)
-    record = system.simulate(times, 100, 5).measurements
-    exact = GridBayesFilter(system, (-10.0, 10.0, 121)).run(times, record)
-    near, far = (
-        SwitchingFilter(wave(drives), GaussHermite(5)).run(times, record)
-        for drives in ("new", "old")
-    )
-    apart = [np.sqrt(np.mean((f.mean - exact.mean) ** 2)) for f in (near, far)]
-    assert apart[0] < 0.25 < apart[1]

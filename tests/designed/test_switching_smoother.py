@@ -220,29 +220,6 @@ def scalar(switch=STAY, laws=LAWS, moves=SCALAR, sees=SEES, **options):
     )
 
 
-def assert_alike(one, two, rtol=1e-9):
-    for run in (
-        lambda f: f.run(TIMES[:5], RECORD, covariances=True),
-        lambda f: smooth(f, TIMES[:5], RECORD),
-    ):
-        found, wanted = run(SwitchingFilter(one, Taylor())), run(SwitchingFilter(two, Taylor()))
-        for name in ("mean", "cov", "loglik"):
-            assert_allclose(getattr(found, name), getattr(wanted, name), rtol=rtol, atol=1e-12)
-        assert_allclose(found.mode_prob[:, :2], wanted.mode_prob, rtol=rtol, atol=1e-12)
-
-
-@pytest.mark.parametrize("drives", ["old", "new"])
-def test_mode_that_nothing_leads_to_changes_nothing(drives):
-    wide = [[*row, 0] for row in STAY] + [[0.2, 0.8, 0]]
-    three = scalar(wide, [*LAWS, (0, [5.0], [[1.0]])], drives=drives)
-    assert_alike(three, scalar(drives=drives))
-
-
-def test_modes_that_always_change_swap_what_drives():
-    swap = [[0, 1], [1, 0]]
-    assert_alike(scalar(swap, drives="new"), scalar(swap, moves=SCALAR[1::-1]))
-
-
 def test_smoother_with_the_new_mode_is_that_of_pairs_of_modes():
     """(old, new) with the old one driving is new with the new driving: exactly, at a first step."""
     start, chain = np.array([0.6, 0.4]), np.array(STAY)

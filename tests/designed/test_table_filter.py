@@ -18,8 +18,7 @@ from seedslib.design import (
     simulated_synthesis,
 )
 from seedslib.designed import Memory, MinimaxFilter, TableFilter, finite_memory, large_order
-from seedslib.filters import KalmanFilter
-from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 TIMES = 0.25 * np.arange(5)
 FLIP = {"x": (-3.5, 3.5, 71), "z": (-2.5, 2.5, 51), "y": (-8.0, 8.0, 49)}
@@ -166,6 +165,9 @@ def test_order_change_and_size_of_tables(table):
     parts = [part for each in tables for part in each[1:] if part is not None]
     assert table.bytes == sum(part.nbytes for part in parts)
     assert isinstance(table, TableFilter)
+    said = [f"{a.count} nodes from {a.low:g} to {a.high:g}" for a in table.steps[1].shown.axes
+            if isinstance(a, Axis)]  # fmt: skip
+    assert all(each in str(table) for each in said)
     some = table.taking([0, 1])
     assert_array_equal(some.predicted.rms[0], table.predicted.rms[0])
     assert_array_equal(some.changes, table.changes[:, :2])
@@ -188,32 +190,6 @@ def test_missing_measurement_leaves_the_conditional_mean():
         assert abs(states.mean() - forecast.mean()) < 4 * states.std() / same.sum() ** 0.5
         rate, share = (data.modes[1, same] == 1).mean(), found.mode_prob[1, 1].mean()
         assert abs(rate - share) < 4 * (rate * (1 - rate) / same.sum()) ** 0.5
-
-
-def test_missing_pieces_cost_what_they_tell():
-    """Each estimate is a conditional mean: its error is orthogonal to it; each piece helps."""
-    system = zoo.dependent_switching()
-    filter = grid_synthesis(system, large_order(1), [0.0, 1.0], **HINTED)
-    data = system.simulate([0.0, 1.0], 50_000, 4)
-    found = {}
-    for name in ("both", "measurement", "indicator", "neither"):
-        y, told = data.measurements.copy(), data.indicators.copy()
-        if name in ("indicator", "neither"):
-            y[1] = np.nan
-        if name in ("measurement", "neither"):
-            told[1] = -1
-        run = filter.run([0.0, 1.0], y, indicators=told)
-        error = (data.states - run.mean)[1, 0]
-        for part in (1.0, run.mean[1, 0], run.modes[0] == 1):
-            off = error * part
-            assert abs(off.mean()) < 4 * off.std() / 50_000**0.5 + 2e-3
-        found[name] = (error**2).mean(), (run.modes != data.modes)[1].mean()
-    for better, worse in (
-        ("both", "measurement"), ("both", "indicator"), ("indicator", "neither"),
-        ("measurement", "neither"),
-    ):  # fmt: skip
-        assert found[better][0] < 0.99 * found[worse][0]
-        assert found[better][1] < found[worse][1]
 
 
 def test_forecasts_go_by_the_nodes_to_the_next_measurement():
@@ -329,25 +305,3 @@ def test_minimax_filter_is_its_regressions_written_out(correction):
     missing[2] = np.nan
     with pytest.raises(ValueError, match=r"^y"):
         filter.run(times, missing)
-
-
-def test_minimax_filter_of_a_linear_system_is_near_the_kalman_filter():
-    linear = LinearSystem(
-        [[1.0, 0.5], [0.0, 0.9]], np.diag([0.1, 0.4]), [[1, 0]], 0.5, [0, 0], np.eye(2)
-    )
-    a, b, p, q, r = sympy.symbols("a b p q r", real=True)
-    noise = Noise((p, q), cov=np.diag([0.1, 0.4]))
-    system = DiscreteSystem(
-        StochasticMap((a, b), [a + b / 2 + p, 0.9 * b + q], noise),
-        StochasticMap((a, b), [a + r], Noise((r,), cov=[[0.5]])), [0, 0], np.eye(2),
-    )  # fmt: skip
-    times = np.arange(8.0)
-    made = minimax_synthesis(system, Memory(1), times, paths=50_000, seed=2)
-    y = linear.simulate(times, 200, 5).measurements
-    wanted, found = KalmanFilter(linear).run(times, y), made.run(times, y, covariances=True)
-    assert np.sqrt(np.mean((found.mean - wanted.mean) ** 2)) < 0.01
-    assert_allclose(found.cov, wanted.cov, atol=0.02)
-    y[4, :, 1] = np.nan
-    with pytest.warns(UserWarning, match="1 of 200 records have gaps"):
-        gap = made.run(times, y, covariances=True).mean
-    assert_allclose(gap[4, :, 1], KalmanFilter(linear).run(times, y).mean[4, :, 1], atol=0.05)
