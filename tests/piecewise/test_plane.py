@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from oracles.linear import Linear, kalman
 from oracles.piecewise import TIMES, lozi, plane_posterior, plane_system, records, tent
 from seedslib.piecewise import PiecewiseLinearFilter, PiecewiseLinearSystem, line_cells
 
@@ -63,14 +64,24 @@ def test_a_map_of_rank_one_in_the_plane_agrees_with_the_line(slopes):
     np.testing.assert_allclose(other.mode_prob, one.mode_prob, atol=1e-10)
 
 
-def test_a_long_record_of_a_plane_map_stays_consistent():
-    """Regions get coordinates of their own where the law becomes small beside them."""
-    runs = lozi().simulate(24, 3, 4)
-    found = PiecewiseLinearFilter(lozi(), keep=5).run(24, runs.measurements)
-    error = (runs.states - found.mean)[1:, 0] ** 2 / found.cov[1:, 0, 0]
-    assert 0.6 < error.mean() < 1.6
-    assert np.isfinite(found.loglik).all()
-    assert (np.einsum("tiin->tin", found.cov) >= 0.0).all()
+@pytest.mark.parametrize("lines", [([[], []], []), ([[1.0], [0.0]], [-1.0])])
+def test_a_long_record_of_a_linear_map_is_the_kalman_filter_s(lines):
+    """Steps stretch by 1e9 and shrink by 1e19: regions need coordinates of their own."""
+    A, a, H = np.array([[-1.7, 1.0], [0.5, 0.0]]), np.array([0.2, -0.1]), np.array([[1.0, 0.3]])
+    system = PiecewiseLinearSystem(
+        line_cells(*lines), (a, A), ([0.0], H), [[0.3]], [0.1, 0.1], [[0.3, 0.05], [0.05, 0.2]]
+    )
+    y = system.simulate(34, 1, 0).measurements[..., 0]
+    model = Linear(
+        [A] * 34, [a] * 34, [np.zeros((2, 2))] * 34, np.array([H] * 35), np.zeros((35, 1)),
+        np.full((35, 1, 1), 0.09), system.mean0, system.cov0,
+    )  # fmt: skip
+    found, wanted = PiecewiseLinearFilter(system, keep=12).run(34, y), kalman(model, y)
+    scale = np.sqrt(np.einsum("kii->ki", wanted.cov))
+    np.testing.assert_allclose(found.mean / scale, wanted.mean / scale, atol=2e-4)
+    outer = np.einsum("ki,kj->kij", scale, scale)
+    np.testing.assert_allclose(found.cov / outer, wanted.cov / outer, atol=1e-3)
+    np.testing.assert_allclose(found.loglik, wanted.loglik, atol=1e-5)
 
 
 @pytest.mark.parametrize("spread", [(0.0, 0.0), (0.3, 0.0), (0.0, 0.3)])
