@@ -57,27 +57,51 @@ def modes(memory, **options):
 GRID = "--times 0:1.5:0.5 --nodes 1"
 DESIGNS = [
     ("oscillator", f"estimates=1 {GRID}", plain()),
-    ("oscillator", f"estimates=1,measurements=1 {GRID} --linearization unscented:1,2,0 "
-     "--predictor polynomial:2,1 --seed 7 --components 1 --workers 2",
-     plain(Memory(1, 1), Unscented(1, 2, 0), predictor=Polynomial(2, 1), seed=7, components=1)),
-    ("oscillator", "measurements=2 --times @days.csv --linearization cubature --verbose",
-     plain(finite_memory(2), Cubature(), [0, 0.5, 1.5], nodes=4)),
+    (
+        "oscillator",
+        f"estimates=1,measurements=1 {GRID} --linearization unscented:1,2,0 "
+        "--predictor polynomial:2,1 --seed 7 --components 1 --workers 2",
+        plain(Memory(1, 1), Unscented(1, 2, 0), predictor=Polynomial(2, 1), seed=7, components=1),
+    ),
+    (
+        "oscillator",
+        "measurements=2 --times @days.csv --linearization cubature --verbose",
+        plain(finite_memory(2), Cubature(), [0, 0.5, 1.5], nodes=4),
+    ),
     ("oscillator", f"small_order {GRID} --predictor continuous", plain(predictor=Continuous())),
-    ("oscillator", f"small_order {GRID} --availability 0.8,1 --measured y2=0:1:1",
-     plain(availability=[0.8, 1.0], measured=mask([1, 3], [1, 1]))),
+    (
+        "oscillator",
+        f"small_order {GRID} --availability 0.8,1 --measured y2=0:1:1",
+        plain(availability=[0.8, 1.0], measured=mask([1, 3], [1, 1])),
+    ),
     ("oscillator", f"small_order {GRID} --measured 0,1", plain(measured=mask([[1], [3]], [0, 1]))),
-    ("oscillator", "small_order --times @days.csv:day --unit days --nodes 1",
-     plain(times=[0, 1, 3])),
-    ("oscillator", "small_order --times @days.csv:day --unit hours --epoch 2019-12-31 --nodes 0",
-     plain(times=[24, 48, 96], nodes=0)),
-    ("flip", "small_order --nodes 1 --table y=-8:8:9 z=-3:3:7",
-     lambda system: tabulated(plain(times=[0, 0.25, 0.5])(system), y=(-8, 8, 9), z=(-3, 3, 7))),
-    ("flip", "small_order --times 0:3:.25 --nodes 1 --stationary 9 --cycle 2",
-     lambda system: stationary(plain(times=0.25 * np.arange(13))(system), 9.0, cycle=2, seed=1)),
+    (
+        "oscillator",
+        "small_order --times @days.csv:day --unit days --nodes 1",
+        plain(times=[0, 1, 3]),
+    ),
+    (
+        "oscillator",
+        "small_order --times @days.csv:day --unit hours --epoch 2019-12-31 --nodes 0",
+        plain(times=[24, 48, 96], nodes=0),
+    ),
+    (
+        "flip",
+        "small_order --nodes 1 --table y=-8:8:9 z=-3:3:7",
+        lambda system: tabulated(plain(times=[0, 0.25, 0.5])(system), y=(-8, 8, 9), z=(-3, 3, 7)),
+    ),
+    (
+        "flip",
+        "small_order --times 0:3:.25 --nodes 1 --stationary 9 --cycle 2",
+        lambda system: stationary(plain(times=0.25 * np.arange(13))(system), 9.0, cycle=2, seed=1),
+    ),
     ("target", "estimates=1,log_odds --linearization taylor", modes(Memory(1, log_odds=True))),
-    ("target", "estimates=1 --linearization taylor --measured indicator=0,3",
-     modes(Memory(1), measured=mask([1, 2], [1, 1]))),
-]  # fmt: skip
+    (
+        "target",
+        "estimates=1 --linearization taylor --measured indicator=0,3",
+        modes(Memory(1), measured=mask([1, 2], [1, 1])),
+    ),
+]
 
 
 @pytest.mark.filterwarnings("ignore:paths", "ignore:availability", "ignore:cov0")

@@ -21,6 +21,8 @@ FILES = {
     "flip.py": "from seedslib import zoo\nsystem = zoo.flip_process()\ntimes = (0, 0.5)\n",
     "target.py": "from seedslib import zoo\nsystem = zoo.manoeuvring_target('noisy')\n"
     "times = range(4)\n",
+    "none.py": "x = 1\n",
+    "exits.py": "import sys\nsys.exit(3)\n",
     "number.py": "filter = 3\n",
     "wrong.py": "\n\nx = 1 / 0\n",
     "mine.py": LEVEL + "from seedslib.filters import Filter\nclass Mine(Filter):\n"
@@ -60,6 +62,15 @@ flip.py --predictor polynomial:0 | predictor
 flip.py --times 0:1:0 | times
 flip.py --times @days.csv:day | days.csv, column day
 flip.py --table y=1:0:3 | table
+flip.py --times 0:1:1 --unit days | unit
+flip.py --table y=-3:3:9 --availability .9 | table
+flip.py --availability often | availability
+flip.py --measured y2=0:2:1 | measured
+flip.py --measured 0:1 | measured
+flip.py --out . | out
+level.py | times
+none.py | none.py, system
+exits.py | exits.py, line 2
 flip.py --components 2 | components
 flip.py --paths 2 | paths
 flip.py --seed -1 | seed
@@ -74,6 +85,13 @@ missing.py | missing.py
 wrong.py | wrong.py, line 3
 """
 FILTER = """
+level.py d.csv | kind
+level.py d.csv --kind KalmanFilter --set q | set
+number.py d.csv --kind KalmanFilter | number.py, system
+table.npz table.npz | table.npz
+plain.npz d.csv --kind KalmanFilter | kind
+flip.py d.csv --kind extended_kalman --forecast 1 --every 0 | every
+flip.py d.csv --kind extended_kalman --time t --columns b | d.csv, b
 level.py d.csv --kind ekf | kind
 flip.py d.csv --kind KalmanFilter | flip.py, system
 level.py d.csv --kind KalmanFilter --particles 5 | particles
