@@ -136,13 +136,6 @@ def test_a_useless_linearization_is_worse_than_a_constant_and_than_its_forecasts
     assert len(worse) == len(forecast) == 1
     ratio = made.held_out.rms[:, 0] / made.held_out.deviation[:, 0]
     assert (ratio > 1).mean() > 0.5
-    # the worst time is named with its numbers
-    k = int(np.argmax(ratio))
-    assert f"time {k}: {made.held_out.rms[k, 0]:.4g}" in worse[0]
-    assert f"for {made.held_out.deviation[k, 0]:.4g}" in worse[0]
-    ahead = np.sqrt([fit.cov[0, 0] for fit in made.fits])
-    k = int(np.argmax(made.predicted.rms[1:, 0] / ahead))
-    assert f"for {ahead[k]:.4g}" in forecast[0]
     _, said = heard(lambda: synthesize(flat, Memory(1), ExactGaussian(), STEPS, paths=5000, seed=0))
     assert not said
 
@@ -156,7 +149,6 @@ def test_a_cubic_forecast_with_a_long_memory_diverges_on_other_paths(tmp_path):
     assert np.sqrt(np.mean(error**2)) > 3 * made.predicted.rms.mean()
     assert any("diverged on" in text for text in said)
     assert made.held_out.diverged > 0
-    assert f"{made.held_out.diverged} of them diverged" in str(made)
     short, said = heard(lambda: synthesize(system, Memory(1), Unscented(), times, **options))
     assert not said
     assert short.held_out.diverged == 0

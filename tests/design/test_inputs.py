@@ -66,6 +66,7 @@ def test_inputs_of_a_simulated_design_are_a_course_of_time(kind, rate):
 
 
 @pytest.mark.parametrize("kind", [continuous, switching])
+@pytest.mark.filterwarnings("ignore::UserWarning")
 def test_inputs_of_an_exact_design_are_a_course_of_time(kind):
     """In tables, their runs, their risk, and affine designs; in forecasts between too."""
     times, told, written, given = both(kind)
@@ -80,6 +81,14 @@ def test_inputs_of_an_exact_design_are_a_course_of_time(kind):
     np.testing.assert_allclose(risk.mse, wanted.covariances[:, 0, 0], rtol=1e-9)
     if kind is switching:
         np.testing.assert_allclose(risk.mode_error, wanted.predicted.mode_rate, rtol=1e-9)
+        more, axes = (
+            {"paths": 1500, "seed": 3},
+            {"x": (-14, 14, 57), "z": (-12, 12, 17), "y": (-16, 16, 49)},
+        )
+        one = synthesize(told, Memory(1), Taylor(), times, **given, **more)
+        two = synthesize(written, Memory(1), Taylor(), times, **more)
+        risk, wanted = grid_risk(one, **given, **axes), grid_risk(two, **axes)
+        np.testing.assert_allclose(risk.mse, wanted.mse, rtol=1e-8)
         return
     made, risk = affine_synthesis(told, Memory(1), Taylor(), times, **given, **AXES)
     other, wanted = affine_synthesis(written, Memory(1), Taylor(), times, **AXES)

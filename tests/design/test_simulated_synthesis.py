@@ -7,7 +7,7 @@ import sympy
 from seedslib import zoo
 from seedslib.design import grid_risk, grid_synthesis, optimal_risk, simulated_synthesis
 from seedslib.designed import Memory, large_order
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
 x, q, v, w, r, s, t = sympy.symbols("x q v w r s t")
 TIMES = 0.25 * np.arange(5)
@@ -122,7 +122,7 @@ def test_two_components_two_measurements_and_default_axes():
     """Unlike components, time, a late start: axes reach a tenth of the range beyond the paths."""
     times = [3.0, 4.0]
     moves = StochasticMap([x, q], [x + q / 2 + v, q - x / 3 + w], Noise((v, w)))
-    sensor = StochasticMap([x, q], [x + r * t / 4, 5 * q + s], Noise((r, s)))
+    sensor = StochasticMap([x, q], [x + r * (t - 2.5), 5 * q + s], Noise((r, s)))
     system = DiscreteSystem(moves, sensor, [1.0, -2.0], [[1.0, 0.2], [0.2, 2.0]])
     z, y = [(-7, 8, 11), (-9, 6, 11)], [(-7, 9, 21), (-45, 30, 61)]
     made = simulated_synthesis(
@@ -151,38 +151,9 @@ def test_two_components_two_measurements_and_default_axes():
 
 @pytest.mark.filterwarnings("ignore:held out:UserWarning")
 def test_diverged_paths_are_left_out_and_counted():
-    system = JumpDiffusion.from_functions(
-        lambda t, x: np.where(np.abs(x) > 1.5, x**9, -x),
-        lambda t, x: np.ones((1, 1, *x.shape[1:])),
-        StochasticMap.from_functions(
-            1,
-            1,
-            lambda t, x, v: x + v,
-            Noise(1),
-            log_density=lambda t, y, x: (-0.5 * (y - x) ** 2)[0],
-        ),
-        [0.0],
-        [[0.3]],
-        step=0.05,
-    )
+    system = JumpDiffusion((x,), [x**9 - x], [[1]], [x + v], Noise((v,)), [0], [[0.3]], step=0.05)
     with pytest.warns(UserWarning, match="paths"):
         made = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
     assert 0 < made.design.diverged < 2000
     assert made.design.paths == 4000
     assert np.isfinite(made.steps[1].shown.estimate).all()
-
-
-def test_a_sensor_without_density_takes_the_histogram_of_a_linear_system_to_kalman():
-    """The same system as array functions, which know no density."""
-    noise = Noise(1)
-    move = StochasticMap.from_functions(1, 1, lambda t, x, v: 0.9 * x + 0.4 * v, noise)
-    show = StochasticMap.from_functions(1, 1, lambda t, x, v: x + 0.7 * v, noise)
-    system = SwitchingSystem.from_maps([[move]], [[show]], [(1.0, [0.3], [[0.8]])])
-    made = simulated_synthesis(
-        system, large_order(1), range(3), paths=12_000, seed=1, method="histogram"
-    )
-    variance = 0.8
-    for k in range(3):
-        variance = variance * 0.49 / (variance + 0.49)
-        assert made.predicted.rms[k, 0] ** 2 == pytest.approx(variance, rel=0.06)
-        variance = 0.81 * variance + 0.16
