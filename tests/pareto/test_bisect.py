@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from seedslib.pareto import bisect, compromise
+from seedslib.pareto import bisect
 
 
 def test_the_trace_of_a_cube_against_a_square_by_hand():
@@ -33,15 +33,3 @@ def test_a_segment_of_the_plane_in_other_units():
     assert found.converged
     short = bisect(lambda x: [c(x) for c in criteria], first, second, steps=4)
     assert (len(short.points), short.converged) == (4, False)
-
-
-def test_opposite_monotone_criteria_have_one_point_of_equal_losses():
-    rng = np.random.default_rng(5)
-    for _ in range(10):
-        knots = np.r_[0.0, np.sort(rng.random(6)), 1.0]
-        up, down = np.r_[0.0, np.cumsum(rng.random(7))], np.r_[np.cumsum(rng.random(7))[::-1], 0.0]
-        criteria = [lambda x, k=knots, y=y: float(np.interp(x, k, y)) for y in (up, down)]
-        found, trace = compromise(criteria, 0.0, 1.0), bisect(criteria, 0.0, 1.0)
-        assert (found.status, found.unimodal, trace.converged) == ("equal losses", True, True)
-        assert np.ptp(found.losses) <= 1e-12
-        assert abs(trace.x - found.x) <= 1e-10

@@ -106,6 +106,9 @@ def test_plateaus_are_searched_for_what_is_best_for_the_other_criterion():
     assert not both.unimodal
     assert both.x == pytest.approx(0.3, abs=1e-9)
     np.testing.assert_allclose(both.losses, [0.375, 0.5], atol=1e-9)
+    narrow = lambda x: max(abs(x - 2.63) - 1.65e-3, 0.0)  # noqa: E731
+    found = compromise([narrow, lambda x: x], 1.0, 4.0, scan=5)  # from a thousandth on it counts
+    assert found.minimizers[0] == pytest.approx(2.63 - 1.65e-3, abs=1e-9)
     for goal in (0.375, 0.625):  # no plateau reaches over a bump
         bumpy = lambda x: max(0.0, abs(x - 0.5) - 0.4) + max(0.0, 0.01 - abs(x - 0.375))  # noqa: E731
         found = compromise([bumpy, lambda x, g=goal: (x - g) ** 2], 0.0, 1.0, scan=17)
@@ -193,3 +196,10 @@ def test_random_quadratics_in_a_box_against_a_scan():
         assert worst.min() - 0.03 < found.worst <= worst.min() + 1e-9
         assert found.efficiency == "full"
         np.testing.assert_allclose(found.minimizers, centres, atol=1e-6)
+
+
+def test_the_better_of_two_wells_in_a_box_is_found():
+    """From several starts: the centre lies on the way to the worse one."""
+    wells = lambda z, tilt: float((z[0] + 1.2) ** 2 * (z[0] - 5.1) ** 2 + tilt * z[0])  # noqa: E731
+    found = compromise([lambda z: wells(z, 0.4), lambda z: wells(z, -0.4)], [-3.0], [7.0])
+    np.testing.assert_allclose(found.minimizers, [[-1.205], [5.105]], atol=2e-3)
