@@ -18,8 +18,8 @@ def folder(tmp_path, monkeypatch):
 def run(capsys, monkeypatch):
     """Run ``python -m seedslib`` with a line of words; its exit code and what it prints."""
 
-    def run(line, *more):
-        monkeypatch.setattr(sys, "argv", ["seedslib", *line.split(), *map(str, more)])
+    def run(line):
+        monkeypatch.setattr(sys, "argv", ["seedslib", *line.split()])
         capsys.readouterr()
         with pytest.raises(SystemExit) as end:
             runpy.run_module("seedslib", run_name="__main__")

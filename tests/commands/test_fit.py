@@ -60,8 +60,9 @@ def test_a_fit_without_information_does_not_converge(run, folder):
 
 @pytest.mark.filterwarnings("ignore:x. more than")
 def test_a_grid_is_made_anew_for_each_value(run, folder):
-    for kind in ("GridBayesFilter --grid x=-20:20:121", "KalmanFilter"):
-        assert run(f"fit level.py walk.csv --set q=1. --out {kind[0]}.json --kind {kind}")[0] == 0
+    (folder / "few.csv").write_text("".join((folder / "walk.csv").open().readlines()[:16]))
+    for kind in ("GridBayesFilter --grid x=-12:12:61", "KalmanFilter"):
+        assert run(f"fit level.py few.csv --set q=1. --out {kind[0]}.json --kind {kind}")[0] == 0
     grid, exact = (json.loads((folder / f"{name}.json").read_text()) for name in "GK")
     assert grid["loglik"] == pytest.approx(exact["loglik"], abs=1e-3)
     assert grid["values"]["r"] == pytest.approx(exact["values"]["r"], rel=1e-2)

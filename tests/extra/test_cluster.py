@@ -20,12 +20,8 @@ from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 
 TIMES = 0.5 * np.arange(3)
 BASE = {"paths": 17_000, "seed": 5, "step": 0.1, "nodes": 1}
-QUIET = {
-    "dashboard_address": None,
-    "silence_logs": 50,
-    "threads_per_worker": 1,
-    "scheduler_kwargs": {"dashboard_address": "127.0.0.1:0"},
-}
+QUIET = {"dashboard_address": None, "silence_logs": 50, "threads_per_worker": 1}
+QUIET["scheduler_kwargs"] = {"dashboard_address": "127.0.0.1:0"}
 
 
 def running(size, processes):
@@ -43,11 +39,6 @@ def processes():
     yield from running(2, True)
 
 
-@pytest.fixture(scope="module")
-def inside():
-    yield from running(1, False)
-
-
 def numbers(filter):
     """All numbers of a design, as bytes."""
     fits = [*filter.fits, *(fit for row in getattr(filter, "node_fits", ()) for fit in row)]
@@ -55,31 +46,30 @@ def numbers(filter):
     return [np.asarray(part).tobytes() for part in parts if part is not None]
 
 
-def functions():
-    """A system of array functions that only closures know."""
-    move = StochasticMap.from_functions(
-        1, 1, lambda t, x, v: 0.9 * x + np.sin(x) / (1 + t) + v, Noise(1)
-    )
+def functions(mark="none", parent=0):
+    """A system of array functions that only closures know; they may end the process of a worker.
+
+    From the second step on, while the file `mark` is there, which the first to die takes away.
+    """
+
+    def move(t, x, v):
+        if t >= 1.0 and os.getpid() != parent:
+            with contextlib.suppress(FileNotFoundError):
+                os.remove(mark)
+                os._exit(9)
+        return 0.9 * x + np.sin(x) / (1 + t) + v
+
+    dynamics = StochasticMap.from_functions(1, 1, move, Noise(1))
     sensor = StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, Noise(1))
-    return DiscreteSystem(move, sensor, [0], [[1]])
+    return DiscreteSystem(dynamics, sensor, [0], [[1]])
 
 
 def bounded():
     """Jumps, an initial law by a closure, and paths that run away."""
     x, z, v = sympy.symbols("x z v")
-    return JumpDiffusion(
-        (x,),
-        [x**3 - x],
-        [[0.1]],
-        [x + v],
-        Noise((v,)),
-        [0],
-        [[0.09]],
-        intensity=x**2 + 0.1,
-        jump=[z],
-        marks=Noise((z,), cov=[[0.01]]),
-        initial=lambda rng, count: rng.standard_normal((1, count)) * 0.3,
-    )
+    jumps = {"intensity": x**2 + 0.1, "jump": [z], "marks": Noise((z,), cov=[[0.01]])}
+    law = {"initial": lambda rng, count: rng.standard_normal((1, count)) * 0.3, **jumps}
+    return JumpDiffusion((x,), [x**3 - x], [[0.1]], [x + v], Noise((v,)), [0], [[0.09]], **law)
 
 
 PLAIN = {"paths": 17_000, "seed": 5}
@@ -88,7 +78,6 @@ DESIGNS = {
     "affine": (OSCILLATOR, Memory(2), EXACT, TIMES, {"measured_nodes": True}),
     "polynomial": (OSCILLATOR, Memory(1, 1), EXACT, TIMES, {"predictor": Polynomial(2, 2)}),
     "continuous": (OSCILLATOR, Memory(1), EXACT, TIMES, {"predictor": Continuous()}),
-    "few paths": (OSCILLATOR, Memory(1), Taylor(), TIMES, {"paths": 500}),
     "lost paths": (bounded, Memory(1), EXACT, TIMES, {"bound": 1.2, "step": 0.02}),
     "functions": (functions, Memory(2), Cubature(), np.arange(4), {}),
     "modes": (zoo.manoeuvring_target, Memory(0, 1, 1), Taylor(), np.arange(3.0), {}),
@@ -121,39 +110,23 @@ def test_an_address_is_enough_and_a_client_is_left_open(processes):
     assert processes.client.status == "running"
 
 
-def test_an_error_of_the_work_comes_home(inside):
+def test_an_error_of_the_work_comes_home_and_leaves_the_cluster_fit():
+    """With the worker in this process."""
+
     def sampler(rng, count):
         raise ArithmeticError("no such law")
 
     x, v = sympy.symbols("x v")
     system = JumpDiffusion((x,), [-x], [[1]], [x + v], Noise((v,)), [0], [[1]], initial=sampler)
-    with pytest.raises(ArithmeticError, match="no such law"):
-        synthesize(system, Memory(1), Taylor(), TIMES, workers=inside, **BASE)
-    # and leaves the cluster fit for the next design
-    assert numbers(plain(workers=inside)) == numbers(plain())
-
-
-def deadly(mark, parent):
-    """A system whose dynamics end the process of a worker, from the second step on.
-
-    Only for as long as the file `mark` is there, which the first to die takes away.
-    """
-
-    def move(t, x, v):
-        if t >= 1.0 and os.getpid() != parent:
-            with contextlib.suppress(FileNotFoundError):
-                os.remove(mark)
-                os._exit(9)
-        return 0.9 * x + v
-
-    dynamics = StochasticMap.from_functions(1, 1, move, Noise(1))
-    sensor = StochasticMap.from_functions(1, 1, lambda t, x, v: x + v, Noise(1))
-    return DiscreteSystem(dynamics, sensor, [0], [[1]])
+    for workers in running(1, False):
+        with pytest.raises(ArithmeticError, match="no such law"):
+            synthesize(system, Memory(1), Taylor(), TIMES, workers=workers, **BASE)
+        assert numbers(plain(workers=workers)) == numbers(plain())
 
 
 def test_a_lost_worker_changes_nothing(processes, tmp_path):
     mark = tmp_path / "mark"
-    system = deadly(str(mark), os.getpid())
+    system = functions(str(mark), os.getpid())
     here = synthesize(system, Memory(2), Cubature(), np.arange(4), **PLAIN)
     mark.touch()
     there = synthesize(system, Memory(2), Cubature(), np.arange(4), workers=processes, **PLAIN)
@@ -164,7 +137,7 @@ def test_a_lost_worker_changes_nothing(processes, tmp_path):
 def test_a_lost_cluster_is_an_error(tmp_path):
     mark = tmp_path / "mark"
     mark.touch()
-    system = deadly(str(mark), os.getpid())
+    system = functions(str(mark), os.getpid())
     with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
         for workers in running(1, True):
             with pytest.raises(RuntimeError, match="cluster was lost"):

@@ -159,23 +159,13 @@ def record_in_c(name, text, real):
     modes = "put((double)s.mode);" if "int mode;" in text else ""
     if " prob[" in text:
         modes += " for (i = 0; i < @NAME_MODES; i++) put((double)s.prob[i]);"
+    rows = "@NAME_ESTIMATE" if "_ESTIMATE " in text else "@NAME_STATE"
+    told = ", told" * ("int indicator" in text)
+    marks = {"@STEP": whole, "@FORECAST": forecast, "@MODES": modes, "@LAST": last, "@TOLD": told}
+    marks |= {"@TIME": "t, " * timed, "@LATER": "9.0@F, " * timed, "@NOW": now, "@REAL": real}
+    marks |= {"@F": "F" * (real == "float"), "@INPUTS": inputs[1] if inputs else "1"}
     source = RECORD
-    for mark, part in (
-        ("@STEP", whole),
-        ("@FORECAST", forecast),
-        ("@MODES", modes),
-        ("@LAST", last),
-        ("@TOLD", ", told" * ("int indicator" in text)),
-        ("@NOW", now),
-        ("@REAL", real),
-        ("@TIME", "t, " * timed),
-        ("@LATER", "9.0@F, " * timed),
-        ("@F", "F" * (real == "float")),
-        ("@INPUTS", inputs[1] if inputs else "1"),
-        ("@ROWS", "@NAME_ESTIMATE" if "_ESTIMATE " in text else "@NAME_STATE"),
-        ("@NAME", name.upper()),
-        ("@name", name),
-    ):
+    for mark, part in {**marks, "@ROWS": rows, "@NAME": name.upper(), "@name": name}.items():
         source = source.replace(mark, part)
     return source
 

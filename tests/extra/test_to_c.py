@@ -13,7 +13,7 @@ import sympy
 from seedslib.design import synthesize
 from seedslib.designed import Memory
 from seedslib.extra import compiled, to_c
-from seedslib.filters import assumed_density, extended_kalman, unscented_kalman
+from seedslib.filters import extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from systems import growth, pendulum
@@ -91,20 +91,3 @@ def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
         known = compiled(make(redundant(3))).run(times, np.concatenate([y, constant], axis=1))
         np.testing.assert_allclose(known.mean[:, 0], 1.7, rtol=1e-12)
         assert np.abs(known.cov[:, 0]).max() < 1e-15
-
-
-def test_a_known_state_at_a_kink_is_a_number(quick):
-    """The formulas divide by the variance of what switches, which is zero to begin with."""
-    system = DiscreteSystem(
-        StochasticMap([a], [sympy.Abs(a) + sympy.sign(a) + v / 2], Noise([v])),
-        StochasticMap([a], [sympy.Min(a, 0) + w], Noise([w])),
-        mean0=0.0,
-        cov0=0.0,
-    )
-    times, y = np.arange(5.0), np.array([np.nan, 0.3, -0.2, np.nan, -1.0])[:, None]
-    filter = assumed_density(system)
-    wanted, found = filter.run(times, y), compiled(filter).run(times, y)
-    assert np.isfinite(wanted.cov).all()
-    for name in ("mean", "cov", "loglik"):
-        part, other = getattr(found, name), getattr(wanted, name)
-        np.testing.assert_allclose(part, other, rtol=1e-12, atol=1e-12)
