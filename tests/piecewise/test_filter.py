@@ -207,11 +207,11 @@ def test_a_sensor_without_noise_leaves_single_points():
 def test_a_very_sharp_sensor_keeps_the_digits_of_what_is_left():
     """One component is seen with an error of 1e-9; the other is missing in half of the records."""
     system = PiecewiseLinearSystem(
-        [-INF, INF], ([0.0, 0.0], np.eye(2)), ([0.0, 0.0], np.eye(2)), np.diag([1e-9, 0.5]),
+        [-INF, INF], ([0.0, 0.0], np.eye(2)), ([0.0, 0.0], np.eye(2)[::-1]), np.diag([0.5, 1e-9]),
         [0.0, 0.0], [[1.0, 0.3], [0.3, 2.0]],
     )  # fmt: skip
     y = np.full((2, 2, 4), np.nan)
-    y[1, 0], y[1, 1, :2] = 0.7, 0.2
+    y[1, 1], y[1, 0, :2] = 0.7, 0.2
     small, rest = 1e-18 / (1 + 1e-18), 2 - 0.09 / (1 + 1e-18)
     for batch in (y, y[..., 2:]):
         cov = PiecewiseLinearFilter(system).run(1, batch).cov[1]
