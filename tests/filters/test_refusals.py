@@ -114,6 +114,7 @@ ROWS = [
     (lambda: KALMAN.run(TWO, np.zeros((2, 2))), ValueError, "measurements"),
     (lambda: KALMAN.run(TWO, np.zeros(2)), ValueError, "measurements"),
     (lambda: KALMAN.run(TWO, [[0.0], [np.inf]]), ValueError, "measurements"),
+    (lambda: KALMAN.run(TWO, [[np.inf], [-np.inf]]), ValueError, "measurements"),
     (lambda: KALMAN.run(TWO, [["a"], ["b"]]), TypeError, "measurements"),
     (lambda: KALMAN.run(TWO, [[0.0], [0.0, 1.0]]), (TypeError, ValueError), "measurements"),
     (lambda: KALMAN.run(TWO, Y, modes=SHOWN), ValueError, "modes"),

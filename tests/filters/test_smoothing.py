@@ -178,15 +178,17 @@ def test_published_errors_of_the_pendulum(make, filtered, smoothed):
         assert error == pytest.approx(wanted, rel=1e-11)
 
 
-def test_record_beyond_the_bound_has_diverged_when_smoothed():
-    filter, y = extended_kalman(discrete_system()), record(linear_numbers())[1]
+@pytest.mark.parametrize(
+    ("make", "system"), [(extended_kalman, discrete_system), (KalmanFilter, linear_system)]
+)
+def test_record_beyond_the_bound_has_diverged_when_smoothed(make, system):
+    y = record(linear_numbers())[1]
     many = np.stack([y, y + 3.0, y - 3.0, 2 * y], axis=-1)
-    run = filter.run(TIMES, many, inputs=INPUTS)
+    run = make(system()).run(TIMES, many, inputs=INPUTS)
     largest = np.abs(run.mean).max(axis=(0, 1))
-    bound = np.sort(largest)[1:3].mean()
-    filter = extended_kalman(discrete_system(), bound=bound)
+    filter = make(system(), bound=np.sort(largest)[1:3].mean())
     smoothed = smooth(filter, TIMES, many, inputs=INPUTS)
-    np.testing.assert_array_equal(smoothed.diverged, largest > bound)
+    np.testing.assert_array_equal(smoothed.diverged, largest > filter.bound)
     assert smoothed.diverged.sum() == 2
 
 
