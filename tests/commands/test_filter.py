@@ -6,7 +6,7 @@ from scipy.stats import norm
 
 from seedslib import designed, filters, zoo
 from seedslib.base import Axis
-from seedslib.design import stationary, synthesize, tabulated
+from seedslib.design import synthesize
 from seedslib.designed import Memory, save
 from seedslib.linearization import Taylor, Unscented
 
@@ -198,19 +198,17 @@ def test_a_filter_that_diverges_leaves_cells_empty_and_says_so(filtered, run, re
     assert not [each for each in recwarn if issubclass(each.category, RuntimeWarning)]
 
 
-@pytest.mark.parametrize(
-    ("error", "code"),
-    [("MemoryError()", 2), ("ModuleNotFoundError(name='dask')", 2), ("KeyboardInterrupt()", 130)],
-)
-def test_what_ends_a_filter_is_said_in_one_line(run, folder, error, code):
-    own = "class Own:\n    def __init__(self):\n        self.system = system\n"
-    own += (
-        f"    def run(self, *_, **__):\n        raise {error}\n    record = run\nfilter = Own()\n"
-    )
+ENDS = {"MemoryError()": 2, "ModuleNotFoundError(name='dask')": 2, "KeyboardInterrupt()": 130}
+
+
+@pytest.mark.parametrize("error", ENDS)
+def test_what_ends_a_filter_is_said_in_one_line(run, folder, error):
+    own = "class Own:\n    def run(self, *_, **__):\n        raise " + error
+    own += "\n    record = run\nfilter = Own()\nfilter.system = system\n"
     (folder / "own.py").write_text(MODELS["level"] + own)
     (folder / "d.csv").write_text(PLAIN)
-    found, out, err = run("filter own.py d.csv --out x.csv")
-    assert (found, out, err.count("\n")) == (code, "", 1)
+    code, out, err = run("filter own.py d.csv --out x.csv")
+    assert (code, out, err.count("\n")) == (ENDS[error], "", 1)
 
 
 # Designed filters
@@ -251,16 +249,3 @@ def test_modes_with_indicators_some_missing(filtered, folder):
     assert found.text("mode") == [str(mode) for mode in wanted.modes]
     np.testing.assert_array_equal(found.numbers("p1", "p2"), wanted.mode_prob)
     np.testing.assert_array_equal(found.numbers("x1", "x2"), wanted.mean)
-
-
-@pytest.mark.filterwarnings("ignore:.*records have gaps:UserWarning")
-def test_a_table_runs_from_its_file_alone_and_without_an_end(filtered, folder):
-    system, times = zoo.flip_process(), 0.25 * np.arange(13)
-    filter = synthesize(system, Memory(1), Taylor(), times, paths=2000, seed=1, nodes=1)
-    endless = stationary(tabulated(filter, y=(-8, 8, 33), z=(-3, 3, 13)), 9.0, paths=100)
-    save(endless, folder / "f.npz")
-    grid = 0.25 * np.arange(20)
-    y = np.where(np.arange(20) % 5, np.sin(grid), np.nan)
-    rows = "".join(f"{t},{value}\n" for t, value in zip(grid, y, strict=True))
-    found = filtered("f.npz", "t,y1\n" + rows)
-    np.testing.assert_array_equal(found.numbers("x1"), endless.run(grid, y[:, None]).mean)

@@ -309,3 +309,13 @@ def case(name):
     if whole:
         y[1, 0, 1] = 99.0  # beyond the ends of a table
     return Case(filter, times, y, indicators, inputs)
+
+
+def near(found, wanted, part=1e-12):
+    """Equal but for rounding, of the largest value; NaN and infinities where they are wanted."""
+    found, wanted = np.asarray(found, dtype=float), np.asarray(wanted, dtype=float)
+    assert found.shape == wanted.shape
+    lost = ~np.isfinite(wanted)
+    np.testing.assert_array_equal(found[lost], wanted[lost])
+    size = np.abs(wanted[~lost]).max(initial=0.0)
+    np.testing.assert_allclose(found[~lost], wanted[~lost], rtol=part, atol=part * size)

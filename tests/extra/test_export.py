@@ -9,7 +9,7 @@ import subprocess
 import numpy as np
 import pytest
 
-from extra.exported_filters import FILTERS, PATHS, case
+from extra.exported_filters import FILTERS, PATHS, case, near
 from seedslib.extra import compiled, to_c, to_js
 
 COMPILER, NODE = shutil.which("cc"), shutil.which("node")
@@ -21,16 +21,6 @@ STRICT = "-std=c99 -Wall -Wextra -Wconversion -Wshadow -Wstrict-prototypes -Wmis
 STRICT = f"{STRICT} -Wdouble-promotion -Werror -pedantic -ffp-contract=off".split()
 SANITIZED = ["-g0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all"]
 NAMES = list(FILTERS)
-
-
-def near(found, wanted, part=1e-12):
-    """Equal but for rounding, of the largest value; NaN and infinities where they are wanted."""
-    found, wanted = np.asarray(found, dtype=float), np.asarray(wanted, dtype=float)
-    assert found.shape == wanted.shape
-    lost = ~np.isfinite(wanted)
-    np.testing.assert_array_equal(found[lost], wanted[lost])
-    size = np.abs(wanted[~lost]).max(initial=0.0)
-    np.testing.assert_allclose(found[~lost], wanted[~lost], rtol=part, atol=part * size)
 
 
 def step(filter, one, state, k, i):

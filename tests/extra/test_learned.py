@@ -12,14 +12,12 @@ from sklearn.ensemble import (
 )
 from sklearn.linear_model import LinearRegression
 from sklearn.neural_network import MLPRegressor
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import PolynomialFeatures
 from sklearn.tree import DecisionTreeRegressor
 
-from extra.test_export import near
+from extra.exported_filters import near
 from seedslib import zoo
 from seedslib.design import grid_risk, synthesize
-from seedslib.designed import Memory, TableFilter, finite_memory, large_order, load, save
+from seedslib.designed import Memory, finite_memory, large_order
 from seedslib.extra import compiled, learn
 from seedslib.linearization import ExactGaussian
 
@@ -33,7 +31,6 @@ TIMES = 0.25 * np.arange(4)
 GRID = {"x": (-3.5, 3.5, 141), "z": (-3.0, 3.0, 121), "y": (-8.0, 8.0, 97)}
 EXACT = np.array([0.14782, 0.13492, 0.13355, 0.13374])
 """Risk of the exact filter of order one of the flip process, by the grid."""
-CUBIC = make_pipeline(PolynomialFeatures(3), LinearRegression())
 
 
 @pytest.fixture(scope="module")
@@ -70,21 +67,6 @@ def test_linear_regression_in_a_linear_system_is_the_affine_filter():
     assert np.sqrt((apart**2).mean(axis=2)).max() < 0.025
     joint = learn(linear, large_order(1), times, joint=True, **options)
     np.testing.assert_allclose(joint.run(times, y).mean, learned.run(times, y).mean, atol=1e-12)
-
-
-def test_read_off_on_axes_it_is_a_table_filter_that_goes_to_files(flip, tmp_path):
-    learned = learn(flip, large_order(1), TIMES, paths=1000, seed=1, nodes=1, regressor=CUBIC)
-    table = learned.tabulated(y=(-8, 8, 161), z=(-3, 3, 121))
-    assert isinstance(table, TableFilter)
-    y = flip.simulate(TIMES, 500, 1).measurements
-    apart = table.run(TIMES, y).mean - learned.run(TIMES, y).mean
-    assert np.sqrt((apart**2).mean()) < 5e-3
-    state = learned.step(learned.initial(), 0.0, np.array([1.0]))
-    wanted = learned.forecast(state, 0.1).mean
-    np.testing.assert_allclose(table.forecast(state, 0.1).mean, wanted, atol=1e-3)
-    save(table, tmp_path / "a.npz")
-    back = load(tmp_path / "a.npz", flip)
-    np.testing.assert_array_equal(back.run(TIMES, y).mean, table.run(TIMES, y).mean)
 
 
 def test_any_object_that_fits_and_predicts_serves_also_without_scikit_learn(flip, monkeypatch):

@@ -1,6 +1,5 @@
 """What `extra` refuses: the type of the error, and the argument that its message names."""
 
-import builtins
 from functools import cache
 
 import numpy as np
@@ -163,16 +162,3 @@ OTHERS = [
 def test_a_refusal_names_the_argument(call, error, argument):
     with pytest.raises(error, match=rf"^({argument})\b"):
         call()
-
-
-def test_pictures_without_matplotlib_say_what_is_wanted(monkeypatch):
-    real = builtins.__import__
-
-    def without(name, *rest):
-        if name.startswith("matplotlib"):
-            raise ImportError(name)
-        return real(name, *rest)
-
-    monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(ImportError, match="matplotlib"):
-        drawn()
