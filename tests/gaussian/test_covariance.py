@@ -78,3 +78,12 @@ def test_small_covariances_are_those_of_the_slopes(values):
         exact = slope @ (size * COV) @ slope.T
         scale = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
         assert (abs(moments(values, MEAN, size * COV).cov - exact) <= accuracy * scale).all()
+
+
+def test_coefficients_that_depend_on_time_are_numbers_of_the_moment():
+    t = sympy.Symbol("t")
+    values = [sin(t * x) * y, exp(t * y / 3) * x, exp(-(x**2) / t)]
+    found = ExactGaussian().moments(StochasticMap((x, y), values))(1.7, MEAN, COV)
+    exact = moments([part.subs(t, 1.7) for part in values], MEAN, COV)
+    for part, wanted in zip(found, exact, strict=True):
+        assert_allclose(part, wanted, rtol=1e-13, atol=1e-15)

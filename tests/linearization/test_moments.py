@@ -173,19 +173,21 @@ def test_rates_of_a_jump_diffusion(rule):
                 lambda p, _: [f(*p) for f in numbers], lambda p, _: 1.0, mean, cov, *unused, 5
             )
             h, cross = found[3], found[4][:, :2]
-        change = cross + cross.T + [[h[2], h[3]], [h[3], h[4]]]
-        return h[:2], cross, [*h[:2], change[0, 0], change[1, 0], change[1, 1]]
+        spread = np.array([[h[2], h[3]], [h[3], h[4]]])
+        change = cross + cross.T + spread
+        return h[:2], cross, spread, [*h[:2], change[0, 0], change[1, 0], change[1, 1]]
 
     means, covs = laws(2)
     components = [*means, covs[0, 0], covs[1, 0], covs[1, 1]]
     found = [np.broadcast_to(part, 4) for part in rule.rate(system)(AT, components)]
     flow = rule.flow(system)(AT, means, covs)
     for k in range(4):
-        velocity, cross, exact = rates(means[:, k], covs[..., k])
+        velocity, cross, spread, exact = rates(means[:, k], covs[..., k])
         assert_allclose([part[k] for part in found], exact, rtol=1e-10, atol=1e-12)
         assert_allclose(flow.mean[:, k], velocity, rtol=1e-10)
         lean = np.broadcast_to(flow.cross, (2, 2, 4))[..., k]
         assert_allclose(lean, cross, rtol=1e-10, atol=1e-12)
+        assert_allclose(flow.cov[..., k], spread, rtol=1e-10, atol=1e-12)
 
 
 @pytest.mark.parametrize("rule", RULES)
