@@ -12,6 +12,25 @@ TIMES = np.arange(4) * 0.5
 BASE = {"paths": 9000, "seed": 5, "step": 0.1, "nodes": 1}
 
 
+@pytest.fixture
+def same():
+    """Whether two designs agree bit by bit."""
+
+    def agree(one, two):
+        parts = []
+        for filter in (one, two):
+            fits = [*filter.fits, *(fit for row in filter.node_fits for fit in row)]
+            parts.append(
+                [filter.start.mean, filter.start.cov, *filter.start.moments, *filter.predicted]
+                + [np.asarray(part) for fit in fits for part in fit]
+                + [part for part in filter.held_out or () if part is not None]
+            )
+        equal = (np.array_equal(a, b) for a, b in zip(*parts, strict=True))
+        return all(equal) and one.design == two.design
+
+    return agree
+
+
 class Stopped(Exception):
     """The run ends here."""
 
