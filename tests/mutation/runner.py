@@ -22,7 +22,7 @@ from mutants import LIBRARY, ROOT, Mutant, located
 
 MEMORY = 4 << 30
 """Bytes in memory that a process may have; with a mutant it may want more and more."""
-SECONDS = 60.0
+SECONDS = 120.0
 """Seconds of tests that a mutant meets, those of its line that are over soonest first."""
 ELSEWHERE = ("tests/bookkit", "tests/peers", "tests/mutation", "tests/extra/test_cluster.py")
 """Tests that say nothing of a mutant, or whose workers start with the program that runs here."""
