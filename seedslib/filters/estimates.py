@@ -30,8 +30,6 @@ class Estimates(NamedTuple):
         Which paths left the region that the filter was told to believe, or became NaN.
     modes : ndarray of int, shape (K+1, *batch), or None
         Decided modes of a switching system, numbered from 0.
-    rejected : ndarray of bool, shape (K+1, *batch), or None
-        Which measurements were left out as outliers.
     """
 
     mean: np.ndarray
@@ -40,7 +38,6 @@ class Estimates(NamedTuple):
     loglik: MaybeArray = None
     diverged: MaybeArray = None
     modes: MaybeArray = None
-    rejected: MaybeArray = None
 
     def interval(self, level: float = 0.95) -> np.ndarray:
         """Intervals of this probability for each component, shape (2, K+1, n, *batch).
@@ -105,7 +102,7 @@ class Estimates(NamedTuple):
         if self.mode_prob is not None:
             modes = range(self.mode_prob.shape[1])
             columns |= {f"mode{i}": rows(self.mode_prob[:, i]) for i in modes}
-        more = {"mode": self.modes, "loglik": self.loglik, "rejected": self.rejected}
+        more = {"mode": self.modes, "loglik": self.loglik}
         columns |= {name: rows(part) for name, part in more.items() if part is not None}
         return pandas.DataFrame(columns, index=index)
 
@@ -138,7 +135,6 @@ class Estimates(NamedTuple):
         axes = {
             "mean": ("t", "component"), "cov": ("t", "component", "other"),
             "mode_prob": ("t", "mode"), "loglik": ("t",), "diverged": (), "modes": ("t",),
-            "rejected": ("t",),
         }  # fmt: skip
         parts = {
             name: ((*axes[name], *batch)[: np.ndim(part)], part)

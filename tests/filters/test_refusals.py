@@ -9,7 +9,6 @@ from seedslib.base import Input
 from seedslib.filters import (
     CovarianceFilter,
     Estimates,
-    Gated,
     GridBayesFilter,
     KalmanFilter,
     KnownModeFilter,
@@ -104,9 +103,6 @@ ROWS = [
         ValueError,
         "cov0",
     ),
-    (lambda: Gated(PARTICLES), TypeError, "filter"),
-    (lambda: Gated(KALMAN, 1), ValueError, "probability"),
-    (lambda: Gated(KALMAN, patience=0), ValueError, "patience"),
     # records
     (lambda: KALMAN.run([0.0, 0.0], Y), ValueError, "times"),
     (lambda: KALMAN.run(np.array(["2026-01-01"], "datetime64[h]"), Y[:1]), TypeError, "times"),
