@@ -231,12 +231,3 @@ def test_models_travel_and_show_themselves(make):
 def test_a_lambda_does_not_travel():
     with pytest.raises((AttributeError, pickle.PicklingError)):
         pickle.dumps(functions())
-
-
-@pytest.mark.filterwarnings("ignore")
-def test_a_sensor_whose_noise_hides_the_state_from_linear_estimates_is_warned_of():
-    blind = DiscreteSystem(
-        MOVE, StochasticMap((x,), [x + w, sympy.exp(x / 2) * w], Noise((w,))), 0, 1
-    )
-    with pytest.warns(UserWarning, match="y2"):
-        extended_kalman(blind)
