@@ -21,7 +21,6 @@ if TYPE_CHECKING:
     from seedslib.filters.known_modes import KnownModeFilter as KnownModeFilter
     from seedslib.filters.particle import ParticleFilter as ParticleFilter
     from seedslib.filters.rao_blackwell import RaoBlackwellFilter as RaoBlackwellFilter
-    from seedslib.filters.smoothing import draw_trajectories as draw_trajectories
     from seedslib.filters.smoothing import smooth as smooth
     from seedslib.filters.verbs import Filter as Filter
 else:

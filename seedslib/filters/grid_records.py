@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.filters.backward import Smoother
@@ -54,7 +53,7 @@ class GridSmoother(Smoother):
     nothing is approximated but the nodes. A part is the joint law (S, N) of N records.
     """
 
-    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the transition."""
         before = state.time
         later, _ = super().forecast(state, t)

@@ -148,12 +148,6 @@ class ParticleFilter(Filter):
         x = self.predict(state, t).particles
         return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
 
-    def smoother(self, trajectories: Count = 200) -> Any:
-        """See `Filter.smoother`."""
-        from seedslib.filters.backward_simulation import BackwardSimulation
-
-        return BackwardSimulation(self, trajectories)
-
     def estimate(
         self, x: np.ndarray, weight: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, MaybeArray]:

@@ -14,7 +14,6 @@ from seedslib.filters import (
     KnownModeFilter,
     ParticleFilter,
     RaoBlackwellFilter,
-    draw_trajectories,
     extended_kalman,
     smooth,
 )
@@ -147,11 +146,9 @@ ROWS = [
     (lambda: smooth("kalman", TWO, Y), TypeError, "filter"),
     (lambda: smooth(RaoBlackwellFilter(BANK), TWO, Y), TypeError, "filter"),
     (lambda: smooth(KALMAN, TWO, Y, lag=0), ValueError, "lag"),
-    (lambda: smooth(KALMAN, TWO, Y, trajectories=9), ValueError, "trajectories"),
-    (lambda: smooth(PARTICLES, TWO, Y, trajectories=0), ValueError, "trajectories"),
-    (lambda: smooth(KALMAN, TWO, Y, modes=SHOWN), ValueError, "modes"),
+    (lambda: smooth(PARTICLES, TWO, Y), TypeError, "filter"),
+    (lambda: smooth(KNOWN, TWO, Y), TypeError, "filter"),
     (lambda: smooth(KALMAN, TWO, np.zeros((3, 1))), ValueError, "measurements"),
-    (lambda: draw_trajectories(KALMAN, TWO, Y, 5), TypeError, "filter"),
     # estimates
     (lambda: ESTIMATES.interval(95), ValueError, "level"),
     (lambda: ESTIMATES.interval(0.0), ValueError, "level"),
