@@ -67,7 +67,13 @@ class Estimates(NamedTuple):
         return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
 
     def to_dataframe(self, times: Any, names: Any = None) -> Any:
-        """A pandas table, a row for each time and record; see `to_xarray`.
+        """A pandas table, a row for each time and record; pandas must be installed.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
 
         Returns
         -------
@@ -105,43 +111,6 @@ class Estimates(NamedTuple):
         more = {"mode": self.modes, "loglik": self.loglik}
         columns |= {name: rows(part) for name, part in more.items() if part is not None}
         return pandas.DataFrame(columns, index=index)
-
-    def to_xarray(self, times: Any, names: Any = None) -> Any:
-        """An xarray data set; xarray must be installed.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        names : sequence of str, optional
-            Of the components; ``x1, x2, ...`` by default.
-
-        Returns
-        -------
-        xarray.Dataset
-            What the filter gives, with the dimensions ``t``, ``component``, ``other`` (of
-            covariances), ``mode`` and ``batch0``, ``batch1``, ...
-
-        Raises
-        ------
-        ImportError
-            xarray is not installed.
-        ValueError
-            Another number of times or names.
-        """
-        import xarray
-
-        times, names = self._labels(times, names)
-        batch = tuple(f"batch{k}" for k in range(self.mean.ndim - 2))
-        axes = {
-            "mean": ("t", "component"), "cov": ("t", "component", "other"),
-            "mode_prob": ("t", "mode"), "loglik": ("t",), "diverged": (), "modes": ("t",),
-        }  # fmt: skip
-        parts = {
-            name: ((*axes[name], *batch)[: np.ndim(part)], part)
-            for name, part in self._asdict().items()
-            if part is not None
-        }
-        return xarray.Dataset(parts, {"t": times, "component": names, "other": names})
 
     def _labels(self, times: Any, names: Any) -> tuple[np.ndarray, list]:
         count, n = self.mean.shape[:2]
