@@ -99,10 +99,6 @@ class Axis:
         index = position.astype(np.intp)
         return index, position - index
 
-    def halved(self) -> Axis:
-        """Every second node where their count is odd, and otherwise half as many."""
-        return Axis(self.low, self.high, self.count // 2 + 1)
-
     def __str__(self) -> str:
         return f"{self.count} nodes from {self.low:g} to {self.high:g}"
 
