@@ -21,7 +21,6 @@ from seedslib.models import (
     StochasticMap,
     SwitchingChain,
     SwitchingSystem,
-    averaged_switching,
     van_loan,
 )
 from seedslib.two_step import LinearDiffusion
@@ -159,7 +158,6 @@ ROWS = [
     (lambda: of_maps(readings=3), TypeError, "readings"),
     (lambda: of_maps(indicator=None), TypeError, "indicator"),
     (lambda: of_maps([[MOVE]] * 2), ValueError, "sensor"),
-    (lambda: averaged_switching(flow(), range(9), 5, 1), TypeError, "system"),
     (lambda: simulated(times=[0.0, 0.0]), ValueError, "times"),
     (lambda: simulated(paths=0), ValueError, "paths"),
     (lambda: simulated(seed=None), TypeError, "seed"),
