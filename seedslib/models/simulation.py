@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
-from seedslib.base.blocks import as_paths, in_blocks
 from seedslib.base.blocks import child as descendant
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_count, as_real, unmasked
 from seedslib.base.values import Course, Inputs, on_paths
 from seedslib.models.kinds import AnySystem, as_grid, course_of
 
@@ -158,7 +158,7 @@ def simulate(
         one, a wrong mask or seed, no probabilities; inputs that are missing or do not fit.
     """
     times = as_grid("times", times, system)
-    paths = as_paths(paths, len(times) * (system.state_size + system.sensor.size))
+    paths = as_count("paths", paths)
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     course = course_of(system, inputs, len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))
