@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import as_real, as_whole, unmasked
+from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
 from seedslib.models.kinds import AnySystem, in_even_steps, require_even, switches
 
@@ -123,7 +123,7 @@ class Estimates(NamedTuple):
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
-    """Measurements (count, size, *batch), float64 uncopied; NaN, or a mask, is a missing one.
+    """Measurements (count, size, *batch), float64 uncopied; NaN is a missing one.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
         Not real numbers, a wrong shape, or an infinite entry.
     """
     try:
-        record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
+        record = np.asarray(measurements)
     except ValueError:  # a ragged list
         record = None
     if record is None or record.dtype != np.float64:
@@ -210,7 +210,7 @@ def require_time(state: object) -> None:
 def as_indicators(
     indicators: Any, system: AnySystem, shape: tuple[int, ...], name: str = "indicators"
 ) -> np.ndarray | None:
-    """Indicators of a switching system, whole numbers in the shape; -1, or a mask, is missing.
+    """Indicators of a switching system, whole numbers in the shape; -1 is missing.
 
     Raises
     ------
@@ -226,7 +226,7 @@ def as_indicators(
     if not values:
         what = "indicator" if switches(system) else "modes"
         raise ValueError(f"{name}: wanted none, the system has no {what}")
-    seen = as_whole(name, unmasked(name, indicators, missing=-1), shape)
+    seen = as_whole(name, indicators, shape)
     if seen.size and not (seen.min() >= -1 and seen.max() < values):
         worst = seen.max() if seen.max() >= values else seen.min()
         raise ValueError(f"{name}: wanted 0 to {values - 1}, or -1 for a missing one, got {worst}")
@@ -244,7 +244,7 @@ def as_seen(
         As `require_time` and `as_indicators`.
     """
     require_time(state)
-    y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+    y = np.asarray(y, dtype=float)
     return y, as_indicators(indicator, system, y.shape[1:], "indicator")
 
 
