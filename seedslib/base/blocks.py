@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-import math
-import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from contextvars import copy_context
-from functools import cache
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,62 +13,6 @@ from seedslib.base.checks import as_count, is_whole
 
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
-
-STREAM = 500
-"""Bytes that the stream of a block takes, about."""
-
-
-@cache
-def room() -> float:
-    """Bytes of memory that there are for this process, infinite where nobody says."""
-    found = [math.inf]
-    with suppress(AttributeError, ValueError, OSError):  # not on Windows
-        found.append(os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES"))
-    with suppress(OSError, ValueError):  # a container, unless it says "max"
-        found.append(int(Path("/sys/fs/cgroup/memory.max").read_text()))
-    with suppress(ImportError, OSError):
-        import resource
-
-        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-        found += [limit] if limit >= 0 else []
-    return min(found)
-
-
-def require_room(name: str, value: object, size: float) -> None:
-    """Refuse what takes more bytes than there are, before it grows until the process is killed.
-
-    Parameters
-    ----------
-    name : str
-        The caller's name of the argument, for the message.
-    value : object
-        What the caller passed.
-    size : float
-        Bytes that it takes at least.
-
-    Raises
-    ------
-    ValueError
-        It does not fit.
-    """
-    if size > room():
-        raise ValueError(
-            f"{name}: wanted what fits in {room() / 1e9:.3g} GB of memory, got {value}, which "
-            f"takes {size / 1e9:.3g} GB or more"
-        )
-
-
-def as_paths(paths: object, size: int, least: int = 1, name: str = "paths") -> int:
-    """Number of paths, each of them with `size` numbers that are kept.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `as_count`; more than there is memory for.
-    """
-    count = as_count(name, paths, least)
-    require_room(name, paths, 8.0 * size * count)
-    return count
 
 
 def as_seed_sequence(seed: object) -> np.random.SeedSequence:
@@ -133,7 +72,6 @@ def in_blocks(
     """
     workers = as_count("workers", workers)
     starts = range(0, max(total, 1), block)  # no paths are one empty block
-    require_room("paths", total, STREAM * float(len(starts)))
     streams = as_seed_sequence(seed).spawn(len(starts))
     jobs = [(a, min(a + block, total), s) for a, s in zip(starts, streams, strict=True)]
     if workers == 1 or len(jobs) == 1:

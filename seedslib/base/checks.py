@@ -12,34 +12,6 @@ ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
 
 
-def unmasked(name: str, value: object, *, missing: float | None = None) -> object:
-    """What was passed, without a mask: NumPy would drop it and pass on what lies under it.
-
-    Anything but a masked array, or a list of some, comes back as it is. `name` is the caller's
-    name of the argument; `missing` is what it has for a missing entry.
-
-    Raises
-    ------
-    TypeError
-        A masked entry where nothing may be missing.
-    """
-    if type(value) is np.ndarray:
-        return value
-    if isinstance(value, list | tuple) and any(isinstance(v, np.ma.MaskedArray) for v in value):
-        value = np.ma.array(value)
-    if not isinstance(value, np.ma.MaskedArray):
-        return value
-    if not np.ma.is_masked(value):
-        return value.data
-    if missing is None:
-        raise TypeError(
-            f"{name}: wanted numbers everywhere, got a masked array with masked entries"
-        )
-    if missing != missing and value.dtype.kind in "iub":  # NaN wants a float
-        value = value.astype(float)
-    return value.filled(missing)
-
-
 def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = False) -> np.ndarray:
     """Float64 array of finite real numbers.
 
@@ -51,16 +23,16 @@ def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = Fa
     ndim : int, optional
         Wanted number of axes.
     nan : bool
-        Whether NaN (a missing value) is allowed; infinities never are. A masked entry is NaN.
+        Whether NaN (a missing value) is allowed; infinities never are.
 
     Raises
     ------
     TypeError
-        `value` is complex, an object array, text, ragged, or masked where nothing may be missing.
+        `value` is complex, an object array, text, or ragged.
     ValueError
         Wrong number of axes, or an entry that is not finite.
     """
-    array = _floats(name, value, np.nan if nan else None)
+    array = _floats(name, value)
     if ndim is not None and array.ndim != ndim:
         raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
     bad = np.isinf(array) if nan else ~np.isfinite(array)
@@ -78,15 +50,15 @@ def as_bound(name: str, value: object) -> np.ndarray:
     TypeError, ValueError
         Not real, or NaN.
     """
-    array = _floats(name, value, None)
+    array = _floats(name, value)
     if np.isnan(array).any():
         raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
     return array
 
 
-def _floats(name, value, missing):
+def _floats(name, value):
     try:
-        array = np.asarray(unmasked(name, value, missing=missing))
+        array = np.asarray(value)
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
     if array.dtype.kind not in "fiub":
@@ -228,7 +200,7 @@ def as_positive(name: str, value: object, *, zero: bool = False, infinite: bool 
         Anything else, such as text.
     """
     try:
-        array = np.asarray(unmasked(name, value))
+        array = np.asarray(value)
         number = float(array if array.dtype.kind in "fiubO" else None)
     except (TypeError, ValueError, OverflowError):
         raise TypeError(f"{name}: wanted a number, got {value!r}") from None
@@ -262,7 +234,7 @@ def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
     TypeError, ValueError
         Other numbers, another shape.
     """
-    numbers = np.asarray(unmasked(name, value))
+    numbers = np.asarray(value)
     if numbers.dtype.kind not in "iu":
         raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
     if numbers.shape != shape:

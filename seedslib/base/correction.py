@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.checks import unmasked
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.diffuse import correct_diffuse, narrowed
 from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, logs, pseudo_correct
@@ -39,7 +38,7 @@ def correct(
     cov : array_like, shape (n, n, *batch), or None
         Predicted covariance. None where only the mean and the likelihood are wanted.
     y : array_like, shape (m, *batch)
-        Measurement. NaN, or a mask, marks a missing component, which is left out exactly.
+        Measurement. NaN marks a missing component, which is left out exactly.
     moments : Moments
         E y of shape (m, *batch), cov(x, y) of shape (n, m, *batch), cov y of shape
         (m, m, *batch).
@@ -138,7 +137,7 @@ def _numbers(name: str, value: object) -> np.ndarray:
     array = value
     if type(value) is not np.ndarray:
         try:
-            array = np.asarray(unmasked(name, value, missing=np.nan if name == "y" else None))
+            array = np.asarray(value)
         except ValueError:
             raise TypeError(f"{name}: wanted an array, got a ragged list") from None
     foreign = array.dtype.kind == "O" and not all(hasattr(v, "__truediv__") for v in array.flat)

@@ -67,10 +67,6 @@ class Nodes:
         index = np.minimum(position, self.count - 2).astype(np.intp)
         return index, position - index
 
-    def halved(self) -> Nodes:
-        """Every second node with twice its weight."""
-        return Nodes(self.nodes[::2], 2.0 * self.weights[::2])
-
     def __str__(self) -> str:
         return f"{self.count} nodes from {self.low:g} to {self.high:g}"
 

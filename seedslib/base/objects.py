@@ -4,36 +4,18 @@ from __future__ import annotations
 
 from dataclasses import fields
 from functools import cached_property, partial
-from html import escape
 from typing import Any
 
 
 class Shown:
-    """An object that shows itself: one line in a console, a small table in a notebook.
-
-    A class says in `_shown` which of its attributes are worth a word; one that prints as a page
-    of words, by its own ``__str__``, is that page in a notebook.
-    """
+    """An object that shows itself in one line: `_shown` names the attributes worth a word."""
 
     _shown: tuple[str, ...] = ()
-
-    def _rows(self) -> dict[str, object]:
-        """What the table says, by name."""
-        return {name.replace("_", " "): getattr(self, name) for name in self._shown}
 
     def __repr__(self) -> str:
         names = (name.replace("_", " ") for name in self._shown)
         parts = (f"{n} {getattr(self, a)}" for n, a in zip(names, self._shown, strict=True))
         return f"<{type(self).__name__}: {', '.join(parts)}>"
-
-    def _repr_html_(self) -> str:
-        if type(self).__str__ is not object.__str__:
-            return f"<pre>{escape(str(self))}</pre>"
-        rows = "".join(
-            f"<tr><td>{escape(name)}</td><td>{escape(str(value))}</td></tr>"
-            for name, value in self._rows().items()
-        )
-        return f"<table><caption>{type(self).__name__}</caption>{rows}</table>"
 
 
 class Remade:

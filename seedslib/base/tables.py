@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.checks import as_bound, as_count, as_real, require_shape
 
 
@@ -37,7 +36,6 @@ class Axis:
 
     def __post_init__(self) -> None:
         count = as_count("count", self.count, 2)
-        require_room("count", self.count, 8.0 * count)
         try:
             if isinstance(self.low, str | bytes) or isinstance(self.high, str | bytes):
                 raise TypeError
@@ -98,10 +96,6 @@ class Axis:
         position = np.minimum(position, self._top)
         index = position.astype(np.intp)
         return index, position - index
-
-    def halved(self) -> Axis:
-        """Every second node where their count is odd, and otherwise half as many."""
-        return Axis(self.low, self.high, self.count // 2 + 1)
 
     def __str__(self) -> str:
         return f"{self.count} nodes from {self.low:g} to {self.high:g}"
@@ -204,7 +198,6 @@ def locate(axes: Sequence[Axis | Labels], points: Sequence[np.ndarray]) -> Locat
 def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
     """Points of a product of axes, (size, points), the last axis the fastest; one for none."""
     count = math.prod(axis.count for axis in axes)
-    require_room("axes", f"{count} nodes", 16.0 * len(axes) * count)  # the product, and its copy
     grid = np.meshgrid(*(axis.nodes for axis in axes), indexing="ij")
     return np.array(grid, dtype=float).reshape(len(axes), count)
 

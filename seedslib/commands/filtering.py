@@ -130,6 +130,7 @@ def _found(filter, record, told, options):
     if not options.smooth:
         claims = "covariances" in getattr(filter, "takes", ())
         return filter.run(times, y, **told, **({"covariances": True} if claims else {}))
+    told.pop("seed", None)  # filters that draw have no smoother, and say so
     try:
         return smooth(filter, times, y, lag=options.lag, **told)
     except TypeError as error:

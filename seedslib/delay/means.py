@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import solve_triangular
 
-from seedslib.base.checks import as_count, as_real, unmasked
+from seedslib.base.checks import as_count, as_real
 from seedslib.base.semidefinite import LOG_2PI
 from seedslib.delay.coefficients import require_finite
 from seedslib.delay.gains import DelayGains, StepGains
@@ -48,7 +48,7 @@ def as_flags(value: object, shape: tuple[int, int]) -> np.ndarray:
         A ragged list; not booleans; a wrong shape.
     """
     try:
-        flags = np.asarray(unmasked("missing", value))
+        flags = np.asarray(value)
     except ValueError:
         raise TypeError("missing: wanted an array of booleans, got a ragged list") from None
     if flags.dtype != bool or flags.shape != shape:

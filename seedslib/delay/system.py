@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_paths, in_blocks
+from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_shape
 from seedslib.base.objects import by_fields
 from seedslib.base.semidefinite import square_root
@@ -218,7 +218,7 @@ class DelaySystem:
         times = as_instants(times)
         schedule = Schedule.of(measured, availability, len(times), self.measurement_size)
         reach, n, m = self.max_delay + 1, self.state_size, self.measurement_size
-        width = 1 if paths is None else as_paths(paths, (reach + len(times)) * n + len(times) * m)
+        width = 1 if paths is None else as_count("paths", paths)
         chain = np.empty((reach + len(times) - 1, n, width))  # x_{-N}, ..., x_K
         shown = np.full((len(times), m, width), np.nan)
         blocks = self.start_blocks()

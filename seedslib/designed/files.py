@@ -14,13 +14,19 @@ import numpy as np
 
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import FILTERS, KNOWN, LINEARIZATIONS, known_class, packed, unpacked
-from seedslib.designed.identity import difference, probe, probe_arrays, probe_points, probe_values
+from seedslib.designed.identity import (
+    difference,
+    model_text,
+    probe,
+    probe_arrays,
+    probe_points,
+    probe_values,
+)
 from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
 from seedslib.models.kinds import UnknownModel, switches
-from seedslib.models.words import model_text
 
 MOST_NODES, MOST_POINTS = 256, 2**22
 """Nodes in a direction, and points, of a linearization that a file may ask for."""

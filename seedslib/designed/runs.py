@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, is_whole, unmasked
+from seedslib.base.checks import as_real, as_times, is_whole
 from seedslib.base.clock import Clock
 from seedslib.base.values import Course, Inputs, on_paths
 from seedslib.designed.gaps import check_schedule, dropouts, expected, missing, unclaimed
@@ -204,7 +204,7 @@ class DesignedFilter(Filter):
             raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
         if indicator is not None or self.system.indicators:
             if indicator is not None:
-                indicator = np.asarray(unmasked("indicator", indicator, missing=-1))[None]
+                indicator = np.asarray(indicator)[None]
             indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
         rows = expected(self, np.array([k]))
         if whole and indicator is rows is None:

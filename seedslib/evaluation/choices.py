@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.clock import Clock
-from seedslib.designed.identity import difference, probe, probe_points
+from seedslib.designed.identity import difference, model_text, probe, probe_points
 from seedslib.designed.prediction import ROWS
 from seedslib.models.kinds import UnknownModel
-from seedslib.models.words import model_text
 
 
 class Change(NamedTuple):

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real, outside, unmasked
+from seedslib.base.checks import as_real, outside
 from seedslib.base.clock import ROUNDING, SAME, when
 from seedslib.base.values import current
 from seedslib.designed.runs import DesignedFilter
@@ -185,13 +185,11 @@ class CompiledFilter(CompiledRecords):
     def _seen(self, indicator, batch):
         if type(indicator) is int and not batch and -1 <= indicator < self.system.indicators:
             return np.array(indicator)
-        if indicator is not None:
-            indicator = unmasked("indicator", indicator, missing=-1)
         seen = as_indicators(indicator, self.system, batch, "indicator")
         return np.ascontiguousarray(seen, dtype=np.int64)
 
     def _measured(self, y, batch):
-        shown = np.ascontiguousarray(as_real("y", unmasked("y", y, missing=np.nan), nan=True))
+        shown = np.ascontiguousarray(as_real("y", y, nan=True))
         wanted = (self.system.measurement_size, *batch)
         if shown.shape != wanted:
             raise ValueError(f"y: wanted shape {wanted}, got {shown.shape}")

@@ -16,13 +16,11 @@ if TYPE_CHECKING:
     from seedslib.filters.covariance import extended_kalman as extended_kalman
     from seedslib.filters.covariance import unscented_kalman as unscented_kalman
     from seedslib.filters.estimates import Estimates as Estimates
-    from seedslib.filters.gating import Gated as Gated
     from seedslib.filters.grid_bayes import GridBayesFilter as GridBayesFilter
     from seedslib.filters.kalman import KalmanFilter as KalmanFilter
     from seedslib.filters.known_modes import KnownModeFilter as KnownModeFilter
     from seedslib.filters.particle import ParticleFilter as ParticleFilter
     from seedslib.filters.rao_blackwell import RaoBlackwellFilter as RaoBlackwellFilter
-    from seedslib.filters.smoothing import draw_trajectories as draw_trajectories
     from seedslib.filters.smoothing import smooth as smooth
     from seedslib.filters.verbs import Filter as Filter
 else:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.correction import correct
@@ -27,9 +26,9 @@ class Smoother:
     def __init__(self, filter: Any) -> None:
         self.filter: Any = filter
 
-    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
         """The filter's forecast, as by `predict`, and what `back` has to know of the step."""
-        return self.filter.predict(state, t, *told), None
+        return self.filter.predict(state, t), None
 
     def lost(self, state: Any) -> Any:
         """Where the filter has diverged in a state, (*batch) or a bool."""
@@ -64,7 +63,7 @@ class Rauch(Smoother):
     def __init__(self, filter: Any) -> None:
         super().__init__(filter.apart())
 
-    def forecast(self, state: Any, t: float, *told: ArrayLike) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
         if state.time is None:
             return super().forecast(state, t)

@@ -14,8 +14,6 @@ from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import settled
 from seedslib.base.triangles import lower_triangle
-from seedslib.base.values import looked_at
-from seedslib.filters.blind import warn_blind
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.filters.integration import adaptive, euler, finite_or_nan, rk4
 from seedslib.filters.verbs import Filter
@@ -23,7 +21,7 @@ from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
 from seedslib.linearization.units import as_linearization
 from seedslib.models.derived import doubled
-from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps, mentioned
+from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 
@@ -76,11 +74,6 @@ class CovarianceFilter(Filter, Remade):
         bound that is not positive.
     NoClosedForm
         The linearization has no formulas for this system; the message offers one that works.
-
-    Warns
-    -----
-    UserWarning
-        A measurement that is uncorrelated with the state wherever that is: it moves no estimate.
     """
 
     _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
@@ -108,8 +101,6 @@ class CovarianceFilter(Filter, Remade):
         self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
         self._by_points = isinstance(linearization, PointRule)
-        with looked_at(mentioned(system)):
-            warn_blind(self._sensor, system)
         if self.continuous:
             self._rate = linearization.rate(system)
             advance = INTEGRATORS[integrator]

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import as_real, as_whole, unmasked
+from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
 from seedslib.models.kinds import AnySystem, in_even_steps, require_even, switches
 
@@ -30,8 +30,6 @@ class Estimates(NamedTuple):
         Which paths left the region that the filter was told to believe, or became NaN.
     modes : ndarray of int, shape (K+1, *batch), or None
         Decided modes of a switching system, numbered from 0.
-    rejected : ndarray of bool, shape (K+1, *batch), or None
-        Which measurements were left out as outliers.
     """
 
     mean: np.ndarray
@@ -40,7 +38,6 @@ class Estimates(NamedTuple):
     loglik: MaybeArray = None
     diverged: MaybeArray = None
     modes: MaybeArray = None
-    rejected: MaybeArray = None
 
     def interval(self, level: float = 0.95) -> np.ndarray:
         """Intervals of this probability for each component, shape (2, K+1, n, *batch).
@@ -70,7 +67,13 @@ class Estimates(NamedTuple):
         return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
 
     def to_dataframe(self, times: Any, names: Any = None) -> Any:
-        """A pandas table, a row for each time and record; see `to_xarray`.
+        """A pandas table, a row for each time and record; pandas must be installed.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
 
         Returns
         -------
@@ -105,47 +108,9 @@ class Estimates(NamedTuple):
         if self.mode_prob is not None:
             modes = range(self.mode_prob.shape[1])
             columns |= {f"mode{i}": rows(self.mode_prob[:, i]) for i in modes}
-        more = {"mode": self.modes, "loglik": self.loglik, "rejected": self.rejected}
+        more = {"mode": self.modes, "loglik": self.loglik}
         columns |= {name: rows(part) for name, part in more.items() if part is not None}
         return pandas.DataFrame(columns, index=index)
-
-    def to_xarray(self, times: Any, names: Any = None) -> Any:
-        """An xarray data set; xarray must be installed.
-
-        Parameters
-        ----------
-        times : array_like, shape (K+1,)
-        names : sequence of str, optional
-            Of the components; ``x1, x2, ...`` by default.
-
-        Returns
-        -------
-        xarray.Dataset
-            What the filter gives, with the dimensions ``t``, ``component``, ``other`` (of
-            covariances), ``mode`` and ``batch0``, ``batch1``, ...
-
-        Raises
-        ------
-        ImportError
-            xarray is not installed.
-        ValueError
-            Another number of times or names.
-        """
-        import xarray
-
-        times, names = self._labels(times, names)
-        batch = tuple(f"batch{k}" for k in range(self.mean.ndim - 2))
-        axes = {
-            "mean": ("t", "component"), "cov": ("t", "component", "other"),
-            "mode_prob": ("t", "mode"), "loglik": ("t",), "diverged": (), "modes": ("t",),
-            "rejected": ("t",),
-        }  # fmt: skip
-        parts = {
-            name: ((*axes[name], *batch)[: np.ndim(part)], part)
-            for name, part in self._asdict().items()
-            if part is not None
-        }
-        return xarray.Dataset(parts, {"t": times, "component": names, "other": names})
 
     def _labels(self, times: Any, names: Any) -> tuple[np.ndarray, list]:
         count, n = self.mean.shape[:2]
@@ -158,7 +123,7 @@ class Estimates(NamedTuple):
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:
-    """Measurements (count, size, *batch), float64 uncopied; NaN, or a mask, is a missing one.
+    """Measurements (count, size, *batch), float64 uncopied; NaN is a missing one.
 
     Raises
     ------
@@ -166,7 +131,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
         Not real numbers, a wrong shape, or an infinite entry.
     """
     try:
-        record = np.asarray(unmasked("measurements", measurements, missing=np.nan))
+        record = np.asarray(measurements)
     except ValueError:  # a ragged list
         record = None
     if record is None or record.dtype != np.float64:
@@ -245,7 +210,7 @@ def require_time(state: object) -> None:
 def as_indicators(
     indicators: Any, system: AnySystem, shape: tuple[int, ...], name: str = "indicators"
 ) -> np.ndarray | None:
-    """Indicators of a switching system, whole numbers in the shape; -1, or a mask, is missing.
+    """Indicators of a switching system, whole numbers in the shape; -1 is missing.
 
     Raises
     ------
@@ -261,7 +226,7 @@ def as_indicators(
     if not values:
         what = "indicator" if switches(system) else "modes"
         raise ValueError(f"{name}: wanted none, the system has no {what}")
-    seen = as_whole(name, unmasked(name, indicators, missing=-1), shape)
+    seen = as_whole(name, indicators, shape)
     if seen.size and not (seen.min() >= -1 and seen.max() < values):
         worst = seen.max() if seen.max() >= values else seen.min()
         raise ValueError(f"{name}: wanted 0 to {values - 1}, or -1 for a missing one, got {worst}")
@@ -279,7 +244,7 @@ def as_seen(
         As `require_time` and `as_indicators`.
     """
     require_time(state)
-    y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+    y = np.asarray(y, dtype=float)
     return y, as_indicators(indicator, system, y.shape[1:], "indicator")
 
 

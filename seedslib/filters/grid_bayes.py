@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import outside
 from seedslib.base.nodes import Grid, Nodes
 from seedslib.base.tables import Axis
-from seedslib.filters.estimates import as_indicators, as_seen
-from seedslib.filters.grid_records import GridAccuracy, GridSmoother, record_followed
+from seedslib.filters.estimates import as_seen
+from seedslib.filters.grid_records import GridSmoother
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
 from seedslib.models.chains.discrete import DiscreteChain
@@ -189,31 +189,6 @@ class GridBayesFilter(Filter):
         beyond = (prob * law[:, self._ends].sum(axis=1)).sum(axis=0)
         return beyond > ENDS * prob.sum(axis=0)
 
-    def accuracy(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None
-    ) -> GridAccuracy:
-        """How good the numbers of `run` are: differences from a run on every second node.
-
-        Parameters
-        ----------
-        times, measurements, indicators
-            As `run`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `run`.
-        """
-        times, y = self.record(times, measurements)
-        seen = as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
-        halves = [axis.halved() for axis in self.axes]
-        rough = GridBayesFilter(self.system, halves if len(halves) > 1 else halves[0])
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            fine, coarse = (record_followed(filter, times, y, seen) for filter in (self, rough))
-        apart = [np.abs(a - b) for a, b in zip(fine, coarse, strict=True)]
-        return GridAccuracy(apart[0], apart[1].max(axis=0), fine[2])
-
     def smoother(self) -> GridSmoother:
         """Exact on the nodes; see `Filter.smoother`."""
         return GridSmoother(self)
@@ -231,7 +206,7 @@ class GridBayesFilter(Filter):
         if (change > LOST).any():
             warnings.warn(
                 f"x: more than {LOST:g} of the probability leaves the nodes in a step, and is "
-                "dropped, or they are too coarse for the noise; see accuracy",
+                "dropped, or they are too coarse for the noise; compare with a run on more of them",
                 stacklevel=outside(),
             )
 

@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import unmasked
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import factor
 from seedslib.base.values import looked_at
@@ -115,7 +114,7 @@ class KalmanFilter(CovarianceFilter):
         require_time(state)
         known = super().correct(_given(state), y)
         expected, cross, spread = (part[..., None] for part in self.expect(_given(state)))
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)[..., None]
+        y = np.asarray(y, dtype=float)[..., None]
         slope = _times(self.system.sensor.slope_at(state.time), state.effect)
         # columns of a measurement of zero, missing where the measurement is
         zero = np.where(np.isfinite(y), 0.0, np.nan)

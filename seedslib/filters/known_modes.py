@@ -169,12 +169,6 @@ class KnownModeFilter(Filter, Remade):
                 _put(mean, cov, here, found)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
-    def smoother(self) -> Any:
-        """See `Filter.smoother`."""
-        from seedslib.filters.backward_modes import KnownModeSmoother
-
-        return KnownModeSmoother(self)
-
     def report(self, state: KnownModeState) -> Estimates:
         """Mean and covariance; the mode is the given one, with probability one."""
         return self.kept(state)._replace(mode_prob=self._certain(state.mode, 0))

@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
-from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence, child
-from seedslib.base.checks import outside
+from seedslib.base.blocks import BLOCK, as_seed_sequence, child
+from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
 from seedslib.filters.estimates import Estimates, as_seen
@@ -79,7 +79,7 @@ class ParticleFilter(Filter):
         dynamics = getattr(system, "dynamics", None)
         self._periods: Periods = getattr(dynamics, "period", ())
         self.options: dict[str, Any] = options
-        self.particles: int = as_paths(particles, 2 * self._moving.state_size, name="particles")
+        self.particles: int = as_count("particles", particles)
         self.records: int = max(1, BLOCK // self.particles)
         if not self._moving.sensor.has_log_density:
             raise ValueError(
@@ -147,12 +147,6 @@ class ParticleFilter(Filter):
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
         x = self.predict(state, t).particles
         return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
-
-    def smoother(self, trajectories: Count = 200) -> Any:
-        """See `Filter.smoother`."""
-        from seedslib.filters.backward_simulation import BackwardSimulation
-
-        return BackwardSimulation(self, trajectories)
 
     def estimate(
         self, x: np.ndarray, weight: np.ndarray

@@ -8,7 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count
-from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence
+from seedslib.base.blocks import BLOCK, as_seed_sequence
+from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.values import on_paths
@@ -77,8 +78,7 @@ class RaoBlackwellFilter(Filter, Remade):
         from seedslib.linearization.symbolic import Taylor
 
         self.system: Any = system
-        n = system.state_size
-        self.particles: int = as_paths(particles, n + n * n, name="particles")
+        self.particles: int = as_count("particles", particles)
         self.records: int = max(1, 2 * BLOCK // self.particles)
         exact = Taylor()
         self._move = [exact.transition(map) for map in system.dynamics]

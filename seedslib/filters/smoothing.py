@@ -8,21 +8,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import Count
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count
 from seedslib.base.values import Inputs, on_paths
 from seedslib.filters.backward import Smoother
-from seedslib.filters.estimates import Estimates, as_indicators, as_modes
-from seedslib.filters.particle import ParticleFilter
+from seedslib.filters.estimates import Estimates, as_indicators
 from seedslib.filters.verbs import Filter
 from seedslib.models.kinds import course_of, elapsed
 
 
 def smooth(
     filter: Filter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
-    indicators: ArrayLike | None = None, modes: ArrayLike | None = None,
-    inputs: Inputs | None = None, trajectories: Count | None = None, seed: object = 0,
+    indicators: ArrayLike | None = None, inputs: Inputs | None = None,
 ) -> Estimates:  # fmt: skip
     """Estimates of the state at each time from the measurements up to a later one.
 
@@ -32,11 +29,9 @@ def smooth(
     systems; otherwise it is the smoother of the filter's linearization: of `extended_kalman` the
     extended, of `unscented_kalman` the unscented one, and so on.
 
-    A `KnownModeFilter` is smoothed likewise, given all modes. A `SwitchingFilter` without a memory
-    is smoothed in mode and state, by Gaussian laws in each mode; what that neglects stands in
-    `seedslib.designed.switching.smoothing`. A `GridBayesFilter` is smoothed exactly on its nodes,
-    in mode and state. A `ParticleFilter` is smoothed by trajectories drawn
-    backwards (Godsill, Doucet and West 2004), where its system moves with a density.
+    A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian laws in each
+    mode; what that neglects stands in `seedslib.designed.switching.smoothing`. A
+    `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters
     ----------
@@ -49,13 +44,9 @@ def smooth(
     lag : int, optional
         Use the measurements of so many later times only (fixed lag); all of them by default
         (fixed interval).
-    indicators, modes : array_like of int, shape (K+1, *batch), optional
+    indicators : array_like of int, shape (K+1, *batch), optional
     inputs : mapping of Input to array_like, optional
         As in `run` of the filter.
-    trajectories : int, optional
-        Of a particle filter; 200 by default.
-    seed : int, SeedSequence or Generator
-        Of a filter that draws.
 
     Returns
     -------
@@ -69,9 +60,7 @@ def smooth(
     TypeError, ValueError
         A filter that has no smoother; a lag below one; as `run` of the filter.
     """
-    found = _in_blocks(
-        filter, times, measurements, lag, indicators, modes, inputs, trajectories, seed, _estimated
-    )
+    found = _in_blocks(filter, times, measurements, lag, indicators, inputs)
     batch, covs = np.shape(measurements)[2:], [one.cov for one in found]
 
     def joined(parts):
@@ -90,82 +79,33 @@ def smooth(
     return Estimates(*map(joined, zip(*rest, strict=True)))._replace(cov=cov)
 
 
-def draw_trajectories(
-    filter: ParticleFilter, times: ArrayLike, measurements: ArrayLike, trajectories: Count,
-    seed: object = 0, *, indicators: ArrayLike | None = None, inputs: Inputs | None = None,
-) -> np.ndarray:  # fmt: skip
-    """Paths of the state drawn from its law given all measurements: backward simulation.
-
-    Those of which `smooth` forms the moments. Trajectory i of a few is trajectory i of many.
-
-    Parameters
-    ----------
-    filter : ParticleFilter
-    times, measurements, indicators, inputs
-        As in `smooth`.
-    trajectories : int
-        How many.
-    seed : int, SeedSequence or Generator
-
-    Returns
-    -------
-    ndarray, shape (K+1, n, trajectories, *batch)
-        Of a switching system with the mode as one more row.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Another filter; as `smooth`.
-    """
-    if not isinstance(filter, ParticleFilter):
-        raise TypeError(f"filter: wanted a ParticleFilter, got {type(filter).__name__}")
-    found = _in_blocks(
-        filter, times, measurements, None, indicators, None, inputs, trajectories, seed, _drawn
-    )
-    whole, batch = np.concatenate(found, axis=-1), np.shape(measurements)[2:]
-    return whole.reshape((*whole.shape[:-1], *batch))
-
-
-def _in_blocks(
-    filter, times, measurements, lag, indicators, modes, inputs, trajectories, seed, said
-) -> list[Any]:  # fmt: skip
-    """What `said(smoother, parts, states)` makes of each block of records, in their order."""
+def _in_blocks(filter, times, measurements, lag, indicators, inputs) -> list[Estimates]:
+    """Estimates of each block of records, in their order."""
     if not isinstance(filter, Filter):
         raise TypeError(f"filter: wanted a filter of this library, got {type(filter).__name__}")
-    if trajectories is None:
-        smoother = filter.smoother()
-    elif isinstance(filter, ParticleFilter):
-        smoother = filter.smoother(as_count("trajectories", trajectories))
-    else:
-        raise ValueError("trajectories: wanted none, the filter draws none")
+    smoother = filter.smoother()
     lag = None if lag is None else as_count("lag", lag)
     filter = smoother.filter
     times, y = filter.record(times, measurements)
     batch, shape = y.shape[2:], (len(times), *y.shape[2:])
     course = course_of(filter.system, inputs, len(times), batch)
     indicators = as_indicators(indicators, filter.system, shape)
-    if "modes" in filter.takes:
-        modes = as_modes("modes", modes, shape, filter.system.modes)
-    elif modes is not None:
-        raise ValueError("modes: wanted none, the filter finds them by itself")
     flat = y.reshape(*y.shape[:2], -1)
-    shown, true = (None if p is None else p.reshape(len(times), -1) for p in (indicators, modes))
+    shown = None if indicators is None else indicators.reshape(len(times), -1)
     wide, paths = bool(batch) or not filter.alone, flat.shape[2]
 
-    def work(start, stop, stream):
+    def work(start, stop, _stream):
         own = slice(start, stop)
         with on_paths(batch, own) if batch else nullcontext():
-            return gone(own, stream, course.of(own) if wide else course)
+            return smoothed(own, course.of(own) if wide else course)
 
-    def gone(own, stream, held):
+    def smoothed(own, held):
         states, links = [], []
-        first = {} if true is None else {"mode": true[0, own]}
-        state = filter.initial((own.stop - own.start,) if wide else (), stream, **first)
+        state = filter.initial((own.stop - own.start,) if wide else ())
         for k, t in enumerate(times):
-            told = () if true is None else (true[k, own],)
             seen = () if shown is None else (shown[k, own],)
             with held.at(max(k - 1, 0)):
-                state, link = smoother.forecast(state, t, *told)
+                state, link = smoother.forecast(state, t)
             with held.at(k):
                 state = filter.correct(state, flat[k, :, own] if wide else y[k], *seen)
             states.append(state)
@@ -175,9 +115,9 @@ def _in_blocks(
             with held.at(k), elapsed(filter.system, times[k], times[k + 1]):
                 return smoother.back(states[k], part, *links[k + 1])
 
-        return said(smoother, _parts(smoother, back, states, lag), states)
+        return _estimated(smoother, _parts(smoother, back, states, lag), states)
 
-    return in_blocks(work, paths, seed, block=filter.block(times, paths, 1))
+    return in_blocks(work, paths, 0, block=filter.block(times, paths, 1))
 
 
 def _parts(smoother: Smoother, back: Any, states: list[Any], lag: int | None) -> list[Any]:
@@ -196,11 +136,6 @@ def _parts(smoother: Smoother, back: Any, states: list[Any], lag: int | None) ->
     for j in range(last, 0, -1):
         found.append(back(j - 1, found[-1]))
     return found[::-1]
-
-
-def _drawn(smoother: Any, parts: list, states: list) -> np.ndarray:
-    """Trajectories of one block."""
-    return np.stack([part.x for part in parts])
 
 
 def _estimated(smoother: Smoother, parts: list, states: list) -> Estimates:

@@ -164,8 +164,7 @@ class Filter(Shown):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, KnownModeFilter, ParticleFilter, GridBayesFilter, SwitchingFilter without a "
-            "memory), got "
+            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
             f"{type(self).__name__}"
         )
 

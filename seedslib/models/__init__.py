@@ -24,6 +24,5 @@ if TYPE_CHECKING:
     from seedslib.models.noise import Noise as Noise
     from seedslib.models.propagation import van_loan as van_loan
     from seedslib.models.switching import SwitchingSystem as SwitchingSystem
-    from seedslib.models.switching_average import averaged_switching as averaged_switching
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -9,7 +9,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import unmasked
 from seedslib.models.densities import noise_of
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
@@ -136,7 +135,7 @@ class Branch:
             determined by the measurement although the probability depends on it.
         """
         plain = self.whole.log_density(t, y, x)
-        y = np.asarray(unmasked("y", y, missing=np.nan), dtype=float)
+        y = np.asarray(y, dtype=float)
         x = np.asarray(x, dtype=float)
         with np.errstate(divide="ignore"):
             if not self.depends_on_noise:

@@ -22,7 +22,7 @@ from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
-from seedslib.base.checks import require_shape, unmasked
+from seedslib.base.checks import require_shape
 from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
@@ -122,7 +122,7 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     if isinstance(value, sympy.MatrixBase):
         value = value.tolist()
     try:
-        array = np.array(unmasked(name, value), dtype=object)
+        array = np.array(value, dtype=object)
     except ValueError as error:
         raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
     result = np.empty(array.shape, dtype=object)

@@ -12,16 +12,16 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.objects import Shown
 from seedslib.base.values import Inputs
 from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
-from seedslib.models.words import ShownModel
 
 
 @dataclass(frozen=True, eq=False)
-class DiscreteSystem(ShownModel):
+class DiscreteSystem(Shown):
     """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
 
     The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
@@ -45,6 +45,8 @@ class DiscreteSystem(ShownModel):
         Maps of different states, a state of one map that is a noise of the other, a covariance
         that is not semidefinite.
     """
+
+    _shown = "state_size", "measurement_size"
 
     dynamics: StochasticMap
     sensor: StochasticMap

@@ -14,9 +14,8 @@ from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.blocks import as_paths
 from seedslib.base.bundles import Source, drawn, normal
-from seedslib.base.checks import as_whole
+from seedslib.base.checks import as_count, as_whole
 from seedslib.base.semidefinite import factor
 from seedslib.base.values import on_paths
 from seedslib.models.kinds import as_grid, elapsed
@@ -169,7 +168,7 @@ def simulate_hybrid(
         if any(b is not None and b.depends_on_noise for row in system.branches for b in row):
             raise ValueError("modes: wanted none, for the switching depends on the noise")
         steps = len(as_grid("times", times, system))
-        paths = as_paths(paths, steps * (system.state_size + system.measurement_size + 1))
+        paths = as_count("paths", paths)
         told = np.asarray(modes)
         if told.ndim == 1:
             told = np.repeat(told[:, None], paths, axis=1)

@@ -12,19 +12,18 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.bundles import Source
 from seedslib.base.checks import as_covariance, as_positive, as_shape
-from seedslib.base.objects import Travelling
+from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import Inputs, looked_at, with_values
 from seedslib.models import stepping
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.rates import closed_rates, rate_map
 from seedslib.models.simulation import Simulation, simulate
-from seedslib.models.words import ShownModel
 
 Rate = Callable[[float, np.ndarray], np.ndarray]
 
 
-class JumpDiffusion(Travelling, ShownModel):
+class JumpDiffusion(Travelling, Shown):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -76,6 +75,8 @@ class JumpDiffusion(Travelling, ShownModel):
         Shapes that do not fit, unknown symbols, one symbol with two meanings, covariances that
         are not semidefinite.
     """
+
+    _shown = "state_size", "measurement_size"
 
     indicators: int = 0
     state: Any

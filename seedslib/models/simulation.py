@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
-from seedslib.base.blocks import as_paths, in_blocks
 from seedslib.base.blocks import child as descendant
-from seedslib.base.checks import as_real, unmasked
+from seedslib.base.blocks import in_blocks
+from seedslib.base.checks import as_count, as_real
 from seedslib.base.values import Course, Inputs, on_paths
 from seedslib.models.kinds import AnySystem, as_grid, course_of
 
@@ -56,7 +56,7 @@ def as_measured(measured: object, count: int, name: str = "measured") -> np.ndar
     """
     if measured is None:
         return np.ones(count, dtype=bool)
-    given = np.asarray(unmasked(name, measured))
+    given = np.asarray(measured)
     if given.dtype == bool:
         if given.shape != (count,):
             raise ValueError(f"{name}: wanted a mask of shape ({count},), got {given.shape}")
@@ -91,7 +91,7 @@ class Schedule(NamedTuple):
             A mask of another shape, an index out of range, no probabilities.
         """
         if np.ndim(measured) == 2:
-            mask = np.asarray(unmasked("measured", measured))
+            mask = np.asarray(measured)
             if mask.dtype != bool or mask.shape != (count, size):
                 raise ValueError(
                     f"measured: wanted a mask of shape ({count},) or ({count}, {size}), got "
@@ -158,7 +158,7 @@ def simulate(
         one, a wrong mask or seed, no probabilities; inputs that are missing or do not fit.
     """
     times = as_grid("times", times, system)
-    paths = as_paths(paths, len(times) * (system.state_size + system.sensor.size))
+    paths = as_count("paths", paths)
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     course = course_of(system, inputs, len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))

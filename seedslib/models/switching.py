@@ -11,13 +11,13 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.objects import Shown
 from seedslib.base.values import Inputs, looked_at
 from seedslib.models.branches import branch_table, map_rows, want_probabilities
 from seedslib.models.hybrid import Hybrid, simulate_hybrid
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation
-from seedslib.models.words import ShownModel
 
 
 class InitialMode(NamedTuple):
@@ -28,7 +28,7 @@ class InitialMode(NamedTuple):
     cov: np.ndarray
 
 
-class SwitchingSystem(ShownModel):
+class SwitchingSystem(Shown):
     """Discrete-time system of several modes, with switching that may depend on the state.
 
     In mode i the state moves as X_{k+1} = a_i(t_k, X_k, V_k), the next mode is l with probability
@@ -92,6 +92,8 @@ class SwitchingSystem(ShownModel):
         initial law, where they depend on the state); those of a switch that depend on the noise
         where the new mode drives the step.
     """
+
+    _shown = "state_size", "measurement_size"
 
     _shown = "state_size", "measurement_size", "modes"
     state: Any

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from seedslib.base.checks import as_bound, as_real, as_shape, unmasked
+from seedslib.base.checks import as_bound, as_real, as_shape
 from seedslib.piecewise.clipping import HalfPlanes, area, box, clip_all, half_planes
 
 _CONVEX = 1e-12  # relative depth of a dent that counts as rounding
@@ -61,7 +61,7 @@ class Intervals:
         ValueError
             Pairs that are out of order, overlap, or leave a gap.
         """
-        pairs = np.asarray(unmasked("regions", pairs), dtype=float)
+        pairs = np.asarray(pairs, dtype=float)
         if pairs.ndim != 2 or pairs.shape[1] != 2 or not len(pairs):
             raise ValueError(f"regions: wanted pairs (lower, upper), got shape {pairs.shape}")
         for i in range(len(pairs) - 1):
@@ -175,7 +175,6 @@ def as_cells(regions: object) -> Intervals | Polygons:
     """
     if isinstance(regions, Intervals | Polygons):
         return regions
-    regions = unmasked("regions", regions)
     try:
         array = np.asarray(regions, dtype=float)
     except (TypeError, ValueError):

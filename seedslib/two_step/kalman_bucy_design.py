@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg import expm
 
-from seedslib.base.checks import unmasked
 from seedslib.models.propagation import balanced, distinct_steps
 from seedslib.two_step.linear import LinearDiffusion, PlantMatrices
 from seedslib.two_step.riccati import RiccatiStep, hamiltonian, information_rate, riccati_step
@@ -77,7 +76,7 @@ def make_design(
         `seen` of a wrong shape, or a step longer than the time constant of the filter.
     """
     n, m, count = system.state_size, system.measurement_size, times.size - 1
-    seen = np.ones((count, m), bool) if seen is None else np.asarray(unmasked("seen", seen), bool)
+    seen = np.ones((count, m), bool) if seen is None else np.asarray(seen, bool)
     if seen.shape != (count, m):
         raise ValueError(f"seen: wanted shape ({count}, {m}), got {seen.shape}")
     move, noise = system.transition(0.0, times[0])

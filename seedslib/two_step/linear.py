@@ -14,8 +14,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import as_paths, in_blocks
+from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import (
+    as_count,
     as_covariance,
     as_real,
     as_shape,
@@ -179,7 +180,7 @@ class LinearDiffusion:
             An illegal grid or seed, or `paths` not a positive integer.
         """
         times = as_times("times", times)
-        paths = as_paths(paths, times.size * (self.state_size + self.measurement_size))
+        paths = as_count("paths", paths)
         steps = self._joint_steps(times)
         first, spread = self.transition(0.0, times[0])
         start = square_root(first @ self.cov0 @ first.T + spread)

@@ -115,6 +115,7 @@ heated.py d.csv --kind KalmanFilter | inputs
 heated.py d.csv --kind KalmanFilter --inputs u=y1 --columns t --forecast 1 | forecast
 number.py d.csv | number.py
 mine.py days.csv --unit rows --time day --smooth | smooth
+level.py d.csv --kind ParticleFilter --seed 1 --smooth | smooth
 plain.npz d.csv | plain.npz, --model
 plain.npz d.csv --model target.py | model
 short.npz d.csv | short.npz

@@ -272,11 +272,6 @@ def test_paths_with_unlike_indicators_do_not_know_each_other(batch):
         assert_allclose(state.loglik.reshape(7)[path], one.loglik, rtol=1e-11, atol=1e-13)
         assert_allclose(state.law.prob.reshape(2, 7)[:, path], one.law.prob, rtol=1e-11)
         assert state.mode.reshape(7)[path] == one.mode
-    masked = np.ma.array(shown, mask=shown < 0)
-    found, wanted = (
-        filter.step(filter.initial((7,)), 0.0, record[None], told) for told in (masked, shown)
-    )
-    assert_array_equal(found.loglik, wanted.loglik)
 
 
 def test_indicator_that_no_mode_shows_leaves_the_forecast_and_has_no_likelihood():

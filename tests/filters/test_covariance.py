@@ -1,7 +1,5 @@
 """Covariance filters in continuous time, nonlinear ones, and states that are known exactly."""
 
-import warnings
-
 import numpy as np
 import pytest
 import sympy
@@ -340,19 +338,3 @@ def test_path_that_overflows_has_diverged_alone(options):
     assert estimates.diverged.tolist() == [False, True]
     assert np.isfinite(estimates.mean[..., 0]).all()
     assert filter.run([0.0, 1.0], y[..., 1]).diverged
-
-
-def test_sensor_that_no_state_is_correlated_with_is_warned_about():
-    """It moves no estimate; one that is correlated at some place or time is not warned about."""
-
-    def made(value):
-        maps = StochasticMap((x,), [x + v], Noise((v,))), StochasticMap((x,), value, Noise((w,)))
-        return DiscreteSystem(*maps, 0.3, 1.0)
-
-    with pytest.warns(UserWarning, match="y1 is uncorrelated"):
-        filter = extended_kalman(made([sympy.exp(x) * w]))
-    assert filter.run([0.0], [[2.0]]).mean[0, 0] == pytest.approx(0.3)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for value in ([x**2 + w], [t * x + w], [x + 1000 * w]):
-            extended_kalman(made(value))

@@ -63,15 +63,10 @@ def test_table_of_one_record_is_indexed_by_time(estimates):
     assert table.loc[TIMES[3], "x2"] == estimates.mean[3, 1, 0]
 
 
-def test_tables_show_modes_and_data_sets_have_named_axes():
+def test_tables_show_modes():
     y = np.repeat(record(linear_numbers())[1][..., None], 2, axis=-1)
     filter, shown = RaoBlackwellFilter(switching_system(), 20), np.zeros((7, 2), int)
     estimates = filter.run(TIMES, y, indicators=shown, inputs=INPUTS)
-    table, data = estimates.to_dataframe(TIMES), estimates.to_xarray(TIMES, NAMES)
+    table = estimates.to_dataframe(TIMES)
     assert table.loc[(TIMES[4], 1), "mode"] == estimates.modes[4, 1]
     assert table.loc[(TIMES[4], 1), "mode2"] == estimates.mode_prob[4, 2, 1]
-    assert data["modes"].dims == ("t", "batch0")
-    assert data["diverged"].dims == ("batch0",)
-    assert data["mean"].dims == ("t", "component", "batch0")
-    assert float(data["mean"].sel(t=TIMES[4], component="speed")[1]) == estimates.mean[4, 1, 1]
-    assert data["cov"].dims == ("t", "component", "other", "batch0")

@@ -249,30 +249,9 @@ def test_probability_that_leaves_the_nodes_is_dropped_and_warned_about():
     assert estimates.mean[1, 0] == pytest.approx(0.0, abs=1e-12)
     variance = 0.25 * (1 - 4 * norm.pdf(2.0) / inside)
     assert estimates.cov[1, 0, 0] == pytest.approx(variance, rel=1e-6)
-    accuracy = filter.accuracy([0, 1], missing)
-    assert accuracy.lost == pytest.approx(1 - inside, abs=4e-7)
     one = SwitchingSystem.from_maps([[still]], [[sensor]], [(1, [0], [[0]])])
     filter = GridBayesFilter(one, (-1.0, 1.0, 401))
     assert filter.run([0, 1], missing).loglik.sum() == pytest.approx(0.0, abs=1e-12)
-    assert filter.accuracy([0, 1], missing).lost == pytest.approx(0.0, abs=1e-12)
-
-
-def test_accuracy_bounds_the_error():
-    """By the largest differences of several records; it falls with the number of nodes."""
-    y = np.random.default_rng(1).standard_normal((8, 1, 3))
-    system = LinearSystem(0.9, 0.5, 1, 0.3, 0.2, 1.0)
-    wanted = KalmanFilter(system).run(np.arange(8.0), y)
-    for count in (21, 25):
-        filter = GridBayesFilter(system, (-9, 9, count))
-        accuracy = filter.accuracy(np.arange(8.0), y)
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            estimates = filter.run(np.arange(8.0), y)
-        error = np.abs((estimates.loglik - wanted.loglik).sum(axis=0))
-        assert 1e-6 < error.max() < accuracy.loglik.max()
-        assert (np.abs(estimates.mean - wanted.mean).max(axis=0) < accuracy.mean).all()
-    accuracy = GridBayesFilter(system, (-9, 9, 65)).accuracy(np.arange(8.0), y)
-    assert accuracy.loglik.max() < 1e-3
 
 
 def test_mode_returns_from_any_log_odds():

@@ -9,13 +9,11 @@ from seedslib.base import Input
 from seedslib.filters import (
     CovarianceFilter,
     Estimates,
-    Gated,
     GridBayesFilter,
     KalmanFilter,
     KnownModeFilter,
     ParticleFilter,
     RaoBlackwellFilter,
-    draw_trajectories,
     extended_kalman,
     smooth,
 )
@@ -104,9 +102,6 @@ ROWS = [
         ValueError,
         "cov0",
     ),
-    (lambda: Gated(PARTICLES), TypeError, "filter"),
-    (lambda: Gated(KALMAN, 1), ValueError, "probability"),
-    (lambda: Gated(KALMAN, patience=0), ValueError, "patience"),
     # records
     (lambda: KALMAN.run([0.0, 0.0], Y), ValueError, "times"),
     (lambda: KALMAN.run(np.array(["2026-01-01"], "datetime64[h]"), Y[:1]), TypeError, "times"),
@@ -151,17 +146,15 @@ ROWS = [
     (lambda: smooth("kalman", TWO, Y), TypeError, "filter"),
     (lambda: smooth(RaoBlackwellFilter(BANK), TWO, Y), TypeError, "filter"),
     (lambda: smooth(KALMAN, TWO, Y, lag=0), ValueError, "lag"),
-    (lambda: smooth(KALMAN, TWO, Y, trajectories=9), ValueError, "trajectories"),
-    (lambda: smooth(PARTICLES, TWO, Y, trajectories=0), ValueError, "trajectories"),
-    (lambda: smooth(KALMAN, TWO, Y, modes=SHOWN), ValueError, "modes"),
+    (lambda: smooth(PARTICLES, TWO, Y), TypeError, "filter"),
+    (lambda: smooth(KNOWN, TWO, Y), TypeError, "filter"),
     (lambda: smooth(KALMAN, TWO, np.zeros((3, 1))), ValueError, "measurements"),
-    (lambda: draw_trajectories(KALMAN, TWO, Y, 5), TypeError, "filter"),
     # estimates
     (lambda: ESTIMATES.interval(95), ValueError, "level"),
     (lambda: ESTIMATES.interval(0.0), ValueError, "level"),
     (lambda: Estimates(np.zeros((3, 1))).interval(), ValueError, "interval"),
     (lambda: ESTIMATES.to_dataframe([0, 1, 2]), ValueError, "times"),
-    (lambda: ESTIMATES.to_xarray([0, 1], ["a", "b"]), ValueError, "names"),
+    (lambda: ESTIMATES.to_dataframe([0, 1], ["a", "b"]), ValueError, "names"),
 ]
 
 

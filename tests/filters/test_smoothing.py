@@ -1,58 +1,38 @@
 """Smoothing against regression on all data, and published errors of a pendulum."""
 
 import json
-from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import sympy as sp
 
-from oracles.linear import Linear, Regression, along, discretised, histories, kalman, moments
+from oracles.linear import Linear, Regression, discretised, kalman, moments
 from seedslib.filters import (
     CovarianceFilter,
     KalmanFilter,
-    KnownModeFilter,
-    ParticleFilter,
     assumed_density,
     cubature_kalman,
-    draw_trajectories,
     extended_kalman,
     smooth,
     unscented_kalman,
 )
 from seedslib.linearization import GaussHermite
-from seedslib.models import DiscreteSystem, JumpDiffusion, LinearSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from systems import (
-    COV0,
     EVEN,
-    INDICATORS,
     INPUTS,
-    MEAN0,
-    NOISE,
-    NOISE_COV,
-    NOISE_MEAN,
-    STATE,
-    STEP,
     TIMES,
     U,
-    coefficients,
     continuous_numbers,
     continuous_system,
     discrete_system,
-    linear_formulas,
     linear_numbers,
     linear_system,
-    noises,
-    pendulum,
     record,
-    switching_numbers,
-    switching_system,
 )
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-MODES = np.array([0, 2, 1, 1, 0, 2, 1])
-KNOWN = {"modes": MODES, "indicators": INDICATORS}
 CASES = {
     "Kalman": lambda: (KalmanFilter(linear_system()), linear_numbers(means=False)),
     "Kalman, functions, even": lambda: (
@@ -61,14 +41,6 @@ CASES = {
     ),
     "extended": lambda: (extended_kalman(discrete_system()), linear_numbers()),
     "unscented": lambda: (unscented_kalman(discrete_system()), linear_numbers()),
-    "known modes, old, even": lambda: (
-        KnownModeFilter(switching_system(step=STEP)),
-        along(switching_numbers(EVEN), MODES),
-    ),
-    "known modes, new, even": lambda: (
-        KnownModeFilter(switching_system("new", step=STEP)),
-        along(switching_numbers(EVEN), MODES, "new"),
-    ),
 }
 
 
@@ -77,30 +49,24 @@ def test_smoothing_equals_regression(name):
     """Fixed interval and fixed lag, in blocks; the likelihood is that of the filter."""
     filter, model = CASES[name]()
     times = EVEN if "even" in name else TIMES
-    options = KNOWN if "known" in name else {}
     exact, y = Regression(model), record(model)[1]
     for lag in (None, 1, 3):
-        smoothed = smooth(filter, times, y, inputs=INPUTS, lag=lag, **options)
+        smoothed = smooth(filter, times, y, inputs=INPUTS, lag=lag)
         for k in range(7):
             mean, cov = exact.estimate(y, k, 6 if lag is None else min(k + lag, 6))
             np.testing.assert_allclose(smoothed.mean[k], mean, atol=1e-12)
             np.testing.assert_allclose(smoothed.cov[k], cov, atol=1e-12)
-    run = filter.run(times, y, inputs=INPUTS, **options)
+    run = filter.run(times, y, inputs=INPUTS)
     np.testing.assert_allclose(smoothed.loglik, run.loglik, rtol=1e-13)
     assert not smoothed.diverged
-    if options:
-        np.testing.assert_array_equal(smoothed.modes, MODES)
-        np.testing.assert_array_equal(smoothed.mode_prob, run.mode_prob)
     # records with inputs and gaps of their own, in blocks
     many = np.stack([y, np.nan_to_num(y), y - 1.0], axis=-1)
     inputs = {u: values[:, None] * [1.0, -0.5, 2.0] for u, values in INPUTS.items()}
-    options = {key: np.repeat(part[:, None], 3, axis=1) for key, part in options.items()}
-    whole = smooth(filter, times, many, inputs=inputs, **options)
+    whole = smooth(filter, times, many, inputs=inputs)
     filter.block = lambda *_: 2
     for i, lag in ((0, None), (2, None)):
-        one = {key: part[:, i] for key, part in options.items()}
         given = {u: values[:, i] for u, values in inputs.items()}
-        alone = smooth(filter, times, many[..., i], inputs=given, lag=lag, **one)
+        alone = smooth(filter, times, many[..., i], inputs=given, lag=lag)
         np.testing.assert_allclose(whole.mean[..., i], alone.mean, atol=1e-12)
         np.testing.assert_allclose(whole.cov[..., i], alone.cov, atol=1e-12)
     folded = smooth(
@@ -108,7 +74,6 @@ def test_smoothing_equals_regression(name):
         times,
         many.reshape(7, 2, 1, 3),
         inputs={u: values.reshape(7, 1, 3) for u, values in inputs.items()},
-        **{key: part.reshape(7, 1, 3) for key, part in options.items()},
     )
     for a, b in zip(folded, whole, strict=True):
         if b is not None:
@@ -190,105 +155,3 @@ def test_record_beyond_the_bound_has_diverged_when_smoothed(make, system):
     smoothed = smooth(filter, TIMES, many, inputs=INPUTS)
     np.testing.assert_array_equal(smoothed.diverged, largest > filter.bound)
     assert smoothed.diverged.sum() == 2
-
-
-# Particles: trajectories drawn backwards
-
-RUNS = 20
-
-
-def within(parts, exact, count=4.5):
-    """Independent runs, last axis, have the exact mean within so many of its standard errors."""
-    error = parts.std(axis=-1, ddof=1) / np.sqrt(parts.shape[-1])
-    return (np.abs(parts.mean(axis=-1) - exact) < count * error + 2e-3).all()
-
-
-def even_noise():
-    """The reference system with noise that does not depend on the length of the step."""
-    move, show = linear_formulas()
-    fixed = linear_formulas(step=STEP)[0]
-    zero = dict.fromkeys(NOISE, 0)
-    move = [a.xreplace(zero) + b - b.xreplace(zero) for a, b in zip(move, fixed, strict=True)]
-    noise, sensor_noise = noises()
-    sensor = StochasticMap(STATE, show, sensor_noise)
-    system = DiscreteSystem(StochasticMap(STATE, move, noise), sensor, MEAN0, COV0)
-    model = linear_numbers()
-    root = np.array([coefficients(now).G for now in TIMES[:-1]])
-    b = linear_numbers(means=False).b + root @ NOISE_MEAN
-    return system, model._replace(b=b, Q=root @ NOISE_COV @ root.swapaxes(1, 2))
-
-
-@pytest.mark.parametrize("lag", [None, 1])
-def test_smoothed_particles_come_to_regression(lag):
-    """With inputs, unequal steps and gaps; inputs of another time would be far off."""
-    system, model = even_noise()
-    exact, y = Regression(model), record(model)[1]
-    filter, many = ParticleFilter(system, 300), np.repeat(y[..., None], RUNS, axis=-1)
-    options = {"inputs": INPUTS, "seed": 3}
-    smoothed = smooth(filter, TIMES, many, trajectories=60, lag=lag, **options)
-    laws = [exact.estimate(y, k, 6 if lag is None else min(k + lag, 6)) for k in range(7)]
-    means, covs = map(np.array, zip(*laws, strict=True))
-    assert within(smoothed.mean, means, count=5.5)
-    assert within(smoothed.cov, covs * 59 / 60, count=6)
-    plain = filter.run(TIMES, many, **options)
-    np.testing.assert_array_equal(smoothed.loglik, plain.loglik)
-    assert not within(plain.mean[:3], means[:3])
-    if lag is not None:
-        return
-    drawn = draw_trajectories(filter, TIMES, many, 60, **options)
-    np.testing.assert_allclose(drawn.mean(axis=2), smoothed.mean, atol=1e-12)
-    apart = drawn - drawn.mean(axis=2, keepdims=True)
-    across = np.einsum("kitb,kjtb->kijb", apart[:-1], apart[1:]) / 59
-    pairs = np.array([exact.pair(y, k, 6)[1][:3, 3:] for k in range(6)])
-    assert within(across, pairs, count=6)
-
-
-@pytest.mark.parametrize("drives", ["old", "new"])
-def test_smoothed_particles_of_modes_come_to_the_sum_over_histories(drives):
-    y, rows = record(linear_numbers())[1], [0, 4, 2, 5]
-    y, shown, times = y[rows], np.array([0, -1, 1, 0]), EVEN[:4]
-    inputs = {u: values[:4] for u, values in INPUTS.items()}
-    filter = ParticleFilter(switching_system(drives, step=STEP), 200)
-    many, indicators = np.repeat(y[..., None], RUNS, axis=-1), np.repeat(shown[:, None], RUNS, 1)
-    given = {"indicators": indicators, "inputs": inputs, "trajectories": 50, "seed": 4}
-    smoothed = smooth(filter, times, many, **given)
-    for k in range(4):
-        law = histories(switching_numbers(EVEN), y, shown, k, 3, drives)
-        assert within(smoothed.mode_prob[k], law.mode_prob, count=5)
-        assert within(smoothed.mean[k], law.mean, count=5)
-    drawn = draw_trajectories(filter, times, many, **given)
-    np.testing.assert_allclose((drawn[:, 3] == 2).mean(axis=1), smoothed.mode_prob[:, 2])
-    np.testing.assert_array_equal(smoothed.modes, smoothed.mode_prob.argmax(axis=1))
-
-
-def test_trajectories_do_not_depend_on_their_number_and_have_the_shape_of_the_records():
-    y = record(linear_numbers())[1]
-    filter, many = ParticleFilter(even_noise()[0], 30), np.repeat(y[..., None], 6, axis=-1)
-    draw = partial(draw_trajectories, filter, TIMES, inputs=INPUTS)
-    nine, four = draw(many, 9, 2), draw(many, 4, 2)
-    assert nine.shape == (7, 3, 9, 6)
-    np.testing.assert_array_equal(nine[:, :, :4], four)
-    assert not np.array_equal(four, draw(many, 4, 3))
-    assert draw(y, 5, 2).shape == (7, 3, 5)
-    assert draw(many.reshape(7, 2, 2, 3), 5, 2).shape == (7, 3, 5, 2, 3)
-    filter.block = lambda *_: 4
-    parts = draw(many, 4, 2)
-    assert parts.shape == four.shape
-    assert np.isfinite(parts).all()
-    smoothed = smooth(filter, TIMES, y, trajectories=5, seed=2, inputs=INPUTS)
-    assert smoothed.mean.shape == (7, 3)
-    assert smoothed.cov.shape == (7, 3, 3)
-
-
-def test_particles_without_a_density_of_moves_are_not_smoothed():
-    x, v, w = sp.symbols("x v w")
-    see = StochasticMap((x,), [x + w], Noise((w,)))
-    bent = StochasticMap((x,), [x + v**2], Noise((v,)))
-    for system in (
-        JumpDiffusion((x,), [-x], [[1]], [x + w], Noise((w,)), [0], [[1]]),
-        DiscreteSystem(bent, see, [0], [[1]]),
-        pendulum(),
-        LinearSystem(np.eye(2), np.diag([1, 0]), [[1, 0]], 1, [0, 0], np.eye(2)),
-    ):
-        with pytest.raises(ValueError, match=r"^filter: "):
-            smooth(ParticleFilter(system, 10), [0, 1], np.zeros((2, 1)))

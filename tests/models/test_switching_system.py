@@ -14,7 +14,6 @@ from seedslib.models import (
     Noise,
     StochasticMap,
     SwitchingSystem,
-    averaged_switching,
 )
 from systems import (
     COVS,
@@ -263,19 +262,3 @@ def test_a_switch_that_never_happens_has_no_branch_however_zero_is_written():
     for zero, one in ((0, 1), (0.0, 1.0), (sympy.Float(0), 1)):
         moves = system("old", switching=[[one, zero], [zero, one]]).branches
         assert [[b is None for b in row] for row in moves] == [[False, True], [True, False]]
-
-
-def test_averaged_switching_has_the_means_of_the_probabilities():
-    """Of the paths in each mode at the later half of the times; the timing is kept."""
-    for drives in ("old", "new"):
-        model = system(drives)
-        averaged = averaged_switching(model, np.arange(20.0), 2000, 1)
-        assert averaged.drives == drives
-        data = model.simulate(np.arange(20.0), 2000, 1)
-        for i in (0, 1):
-            later = data.modes[10:] == i
-            share = stays(i, data.states[10:, 0][later]).mean()
-            found = averaged.branches[i][i].probability(0.0, np.zeros(1))
-            assert found == pytest.approx(share, rel=1e-12)
-        value = [map.value(0.0, np.ones((1, 1)), np.ones((1, 1))) for map in averaged.dynamics]
-        assert np.ravel(value) == pytest.approx([0.8, 2.2])

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
-from seedslib.base.blocks import require_room
 from seedslib.base.checks import as_count
 from seedslib.base.nodes import NodesLike
 from seedslib.base.tables import AxesLike, Labels
@@ -97,7 +96,7 @@ def grid_synthesis(
         Probability at the ends of an axis; classes of histories that are far apart.
     """
     if nodes != 0:
-        require_room("nodes", nodes, 8.0 * as_count("nodes", nodes))
+        as_count("nodes", nodes)
     law = _law_of((system, memory, times, x, z, y, inputs), measured, availability)
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")

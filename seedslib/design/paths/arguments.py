@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.checks import as_count, as_times, is_whole, outside
 from seedslib.base.clock import step_count, when
 from seedslib.design.fitting import coefficients_of
@@ -103,7 +102,6 @@ def node_times(times: np.ndarray, nodes: Any, horizon: float | None, step: float
     whole = is_whole(nodes)
     if whole:
         as_count("nodes", nodes, 0)
-        require_room("nodes", nodes, 8.0 * nodes * len(ends))
     if not whole and step is None:
         nodes = list(nodes)
         if len(nodes) != len(ends):

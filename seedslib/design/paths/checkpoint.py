@@ -25,11 +25,11 @@ from seedslib.design.paths.forward_pass import Found
 from seedslib.designed.archive import read, write
 from seedslib.designed.codec import KNOWN, packed, unpacked
 from seedslib.designed.finite_order_rules import FiniteOrderState
+from seedslib.designed.identity import model_text
 from seedslib.designed.memory import Past
 from seedslib.designed.shapes import check_array, check_start, check_verbs
 from seedslib.models.kinds import mentioned
 from seedslib.models.simulation import simulate
-from seedslib.models.words import model_text
 
 FORMAT = "seedslib design in progress"
 TRIAL = 256

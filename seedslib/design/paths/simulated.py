@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence, seed_record
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.values import Inputs
 from seedslib.design.paths.arguments import (
@@ -25,7 +25,7 @@ from seedslib.design.paths.arguments import (
 from seedslib.design.paths.forward_pass import ForwardPass
 from seedslib.design.paths.held_out import examined, forecast_errors
 from seedslib.design.paths.patterns import PatternPass
-from seedslib.design.paths.walk import Crew, Walk, crew, require_range
+from seedslib.design.paths.walk import Walk, crew, require_range
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
@@ -233,8 +233,6 @@ def synthesize(
         return made(*linear_design(system, rules, times, grid, held, there))
     paths = as_count("paths", paths)
     check_paths(paths, memory, predictor, components, system.sensor.size, measured_nodes)
-    if not isinstance(workers, Crew):  # of a crew the paths are elsewhere
-        as_paths(paths, n + memory.dimension(len(times), components, system.sensor.size))
     root, bound, file = as_seed_sequence(seed), float(bound), None
     if checkpoint is not None:
         from seedslib.design.paths.checkpoint import Checkpoint, identity

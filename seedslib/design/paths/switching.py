@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import BLOCK, as_paths, as_seed_sequence, seed_record
-from seedslib.base.checks import outside
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
 from seedslib.base.values import Inputs
 from seedslib.design.cells import fit_cells
@@ -92,8 +92,7 @@ def synthesize_switching(
     require_memory(memory, system)
     n = system.state_size
     order = memory.order(n, system.measurement_size, system.modes)
-    held_by_path = n + memory.dimension(len(times), n, system.measurement_size, system.modes)
-    paths = as_paths(paths, 0 if isinstance(workers, Crew) else held_by_path)
+    paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
     rules = compiled_rules(system, linearization, normalisation, split)

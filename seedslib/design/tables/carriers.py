@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
-from seedslib.base.blocks import BLOCK, as_seed_sequence, require_room, seed_record
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.design.paths.held_out import examined
 from seedslib.design.paths.walk import crew
@@ -125,7 +125,6 @@ class Carriers:
         self.paths, self.lost = as_count("paths", paths), 0
         # a system in discrete time has no states between
         parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes) + 1
-        require_room("nodes", nodes, 8.0 * parts * len(self.times))
         self.stops: tuple[np.ndarray, ...] = tuple(
             np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
         )

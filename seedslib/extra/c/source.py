@@ -10,9 +10,9 @@ from string import Template
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.designed.identity import model_text
 from seedslib.extra.c.tape import literal
 from seedslib.models.kinds import switches
-from seedslib.models.words import model_text
 
 WIDTH = 100
 

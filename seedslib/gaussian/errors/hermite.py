@@ -18,7 +18,6 @@ import numpy as np
 from scipy.special import roots_hermitenorm
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import unmasked
 from seedslib.gaussian.errors.joint import joint_factor, symmetric_part
 from seedslib.gaussian.errors.tensors import contracted, factorial_of, mean_derivatives
 from seedslib.gaussian.means.polynomial import Index, heat
@@ -112,7 +111,7 @@ class HermiteExpansion:
         -------
         ndarray (p, ...)
         """
-        xhat = np.asarray(unmasked("xhat", xhat), dtype=float)
+        xhat = np.asarray(xhat, dtype=float)
         if self.coordinates is not None:
             xhat = xhat[list(self.coordinates)]
         centred = xhat - self.mean.reshape(-1, *(1,) * (xhat.ndim - 1))

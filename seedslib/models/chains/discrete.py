@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.nodes import Grid, Nodes, as_grids
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, locate, mesh
@@ -72,8 +71,6 @@ class DiscreteChain(Shown):
         self.system: DiscreteSystem = system
         self.axes: tuple[Axis | Nodes, ...] = as_grids("x", axes, n)
         self.values: np.ndarray = mesh(self.axes)
-        count = self.values.shape[1]
-        require_room("x", f"{count} nodes", 8.0 * count**2)
         self.weights: np.ndarray = np.ones(1)
         for axis in self.axes:
             self.weights = np.outer(self.weights, axis.weights).ravel()

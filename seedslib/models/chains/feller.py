@@ -7,7 +7,6 @@ from itertools import pairwise
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.clock import lengths_alike, step_count, when
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
@@ -110,7 +109,6 @@ class FellerChain(Shown):
             )
         self.system: JumpDiffusion = system
         self.axis: Axis = Axis.of("axis", axis)
-        require_room("axis", f"{self.axis}", 8.0 * self.axis.count**2)
         self.values: np.ndarray = self.axis.nodes[None]
         self._known: dict = {}
 

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.clock import lengths_alike, step_count
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike, as_axes, mesh
@@ -70,8 +69,6 @@ class PlaneChain(Shown):
         self.system: JumpDiffusion = system
         self.axes: tuple[Axis, ...] = as_axes("axes", axes, 2)
         self.values: np.ndarray = mesh(self.axes)
-        count = self.values.shape[1]
-        require_room("axes", f"{count} nodes", 8.0 * count * sum(a.count for a in self.axes))
         self.substep: float = float(substep)
         spread = self._spread()
         if np.abs(spread[0, 1]).max() > 0:
@@ -175,8 +172,6 @@ class PlaneModes(Shown):
         self.axes: tuple[Axis, ...] = as_axes("axes", axes, 2)
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes
-        count = self.nodes.shape[1]
-        require_room("axes", f"{count} nodes", 8.0 * (self.modes * count) ** 2)
         self.values: np.ndarray = np.tile(self.nodes, self.modes)
         self._known: dict = {}
 

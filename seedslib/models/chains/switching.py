@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.blocks import require_room
 from seedslib.base.objects import Shown
 from seedslib.base.tables import Axis, AxisLike
 from seedslib.base.values import present
@@ -71,7 +70,6 @@ class SwitchingChain(Shown):
         self.axis: Axis = Axis.of("axis", axis)
         self.modes: int = system.modes
         self.indicators: int = system.indicators
-        require_room("axis", f"{self.axis}", 8.0 * (self.modes * self.axis.count) ** 2)
         self.values: np.ndarray = np.tile(self.axis.nodes, self.modes)[None]
         self._known: dict = {}
 
