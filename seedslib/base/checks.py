@@ -57,6 +57,8 @@ def as_bound(name: str, value: object) -> np.ndarray:
 
 
 def _floats(name, value):
+    if isinstance(value, np.ma.MaskedArray):  # NumPy would read the numbers behind the mask
+        raise TypeError(f"{name}: wanted NaN for missing numbers, got a masked array")
     try:
         array = np.asarray(value)
     except ValueError as error:

@@ -134,7 +134,8 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
         record = np.asarray(measurements)
     except ValueError:  # a ragged list
         record = None
-    if record is None or record.dtype != np.float64:
+    masked = isinstance(measurements, np.ma.MaskedArray)
+    if masked or record is None or record.dtype != np.float64:
         record = as_real("measurements", measurements, nan=True)
     if record.ndim < 2 or record.shape[:2] != (count, size):
         raise ValueError(
