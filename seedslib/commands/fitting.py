@@ -28,8 +28,6 @@ def add_fit(commands: Any) -> None:
     add_table(parser)
     add_kind(parser)
     add("--free", metavar="q,r", help="parameters to fit; else all that --set leaves")
-    add("--starts", type=int, default=1, metavar="N", help="points to start from (default 1)")
-    add("--seed", type=int, default=0, help="of the further starts (default 0)")
     add("--out", metavar="FILE.json", help="file of the values")
     parser.set_defaults(run=run_fit)
 
@@ -68,7 +66,7 @@ def run_fit(options: argparse.Namespace) -> int:
         try:
             found = fit(
                 make if options.kind in ALWAYS_MADE_ANEW else filter, record.times,
-                record.measurements, free, starts=options.starts, seed=options.seed,
+                record.measurements, free,
                 indicators=record.indicators, inputs=record.inputs or None,
             )  # fmt: skip
         except (TypeError, ValueError) as error:
