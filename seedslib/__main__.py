@@ -1,5 +1,5 @@
 """``python -m seedslib``: the commands of the library."""
 
-from seedslib.commands.cli import main
+from seedslib.commands import main
 
 raise SystemExit(main())

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from seedslib.commands.cli import run_command
+from seedslib.commands import run_command
 
 
 def _told(found: Sequence[str], some: str, none: str) -> int:

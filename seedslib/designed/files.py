@@ -105,7 +105,7 @@ def load(
     if system is None and not tables:
         raise ValueError(
             f"{path.name}: this filter evaluates its model; wanted the model too, on the command "
-            "line --model (only a filter of tables runs without)"
+            "line --system (only a filter of tables runs without)"
         )
     # a table has no linearization, or none that matters
     if tables or given["linearization"] is None:

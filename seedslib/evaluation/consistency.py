@@ -1,32 +1,22 @@
-"""Whether a filter's own covariances fit its errors: normalised squares and their bounds."""
+"""Whether a filter's own covariances fit its errors: normalised squares"""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from seedslib.base.semidefinite import range_root, square_root
 
-CONFIDENCE = 0.95
 
-
-def mahalanobis(error: np.ndarray, cov: Any) -> tuple[np.ndarray, int] | None:
-    """Normalised squares eᵀ P⁺ e, shape (J, N), and their degrees of freedom.
+def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Normalised squares eᵀ P⁺ e, shape (J, N).
 
     Parameters
     ----------
     error : ndarray, shape (J, c, N)
-    cov : ndarray, shape (J, c, c) or (J, c, c, N) (N may be 1), or None
+    cov : ndarray, shape (J, c, c) or (J, c, c, N) (N may be 1)
         NaN where there is no covariance, which gives NaN. A singular one is met by its
         pseudo-inverse.
-
-    Returns
-    -------
-    squares, freedom, or None without a covariance
     """
-    if cov is None:
-        return None
     count = error.shape[2]
     cov = cov if cov.ndim == 4 else cov[..., None]
     matrices = np.moveaxis(np.broadcast_to(cov, (*cov.shape[:3], count)), 3, 1)
@@ -43,7 +33,7 @@ def mahalanobis(error: np.ndarray, cov: Any) -> tuple[np.ndarray, int] | None:
     if singular.any():
         roots = range_root(safe[singular])[0]
         squares[singular] = np.square(np.einsum("brc,bc->br", roots, vectors[singular])).sum(1)
-    return np.where(known, squares, np.nan), error.shape[1]
+    return np.where(known, squares, np.nan)
 
 
 def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -60,34 +50,4 @@ def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> n
     if gap.any():  # uncorrelated with the others, a missing component adds nothing
         error, cov = np.where(gap, 0.0, error), cov.reshape(*cov.shape[:2], -1)
         cov = np.where(gap | gap[:, None], np.eye(len(error))[..., None], cov)
-    found = mahalanobis(error[None], cov[None])
-    return np.where(gap.all(axis=0), np.nan, found[0][0] if found else np.nan)
-
-
-def bounds(freedom: Any, count: Any) -> tuple[Any, Any]:
-    """Where the mean of `count` independent chi-square numbers lies with probability 0.95.
-
-    Numbers or arrays; NaN where there is none of them.
-    """
-    from scipy.special import chdtri
-
-    tail, count = 0.5 * (1.0 - CONFIDENCE), np.where(np.asarray(count) > 0, count, np.nan)
-    total = freedom * count
-    return chdtri(total, 1.0 - tail) / count, chdtri(total, tail) / count
-
-
-def ratio_of_sums(known: Any) -> tuple[Any, Any]:
-    """Sum over paths and the window by what is expected of it, and its standard error.
-
-    The errors of one path at different times depend on each other, those of different paths do
-    not: the standard error is that of a ratio of means over paths (to first order).
-
-    Parameters
-    ----------
-    known : Known
-    """
-    (found, expected), products = known.paths, known.products
-    expected = np.where(expected > 0, expected, np.nan)
-    share = found / expected
-    spread = products[0, 0] - 2 * share * products[0, 1] + share**2 * products[1, 1]
-    return share, np.sqrt(np.maximum(spread, 0.0)) / expected
+    return np.where(gap.all(axis=0), np.nan, mahalanobis(error[None], cov[None])[0])

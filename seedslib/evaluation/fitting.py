@@ -2,27 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import lru_cache
-from typing import Any, TypeAlias
+from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.optimize import minimize
 from scipy.special import ndtri
 
-from seedslib.base.checks import as_count
 from seedslib.base.parameters import Parameter
 from seedslib.base.values import Inputs, assigned
-from seedslib.evaluation.differences import Local, derivatives
-from seedslib.evaluation.scales import Scale
 from seedslib.filters.verbs import Filter
 from seedslib.models.kinds import mentioned
 
-LEFT = 1e-6
-"""Converged: the log-likelihood is expected to rise by less than this."""
+STEP = 1e-3
+"""Step of the differences that derivatives are taken by."""
+
+CONVERGED = 1e-6
+"""The log-likelihood is expected to rise by less than this."""
 
 FLAT = 1e-5
 """Curvatures below this part of those along the axes are rounding."""
@@ -30,12 +31,10 @@ FLAT = 1e-5
 WORST = 1e200
 """Stands for a likelihood that is zero or no number."""
 
-Bounds: TypeAlias = tuple[float, float]
-
 
 @dataclass(frozen=True)
 class Fit:
-    """What was found.
+    """Parameters of largest likelihood.
 
     Attributes
     ----------
@@ -50,8 +49,6 @@ class Fit:
         down in all directions.
     message : str
         Why not, or nothing.
-    tried : ndarray, shape (starts, p + 1)
-        Parameters and log-likelihood that each start came to.
     evaluations : int
         Likelihoods that were computed.
     """
@@ -62,9 +59,8 @@ class Fit:
     loglik: float
     converged: bool
     message: str
-    tried: np.ndarray
     evaluations: int
-    _problem: Any = field(repr=False, compare=False)
+    _likelihood: Any = field(repr=False, compare=False)
 
     @property
     def errors(self) -> np.ndarray:
@@ -86,11 +82,18 @@ class Fit:
         Raises
         ------
         ValueError
-            A parameter that was not fitted, a point out of its bounds.
+            A parameter that was not fitted, a point that is not positive where it has to be.
         """
         if parameter not in self.parameters:
             raise ValueError(f"parameter: wanted one that was fitted, got {parameter}")
-        return self._problem.profile(self.parameters.index(parameter), self.values, points)
+        axis, values, logliks = self.parameters.index(parameter), self.values.copy(), []
+        u = self._likelihood.free(values)
+        others = [k for k in range(len(u)) if k != axis]
+        for values[axis] in points:
+            u[axis] = self._likelihood.free(values)[axis]
+            u, loglik = self._likelihood.climb(u, others)
+            logliks.append(loglik)
+        return np.array(logliks)
 
     def __str__(self) -> str:
         rows = zip(self.parameters, self.values, self.errors, strict=True)
@@ -100,16 +103,20 @@ class Fit:
 
 
 def fit(
-    filter: Filter | Callable[[], Filter], times: ArrayLike, measurements: ArrayLike,
-    free: Sequence[Parameter], *, bounds: Mapping[Parameter, Bounds] | None = None,
-    starts: int = 1, seed: int = 0, indicators: ArrayLike | None = None,
+    filter: Filter | Callable[[], Filter],
+    times: ArrayLike,
+    measurements: ArrayLike,
+    free: Sequence[Parameter],
+    *,
+    indicators: ArrayLike | None = None,
     inputs: Inputs | None = None,
-) -> Fit:  # fmt: skip
+) -> Fit:
     """Fit parameters of a model to records by the likelihood of a filter.
 
     Derivatives, first and second, are differences of fourth order, and all the likelihoods that
     they need are computed as one batch of paths, each with its own parameters; nothing is compiled
-    again. The maximum is found by Newton's method in a region of trust.
+    again. The maximum is found by Newton's method in a region of trust, from where the parameters
+    stand; positive parameters are varied by their logarithms.
 
     Parameters
     ----------
@@ -121,12 +128,6 @@ def fit(
     measurements : array_like, shape (K+1, m) or (K+1, m, series)
         Of one record, or of many with the same parameters.
     free : sequence of Parameter
-    bounds : mapping of Parameter to (low, high), optional
-        By default positive parameters are above zero, and the others anywhere.
-    starts : int
-        The first start is where the parameters stand, further ones are drawn about it.
-    seed : int
-        Of the further starts.
     indicators : array_like of int, shape (K+1) or (K+1, series), optional
         Of a system with modes that has one.
     inputs : mapping of Input to array_like, shape (K+1,) or (K+1, series), optional
@@ -139,148 +140,171 @@ def fit(
     Raises
     ------
     TypeError, ValueError
-        No parameters, a start out of its bounds, a filter without a likelihood, a likelihood that
-        is zero at all starts.
+        No parameters, a positive one that starts at zero, a filter without a likelihood, a
+        likelihood that is zero at the start.
     """
-    problem = _Problem(filter, times, measurements, tuple(free), bounds or {}, indicators, inputs)
-    rng = np.random.default_rng(seed)
-    spread = rng.normal(size=(as_count("starts", starts) - 1, len(problem.scales)))
-    first = problem.start()
-    found = [problem.climb(u) for u in (first, *(first + spread))]
-    tried = np.array([[*problem.values(u), loglik] for u, loglik in found])
-    best, loglik = max(found, key=lambda pair: pair[1])
+    likelihood = _Likelihood(filter, times, measurements, tuple(free), indicators, inputs)
+    u, loglik = likelihood.climb(likelihood.free([p.value for p in likelihood.parameters]))
     if loglik <= -WORST:
-        raise ValueError("free: the likelihood is zero, or no number, at every start")
-    return problem.judged(best, tried)
+        raise ValueError("free: the likelihood is zero, or no number, at the start")
+    return likelihood.maximum(u)
 
 
-class _Problem:
-    """A log-likelihood as a function of free numbers, many points at once."""
+class _Likelihood:
+    """A log-likelihood as a function of free numbers u, many points at once."""
 
-    def __init__(self, filter, times, measurements, parameters, bounds, indicators, inputs):
+    def __init__(self, filter, times, measurements, parameters, indicators, inputs):
         if not parameters or not all(isinstance(p, Parameter) for p in parameters):
             raise TypeError(f"free: wanted parameters of the model, got {parameters!r}")
-        if unknown := set(bounds) - set(parameters):
-            raise ValueError(f"bounds: wanted those of free parameters, got {unknown}")
         system = getattr(filter, "system", None)
         strange = [p for p in parameters if p not in mentioned(system)]
         if system is not None and strange:
             raise ValueError(f"free: wanted parameters of the model, got {strange[0]}")
         self.filter, self.times, self.parameters = filter, times, parameters
+        # a batch is as quick with second derivatives as without
+        self.batch = isinstance(filter, Filter)
+        self.positive = np.array([bool(p.is_positive) for p in parameters])
         y = np.asarray(measurements, dtype=float)
         self.y = y[..., None] if y.ndim == 2 else y
-        self.seen = None
+        self.indicators = indicators
         if indicators is not None:
-            self.seen = np.asarray(indicators).reshape(len(self.y), -1)
-        self.told = {u: np.asarray(part) for u, part in dict(inputs or {}).items()}
-        anywhere = {p: (0.0 if p.is_positive else -np.inf, np.inf) for p in parameters}
-        self.scales = [Scale(*(anywhere | dict(bounds))[p]) for p in parameters]
+            self.indicators = np.asarray(indicators).reshape(len(self.y), -1)
+        self.inputs = {u: np.asarray(part) for u, part in dict(inputs or {}).items()}
         self.evaluations = 0
 
-    def start(self) -> np.ndarray:
-        return np.array(
-            [s.free(p.value) for s, p in zip(self.scales, self.parameters, strict=True)]
-        )
+    def free(self, values: ArrayLike) -> np.ndarray:
+        """Numbers u (p,) without bounds for parameters: logarithms of those that are positive."""
+        values = np.array(values, dtype=float)
+        for k in np.flatnonzero(self.positive & ~(values > 0)):
+            name = self.parameters[k]
+            raise ValueError(f"{name}: wanted a positive value to start from, got {values[k]:g}")
+        return np.where(self.positive, np.log(np.where(self.positive, values, 1.0)), values)
 
     def values(self, u):
         """Parameters (p, ...) of free numbers (p, ...)."""
-        return np.stack([s.value(part) for s, part in zip(self.scales, u, strict=True)])
+        return np.array([np.exp(v) if p else v for p, v in zip(self.positive, u, strict=True)])
 
     def loglik(self, points: np.ndarray) -> np.ndarray:
         """Log-likelihood at each of the points (p, count)."""
         self.evaluations += points.shape[1]
         with np.errstate(all="ignore"):
             values = self.values(points)
-            if isinstance(self.filter, Filter):
-                found = self._batch(values)
+            if self.batch:
+                count, series = points.shape[1], self.y.shape[2]
+                logliks = self._run(self.filter, np.repeat(values, series, axis=1), count)
+                logliks = logliks.reshape(count, series).sum(axis=1)
             else:
-                found = np.array([self._one(column) for column in values.T])
-        return np.where(np.isfinite(found), found, -WORST)
+                logliks = np.array([self._run(self.filter(), v, 1).sum() for v in values.T])
+        return np.where(np.isfinite(logliks), logliks, -WORST)
 
-    def _batch(self, values):
-        count, series = values.shape[1], self.y.shape[2]
-        repeated = np.repeat(values, series, axis=1)
-        seen = None if self.seen is None else np.tile(self.seen, (1, count))
-        told = {u: v if v.ndim == 1 else np.tile(v, (1, count)) for u, v in self.told.items()}
-        found = self._run(self.filter, repeated, np.tile(self.y, (1, 1, count)), seen, told)
-        return found.reshape(count, series).sum(axis=1)
-
-    def _one(self, values):
-        return self._run(None, values, self.y, self.seen, self.told).sum()
-
-    def _run(self, filter, values, y, seen, told):
-        """Log-likelihood of each record, with a filter that is made where there is None."""
+    def _run(self, filter, values, count):
+        """Log-likelihood of each record, all records `count` times beside each other."""
+        options: dict[str, Any] = {"indicators": self.indicators}
+        if self.indicators is not None:
+            options["indicators"] = np.tile(self.indicators, (1, count))
+        if self.inputs:
+            options["inputs"] = {
+                u: v if v.ndim == 1 else np.tile(v, (1, count)) for u, v in self.inputs.items()
+            }
         with assigned(dict(zip(self.parameters, values, strict=True))):
-            filter = self.filter() if filter is None else filter
-            own = {"inputs": told} if told else {}
-            found = filter.run(self.times, y, indicators=seen, **own).loglik
-        if found is None:
+            loglik = filter.run(self.times, np.tile(self.y, (1, 1, count)), **options).loglik
+        if loglik is None:
             raise ValueError(f"filter: {filter!r} gives no likelihood")
-        return found.sum(axis=0)
-
-    def local(self, u: np.ndarray, along: Sequence[int], bend: bool = True) -> Local:
-        """Log-likelihood at u with its derivatives."""
-        return derivatives(self.loglik, u, along, bend)
+        return loglik.sum(axis=0)
 
     def climb(self, u: np.ndarray, along: Sequence[int] | None = None) -> tuple[np.ndarray, float]:
         """A maximum near u, in some of the numbers."""
         along, u = list(range(len(u)) if along is None else along), u.copy()
-        # a batch is as quick with second derivatives as without
-        batch = isinstance(self.filter, Filter)
 
         @lru_cache(maxsize=4)
         def down(key):
             u[along] = np.frombuffer(key)
-            value, slopes, bend = self.local(u, along, batch)
-            return -value, -slopes, None if bend is None else -bend
+            value, slopes, curvature = derivatives(self.loglik, u, along, self.batch)
+            return -value, -slopes, None if curvature is None else -curvature
 
         def part(which):
             return lambda free: down(np.ascontiguousarray(free, dtype=float).tobytes())[which]
 
         if along:
-            method = {"method": "trust-exact", "hess": part(2)} if batch else {"method": "BFGS"}
+            method = (
+                {"method": "trust-exact", "hess": part(2)} if self.batch else {"method": "BFGS"}
+            )
             best = minimize(part(0), u[along], jac=part(1), options={"gtol": 1e-5}, **method)
             u[along] = best.x
         return u, float(self.loglik(u[:, None])[0])
 
-    def profile(self, axis, values, points):
-        u = np.array([s.free(v) for s, v in zip(self.scales, values, strict=True)])
-        others, found = [k for k in range(len(u)) if k != axis], []
-        for point in points:
-            u[axis] = self.scales[axis].free(float(point))
-            found.append(self.climb(u, others)[1])
-        return np.array(found)
-
-    def judged(self, u: np.ndarray, tried: np.ndarray) -> Fit:
+    def maximum(self, u: np.ndarray) -> Fit:
         """The maximum, polished by Newton's steps, with its errors and whether it is one."""
         every = range(len(u))
-        loglik, slopes, bend = self.local(u, every)
+        loglik, slopes, curvature = derivatives(self.loglik, u, every)
         for _ in range(4):
-            definite = _bends_down(bend)
+            definite = _is_negative(curvature)
             if not definite:
                 break
-            step = np.linalg.solve(bend, slopes)
-            later = self.local(u - step, every)
+            step = np.linalg.solve(curvature, slopes)
+            later = derivatives(self.loglik, u - step, every)
             if not later[0] > loglik:
                 break
-            u, (loglik, slopes, bend) = u - step, later
-        left = -0.5 * slopes @ np.linalg.solve(bend, slopes) if definite else np.inf
-        cov = np.full((len(u), len(u)), np.nan)
-        message = "" if left < LEFT else f"the log-likelihood can rise by about {left:.2g}"
+            u, (loglik, slopes, curvature) = u - step, later
+        values, cov = self.values(u), np.full((len(u), len(u)), np.nan)
         if definite:
-            turn = np.diag([s.slope(part) for s, part in zip(self.scales, u, strict=True)])
-            cov = turn @ np.linalg.inv(-bend) @ turn
+            rise = -0.5 * slopes @ np.linalg.solve(curvature, slopes)
+            message = "" if rise < CONVERGED else f"the log-likelihood can rise by about {rise:.2g}"
+            slope = (self.values(u + STEP) - self.values(u - STEP)) / (2 * STEP)
+            cov = np.linalg.inv(-curvature) * np.outer(slope, slope)
         else:
             message = "the log-likelihood does not curve down: too many parameters"
         return Fit(
-            self.parameters, self.values(u), cov, float(loglik), not message, message, tried,
-            self.evaluations, self,
-        )  # fmt: skip
+            self.parameters,
+            values,
+            cov,
+            float(loglik),
+            not message,
+            message,
+            self.evaluations,
+            self,
+        )
 
 
-def _bends_down(bend: np.ndarray) -> bool:
+def _is_negative(curvature: np.ndarray) -> bool:
     """Whether a curvature is negative in all directions, by more than its differences are wrong."""
-    size = np.sqrt(np.abs(np.diagonal(bend)))
+    size = np.sqrt(np.abs(np.diagonal(curvature)))
     if not np.all(size > 0):
         return False
-    return bool(np.linalg.eigvalsh(bend / np.outer(size, size)).max() < -FLAT)
+    return bool(np.linalg.eigvalsh(curvature / np.outer(size, size)).max() < -FLAT)
+
+
+def derivatives(
+    function: Callable[[np.ndarray], np.ndarray],
+    u: np.ndarray,
+    along: Sequence[int],
+    second: bool = True,
+) -> tuple[Any, np.ndarray, np.ndarray | None]:
+    """Value, slopes (q,) and second derivatives (q, q) along q axes, of fourth order in the step.
+
+    Parameters
+    ----------
+    function : callable
+        Of points (p, N), gives values (N,); it is called once.
+    u : ndarray, shape (p,)
+    along : sequence of int, length q
+    second : bool
+        Whether second derivatives are wanted.
+    """
+    q, axes = len(along), np.eye(len(u))[list(along)]
+    pairs = [(i, i) for i in range(q)] + list(combinations(range(q), 2)) if second else []
+    # ends of a step along each axis, and corners of squares of one and two steps along each pair
+    ends = np.array([[1.0], [-1.0], [2.0], [-2.0]])
+    corners = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
+    points = [np.zeros((1, len(u))), *(ends * axis for axis in axes)]
+    points += [size * corners @ axes[[i, j]] for i, j in pairs for size in (1, 2)]
+    values = function(u[:, None] + STEP * np.concatenate(points).T)
+    one, back, two, far = values[1 : 4 * q + 1].reshape(q, 4).T
+    slopes = (8 * (one - back) - (two - far)) / (12 * STEP)
+    if not second:
+        return values[0], slopes, None
+    fine, coarse = (values[4 * q + 1 :].reshape(-1, 2, 4) @ [1, -1, -1, 1] / (4 * STEP**2)).T
+    curvature = np.empty((q, q))
+    for (i, j), part in zip(pairs, (4 * fine - coarse / 4) / 3, strict=True):
+        curvature[i, j] = curvature[j, i] = part
+    return values[0], slopes, curvature

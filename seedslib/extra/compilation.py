@@ -36,7 +36,7 @@ def compiled(filter: Any) -> Any:
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingFilter or CovarianceFilter
+    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
         One that `to_c` can write.
 
     Returns

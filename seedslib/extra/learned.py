@@ -93,7 +93,7 @@ class LearnedFilter(OutputFilter):
     """Filter of finite order whose output functions were learned; `learn` makes it.
 
     It is not written to files, since a regressor is a program; `tabulated` makes a filter of it
-    that is. Networks and trees of scikit-learn are written as C by `seedslib.extra.to_c`.
+    that is, and that `seedslib.extra.to_c` writes as C.
     """
 
     def tabulated(self, *, y: Sequence[Any], z: Sequence[Any]) -> TableFilter:

@@ -1,9 +1,9 @@
-"""Consistency: normalised squares, coverage and log scores against a filter written by hand."""
+"""Consistency: normalised squares and coverage against a filter written by hand."""
 
 import numpy as np
 import pytest
 import sympy
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from oracles.linear import kalman
 from seedslib.design import synthesize
@@ -43,9 +43,7 @@ def test_all_measures_are_those_of_a_filter_written_by_hand():
     found = evaluate(filter, system, TIMES, paths, 3, consistency=True, **options)
     model, y = linear_numbers(means=False), system.all("measurements")
     rows = [kalman(model, y[..., i]) for i in range(paths)]
-    mean, cov, density, before, spread = (
-        np.stack(part, axis=-1) for part in zip(*rows, strict=True)
-    )
+    mean, cov, _, before, spread = (np.stack(part, axis=-1) for part in zip(*rows, strict=True))
     shown = ~np.isnan(y)
     error = mean - system.all("states")
     inverse = np.linalg.inv(np.moveaxis(cov, 3, 0))
@@ -56,11 +54,7 @@ def test_all_measures_are_those_of_a_filter_written_by_hand():
             H, R = model.H[j][here], model.R[j][np.ix_(here, here)]
             apart = y[j, here, i] - H @ before[j, :, i] - model.d[j][here]
             nis[j, i] = apart @ np.linalg.solve(H @ spread[j, ..., i] @ H.T + R, apart)
-    read, count = MASK.any(axis=1), np.full((7, paths), 3)
-    np.testing.assert_allclose(found.nees, nees.mean(axis=1), rtol=1e-7)
-    np.testing.assert_allclose(found.nis[read], np.nanmean(nis[read], axis=1), rtol=1e-8)
-    assert np.isnan(found.nis[~read]).all()
-    measured = shown.sum(axis=1)
+    count, measured = np.full((7, paths), 3), shown.sum(axis=1)
     for field, wanted in (
         ("nees_ratio", ratio(nees[late].sum(axis=0), count[late].sum(axis=0))),
         ("nis_ratio", ratio(np.nansum(nis[late], axis=0), measured[late].sum(axis=0))),
@@ -68,49 +62,21 @@ def test_all_measures_are_those_of_a_filter_written_by_hand():
         assert getattr(found, field) == pytest.approx(wanted[0], rel=1e-8)
         assert getattr(found, f"{field}_error") == pytest.approx(wanted[1], rel=1e-6)
     inside = np.abs(error) <= norm.ppf(0.975) * np.sqrt(np.einsum("jiiN->jiN", cov))
-    np.testing.assert_allclose(found.coverage, inside.mean(axis=2))
-    np.testing.assert_allclose(found.coverage_error, inside.std(axis=2) / np.sqrt(paths))
     share = inside[late].mean(axis=0)
     np.testing.assert_allclose(found.average_coverage, share.mean(axis=1))
     spread = share.std(axis=1) / np.sqrt(paths)
     np.testing.assert_allclose(found.average_coverage_error, spread, rtol=1e-6)
-    np.testing.assert_allclose(found.log_score[read], density.mean(axis=1)[read], rtol=1e-9)
-    spread = density.std(axis=1)[read] / np.sqrt(paths)
-    np.testing.assert_allclose(found.log_score_error[read], spread, rtol=1e-7)
-    assert np.isnan(found.log_score[~read]).all()
-    score = density[[3, 4, 5]].mean(axis=0)
-    assert found.average_log_score == pytest.approx(score.mean(), rel=1e-9)
-    assert found.average_log_score_error == pytest.approx(score.std() / np.sqrt(paths), rel=1e-7)
-    # bands are quantiles of chi-square, of the sum of the degrees of freedom
-    for bound, p in zip(found.nees_bounds, (0.025, 0.975), strict=True):
-        np.testing.assert_allclose(bound, chi2.ppf(p, 3 * paths) / paths, rtol=1e-9)
-    known = (measured > 0).sum(axis=1)[read]
-    for bound, p in zip(found.nis_bounds, (0.025, 0.975), strict=True):
-        wanted = chi2.ppf(p, measured.sum(axis=1)[read]) / known
-        np.testing.assert_allclose(bound[read], wanted, rtol=1e-9)
-        assert np.isnan(bound[~read]).all()
 
 
 def test_a_consistent_filter_is_told_from_a_bold_one():
     filters = {"right": extended_kalman(walk()), "bold": extended_kalman(walk(0.2))}
-    system = Recorded(walk())
-    found = compare(filters, system, np.arange(8.0), 1500, 3, consistency=True, availability=0.7)
+    found = compare(filters, walk(), np.arange(8.0), 1500, 3, consistency=True, availability=0.7)
     right, bold = found["right"], found["bold"]
     for name, wanted in (("nees_ratio", 1), ("nis_ratio", 1), ("average_coverage", 0.95)):
         off, error = np.abs(getattr(right, name) - wanted), getattr(right, f"{name}_error")
         assert np.all(off < 4 * error), name
         off, error = np.abs(getattr(bold, name) - wanted), getattr(bold, f"{name}_error")
         assert np.all(off > 6 * error), name
-    for values, (low, high) in ((right.nees, right.nees_bounds), (right.nis, right.nis_bounds)):
-        assert ((low < values) & (values < high)).sum() >= 6
-    apart = found.difference("right", "bold")
-    y = system.all("measurements")
-    one, two = (filter.run(np.arange(8.0), y).loglik for filter in filters.values())
-    late = (one - two).mean(axis=0)
-    assert apart.average_log_score == pytest.approx(late.mean(), rel=1e-7)
-    assert apart.average_log_score_error == pytest.approx(late.std() / np.sqrt(1500), rel=1e-6)
-    assert apart.average_log_score > 8 * apart.average_log_score_error
-    assert apart.log_score_error[6] == pytest.approx((one - two)[6].std() / np.sqrt(1500))
     assert f"{right.nees_ratio:.4g} ± {right.nees_ratio_error:.2g}" in repr(found)
 
 
@@ -138,45 +104,37 @@ def test_singular_covariances_are_met_on_their_range():
             still, StochasticMap(state, [state[0] + v], Noise([v])), np.zeros(3), np.outer(u, u)
         )
     )
-    found = evaluate(Claims(np.outer(u, u)), system, [0, 1], 300, 1, consistency=True)
-    squares = (system.all("states")[:, 0] / u[0]) ** 2
-    np.testing.assert_allclose(found.nees, squares.mean(axis=1), rtol=1e-6)
-    assert found.nis is None
-    certain = evaluate(Claims(np.diag([4.0, 0.0, 0.0])), system, [0, 1], 300, 1, consistency=True)
+    options = {"consistency": True, "window": [0]}
+    found = evaluate(Claims(np.outer(u, u)), system, [0, 1], 300, 1, **options)
+    squares = (system.all("states")[0, 0] / u[0]) ** 2
+    assert found.nees_ratio == pytest.approx(squares.mean() / 3, rel=1e-6)
+    assert found.nis_ratio is None
+    certain = evaluate(Claims(np.diag([4.0, 0.0, 0.0])), system, [0, 1], 300, 1, **options)
     squares = system.all("states")[0, 0, 300:] ** 2 / 4.0
-    assert certain.nees[0] == pytest.approx(squares.mean())
-    nothing = evaluate(Claims(), system, [0, 1], 300, 1, consistency=True)
-    assert nothing.nees is None
+    assert certain.nees_ratio == pytest.approx(squares.mean() / 3)
+    nothing = evaluate(Claims(), system, [0, 1], 300, 1, **options)
     assert nothing.nees_ratio is None
-    assert nothing.coverage is None
+    assert nothing.average_coverage is None
 
 
 @pytest.mark.filterwarnings("ignore:measurements. 500 of 1000 records have gaps")
 def test_measures_leave_out_what_a_designed_filter_does_not_know():
-    """Every second path loses a measurement: means and ratio of the others, with their counts."""
+    """Every second path loses a measurement: ratio and coverage are those of the others."""
 
     def fail(made):
         made.measurements[2, :, ::2] = np.nan
 
     system, times = Recorded(walk(), fail), np.arange(6.0)
     designed = synthesize(walk(), Memory(1), ExactGaussian(), times, paths=4000, seed=1)
-    filters = {"designed": designed, "kalman": extended_kalman(walk())}
-    with pytest.warns(UserWarning, match="nees of 'designed' is known on 500 of 1000"):
-        found = compare(filters, system, times, 1000, 3, consistency=True)
-    row, kalman_row = found["designed"], found["kalman"]
+    row = evaluate(designed, system, times, 1000, 3, consistency=True)
     run = designed.run(times, system.all("measurements"), covariances=True)
     squares = (run.mean - system.all("states"))[:, 0] ** 2 / run.cov[:, 0, 0]
     known = ~np.isnan(squares)
     assert known[:2].all()
     np.testing.assert_array_equal(known[2:].sum(axis=1), 500)
-    np.testing.assert_allclose(row.nees, np.nanmean(squares, axis=1), rtol=1e-10)
     wanted = ratio(np.nansum(squares, axis=0), known.sum(axis=0))
     assert row.nees_ratio == pytest.approx(wanted[0], rel=1e-10)
     assert row.nees_ratio_error == pytest.approx(wanted[1], rel=1e-8)
     assert abs(row.nees_ratio - 1) < 5 * row.nees_ratio_error
-    for bound, p in zip(row.nees_bounds, (0.025, 0.975), strict=True):
-        count = known.sum(axis=1)
-        np.testing.assert_allclose(bound, chi2.ppf(p, count) / count, rtol=1e-9)
-    assert np.isfinite(kalman_row.nees).all()
     inside = np.abs(run.mean - system.all("states")) <= norm.ppf(0.975) * np.sqrt(run.cov[:, 0])
-    np.testing.assert_allclose(row.coverage[:, 0], (inside[:, 0] & known).sum(axis=1) / count)
+    assert row.average_coverage == pytest.approx((inside[:, 0] & known).sum() / known.sum())

@@ -4,14 +4,15 @@ import numpy as np
 import pytest
 import sympy
 
-from seedslib import zoo
 from seedslib.base import Parameter
-from seedslib.evaluation import compare, diff, evaluate, fit
-from seedslib.filters import Estimates, KalmanFilter, extended_kalman
+from seedslib.evaluation import compare, evaluate, fit
+from seedslib.filters import Estimates, KalmanFilter
 from seedslib.models import LinearSystem
 from seedslib.two_step import LinearDiffusion
 
 Q, R = Parameter("q", 1.0, positive=True), Parameter("r", 0.5, positive=True)
+ZERO = Parameter("z", 0.0, positive=True)
+STILL = LinearSystem(1, ZERO, 1, R, 0, 1)
 SYSTEM = LinearSystem(1, Q, 1, R, 0, 1)
 KALMAN = KalmanFilter(SYSTEM)
 TIMES, Y = np.arange(3.0), np.ones((3, 1))
@@ -51,21 +52,19 @@ ROWS = [
     (lambda: compared(window=(6, 9)), ValueError, "window"),
     (lambda: compared(window=np.ones(5, bool)), ValueError, "window"),
     (lambda: compared(window=[7]), ValueError, "window"),
-    (lambda: compared(period={2: 1.0}), ValueError, "period"),
     (lambda: compared(inputs={Q: [0, 1]}), TypeError, "inputs"),
     (lambda: compared().to_dataframe(["a", "b"]), ValueError, "names"),
     (lambda: fitted([sympy.Symbol("q")]), TypeError, "free"),
     (lambda: fitted([]), TypeError, "free"),
     (lambda: fitted([Parameter("k", 1.0)]), ValueError, "free"),
     (lambda: fitted([Q], y=np.full((3, 1), 1e200)), ValueError, "free"),
-    (lambda: fitted([Q], bounds={Q: (2.0, 10.0)}), ValueError, "start"),
-    (lambda: fitted([Q], bounds={Q: (2.0, 1.0)}), ValueError, "bounds"),
-    (lambda: fitted([Q], bounds={R: (0.0, 1.0)}), ValueError, "bounds"),
-    (lambda: fitted([Q], starts=0), ValueError, "starts"),
+    (
+        lambda: fitted([ZERO], filter=KalmanFilter(LinearSystem(1, ZERO, 1, R, 0, 1))),
+        ValueError,
+        "z",
+    ),
     (lambda: fitted([Q], filter=Silent(SYSTEM)), ValueError, "filter"),
     (lambda: fitted([Q], filter=lambda: Silent(SYSTEM)), ValueError, "filter"),
-    (lambda: diff({}, {}), TypeError, "first"),
-    (lambda: diff(extended_kalman(zoo.flip_process()), 3), TypeError, "first"),
 ]
 
 

@@ -171,9 +171,9 @@ def schedule(columns=2):
 
 EULER, CONTINUOUS = {"integrator": "euler", "step": 0.03}, {"predictor": Continuous()}
 ENDLESS = {"times": 0.5 * np.arange(13.0), "lasting": {"cycle": 4}}
-SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}, "availability": [0.8, 1.0]}
+SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}}
 PART = {"components": 1, "horizon": 5.1, "between": "piecewise constant"}
-SCHEDULE, CLASSES = {"measured": schedule()}, {"availability": [0.7, 0.8], "measured_nodes": True}
+SCHEDULE = {"measured": schedule()}
 WHOLE = {"split": False}
 LASTING_TABLE = {"steps": 8, "lasting": {"tolerance": 1.0}}
 LASTING_MODES = {"times": np.arange(12.0), "lasting": {"cycle": 2}}
@@ -210,8 +210,7 @@ FILTERS = {
     "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS | {"horizon": 5.1}),
     "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
     "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
-    "classes": (design, kicked, Memory(1), Taylor(), {"availability": [0.7, 1.0]}),
-    "schedule and classes": (design, cart, Memory(2), Taylor(), SCHEDULE | CLASSES),
+    "measured nodes": (design, kicked, Memory(2), Taylor(), {"measured_nodes": True}),
     "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
     "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),

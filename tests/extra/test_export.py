@@ -67,7 +67,6 @@ static void @name_record(int count)
     memset(out, 0, sizeof out);
     for (i = 0; i < @NAME_MEASUREMENT; i++) none[i] = (@REAL)NAN;
     @name_init(&s);
-    put((double)sizeof s);
     for (k = 0; k < count; k++) {
         const @REAL t = (@REAL)get();
         for (i = 0; i < @NAME_MEASUREMENT; i++) bad[i] = y[i] = (@REAL)get();
@@ -176,7 +175,7 @@ def build(folder, names, real="double"):
 
 
 def by_program(program, name):
-    """Bytes of a state, and what a program finds in the first record of a filter."""
+    """What a program finds in the first record of a filter."""
     one = case(name)
     inputs = np.array([x[:, 0] for _, x in sorted(one.inputs.items(), key=lambda u: str(u[0]))])
     given = [NAMES.index(name), len(one.times)]
@@ -188,8 +187,7 @@ def by_program(program, name):
     data = np.array(given, dtype=float).tobytes()
     done = subprocess.run([program], input=data, capture_output=True)
     assert (done.returncode, done.stderr) == (0, b"")
-    size, *found = np.frombuffer(done.stdout)
-    return size, np.array(found)
+    return np.frombuffer(done.stdout)
 
 
 @pytest.fixture(scope="module")
@@ -199,11 +197,8 @@ def program(tmp_path_factory):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_c_equals_the_filter_and_is_clean_under_sanitizers(name, program):
-    main, headers = program
-    size, found = by_program(main, name)
+    found = by_program(program[0], name)
     near(found, by_steps(case(name).filter, case(name)))
-    said = headers[name].replace("\n * ", " ")
-    assert int(re.search(r"of tables of numbers, (\d+) of a state", said)[1]) == size
 
 
 @pytest.mark.parametrize("name", NAMES)
@@ -229,24 +224,22 @@ def test_compiled_equals_the_filter(name, quick):
         near(state.mean, found.mean[k])
 
 
-FLOAT = ["extended", "polynomial", "table", "modes and log-odds"]
+FLOAT = ["extended", "unscented, all functions", "polynomial", "table", "modes and log-odds"]
 
 
 @pytest.mark.filterwarnings("ignore:.*loses its digits")
-def test_c_in_single_precision_is_as_far_from_double_as_the_header_says(quick, tmp_path):
+def test_c_in_single_precision_is_near_the_filter_and_has_no_double(tmp_path):
     main, headers = build(tmp_path, FLOAT, real="float")
     for name, text in headers.items():
         one = case(name)
-        size, found = by_program(main, name)
+        found = by_program(main, name)
         wanted = by_steps(one.filter, one)
         assert np.array_equal(np.isnan(found), np.isnan(wanted))
         np.testing.assert_allclose(found, wanted, rtol=2e-3, atol=2e-3)
         assert np.nanmax(np.abs(found - wanted)) > 1e-9
         code = re.sub(r"/\*.*?\*/", "", text, flags=re.DOTALL)
         assert "double" not in code
-        said = text.replace("\n * ", " ")
-        assert re.search(r"differ from those in double by at most [\d.e+-]+ of", said)
-        assert int(re.search(r"of tables of numbers, (\d+) of a state", said)[1]) == size
+        assert not re.search(r"\b(pow|sqrt|fabs|fmin|fmax|log|exp)\(", code)
 
 
 # JavaScript

@@ -1,24 +1,15 @@
-"""Learned filters: how near they come to the exact one, what they claim, and their C."""
+"""Learned filters: how near they come to the exact one, what they claim."""
 
 import sys
 
 import numpy as np
 import pytest
-from sklearn.ensemble import (
-    ExtraTreesRegressor,
-    GradientBoostingRegressor,
-    HistGradientBoostingRegressor,
-    RandomForestRegressor,
-)
 from sklearn.linear_model import LinearRegression
-from sklearn.neural_network import MLPRegressor
-from sklearn.tree import DecisionTreeRegressor
 
-from extra.exported_filters import near
 from seedslib import zoo
 from seedslib.design import grid_risk, synthesize
-from seedslib.designed import Memory, finite_memory, large_order
-from seedslib.extra import compiled, learn
+from seedslib.designed import large_order
+from seedslib.extra import learn, to_c
 from seedslib.linearization import ExactGaussian
 
 pytestmark = [
@@ -87,43 +78,8 @@ def test_any_object_that_fits_and_predicts_serves_also_without_scikit_learn(flip
     np.testing.assert_array_equal(mean[..., 0], mean[..., 1])
 
 
-def network(layers, activation):
-    options = {"max_iter": 3, "tol": 0.0, "batch_size": 100, "activation": activation}
-    return MLPRegressor(hidden_layer_sizes=layers, **options)
-
-
-TREES = {"max_depth": 4}
-BOOSTED = HistGradientBoostingRegressor(max_iter=6, max_leaf_nodes=7, early_stopping=False)
-IN_C = [
-    (network((6, 4), "relu"), Memory(1), {}),
-    (network((5,), "tanh"), Memory(2), {"joint": True}),
-    (network((4,), "logistic"), finite_memory(2), {}),
-    (BOOSTED, Memory(2), {"components": 1}),
-    (GradientBoostingRegressor(n_estimators=5), Memory(1), {"nodes": 2}),
-    (RandomForestRegressor(4, **TREES), Memory(1), {}),
-    (ExtraTreesRegressor(3, **TREES), Memory(1), {"joint": True}),
-    (DecisionTreeRegressor(**TREES), finite_memory(1), {}),
-]
-
-
-@pytest.mark.parametrize(("regressor", "memory", "options"), IN_C)
-def test_c_equals_the_learned_filter(regressor, memory, options, quick):
-    """Also far beyond what was learned from, and without measurements where they may miss."""
-    options = {"nodes": 1, "paths": 200, "seed": 1, "regressor": regressor, **options}
-    made = [learn(zoo.van_der_pol(), memory, 0.5 * np.arange(4.0), **options) for _ in range(2)]
-    filter, twin = made[0], compiled(made[1])  # equal seeds give equal filters
-    grid = np.union1d(filter.times, np.concatenate([*filter.node_times]))
-    y = np.full((len(grid), 2, 40), np.nan)
-    at = np.searchsorted(grid, filter.times)
-    y[at] = filter.system.simulate(filter.times, 40, 2).measurements
-    y[at[1], 0, :4] = 1e6, -1e6, 50.0, -50.0
-    if not memory.measurements:
-        y[at[2], :, ::5] = np.nan
-    found, wanted = (each.run(grid, y, covariances=True) for each in (twin, filter))
-    near(found.mean, wanted.mean, 1e-13)
-    cov = wanted.cov[..., None] if wanted.cov.ndim < found.cov.ndim else wanted.cov
-    np.testing.assert_array_equal(found.cov, np.broadcast_to(cov, found.cov.shape))
-    state = twin.initial()
-    for k, t in enumerate(filter.times):
-        state = twin.step(state, t, y[at[k], :, 1])
-        near(state.mean, wanted.mean[at[k], :, 1], 1e-12)
+def test_to_c_refuses_a_learned_filter_and_names_its_tables(boosted):
+    with pytest.raises(TypeError, match=r"^filter: .*filter.tabulated\(y=..., z=...\)"):
+        to_c(boosted)
+    table = boosted.tabulated(y=(-8, 8, 9), z=(-3, 3, 5))
+    assert "filter_step" in to_c(table)

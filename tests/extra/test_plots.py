@@ -3,15 +3,11 @@
 import matplotlib as mpl
 import numpy as np
 import pytest
-from scipy.stats import chi2, norm
+from scipy.stats import norm
 
 from seedslib import zoo
-from seedslib.base import Parameter
-from seedslib.evaluation import compare, fit
-from seedslib.extra import plot_comparison, plot_estimates, plot_profile
-from seedslib.filters import Estimates, KalmanFilter, RaoBlackwellFilter, extended_kalman
-from seedslib.models import LinearSystem
-from systems import growth
+from seedslib.extra import plot_estimates
+from seedslib.filters import Estimates, RaoBlackwellFilter
 
 mpl.use("Agg")
 from matplotlib import pyplot
@@ -71,43 +67,3 @@ def test_a_covariance_may_be_common_unknown_or_infinite():
     cov[0] = np.inf  # nothing is known at first
     drawn = plot_estimates(TIMES, Estimates(mean[..., 0], cov))[0].collections[0]
     assert np.isfinite(drawn.get_paths()[0].vertices).all()
-
-
-def test_filters_are_compared_by_colour_and_dash_on_given_axes():
-    system = growth()
-    filters = {"plain": extended_kalman(system), "bounded": extended_kalman(system, bound=50)}
-    found = compare(filters, system, TIMES, 50, 1)
-    figure, given = pyplot.subplots()
-    (ax,) = plot_comparison(found, names=["size"], axes=[given])
-    assert ax.figure is figure
-    assert "size" in ax.get_ylabel()
-    looks = [{line.get_color() for line in ax.lines}, {line.get_linestyle() for line in ax.lines}]
-    assert list(map(len, looks)) == [2, 2]
-    for line, band, (name, row) in zip(ax.lines, ax.collections, found.items(), strict=True):
-        assert line.get_label() == name
-        np.testing.assert_array_equal(line.get_ydata(), row.rms[:, 0])
-        wanted = row.rms[:, :1] + 2 * row.rms_error[:, :1] * np.array([-1, 1])
-        np.testing.assert_allclose(edges(band), wanted)
-
-
-def test_a_profile_is_cut_where_its_fall_is_half_the_quantile():
-    """The variance of white noise, whose likelihood is a formula."""
-    y = np.random.default_rng(0).normal(3.0, 2.0, 50)
-    size = Parameter("r", 3.0, positive=True)
-    system = LinearSystem(1, 0.0, 1, size, 3.0, 0.0)
-    found = fit(KalmanFilter(system), np.arange(50.0), y[:, None], [size])
-    points = found.values[0] * np.array([1.2, 0.7, 1.0])
-    (ax,) = plot_profile(found, size, points, level=0.9)
-    drawn = lines(ax)
-    square = np.sum((y - 3.0) ** 2)
-
-    def loglik(r):
-        return -0.5 * (50 * np.log(r) + square / r)
-
-    wanted = loglik(np.sort(points)) - loglik(square / 50)
-    np.testing.assert_allclose(drawn["profile"], np.stack([np.sort(points), wanted], 1), atol=1e-6)
-    (cut,) = (xy for name, xy in drawn.items() if name.startswith("cut"))
-    np.testing.assert_allclose(cut[:, 1], -0.5 * chi2.ppf(0.9, 1))
-    (best,) = (xy for name, xy in drawn.items() if name.startswith("maximum"))
-    np.testing.assert_allclose(best, [[square / 50, 0.0]], rtol=1e-5)
-    assert ax.get_xlabel() == "r"

@@ -5,16 +5,13 @@ from functools import cache
 import numpy as np
 import pytest
 import sympy
-from sklearn.linear_model import LinearRegression
 from sklearn.tree import DecisionTreeRegressor
 
 from extra.exported_filters import BIAS, FORCE, cart, case, shrinking
 from seedslib import zoo
-from seedslib.base import Parameter
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
-from seedslib.evaluation import fit
-from seedslib.extra import cluster, compiled, learn, plot_estimates, plot_profile, to_c, to_js
+from seedslib.extra import cluster, compiled, learn, plot_estimates, to_c, to_js
 from seedslib.filters import (
     CovarianceFilter,
     Estimates,
@@ -80,8 +77,8 @@ EXPORTS = [
     (lambda: to_c(design(times=[0.0])), TypeError, "predictor"),
     (lambda: to_c(design(memory=Late(1))), TypeError, "memory"),
     (lambda: to_c(design(TIMES, **TOLD)), ValueError, "filter"),
-    (lambda: to_c(learned(LinearRegression())), TypeError, "regressor"),
-    (lambda: to_c(learned(times=range(1))), ValueError, "times"),
+    (lambda: to_c(learned()), TypeError, "filter"),
+    (lambda: to_c(design(availability=0.8)), ValueError, "filter"),
     (lambda: to_js(case("extended, inputs").filter), ValueError, "filter"),
     (lambda: to_js(cubature_kalman(scalar(sympy.loggamma(3 + x**2)))), ValueError, "formulas"),
     (lambda: to_c(extended_kalman(scalar(sympy.besselj(0, x)))), ValueError, "formulas"),
@@ -125,13 +122,6 @@ STEPS = [
 ]
 
 
-def profile(level):
-    r = Parameter("r", 3.0, positive=True)
-    filter = KalmanFilter(LinearSystem(1, 0.0, 1, r, 3.0, 0.0))
-    found = fit(filter, range(9), [[0.0], [6.0], [3.0]] * 3, [r])
-    return plot_profile(found, r, [3.0], level=level)
-
-
 def drawn(**options):
     found = Estimates(np.zeros((5, 2, 3)), np.zeros((5, 2, 2, 3)))
     return plot_estimates(**{"times": np.arange(5.0), "estimates": found, **options})
@@ -148,7 +138,6 @@ OTHERS = [
     (lambda: cluster(8786).__enter__(), TypeError, "scheduler"),
     (lambda: cluster("nothing://127.0.0.1:9").__enter__(), ValueError, "scheduler"),
     (lambda: design(workers="tcp:"), TypeError, "workers"),
-    (lambda: profile(95), ValueError, "level"),
     (lambda: drawn(times=np.arange(4.0)), ValueError, "times"),
     (lambda: drawn(names=["a"]), ValueError, "names"),
     (lambda: drawn(record=4), ValueError, "record"),

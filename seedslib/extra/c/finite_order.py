@@ -8,10 +8,9 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.extra.c.arrivals import arrivals, by_class, knowing, measurements_by_pattern
 from seedslib.extra.c.forecasts import ahead, course, held
 from seedslib.extra.c.points import FACTOR
-from seedslib.extra.c.records import STATE, between, frame, going_on, push
+from seedslib.extra.c.records import STATE, between, frame, going_on, losing, push, schedule
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape
 from seedslib.extra.c.traced import (
@@ -38,7 +37,7 @@ static inline int @name_step(@name_state *s, const double *y)
         @name_first_(s, y);
     } else {
         memcpy(u, s->memory, sizeof u);
-        @ARRIVE@name_ahead_(@FIT, u, mean, cov);
+        @ARRIVE@name_ahead_(s->k - 1, u, mean, cov);
         @name_correct_(@name_times[s->k]@LATER, mean, cov, s, y);
     }
     if (gap) s->loglik = (double)NAN;
@@ -46,7 +45,7 @@ static inline int @name_step(@name_state *s, const double *y)
         s->cov[(int)(i / @NAME_ESTIMATE)][i % @NAME_ESTIMATE] = (double)NAN;
     }
     @name_push_(s);
-@CLASS    s->k++;@LAP
+    s->k++;@LAP
     return @NAME_OK;
 }
 """
@@ -58,11 +57,11 @@ static inline int @name_nodes(const @name_state *s, double *out)
 {
     int i, j, n;
     if (s->k == 0) return 0;
-    for (n = @name_node_start[s->k - 1]; n < @name_node_start[s->k]; n++) {@EACH
+    for (n = @name_node_start[s->k - 1]; n < @name_node_start[s->k]; n++) {
         for (i = 0; i < @NAME_ESTIMATE; i++) {
             double sum = 0.0;
-            for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[@NODE][i][j] * s->memory[j];
-            @MEASURED*out++ = sum + @name_node_offset[@NODE][i];
+            for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[n][i][j] * s->memory[j];
+            @MEASURED*out++ = sum + @name_node_offset[n][i];
         }
     }
     return @name_node_start[s->k] - @name_node_start[s->k - 1];
@@ -71,7 +70,7 @@ static inline int @name_nodes(const @name_state *s, double *out)
 
 _MEASURED = """\
 for (j = 0; j < @NAME_MEASUREMENT; j++) {
-                sum += @name_node_gain[@NODE][i][@NAME_MEMORY + j] * s->shown[j];
+                sum += @name_node_gain[n][i][@NAME_MEMORY + j] * s->shown[j];
             }
             """
 
@@ -98,7 +97,7 @@ static inline void @name_end_(const @name_state *s, double *out)
 {
     double u[@NAME_MEMORY], mean[@NAME_STATE], cov[@NAME_STATE * (@NAME_STATE + 1) / 2];
     memcpy(u, s->memory, sizeof u);
-    @name_ahead_(@FIT, u, mean, cov);
+    @name_ahead_(s->k - 1, u, mean, cov);
     memcpy(out, mean, @NAME_ESTIMATE * sizeof *out);
 }
 """
@@ -130,7 +129,7 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         Forecasts or moments that have no C, see `seedslib.extra.to_c`.
     """
     check_formulas(filter.linearization, filter.system)
-    kinds = {type(fit) for _, fit in by_class(filter.fits)}
+    kinds = {type(fit) for fit in filter.fits}
     if not kinds or not kinds <= {AffineFit, PolynomialFit}:
         raise TypeError(
             "predictor: wanted affine or polynomial forecasts for at least two measurements, got "
@@ -144,15 +143,13 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""
     common, timing = frame(filter)
-    known, tables = arrivals(filter)
-    state = STATE.replace("} @name_state;", "@GROUP} @name_state;")
     text = "\n".join([
-        timing, tables, text, state, _first(filter), _correction(filter), push(filter),
-        STEP.replace("@ARRIVE", arrive),
+        timing, schedule(filter), text, STATE, _first(filter), _correction(filter), push(filter),
+        STEP.replace("@ARRIVE", arrive).replace("@LOST", losing(filter)[0]),
         COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
         between(filter),
     ])  # fmt: skip
-    return {**common, **macros, **known}, going_on(filter, knowing(filter, telling(text, ())))
+    return {**common, **macros}, going_on(filter, telling(text, ()))
 
 
 def _first(filter: FiniteOrderFilter) -> str:
@@ -169,14 +166,14 @@ def _first(filter: FiniteOrderFilter) -> str:
     text = constants("@name_first_mean", start.mean)
     # it depends on no number of a measurement, only on which the design knows to be missing
     first = filter.predict(filter.initial(), filter.times[0])
-    covs = [filter.correct(first, y).cov for y in measurements_by_pattern(filter)]
-    text += constants("@name_first_cov", covs[0] if filter.ways is None else covs)
+    shown = np.zeros(m) if filter.measured is None else np.where(filter.measured[0], 0.0, np.nan)
+    text += constants("@name_first_cov", filter.correct(first, shown).cov)
     text += constants("@name_first_sensor", start.moments.mean)
     text += constants("@name_first_cross", start.moments.cross)
     text += constants("@name_first_spread", start.moments.cov)
     found = record_correction(tape, mean, None, y, moments, rows, filter.rules.periods)
     head = "void @name_first_(@name_state *s, const double *y)"
-    known = "    memcpy(s->cov, @name_first_cov@SEEN, sizeof s->cov);"
+    known = "    memcpy(s->cov, @name_first_cov, sizeof s->cov);"
     return text + function(head, [known, *tape.body(_stored(found))])
 
 
@@ -204,9 +201,7 @@ def _stored(found: tuple) -> dict:
 
 def _nodes(filter: FiniteOrderFilter) -> str:
     """C of the affine forecasts at the nodes."""
-    order, rows = filter.order, [
-        (k, one) for k, fits in enumerate(filter.node_fits) for _, one in by_class(fits)
-    ]  # fmt: skip
+    order, rows = filter.order, [(k, fit) for k, row in enumerate(filter.node_fits) for fit in row]
     measured = filter.measured_nodes and not filter.memory.measurements
     width = order + filter.system.sensor.size * measured
     gain = np.zeros((max(1, len(rows)), filter.components, width))

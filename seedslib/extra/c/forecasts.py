@@ -9,7 +9,6 @@ import numpy as np
 
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.predictors import CLIP, FLOOR, PolynomialFit, monomial_recipe, range_roots
-from seedslib.extra.c.arrivals import by_class
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import moments_source
@@ -30,7 +29,7 @@ _AFFINE = (
 """
 )
 
-POWERS = """\
+_POWERS = """\
     double point[@NAME_MEMORY], power[@NAME_POWERS + 1];
     int i, j;
     for (i = 0; i < @NAME_MEMORY; i++) {
@@ -41,13 +40,13 @@ POWERS = """\
     for (j = 0; j < @NAME_POWERS; j++) {
         power[j + 1] = point[@name_factor[j]] * power[@name_lower[j]];
     }
-    for (i = 0; i < @ROWS; i++) {
+    for (i = 0; i < @NAME_STATE; i++) {
         double sum = 0.0;
         for (j = 0; j < @NAME_MEAN_POWERS; j++) sum += @name_gain[k][i][j] * power[j + 1];
         mean[i] = sum + @name_offset[k][i];
     }
 """.replace("CLIP", literal(CLIP))
-"""Polynomials in the memory `u` by the fit `k`, to `mean`; with the tables of `polynomials`."""
+"""Polynomials in the memory `u` by the fit `k`, to `mean`; with the tables of `_polynomials`."""
 
 _CONSTANT_COV = """\
     memcpy(cov, @name_cov[k], sizeof @name_cov[k]);
@@ -172,7 +171,7 @@ def _lower(cov: np.ndarray) -> np.ndarray:
 
 def ahead(filter: FiniteOrderFilter) -> tuple[str, dict[Any, Any]]:
     """C of the forecast for the next measurement, and macros that it wants."""
-    order, fits = filter.order, by_class(filter.fits)
+    order, fits = filter.order, [*enumerate(filter.fits)]
     if isinstance(fits[0][1], PolynomialFit):
         return _polynomial(filter, fits)
     gains = [_spread_out(fit.gain, held(filter, k), order) for k, fit in fits]
@@ -182,14 +181,14 @@ def ahead(filter: FiniteOrderFilter) -> tuple[str, dict[Any, Any]]:
     return text + _AFFINE, {}
 
 
-def polynomials(
+def _polynomials(
     filter: Any, fits: list[tuple[int, PolynomialFit]], degree: int
 ) -> tuple[str, dict[Any, Any]]:
     """Tables of polynomial means after steps, and macros that they want.
 
     Parameters
     ----------
-    filter : FiniteOrderFilter or LearnedFilter
+    filter : FiniteOrderFilter
     fits : list of (int, PolynomialFit)
         With the number of the step after which each one forecasts.
     degree : int
@@ -218,8 +217,8 @@ def _polynomial(
 ) -> tuple[str, dict[Any, Any]]:
     first, order = fits[0][1], filter.order
     degree = max(first.mean_degree, first.cov_degree)
-    text, macros = polynomials(filter, fits, degree)
-    body = _AHEAD + POWERS.replace("@ROWS", "@NAME_STATE")
+    text, macros = _polynomials(filter, fits, degree)
+    body = _AHEAD + _POWERS
     if not first.cov_degree:
         text += constants("@name_cov", [_lower(fit.residual) for _, fit in fits])
         return text + body + _CONSTANT_COV, macros

@@ -1,7 +1,7 @@
 """From a designed filter to one C99 header."""
 
-# cppcheck 2.22 with its MISRA C:2012 add-on, on headers of all kinds in double, learned ones and
-# ones with gaps or inputs too, and on three in float, has no finding of its own but that loops
+# cppcheck 2.22 with its MISRA C:2012 add-on, on headers of all kinds in double, ones with gaps or
+# inputs too, and on three in float, has no finding of its own but that loops
 # with counters declared at the top could declare them later. Rules from which the C departs, why:
 #
 # required  2.2   sums with a zero and products with a one, which sizes of the model make of indices
@@ -28,8 +28,7 @@ from seedslib.designed.outputs.filter import OutputFilter
 from seedslib.designed.outputs.table import TableFilter
 from seedslib.designed.predictors import Continuous
 from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.extra.c.single import compared, single, sizes, tolerances
-from seedslib.extra.c.source import checked_name, comment, model_lines, named
+from seedslib.extra.c.source import checked_name, comment, model_lines, named, single, tolerances
 from seedslib.extra.c.traced import told_of
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.models.kinds import mentioned
@@ -85,11 +84,6 @@ A measurement is missing as a whole or not at all; where the tables end their la
 used. There is no likelihood; cov is the error covariance that the design found, NaN where the \
 measurement is missing."""
 
-_LEARNED = """\
-A measurement is missing as a whole or not at all; beyond the numbers that were learned from the \
-output functions are constant. There is no likelihood; cov is the error covariance that the \
-design found, NaN where the measurement is missing."""
-
 
 def to_c(
     filter: FiniteOrderFilter | OutputFilter | SwitchingFilter | CovarianceFilter,
@@ -103,7 +97,7 @@ def to_c(
     the library's own lines, recorded. All functions are ``static inline``. The header holds
     ``<name>_state``, ``<name>_init(state *)`` and
 
-    - for a filter of finite order, a table or a learned filter
+    - for a filter of finite order or a table
       ``<name>_step(state *, const double *y)``, one measurement, ``<name>_nodes(state *,
       double *out)``, the forecasts at the nodes up to the next measurement, and
       ``<name>_forecast(state *, double t, double *out)``, the forecast at any time up to then;
@@ -116,18 +110,16 @@ def to_c(
 
     Parameters
     ----------
-    filter : FiniteOrderFilter, TableFilter, LearnedFilter, SwitchingFilter or CovarianceFilter
+    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
         Affine, polynomial or continuous forecasts; `Taylor`, `ExactGaussian`, or with one mode a
-        rule with points; the integrators with fixed steps. A design may go on for ever; one of
-        finite order may know of missing measurements. Learned functions are networks or trees of
-        scikit-learn: one tree, a forest, or boosted ones.
+        rule with points; the integrators with fixed steps. A design may go on for ever, or have
+        sensors with schedules. A learned filter is read off as tables first, by its `tabulated`.
     path : path_like, optional
         Where to write the header as well.
     name : str
         Prefix of all names.
     real : {"double", "float"}
-        What numbers are; the header of the second says how far it is from the first, where there
-        is a C compiler to measure it.
+        What numbers are.
 
     Returns
     -------
@@ -173,20 +165,13 @@ def to_c(
     check_told(filter)
     if real not in ("double", "float"):
         raise ValueError(f"real: wanted double or float, got {real!r}")
-    macros, text, rule = _parts(filter)
     check_sensed(filter)
+    macros, text, rule = _parts(filter)
     rules = [named(part, name) for part in (_RULES, rule)]
     dimensions = "".join(f"#define @NAME_{key} {value}\n" for key, value in macros.items())
-
-    def code(real: str, name: str) -> str:
-        made = _HEAD + dimensions + tolerances(filter, real) + "\n" + text + "\n#endif\n"
-        return single(named(made, name)) if real == "float" else named(made, name)
-
-    told = [sizes(code(real, name))]
-    if real == "float":
-        told.append(compared(filter, code("double", "f"), code("float", "f")))
-    head = comment([_described(filter), model_lines(filter.system), *rules, *told])
-    whole = head + code(real, name)
+    code = _HEAD + dimensions + tolerances(filter, real) + "\n" + text + "\n#endif\n"
+    code = single(named(code, name)) if real == "float" else named(code, name)
+    whole = comment([_described(filter), model_lines(filter.system), *rules]) + code
     if path is not None:
         write_whole(path, whole.encode("ascii"))
     return whole
@@ -198,12 +183,9 @@ def check_sensed(filter: Any) -> None:
     Raises
     ------
     ValueError
-        An availability of a filter of modes or of output functions, a schedule of the latter.
+        A design with an availability, output functions with a schedule.
     """
-    unknown = [] if isinstance(filter, FiniteOrderFilter) else ["availability"]
-    if isinstance(filter, OutputFilter):
-        unknown.append("measured")
-    for name in unknown:
+    for name in ["availability"] + ["measured"] * isinstance(filter, OutputFilter):
         if getattr(filter, name, None) is not None:
             raise ValueError(f"filter: wanted a {type(filter).__name__} without `{name}` for C")
 
@@ -255,16 +237,10 @@ def _parts(filter: Any) -> tuple[dict, str, str]:
         from seedslib.extra.c.finite_order import finite_order_source
 
         return *finite_order_source(filter), _REDUNDANT
-    if isinstance(filter, OutputFilter):
-        from seedslib.extra.c.learned.source import learned_source
-        from seedslib.extra.learned import LearnedFilter
-
-        if isinstance(filter, LearnedFilter):
-            return *learned_source(filter), _LEARNED
     hint = "; read it off as tables first: filter.tabulated(y=..., z=...)"
     raise TypeError(
-        "filter: wanted a FiniteOrderFilter, a TableFilter, a LearnedFilter, a SwitchingFilter or "
-        "a CovarianceFilter, got "
+        "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
+        "CovarianceFilter, got "
         f"{type(filter).__name__}{hint if hasattr(filter, 'tabulated') else ''}"
     )
 

@@ -130,6 +130,30 @@ def between(filter: BetweenFilter) -> str:
     return BETWEEN.replace("@SHARE", _SHARES[filter.between])
 
 
+_LOST = "        if (isnan(y[i])) lost = 1;"
+
+_SCHEDULED = """\
+        if (!isnan(y[i]) && @name_read[s->k][i] == 0) return @NAME_STRAY;
+        if (isnan(y[i]) && @name_read[s->k][i] == 1) lost = 1;"""
+
+_SCHEDULED_INDICATOR = """\
+    if (indicator >= 0 && @name_read[s->k][@NAME_MEASUREMENT] == 0) return @NAME_STRAY;
+    if (indicator < 0 && @name_read[s->k][@NAME_MEASUREMENT] == 1) lost = 1;
+"""
+
+
+def schedule(filter: DesignedFilter) -> str:
+    """C of which components the design has at each time; nothing where it has all of them."""
+    return "" if filter.measured is None else constants("@name_read", filter.measured, "int")
+
+
+def losing(filter: DesignedFilter) -> tuple[str, str]:
+    """C that sees a gap the design does not know of: in a component, and in the indicator."""
+    if filter.measured is None:
+        return _LOST, "    if (indicator < 0) lost = 1;\n"
+    return _SCHEDULED, _SCHEDULED_INDICATOR
+
+
 def push(filter: DesignedFilter) -> str:
     """C that puts the newest estimate and measurement on the memory."""
     lines, place = [], 0

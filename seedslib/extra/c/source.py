@@ -1,4 +1,4 @@
-"""Pieces of C text: constants, comments, names."""
+"""Pieces of C text: constants, comments, names, single precision and its tolerances."""
 
 from __future__ import annotations
 
@@ -6,12 +6,17 @@ import re
 import textwrap
 from collections.abc import Callable
 from string import Template
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.clock import ROUNDING, SAME, slack
+from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
 from seedslib.designed.identity import model_text
-from seedslib.extra.c.tape import literal
+from seedslib.designed.runs import DesignedFilter
+from seedslib.designed.switching.lemmas import FAINT
+from seedslib.extra.c.tape import CALLS, literal
 from seedslib.models.kinds import switches
 
 WIDTH = 100
@@ -100,3 +105,52 @@ def model_lines(system: object) -> str:
 def function(head: str, lines: list[str]) -> str:
     """A static function."""
     return f"static inline {head}\n{{\n" + "\n".join(lines) + "\n}\n"
+
+
+TOLERANCES = {
+    "RELATIVE": (RELATIVE, 1e-6), "ABSOLUTE": (ABSOLUTE, float(np.finfo(np.float32).tiny)),
+    "INDEFINITE": (INDEFINITE, 1e-4), "FAINT": (FAINT, 1e-30), "TURNED": (1e-36, 1e-14),
+    "SAME": (SAME, 1e-4), "ROUND": (ROUNDING, 2.0**-21),
+}  # fmt: skip
+"""What counts as zero, as faint, as one time: in double, and in float."""
+
+
+def tolerances(filter: Any, real: str) -> str:
+    """Macros of what counts as nothing."""
+    known = {name: pair[real == "float"] for name, pair in TOLERANCES.items()}
+    if isinstance(filter, DesignedFilter) and filter.memory is not None:
+        times, room = np.asarray(filter.times), filter.clock.tolerance
+        if real == "float":
+            span = float(np.diff(times).min()) if len(times) > 1 else 1.0
+            room = max(room, slack(span, 0.0), min(known["ROUND"] * abs(times[-1]), 0.25 * span))
+        known["SLACK"] = room
+    return "".join(f"#define @NAME_{name} {literal(value)}\n" for name, value in known.items())
+
+
+def single(text: str) -> str:
+    """A header's C in single precision; comments are left as they are.
+
+    Raises
+    ------
+    ValueError
+        A number out of the range of float.
+    """
+    parts = re.split(r"(/\*.*?\*/)", text, flags=re.DOTALL)
+    calls = "|".join(sorted({*CALLS.values(), "fmin", "fmax", "pow"}))
+    for k in range(0, len(parts), 2):
+        part = re.sub(r"\bdouble\b", "float", parts[k])
+        part = re.sub(rf"\b({calls})\(", r"\1f(", part).replace("HUGE_VAL", "HUGE_VALF")
+        number = r"(?<![\w.])(?:\d+\.\d*(?:e[+-]?\d+)?|\d+e[+-]?\d+)"
+        parts[k] = re.sub(number, _short, part)
+    return "".join(parts)
+
+
+def _short(found: re.Match) -> str:
+    with np.errstate(over="ignore", under="ignore"):
+        value = np.float32(found[0])
+    if not np.isfinite(value):
+        raise ValueError(f"constant: wanted a number in the range of float, got {found[0]}")
+    if abs(value) < np.finfo(np.float32).tiny:
+        return "0.0F"
+    words = str(value)
+    return words + ("F" if "." in words or "e" in words else ".0F")

@@ -10,9 +10,8 @@ from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.switching.fits import CellFit
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
-from seedslib.extra.c.arrivals import losing, schedule
 from seedslib.extra.c.branches import check_branches, moves_source, readings_source, switches_source
-from seedslib.extra.c.records import going_on
+from seedslib.extra.c.records import going_on, losing, schedule
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import record_correction, telling, told_of

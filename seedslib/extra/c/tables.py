@@ -83,12 +83,13 @@ static inline void @name_held_(const @name_state *s, int k, double *out)
 }
 """
 
-STEP = """\
+_STEP = """\
 /* One measurement; NaN in all components where it is missing. */
 static inline int @name_step(@name_state *s, const double *y@TOLD)
 {
     double point[@NAME_AXES + 1] = { 0.0 }, found[@NAME_ROWS];
-@TABLE    const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
+    const @name_table *table;
+    const int gap = isnan(s->cov[0][0]); /* the design knows no gaps */
     int i, missing = 0, @NEARESTlost = gap;@ENDS
     for (i = 0; i < @NAME_MEASUREMENT; i++) {
         if (isinf(y[i])) return @NAME_INFINITE;
@@ -97,10 +98,15 @@ static inline int @name_step(@name_state *s, const double *y@TOLD)
     if (missing && (missing < @NAME_MEASUREMENT || @NAME_HELD_MEASUREMENTS)) return @NAME_PARTLY;
 @WATCH    if (missing) {
         lost = 1;
-@AHEAD    } else {
+        table = &@name_ahead[s->k];
+        @name_held_(s, s->k, point + @FIRST);
+    } else {
         memcpy(point + @FIRST, y, sizeof s->shown);
-@OUTPUT    }
-@LOOK    memcpy(s->mean, found, sizeof s->mean);
+        table = &@name_output[s->k];
+        @name_held_(s, s->k, point + @FIRST + @NAME_MEASUREMENT);
+    }
+    @KEEPNEAREST@name_lookup_(table, point, found);
+    memcpy(s->mean, found, sizeof s->mean);
     memcpy(s->shown, y, sizeof s->shown);
     for (i = 0; i < @NAME_ESTIMATE * @NAME_ESTIMATE; i++) {
         const int p = (int)(i / @NAME_ESTIMATE), q = i % @NAME_ESTIMATE;
@@ -112,19 +118,6 @@ static inline int @name_step(@name_state *s, const double *y@TOLD)
     return @NAME_OK;
 }
 """
-
-_MARKS = {
-    "@TABLE": "    const @name_table *table;\n",
-    "@AHEAD": """\
-        table = &@name_ahead[s->k];
-        @name_held_(s, s->k, point + @FIRST);
-""",
-    "@OUTPUT": """\
-        table = &@name_output[s->k];
-        @name_held_(s, s->k, point + @FIRST + @NAME_MEASUREMENT);
-""",
-    "@LOOK": "    @KEEPNEAREST@name_lookup_(table, point, found);\n",
-}
 
 _NODES = """\
 /* Forecasts at the nodes from the last measurement to the next, at
@@ -219,9 +212,7 @@ def table_source(filter: TableFilter) -> tuple[dict[Any, Any], str]:
     pushed, call = push(filter), ""
     if letters:
         pushed, call = _lettered(macros, letters), ", indicator" * kept
-    text = "\n".join([timing, _TYPES, text, state, _LOOKUP, pushed, STEP, *after])
-    for mark, part in _MARKS.items():
-        text = text.replace(mark, part)
+    text = "\n".join([timing, _TYPES, text, state, _LOOKUP, pushed, _STEP, *after])
     for mark, part in sorted(marks.items(), key=lambda item: -len(item[0])):
         text = text.replace(mark, part)
     return macros, going_on(filter, text.replace("@LETTERS", call))

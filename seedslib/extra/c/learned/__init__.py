@@ -1,1 +1,0 @@
-"""C of learned output functions: networks and trees of scikit-learn."""
