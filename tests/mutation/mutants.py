@@ -66,7 +66,15 @@ def write(mutants: Iterable[Mutant], path: Path = FROZEN) -> None:
 def faults() -> list[Mutant]:
     """The faults planted by hand."""
     return [
-        Mutant(f["file"].split("/")[0], f["file"], f["name"], 0, "fault", f["before"], f["after"])
+        Mutant(
+            f["file"].split("/")[0].removesuffix(".py"),
+            f["file"],
+            f["name"],
+            0,
+            "fault",
+            f["before"],
+            f["after"],
+        )
         for f in yaml.safe_load(FAULTS.read_text())
     ]
 

@@ -6,7 +6,7 @@ import mpmath
 import numpy as np
 import pytest
 
-from seedslib.riemann import circle, solve_riemann, solve_rotations, winding
+from seedslib.riemann import circle, solve_riemann, winding
 
 
 def example(t, index):
@@ -37,7 +37,6 @@ def test_a_known_pair_is_recovered_with_its_free_constants(index, nodes):
     assert found.index == index == winding(g)
     assert (found.constants, found.conditions.shape) == (max(index, 0), (max(-index, 0), 2, 2))
     assert found.solvable
-    assert max(found.defect, found.residual) < 1e-13
     np.testing.assert_allclose(found.plus, g[:, None, None] * found.minus + right, atol=1e-12)
     half = (nodes + 1) // 2
     assert np.abs(frequencies(found.plus)[half:]).max() <= 1e-13
@@ -48,9 +47,6 @@ def test_a_known_pair_is_recovered_with_its_free_constants(index, nodes):
         ):
             np.testing.assert_allclose(found.plus.reshape(nodes, 4)[:, j], one, atol=1e-13)
             np.testing.assert_allclose(found.minus.reshape(nodes, 4)[:, j], two, atol=1e-13)
-        inner, outer = np.array([0.3 + 0.2j, -0.9, 0.0]), np.array([2j, -1.1 + 0.1j])
-        np.testing.assert_allclose(found.inside(inner)[:, 0, 0], np.exp(0.5 * inner), atol=1e-12)
-        np.testing.assert_allclose(found.outside(outer)[:, 0, 0], 1 / (outer - 0.3), atol=1e-11)
     else:  # the homogeneous solution is X+ P, X+ known in closed form
         x, plain = np.exp(0.4 * t + 0.2j) / (1 - 0.3 * t), solve_riemann(g, right)
         wanted = np.multiply.outer(x * np.polyval(p[::-1], t), scales)
@@ -82,11 +78,9 @@ def test_a_rational_problem_is_solved_exactly(finite):
     side = "finite" if finite else "zero"
     found = solve_riemann(t**2, 1 / (t - 0.5) + 1 / (t - 2), p, at_infinity=side)
     assert found.constants == 2 + finite
-    z = np.array([0.2 - 0.3j])
-    np.testing.assert_allclose(found.inside(z), 1 / (z - 2) + np.polyval(p[::-1], z), atol=1e-14)
-    z = np.array([1.5 + 1j])
-    wanted = (np.polyval(p[::-1], z) - 1 / (z - 0.5)) / z**2
-    np.testing.assert_allclose(found.outside(z), wanted, atol=1e-14)
+    np.testing.assert_allclose(found.plus, 1 / (t - 2) + np.polyval(p[::-1], t), atol=2e-14)
+    wanted = (np.polyval(p[::-1], t) - 1 / (t - 0.5)) / t**2
+    np.testing.assert_allclose(found.minus, wanted, atol=2e-14)
     common = solve_riemann(t**2, np.zeros((128, 2)), p, at_infinity=side)
     np.testing.assert_allclose(common.plus[:, 1], np.polyval(p[::-1], t), atol=1e-13)
 
@@ -97,25 +91,20 @@ def test_a_pole_at_infinity_is_measured_for_each_right_side():
     found = solve_riemann(t**-2.0, np.stack([3 / t**3, 1e-9 * (3 / t**3 + 0.5 / t)], axis=1))
     np.testing.assert_allclose(found.conditions, [[0, 0.5e-9], [0, 0]], atol=1e-15)
     assert (found.index, found.constants, found.solvable) == (-2, 0, False)
-    assert found.defect == pytest.approx(0.5 / 3.5, rel=1e-12)
     np.testing.assert_allclose(found.minus[:, 1] * 1e9, -3 / t - 0.5 * t, atol=1e-13)
     finite = solve_riemann(t**-2.0, 3 / t**3 + 0.5 / t**2, at_infinity="finite")
-    assert (len(finite.conditions), finite.solvable, finite.defect <= 1e-15) == (1, True, True)
+    assert (len(finite.conditions), finite.solvable) == (1, True)
     assert solve_riemann(1 / t, 3 / t**2 + 2e-9 / t).solvable
     assert not solve_riemann(1 / t, 3 / t**2 + 4e-9 / t).solvable
 
 
 @pytest.mark.parametrize("nodes", [8, 16])
-def test_frequencies_off_the_circle_are_power_series(nodes):
+def test_each_side_takes_its_own_frequencies(nodes):
     rng = np.random.default_rng(3)
     modes = rng.standard_normal((nodes, 2)) + 1j * rng.standard_normal((nodes, 2))
     found = quietly(np.ones(nodes), np.fft.ifft(modes, axis=0) * nodes)
-    inner, outer = np.array([0.7 - 0.6j, 0.1j]), np.array([1.2 + 0.3j, -2.0])
-    plus = sum(modes[k] * inner[:, None] ** k for k in range(nodes // 2))
-    minus = -sum(modes[-k] * outer[:, None] ** -k for k in range(1, nodes // 2))
-    np.testing.assert_allclose(found.inside(inner), plus, rtol=1e-13)
-    np.testing.assert_allclose(found.outside(outer), minus, rtol=1e-13)
-    np.testing.assert_allclose(found.inside(0.1j), plus[1:], rtol=1e-13)
+    np.testing.assert_allclose(frequencies(found.plus)[: nodes // 2], modes[: nodes // 2])
+    np.testing.assert_allclose(frequencies(found.minus)[nodes // 2 :], -modes[nodes // 2 :])
 
 
 @pytest.mark.parametrize(("mode", "seen"), [(29, False), (30, True), (34, True), (35, False)])
@@ -133,25 +122,14 @@ def known(t):
     return g, 1 / (t - 1 / 0.7) - g / (t - 0.6)
 
 
-def test_errors_fall_geometrically_and_callables_are_sampled_until_resolved():
+def test_errors_fall_geometrically():
     errors = []
     for nodes in (16, 32, 64, 128):
         found = quietly(*known(circle(nodes)))
         errors.append(np.abs(found.plus - 1 / (circle(nodes) - 1 / 0.7)).max())
     assert errors == pytest.approx([7.2e-2, 5.1e-3, 1.8e-5, 2.0e-10], rel=0.03)
-    found = solve_riemann(lambda t: known(t)[0], lambda t: known(t)[1])
-    assert found.tail <= 1e-14
-    np.testing.assert_allclose(found.plus, 1 / (circle(len(found.plus)) - 1 / 0.7), atol=1e-14)
     with pytest.warns(UserWarning, match="more nodes"):
-        coarse = solve_riemann(lambda t: known(t)[0], lambda t: known(t)[1], nodes=16)
-    assert len(coarse.plus) == 16
-    assert len(solve_riemann(lambda t: t**100, lambda t: t).plus) == 256  # nodes for the index
-    noisy = solve_riemann(
-        lambda t: np.exp(0.5 * t),
-        lambda t: 1 / (t - 1.3) + 1e-12 * np.sin(1e7 * np.angle(t) ** 2),
-    )
-    assert len(noisy.plus) == 512  # a tail that has stopped falling will not fall further
-    assert 1e-14 < noisy.tail < 1e-11
+        solve_riemann(*known(circle(16)))
 
 
 def test_turns_of_a_phase_are_counted_up_to_nine_tenths_of_half_a_turn():
@@ -163,20 +141,3 @@ def test_turns_of_a_phase_are_counted_up_to_nine_tenths_of_half_a_turn():
     moderate = np.exp(2j * 5 * circle(512).imag)  # the phase turns forth and back
     plus = np.exp(0.5 * circle(512))
     np.testing.assert_allclose(solve_riemann(moderate, plus).plus, plus, atol=1e-9)
-
-
-@pytest.mark.parametrize("count", [1, 2, 3])
-def test_rotated_arguments_split_into_scalar_problems(count):
-    t = circle(256 * count)
-    s = t**count
-    g = np.array([3 * s * np.exp(0.2 * s), 0.5 + 0.2 / s, 0.3 * s + 0.1j])[:count]
-    right = 1 / (t - 2) + np.exp(0.2 / t) + 0.3 * t**2
-    plain = solve_rotations(g, right)[0]
-    for constants in (None, [[1.0], [2j], [-0.5]][:count]):
-        plus, minus, problems = solve_rotations(g, right, constants)
-        turned = sum(g[j] * np.roll(minus, -256 * j) for j in range(count))
-        np.testing.assert_allclose(plus, turned + right, atol=1e-12)
-        assert np.abs(frequencies(plus)[128 * count :]).max() <= 1e-13
-        assert np.abs(frequencies(minus)[: 128 * count]).max() <= 1e-13
-        assert [(p.constants, p.index) for p in problems] == [(1, 1)] * count
-        assert (np.abs(plus - plain).max() > 0.1) == (constants is not None)
