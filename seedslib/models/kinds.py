@@ -62,7 +62,7 @@ _WAYS_OUT = {
     "SwitchingSystem": "see SwitchingFilter, RaoBlackwellFilter, ParticleFilter or synthesize",
     "LinearDiffusion": "see two_step.KalmanBucyFilter, or write it as a JumpDiffusion",
     "AugmentedDiffusion": "see the filters of two_step, or write it as a JumpDiffusion",
-    "DelaySystem": "see delay.DelayKalmanFilter, or write the stacked state as a DiscreteSystem",
+    "DelaySystem": "see DelaySystem.stacked, the LinearSystem of the last states together",
     "PiecewiseLinearSystem": (
         "see piecewise.PiecewiseLinearFilter, or write it as a DiscreteSystem of array functions"
     ),

@@ -34,8 +34,6 @@ class Simulation(NamedTuple):
         NaN for what is not measured.
     modes, indicators : ndarray of int, shape (K+1, paths), or None
         Of a switching system; -1 for an indicator that was not measured.
-    history : ndarray, shape (N, n, paths), or None
-        Of a system with delays: its states at the instants -1, ..., -N.
     """
 
     times: np.ndarray
@@ -43,7 +41,6 @@ class Simulation(NamedTuple):
     measurements: np.ndarray
     modes: MaybeArray = None
     indicators: MaybeArray = None
-    history: MaybeArray = None
 
 
 def as_measured(measured: object, count: int, name: str = "measured") -> np.ndarray:
