@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.designed.checks import check_array, check_covariances
 from seedslib.designed.predictors import AffineFit, Fit, PolynomialFit
-from seedslib.designed.shapes import check_array, check_covariances
 
 
 class PatternFit(NamedTuple):

@@ -9,8 +9,8 @@ import numpy as np
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
+from seedslib.designed.base import DesignedFilter
 from seedslib.designed.prediction import HeldOut
-from seedslib.designed.runs import DesignedFilter
 from seedslib.filters.estimates import Estimates
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
@@ -144,7 +144,6 @@ def _held_out(filter: Any, found: Estimates, data: Simulation) -> HeldOut:
     square = _errors(found, data)[:count] ** 2
     rms = np.sqrt(square.mean(axis=2))
     error = square.std(axis=2) / np.sqrt(paths) / np.maximum(2.0 * rms, np.finfo(float).tiny)
-    deviation = data.states[:count, : rms.shape[1]].std(axis=2)
     rate = () if data.modes is None else (found.modes != data.modes)[:count].mean(axis=1)
     modes = () if data.modes is None else (rate, np.sqrt(rate * (1.0 - rate) / paths))
-    return HeldOut(filter.times, rms, error, deviation, paths, 0, *modes)
+    return HeldOut(filter.times, rms, error, paths, 0, *modes)

@@ -12,13 +12,12 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
-from seedslib.design.paths.held_out import examined
-from seedslib.design.paths.walk import crew
-from seedslib.design.tables.carriers import prediction_of
+from seedslib.design.carriers import prediction_of
+from seedslib.design.paths import crew, with_held_out
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.outputs.filter import OutputFilter
-from seedslib.designed.outputs.lookup import Output, Step, arguments, step_axes
+from seedslib.designed.output_filter import OutputFilter
 from seedslib.designed.prediction import Design
+from seedslib.designed.tables import Output, Step, arguments, step_axes
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
 
@@ -159,7 +158,7 @@ def binned_synthesis(
         covariances=np.array(errors),
     )  # fmt: skip
     with crew(workers) as each:
-        return examined(filter, root, paths, each, times)
+        return with_held_out(filter, root, paths, each, times)
 
 
 def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:

@@ -11,11 +11,10 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK
 from seedslib.base.progress import followed
-from seedslib.design.fitting import fit_affine, fit_forecast
-from seedslib.design.regression import Scatter, combine, scatter
-from seedslib.design.tables.carriers import Carriers, Lesson
+from seedslib.design.carriers import Carriers, Lesson
+from seedslib.design.regression import Scatter, combine, fit_affine, fit_forecast, scatter
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.minimax import (
+from seedslib.designed.minimax import (
     Basic,
     Basics,
     BoundedFit,

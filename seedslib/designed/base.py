@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
+import warnings
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -11,13 +11,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, is_whole
-from seedslib.base.clock import Clock
+from seedslib.base.checks import as_real, as_times, is_whole, outside
+from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course, Inputs, on_paths
-from seedslib.designed.gaps import check_schedule, dropouts, expected, missing, unclaimed
-from seedslib.designed.guards import positions, warn_of_mended
+from seedslib.designed.checks import check_errors, check_times
 from seedslib.designed.memory import Memory
-from seedslib.designed.shapes import check_errors, check_times
 from seedslib.filters.estimates import Estimates, as_indicators, as_record
 from seedslib.filters.verbs import Filter
 from seedslib.models.kinds import course_of
@@ -25,6 +23,237 @@ from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
     from typing import Self
+
+
+def want_forecast(state: Any) -> None:
+    """Refuse to correct a state that holds no forecast.
+
+    Raises
+    ------
+    ValueError
+        The state before any measurement, or after a correction.
+    """
+    if state.index < 0 or state.corrected:
+        raise ValueError("state: wanted a forecast, got a state without; call predict first")
+
+
+def want_corrected(state: Any) -> None:
+    """Refuse to forecast from a state that holds a forecast.
+
+    Raises
+    ------
+    ValueError
+        A state after `predict`, or the one before any measurement.
+    """
+    if not state.corrected:
+        raise ValueError("state: wanted a state after a correction, got a forecast")
+
+
+def moment(clock: Clock, k: int, cycle: int) -> float:
+    """Time of measurement k.
+
+    Raises
+    ------
+    ValueError
+        There is no such measurement.
+    """
+    if k >= len(clock.times) and not cycle:
+        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
+    return clock.moment(k, cycle)
+
+
+def want_next(clock: Clock, k: int, t: float, cycle: int) -> None:
+    """Refuse a time that is not the one of measurement k.
+
+    Raises
+    ------
+    ValueError
+        Another time, or no such measurement.
+    """
+    wanted = moment(clock, k, cycle)
+    if not clock.same(t, wanted):
+        raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
+
+
+def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) -> np.ndarray:
+    """Number of the measurement time at each time of a grid, -1 between them.
+
+    Parameters
+    ----------
+    times : ndarray, shape (J+1,)
+    y : ndarray, shape (J+1, m, *batch)
+        Must be NaN between the measurement times.
+    clock : Clock
+        Measurement times of the filter.
+    horizon : float
+
+    Raises
+    ------
+    ValueError
+        A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
+        measurement at another time.
+    """
+    wanted = np.array(clock.times)
+    wanted = wanted[wanted <= times[-1] + clock.tolerance]
+    if not clock.same(times[0], clock.times[0]):
+        raise ValueError(f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}")
+    if times[-1] > horizon + clock.tolerance:
+        raise ValueError(
+            f"times: wanted at most {when(horizon)}, where the design ends, got {when(times[-1])}; "
+            "seedslib.design.stationary makes it go on"
+        )
+    place = clock.rows(times)[: len(wanted)]
+    missed = place < 0
+    if missed.any():
+        raise ValueError(
+            f"times: wanted all measurement times of the design, {when(wanted[missed][0])} is not "
+            "among them"
+        )
+    index = np.full(len(times), -1)
+    index[place] = np.arange(len(wanted))
+    for j in np.flatnonzero(index < 0):
+        if not np.isnan(y[j]).all():
+            raise ValueError(
+                f"measurements: wanted NaN at {when(times[j])}, which is no measurement time of "
+                "the design"
+            )
+    return index
+
+
+def warn_of_mended(raised: int) -> None:
+    """Tell the caller of a run or a design of covariances that had to be mended, if any."""
+    if raised:
+        warnings.warn(
+            f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
+            stacklevel=outside(),
+        )
+
+
+def freeze(part: object) -> None:
+    """Make an array, or the arrays in a tuple, read-only: a designed filter does not change."""
+    if isinstance(part, np.ndarray):
+        part.flags.writeable = False
+    elif isinstance(part, tuple):
+        for piece in part:
+            freeze(piece)
+
+
+def expected(filter: Any, index: np.ndarray) -> MaybeArray:
+    """Components that may be, and that must be, in measurements, by their numbers (J,).
+
+    Shape (2, J, m'); None where the design expects all of them.
+    """
+    if filter.measured is filter.availability is None:
+        return None
+    mask, arriving = filter.schedule
+    rate = 1.0 if arriving is None else arriving
+    rows = [filter.served(int(k)) for k in index]
+    return np.stack([mask & (rate > 0.0), mask & (rate == 1.0)])[:, rows]
+
+
+def dropouts(
+    y: np.ndarray, measured: np.ndarray, indicators: np.ndarray | None,
+    expected: np.ndarray | None = None,
+) -> np.ndarray | None:  # fmt: skip
+    """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
+
+    None where nothing was.
+
+    Parameters
+    ----------
+    y : ndarray, shape (J+1, m, *batch)
+    measured : ndarray of bool, shape (J+1,)
+        Times at which the design has a measurement.
+    indicators : ndarray of int, shape (J+1, *batch), or None
+        -1 is a missing one.
+    expected : ndarray of bool, shape (2, J+1, m'), or None
+        Components that may be there, and those that must, where the design says so.
+    """
+    none = not np.isnan(y).any() and (indicators is None or not (indicators < 0).any())
+    if none and expected is None:
+        return None
+    indicators = None if indicators is None else indicators[measured]
+    expected = None if expected is None else expected[:, measured]
+    gaps = np.zeros((len(y), *y.shape[2:]), dtype=bool)
+    gaps[measured] = missing("measurements", y[measured], indicators, expected)
+    return np.logical_or.accumulate(gaps)
+
+
+def missing(
+    name: str, y: np.ndarray, indicators: np.ndarray | None, expected: np.ndarray | None
+) -> np.ndarray:
+    """Whether something is missing in each measurement that the design expects, (J, *batch).
+
+    Parameters
+    ----------
+    name : str
+        Of the argument.
+    y, indicators, expected : ndarray or None
+        See `dropouts`.
+
+    Raises
+    ------
+    ValueError
+        A component that the schedule of the design leaves out.
+    """
+    absent = np.isnan(y)
+    if indicators is not None:
+        absent = np.concatenate([absent, (indicators < 0)[:, None]], axis=1)
+    if expected is None:
+        return absent.any(axis=1)
+    may, must = expected.reshape(*expected.shape, *(1,) * (absent.ndim - 2))
+    stray = ~(absent | may)
+    if stray.any():
+        row, component = np.argwhere(stray.any(axis=tuple(range(2, stray.ndim))))[0]
+        raise ValueError(
+            f"{name}: wanted what the schedule of the design has, got component {component} of a "
+            f"measurement without it{f' in row {row}' if len(y) > 1 else ''}"
+        )
+    return (absent & must).any(axis=1)
+
+
+def nan_where(gap: np.ndarray | bool, part: np.ndarray) -> np.ndarray:
+    """NaN on the paths of a gap (*batch) in an array (a, b) or (a, b, ..., *batch)."""
+    if not np.any(gap):
+        return part
+    return np.where(gap, np.nan, part.reshape(*part.shape, *(1,) * (np.ndim(gap) + 2 - part.ndim)))
+
+
+def unclaimed(found: Estimates, gaps: np.ndarray | None, times: np.ndarray) -> Estimates:
+    """Estimates of a run without the covariances and likelihoods that a filter cannot know.
+
+    Parameters
+    ----------
+    found : Estimates
+    gaps : ndarray of bool, shape (J+1, *batch), or None
+        See `dropouts`.
+    times : ndarray, shape (J+1,)
+
+    Warns
+    -----
+    UserWarning
+        Once where there are any; how many records, and from which time.
+    """
+    if gaps is None or not gaps.any():
+        return found
+    # the measurement at the first gap was still forecast from a memory without one
+    after = np.concatenate([np.zeros_like(gaps[:1]), gaps[:-1]])
+    cov, loglik = found.cov, found.loglik
+    if cov is not None:
+        cov = np.moveaxis(nan_where(gaps, np.moveaxis(cov, 0, 2)), 2, 0)
+    if loglik is not None:
+        loglik = np.where(after, np.nan, loglik)
+    if cov is not None or (loglik is not None and after.any()):
+        records = gaps[-1].size
+        warnings.warn(
+            f"measurements: {np.count_nonzero(gaps[-1])} of {records} records have gaps, from "
+            f"{when(times[gaps.reshape(len(gaps), -1).any(axis=1).argmax()])} on, which the design "
+            "does not know of: covariances are NaN from a gap on, likelihoods after it; a design "
+            "knows of them by `measured` or `availability`",
+            stacklevel=outside(),
+        )
+    return found._replace(cov=cov, loglik=loglik)
+
 
 DTYPES = tuple(int if name == "modes" else float for name in Estimates._fields)
 """Numbers that the parts of estimates are of."""
@@ -62,8 +291,12 @@ class DesignedFilter(Filter):
     @property
     def reach(self) -> tuple[float, float]:
         """First and last time that the design looked at."""
-        end = self.times[-1] if self.cycle else getattr(self, "horizon", self.times[-1])
-        return float(self.times[0]), float(end)
+        return float(self.times[0]), float(self.times[-1])
+
+    @property
+    def horizon(self) -> float:
+        """Last time the filter can forecast."""
+        return np.inf if self.cycle else float(self.times[-1])
 
     def served(self, k: int) -> int:
         """Number of the step of the design that serves measurement k."""
@@ -124,7 +357,9 @@ class DesignedFilter(Filter):
             raise ValueError(
                 f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
             )
-        check_schedule(self)
+        mask = self.schedule.mask  # which refuses most
+        if self.measured is not None and self.measured.shape != mask.shape:
+            raise ValueError(f"measured: wanted a mask of shape {mask.shape}")
         self.check_parts()
         components = getattr(self, "components", None)  # all of them with modes
         check_errors(self.predicted, self.held_out, self.times, components)
@@ -280,7 +515,7 @@ class DesignedFilter(Filter):
         def work(a, b, _):
             parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))
             *rows, shown, seen = parts
-            with on_paths(batch, slice(a, b)) if batch else nullcontext():
+            with on_paths(batch, slice(a, b)):
                 held = course.of(slice(a, b))
                 return self.fill(Estimates(*rows), times, index, shown, seen, held)
 

@@ -101,24 +101,23 @@ def check_times(times: Any) -> None:
         raise ValueError(f"times: wanted an increasing grid, got {times}")
 
 
-def check_nodes(filter: Any, *allowed: int) -> None:
+def check_nodes(filter: Any, intervals: int) -> None:
     """Refuse nodes outside of their intervals, or without a row of forecasts for each row of them.
 
     Raises
     ------
     TypeError, ValueError
-        Rows other in number than one of those allowed or none; times out of order.
+        Rows other in number than the intervals or none; times out of order.
     """
     nodes, times = filter.node_times, filter.times
-    if len(nodes) not in (*allowed, 0) or len(nodes) != len(filter.node_fits):
+    if len(nodes) not in (intervals, 0) or len(nodes) != len(filter.node_fits):
         raise ValueError(
-            f"node_times, node_fits: wanted {allowed[0]} intervals, or one more for a horizon, got "
-            f"{len(nodes)} and {len(filter.node_fits)}"
+            f"node_times, node_fits: wanted {intervals} intervals, got {len(nodes)} and "
+            f"{len(filter.node_fits)}"
         )
     for k, grid in enumerate(nodes):
         check_array(f"node_times[{k}]", grid, None)
-        end = times[k + 1] if k < len(times) - 1 else np.inf
-        if not (np.diff([times[k], *grid, end]) > 0).all():
+        if not (np.diff([times[k], *grid, times[k + 1]]) > 0).all():
             raise ValueError(f"node_times[{k}]: outside of their interval or out of order")
 
 
@@ -143,7 +142,7 @@ def check_errors(predicted: Any, held: Any, times: np.ndarray, components: int |
                 check_array(f"predicted.{name}", getattr(predicted, name), steps, finite=False)
     if held is not None:
         shape = (len(times), None if predicted is None else predicted.rms.shape[1])
-        for name in ("rms", "error", "deviation"):  # NaN where no path was left
+        for name in ("rms", "error"):  # NaN where no path was left
             check_array(f"held_out.{name}", getattr(held, name), *shape, finite=False)
         for name in ("mode_rate", "mode_error"):
             part = getattr(held, name)

@@ -13,11 +13,13 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
-from seedslib.design.paths.held_out import examined
-from seedslib.design.paths.walk import crew
+from seedslib.base.tables import mesh
+from seedslib.design.kernels import histogram_table, likelihood_table
+from seedslib.design.paths import crew, with_held_out
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.outputs.lookup import Output, Table, arguments, require_letters
 from seedslib.designed.prediction import Design, Prediction
+from seedslib.designed.tables import Output, Table, arguments, require_like_blocks
+from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
 
 LARGEST = 1e50
@@ -52,10 +54,10 @@ class Lesson(NamedTuple):
             return past.vector
         return np.empty((0, self.states.shape[1]))
 
-    def points(self, system: AnySystem, blind: bool = False, group: Any = None) -> list[Any]:
-        """Arguments of an output function, see `seedslib.designed.outputs.lookup.arguments`."""
+    def points(self, system: AnySystem, blind: bool = False) -> list[Any]:
+        """Arguments of an output function, see `seedslib.designed.tables.arguments`."""
         y = () if blind or self.measurements is None else self.measurements
-        return arguments(system, y, self.indicators, self.past, group)
+        return arguments(system, y, self.indicators, self.past)
 
 
 class _Paths(NamedTuple):
@@ -113,7 +115,7 @@ class Carriers:
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         if switches(system):
-            require_letters(memory, system.indicators)
+            require_like_blocks(memory, system.indicators)
         elif memory.indicators or memory.log_odds:
             raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
         n = system.state_size
@@ -165,14 +167,10 @@ class Carriers:
         """What a forecast for a time up to the next measurement is fitted to."""
         return self._lesson(self.reached + 1, t)
 
-    def past(self, which: int) -> Past:
-        """Memory that a set has."""
-        return self.pasts[which]
-
     def _lesson(self, which, t=None):
         """Of one of the sets, counted on and on, at the next measurement or at a time before it."""
         which, k = which % len(self.sets), self.reached + 1
-        chosen, past = self.sets[which], self.past(which)
+        chosen, past = self.sets[which], self.pasts[which]
         if t is not None:
             return Lesson(chosen.states[float(t)], None, past)
         labels = (None if part is None else part[k] for part in (chosen.modes, chosen.indicators))
@@ -228,7 +226,7 @@ class Carriers:
         """The finished filter with its errors on other paths than those of all sets."""
         stops = np.concatenate([self.times[:1], *self.stops])
         with crew(self.workers) as each:
-            return examined(filter, self.root, self.paths, each, stops, bound=LARGEST)
+            return with_held_out(filter, self.root, self.paths, each, stops)
 
     def design(self) -> Design:
         """Record of how the paths were made."""
@@ -259,3 +257,72 @@ def prediction_of(
     rate = np.array([part.mean() for part in wrong])
     count = np.array([len(part) for part in wrong])
     return Prediction(times, rms, error, in_sample, rate, np.sqrt(rate * (1.0 - rate) / count))
+
+
+def counted(carriers: Any, lesson: Lesson, axes: Any, kernel: float, blind: bool = False) -> Table:
+    """Smoothed histogram over indicator, measurement unless blind, and memory."""
+    targets, points = _targets(carriers, lesson), _points(carriers, lesson, axes, blind)
+    pooled = carriers.system.indicators > 0
+    return _table(carriers, axes, histogram_table(targets, points, axes, kernel, pooled))
+
+
+def likely(carriers: Any, t: float, lesson: Lesson, axes: Any, kernel: float) -> Table:
+    """Regression in the memory alone, weighted by the likelihoods of measurement and indicator."""
+    targets, first = _targets(carriers, lesson), int(carriers.system.indicators > 0)
+    last = first + len(lesson.measurements)
+    log_density = _log_density(carriers.system, t, lesson, axes[first:last])
+    points = _points(carriers, lesson, axes[last:], blind=True)
+    found = likelihood_table(log_density, targets, points, axes[:last], axes[last:], kernel)
+    return _table(carriers, axes, found)
+
+
+def _points(carriers, lesson, axes, blind) -> np.ndarray:
+    """Arguments over the axes, the last ones of the function, (d, N)."""
+    points = lesson.points(carriers.system, blind)
+    points = np.array(points[len(points) - len(axes) :], dtype=float)
+    return points.reshape(len(axes), lesson.states.shape[1])
+
+
+def _log_density(system, t, lesson, axes):
+    """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
+    grid, x = mesh(axes)[:, None, :], lesson.states
+    if not switches(system):
+        return lambda part: system.sensor.log_density(t, grid, x[:, part, None])
+    values = [*range(system.indicators), -1] if system.indicators else [0]
+
+    def log_density(part):
+        mode, state = lesson.modes[part], x[:, part, None]
+        found = np.full((len(mode), len(values), grid.shape[2]), -np.inf)
+        for i in range(system.modes):
+            here = np.flatnonzero(mode == i)
+            there = np.broadcast_to(state[:, here], (len(x), len(here), grid.shape[2]))
+            for place, j in enumerate(values):
+                reading = system.sensors[i] if j < 0 else system.readings[i][j]
+                if reading is not None and here.size:
+                    found[here, place] = reading.log_density(t, grid, there)
+        return found.reshape(len(mode), -1)
+
+    return log_density
+
+
+def sensors_of(system: AnySystem) -> list[Any]:
+    """All that may be measured; None for a reading that never comes."""
+    if not switches(system):
+        return [system.sensor]
+    return [reading for row in system.readings for reading in row]
+
+
+def _targets(carriers, lesson) -> np.ndarray:
+    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
+    states = lesson.states[: carriers.components]
+    if lesson.modes is None:
+        return states
+    return np.concatenate([lesson.modes == np.arange(carriers.system.modes)[:, None], states])
+
+
+def _table(carriers, axes, found) -> Table:
+    """Table of what regression found: probabilities, where there are modes, then estimates."""
+    if not switches(carriers.system):
+        return Table(axes, found)
+    prob, means = np.split(found, [carriers.system.modes])
+    return Table(axes, means, most_probable(prob).astype(np.int8), prob)

@@ -12,7 +12,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, as_axes, locate, mesh
-from seedslib.design.law.recursion import NEGLIGIBLE, posterior_means, seen
+from seedslib.design.law import NEGLIGIBLE, posterior_means, seen
 from seedslib.filters.weights import most_probable
 
 FAINT = 1e-7

@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
 from seedslib.base.diffuse import LOST
-from seedslib.base.values import Course
-from seedslib.design.fitting import ROUNDING
-from seedslib.design.regression import regress
-from seedslib.designed.finite_order_rules import Start
+from seedslib.design.regression import ROUNDING, regress
+from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.linearization.moments import Moments
@@ -23,7 +21,7 @@ from seedslib.models.propagation import integrated, stepped
 
 
 def linear_design(
-    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, held: Course, measured: np.ndarray
+    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, measured: np.ndarray
 ) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
@@ -38,8 +36,6 @@ def linear_design(
     times : ndarray, shape (K+1,)
     grid : tuple of ndarray
         Node times.
-    held : Course
-        Inputs at the times.
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
 
@@ -54,25 +50,20 @@ def linear_design(
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    with held.at(0):
-        start = joint.first(measured[0], *linear.sensor(times[0]))
+    start = joint.first(measured[0], *linear.sensor(times[0]))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, found = times[k], []
         for node in nodes:
-            with held.at(k):
-                joint.move(*linear.transition(t, node))
+            joint.move(*linear.transition(t, node))
             found.append(joint.node_fit())
             scores.append((node, np.diagonal(found[-1].cov)))
             t = node
         node_fits.append(tuple(found))
-        if k + 1 < len(times):
-            with held.at(k):
-                joint.move(*linear.transition(t, times[k + 1]))
-            with held.at(k + 1):
-                fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
-            scores.append((times[k + 1], joint.error))
+        joint.move(*linear.transition(t, times[k + 1]))
+        fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
+        scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))
     predicted = Prediction(stamps, rms, np.zeros_like(rms))
@@ -136,14 +127,13 @@ class _Linear:
 
 
 class _Joint:
-    """Mean and covariance of (X, U, Y): state, memory, last measurement."""
+    """Mean and covariance of (X, U): state and memory."""
 
     def __init__(self, rules, mean, cov):
         self.rules, self.n = rules, len(mean)
         self.mean, self.cov = np.array(mean), np.array(cov)
         self.past, self.dimension = Past(), 0
-        self.sizes, self.shown = Past(), np.empty(0)
-        self.error = None
+        self.sizes, self.error = Past(), None
 
     def move(self, matrix, offset, noise):
         """Let the state move on."""
@@ -164,7 +154,7 @@ class _Joint:
 
     def correct(self, there, matrix, offset, noise):
         """Fit the forecast, correct it, remember; returns the fit."""
-        fit = self._regressed(self.n, self.dimension)
+        fit = self._regressed(self.n)
         wide, left = (np.diagonal(cov)[: len(self.error)] for cov in (self.cov, fit.cov))
         lost = (left < LOST * wide) & (self.error > ROUNDING**2 * wide)
         if lost.any():
@@ -180,25 +170,21 @@ class _Joint:
 
     def node_fit(self):
         """Fit of the estimated components at a node."""
-        rules, used = self.rules, self.dimension
-        if rules.measured_nodes and not rules.memory.measurements:
-            used = len(self.mean) - self.n
-        return self._regressed(rules.components, used)
+        return self._regressed(self.rules.components)
 
     @property
     def _memory(self):
         return slice(self.n, self.n + self.dimension)
 
-    def _regressed(self, targets, used):
-        """Fit of the first `targets` components from the first `used` of (U, Y).
+    def _regressed(self, targets):
+        """Fit of the first `targets` components from the memory.
 
         Of centred variables: where the origin lies must not decide what is a constant. That is
         an estimate that hardly varies beside its state, a measurement beside what it is made of.
         """
-        index = np.r_[:targets, self.n : self.n + used]
-        mean = self.mean[index]
-        size = np.concatenate([self.sizes.vector, self.shown])[:used]
-        fit = regress(np.zeros(len(index)), self.cov[np.ix_(index, index)], targets, size)
+        index = np.r_[:targets, self._memory]
+        mean, cov = self.mean[index], self.cov[np.ix_(index, index)]
+        fit = regress(np.zeros(len(index)), cov, targets, self.sizes.vector)
         return fit._replace(offset=mean[:targets] - fit.gain @ mean[targets:])
 
     def _take(self, there, matrix, offset, noise, forecast, forecast_offset, gain):
@@ -219,11 +205,11 @@ class _Joint:
         held = Past(blocks[:count], blocks[count:])
         self.past = self.rules.memory.push(held, estimate=estimate, measurement=shown)
         spread = np.sqrt(np.diagonal(self.cov)[:n])
-        self.shown = np.abs(matrix) @ spread + np.sqrt(np.diagonal(noise))
+        size = np.abs(matrix) @ spread + np.sqrt(np.diagonal(noise))
         self.sizes = self.rules.memory.push(
-            self.sizes, estimate=spread[:components], measurement=self.shown
+            self.sizes, estimate=spread[:components], measurement=size
         )
-        rows = np.concatenate([state, self.past.vector, shown])
+        rows = np.concatenate([state, self.past.vector])
         mean = np.concatenate([self.mean[: n + d], np.zeros(m), [1.0]])
         cov = np.zeros((len(base), len(base)))
         cov[: n + d, : n + d] = self.cov[: n + d, : n + d]

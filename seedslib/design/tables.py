@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -10,17 +11,14 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_positive
 from seedslib.base.progress import followed
-from seedslib.base.tables import AxesLike, Axis, as_axes
-from seedslib.design.tables.carriers import Carriers
-from seedslib.design.tables.fitted import counted, likely, sensors_of
-from seedslib.design.tables.patterns import PatternCarriers
-from seedslib.design.tables.regression import METHODS
+from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
+from seedslib.design.carriers import Carriers, counted, likely, sensors_of
+from seedslib.design.kernels import METHODS
+from seedslib.designed.finite_order import FiniteOrderFilter, FiniteOrderState
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.lookup import Step, prior, step_axes
-from seedslib.designed.outputs.patterns import ByPattern
-from seedslib.designed.outputs.table import TableFilter
-from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
-from seedslib.models.simulation import Schedule
+from seedslib.designed.output_filter import OutputFilter, TableFilter
+from seedslib.designed.tables import Output, Step, Table, prior, recalled, step_axes
+from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
@@ -33,8 +31,7 @@ def simulated_synthesis(
     system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
     z: AxesLike | None = None, y: AxesLike | None = None, method: str = "likelihood",
     components: int | None = None, sets: int = 2, kernel: float = 0.5, nodes: Count = 4,
-    workers: int = 1, probabilities: bool = False, measured: ArrayLike | None = None,
-    availability: ArrayLike | None = None,
+    workers: int = 1, probabilities: bool = False,
 ) -> TableFilter:  # fmt: skip
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
@@ -73,9 +70,6 @@ def simulated_synthesis(
         Threads of the simulation.
     probabilities : bool
         Whether tables of the probabilities of the modes are wanted too.
-    measured, availability : array_like, optional
-        As `seedslib.design.grid_synthesis`, for a memory of estimates: a table for each pattern of
-        what was seen. The work is that of a design for each class of histories.
 
     Returns
     -------
@@ -103,14 +97,7 @@ def simulated_synthesis(
     ):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
     kernel = as_positive("kernel", kernel)
-    arguments = system, memory, times, components, paths, sets, nodes, seed, workers
-    schedule = _schedule(system, times, measured, availability)
-    if schedule is not None:
-        carriers = PatternCarriers(schedule, *arguments)
-        axes = _axes(carriers, y, z)
-        carriers.histories.most = max(1, LARGEST_TABLE // refuse_large(system, memory, *axes))
-        return _by_patterns(carriers, *axes, method, kernel, probabilities)
-    carriers = Carriers(*arguments)
+    carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
     axes_y, axes_z = _axes(carriers, y, z)
     refuse_large(system, memory, axes_y, axes_z)
     steps, between = [], []
@@ -143,63 +130,8 @@ def simulated_synthesis(
     ))  # fmt: skip
 
 
-def _schedule(system, times, measured, availability) -> Schedule | None:
-    """What is read and arrives; None where everything does."""
-    size = system.measurement_size + (system.indicators > 0)
-    found = Schedule.of(measured, availability, len(as_grid("times", times, system)), size)
-    sure = found.availability is None or (found.availability == 1.0).all()
-    return None if sure and found.mask.all() else found
-
-
-def _by_patterns(carriers, axes_y, axes_z, method, kernel, probabilities) -> TableFilter:
-    """As `simulated_synthesis`, with a table for each pattern."""
-    system, memory, steps, between = carriers.system, carriers.memory, [], []
-    told = int(system.indicators > 0)
-
-    def fit(lesson, rows):
-        k, t = carriers.reached + 1, float(carriers.times[carriers.reached + 1])
-        part = tuple(axes_y[i] for i in rows)
-        shown, blind = step_axes(system, memory, axes_y, axes_z, k)
-        axes = shown[:told] + part + blind[told:]
-        if rows and method == "likelihood":
-            return likely(carriers, t, lesson, axes, kernel, axes_y, rows)
-        lesson = lesson._replace(measurements=lesson.measurements[rows])
-        return counted(carriers, lesson, axes, kernel, blind=not rows)
-
-    for k in followed(range(len(carriers.times)), "design of tables"):
-        known = None if k or switches(system) else prior(system, carriers.components)
-        steps.append(carriers.decided(fit, known))
-        if k + 1 == len(carriers.times):
-            break
-        axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
-        for stop in carriers.stops[k][:-1]:
-
-            def ahead(stop=stop, axes=axes):
-                return counted(carriers, carriers.forecast_lesson(stop), axes, kernel)
-
-            fits.append(carriers.in_classes(ahead, told))
-            carriers.score(stop, fits[-1])
-        between.append(tuple(fits))
-    if not probabilities:
-        steps = [_without_prob(step) for step in steps]
-    return carriers.examined(TableFilter(
-        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
-        method=METHODS[method], predicted=carriers.prediction(),
-        covariances=carriers.covariances, design=carriers.design(),
-        node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
-        measured=None if carriers.mask.all() else carriers.mask,
-        availability=carriers.rates if len(carriers.histories.loose) else None,
-        arrivals=tuple(carriers.histories.arrivals),
-    ))  # fmt: skip
-
-
-def _without_prob(step: Step) -> Step:
-    tables = (table and table._replace(prob=None) for table in step.shown.tables)
-    return Step(ByPattern(tuple(tables)), step.blind._replace(prob=None))
-
-
-def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> int:
-    """Refuse tables that would not fit; entries of the largest.
+def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
+    """Refuse tables that would not fit.
 
     Raises
     ------
@@ -213,7 +145,6 @@ def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) ->
             f"memory: tables over {len(axes)} arguments would have {entries:.3g} entries; wanted "
             f"at most {LARGEST_TABLE}: fewer nodes, a shorter memory, or seedslib.extra.learned"
         )
-    return int(entries)
 
 
 def _axes(carriers, y, z):
@@ -236,3 +167,110 @@ def _about(values, count):
     # values that are all one leave no scale but their own size, or none at all
     reach = 0.1 * (high - low) or 1e-9 * max(abs(high), abs(low)) or 1.0
     return Axis(low - reach, high + reach, count)
+
+
+BLOCK = 1 << 16
+"""Points at which a function is read off together."""
+
+
+def tabulated(filter: Any, *, y: Any, z: AxesLike | None = None) -> TableFilter:
+    """The same filter with its functions read off at the nodes of axes.
+
+    The table runs without the model, so it may be handed on as a file alone.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter or OutputFilter
+        Learned, or with one estimated component: of several, a regression design does not know
+        the error covariances that a table holds. Its forecasts end at the last measurement.
+    y, z : sequence of Axis or (low, high, count)
+        Nodes for each component of a measurement and of an estimate; one alone where there is
+        one component. A memory of measurements alone takes no `z`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Another filter, axes that are none, tables that would be too large, more than one
+        estimated component, a design with a schedule or an availability.
+    """
+    if not isinstance(filter, FiniteOrderFilter | OutputFilter) or switches(filter.system):
+        raise TypeError(
+            f"filter: wanted a FiniteOrderFilter, got a {type(filter).__name__}; tables of a "
+            "switching system come from simulated_synthesis or grid_synthesis"
+        )
+    if filter.measured is not None or filter.availability is not None:
+        raise ValueError(
+            "filter: wanted one whose measurements all arrive, got one with a schedule"
+        )
+    system, memory, times = filter.system, filter.memory, filter.times
+    axes_y = as_axes("y", y, system.measurement_size)
+    axes_z = as_axes("z", z, filter.components) if memory.estimates or z is not None else ()
+    refuse_large(system, memory, axes_y, axes_z)
+    known, covariances = isinstance(filter, OutputFilter), _covariances(filter)
+    steps, node_fits = (filter.steps, filter.node_fits) if known else _functions(filter)
+    axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(times))]
+    return TableFilter(
+        system=system, memory=memory, times=times,
+        steps=tuple(Step(*map(_read, *pair)) for pair in zip(steps, axes, strict=True)),
+        method=f"read off {filter.method if known else filter.predictor}",
+        predicted=filter.predicted, covariances=covariances, design=filter.design,
+        node_times=filter.node_times,
+        node_fits=tuple(
+            tuple(_read(fit, blind) for fit in fits)
+            for fits, (_, blind) in zip(node_fits, axes[1:], strict=False)
+        ),
+        between=filter.between,
+    )  # fmt: skip
+
+
+def _read(function, axes) -> Table:
+    """A function at the nodes of the axes."""
+    points = mesh(axes)
+    parts = [points[:, a : a + BLOCK] for a in range(0, points.shape[1], BLOCK)]
+    values = [function([*part]).filling(part.shape[1:]).mean for part in parts]
+    return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))
+
+
+def _functions(filter) -> tuple[list, list]:
+    """The functions of a filter with affine or polynomial forecasts: outputs, and at nodes."""
+    m, n, times = filter.system.measurement_size, filter.components, filter.times
+
+    def shown(k, points):
+        y, memory = np.array(points[:m]), points[m:]
+        state = _after(filter, k - 1, memory) if k else filter.initial(y.shape[1:])
+        return Output(filter.correct(filter.predict(state, times[k]), y).mean)
+
+    def blind(k, points):
+        state = _after(filter, k - 1, points) if k else filter.initial()
+        return Output(filter.predict(state, times[k]).mean[:n])
+
+    def node(k, i, points):
+        return Output(filter.nodes_after(k, _after(filter, k, points))[0][i])
+
+    steps = [Step(partial(shown, k), partial(blind, k)) for k in range(len(times))]
+    return steps, [
+        [partial(node, k, i) for i in range(len(stops))]
+        for k, stops in enumerate(filter.node_times)
+    ]
+
+
+def _after(filter, k, points) -> FiniteOrderState:
+    """State after measurement k of which only the memory is known."""
+    past = recalled(filter.system, filter.memory, filter.components, k, points)
+    unknown = np.full((filter.components, *np.shape(points[0])), np.nan)
+    mean = past.estimates[0] if past.estimates else unknown
+    return FiniteOrderState(k, mean, None, past, 0.0, None, True)
+
+
+def _covariances(filter) -> np.ndarray:
+    """Error covariances at the measurements, shape (K+1, n', n')."""
+    if isinstance(filter, OutputFilter):
+        return filter.covariances
+    if filter.components > 1:
+        raise ValueError(
+            f"filter: wanted one estimated component, got {filter.components}; of several the "
+            "design knows no error covariance (design with components=1)"
+        )
+    predicted = filter.predicted
+    at = np.abs(predicted.times - filter.times[:, None]).argmin(axis=1)
+    return predicted.rms[at][:, :, None] ** 2

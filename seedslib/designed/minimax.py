@@ -11,11 +11,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.checks import as_count
-from seedslib.designed.guards import freeze
-from seedslib.designed.outputs.filter import OutputFilter
-from seedslib.designed.outputs.lookup import Output, Step, prior
+from seedslib.designed.base import freeze
+from seedslib.designed.checks import check_covariances, check_fields
+from seedslib.designed.output_filter import OutputFilter
 from seedslib.designed.predictors import AffineFit, PolynomialFit
-from seedslib.designed.shapes import check_covariances, check_fields
+from seedslib.designed.tables import Output, Step, prior
 from seedslib.models.kinds import elapsed
 
 Basic = Callable[..., np.ndarray]

@@ -1,23 +1,18 @@
-"""Tables of output functions: their axes, their arguments, and how they are looked up."""
+"""Output functions as tables: their axes, their arguments, and how they are looked up."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.clock import when
 from seedslib.base.tables import Axis, Labels, locate
+from seedslib.designed.checks import check_array
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import accuracy, later_times, sensor_lines
-from seedslib.designed.shapes import check_array
 from seedslib.models.kinds import AnySystem, switches
-
-if TYPE_CHECKING:
-    from seedslib.designed.outputs.filter import OutputFilter
 
 
 class Output(NamedTuple):
@@ -133,7 +128,7 @@ def prior(system: AnySystem, components: int) -> Table:
 
 
 def step_axes(
-    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int, classes: int = 0
+    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Axes of the tables of measurement k.
 
@@ -147,29 +142,26 @@ def step_axes(
     measured, estimated : tuple of Axis
         Of the components of a measurement, and of an estimate.
     k : int
-    classes : int
-        Classes of histories of what arrived, before the axes of the memory; 0 without such.
 
     Returns
     -------
     shown, blind : tuple of Axis or Labels
     """
     values = system.indicators
-    told = (Labels(values + 1),) if values else ()
-    decided, kept = letter_labels(system, memory)
-    held = (Labels(classes),) * bool(classes)
-    held += (decided + kept + estimated) * min(k, memory.estimates)
-    held += (kept + measured) * min(k, memory.measurements)
-    return told + measured + held, told + held
+    indicator = (Labels(values + 1),) if values else ()
+    modes, indicators = block_labels(system, memory)
+    remembered = (modes + indicators + estimated) * min(k, memory.estimates)
+    remembered += (indicators + measured) * min(k, memory.measurements)
+    return indicator + measured + remembered, indicator + remembered
 
 
-def letter_labels(system: AnySystem, memory: Memory) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
+def block_labels(system: AnySystem, memory: Memory) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Labels before the numbers of a remembered estimate: its decided mode, and its indicator."""
-    decided = (Labels(system.modes),) if switches(system) and memory.estimates else ()
-    return decided, ((Labels(system.indicators),) if memory.indicators else ())
+    modes = (Labels(system.modes),) if switches(system) and memory.estimates else ()
+    return modes, ((Labels(system.indicators),) if memory.indicators else ())
 
 
-def require_letters(memory: Memory, indicators: int, place: str = "") -> None:
+def require_like_blocks(memory: Memory, indicators: int, place: str = "") -> None:
     """Refuse a memory whose blocks are not all alike.
 
     Parameters
@@ -185,34 +177,31 @@ def require_letters(memory: Memory, indicators: int, place: str = "") -> None:
     ValueError
         Estimates and measurements, or neither; log-odds; other than as many indicators.
     """
-    told = memory.indicators
     if (
         bool(memory.estimates) == bool(memory.measurements)
         or memory.log_odds
-        or (told and not indicators)
-        or told not in (0, memory.depth)
+        or (memory.indicators and not indicators)
+        or memory.indicators not in (0, memory.depth)
     ):
         raise ValueError(f"memory: wanted estimates or measurements alone{place}, got {memory}")
 
 
 def recalled(system: AnySystem, memory: Memory, components: int, k: int, points: Any) -> Past:
     """The memory after measurement k from what `arguments` lists of it, (d, *batch)."""
-    decided, kept = letter_labels(system, memory)
+    modes, indicators = block_labels(system, memory)
     past: dict[str, list] = {name: [] for name in Past._fields}
     rows = list(points)
     for name, size in (("estimates", components), ("measurements", system.measurement_size)):
         for _ in range(min(k + 1, getattr(memory, name))):
-            if decided and name == "estimates":
+            if modes and name == "estimates":
                 past["modes"].append(rows.pop(0).astype(int))
-            if kept:
+            if indicators:
                 past["indicators"].append(rows.pop(0).astype(int))
             past[name].append(np.array([rows.pop(0) for _ in range(size)]))
     return Past(**{name: tuple(blocks) for name, blocks in past.items()})
 
 
-def arguments(
-    system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past, group: Any = None
-) -> list[Any]:  # fmt: skip
+def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past) -> list[Any]:
     """Arguments of an output function, in the order of the axes of its table.
 
     Parameters
@@ -225,8 +214,6 @@ def arguments(
         -1 is a missing one, and so is None.
     past : Past
         The memory before the measurement.
-    group : ndarray of int, optional
-        Class of what arrived before it, where the functions have it for an argument.
     """
     points, values = [], system.indicators
     if values:
@@ -234,8 +221,6 @@ def arguments(
         indicator = np.asarray(-1 if indicator is None else indicator)
         points.append(np.where(indicator < 0, values, indicator))
     points += tuple(y)
-    if group is not None:
-        points.append(np.asarray(group))
     for number, block in enumerate(past.estimates + past.measurements):
         if past.modes:
             points.append(past.modes[number])
@@ -243,23 +228,3 @@ def arguments(
             points.append(past.indicators[number])
         points += tuple(block)
     return points
-
-
-def summary(filter: OutputFilter) -> str:
-    """A filter of output functions in words."""
-    times, design = filter.times, filter.design
-    modes = f"{filter.system.modes} modes, of " if switches(filter.system) else ""
-    made = design.source("exact moments or densities on a grid, without random numbers")
-    return "\n".join([
-        f"Finite-order filter of {modes}order {filter.order}: {filter.memory}",
-        f"  estimates    {filter.components} of {filter.system.state_size} state components",
-        f"  by           {filter.made}",
-        f"  measurements {len(times)}, from {when(times[0])} to {when(times[-1])}",
-        *sensor_lines(filter),
-        later_times(filter),
-        f"  designed on  {made}",
-        "  predicted root-mean-square errors"
-        + (" and probability of a wrong mode" if modes else "")
-        + ("" if design.exact else " (with standard errors)"),
-        *accuracy(filter, not design.exact),
-    ])  # fmt: skip
