@@ -16,6 +16,7 @@ from seedslib.base.checks import as_count
 from seedslib.base.tables import mesh
 from seedslib.design.kernels import histogram_table, likelihood_table
 from seedslib.design.paths import crew, with_held_out
+from seedslib.design.regression import root_mean_squares, scatter
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Output, Table, arguments, require_like_blocks
@@ -248,11 +249,9 @@ def prediction_of(
         Whether the functions were made of these paths.
     """
     times = np.array([t for t, _ in scores])
-    mse = np.array([square.mean(axis=1) for _, square in scores])
-    deviation = np.array([square.std(axis=1) / np.sqrt(square.shape[1]) for _, square in scores])
-    rms = np.sqrt(mse)
-    error = np.divide(deviation, 2.0 * rms, out=np.zeros_like(rms), where=rms > 0)
-    if not wrong:
+    moments = [root_mean_squares(scatter(square), len(square)) for _, square in scores]
+    rms, error = (np.array(part) for part in list(zip(*moments, strict=True))[:2])
+    if not len(wrong):
         return Prediction(times, rms, error, in_sample)
     rate = np.array([part.mean() for part in wrong])
     count = np.array([len(part) for part in wrong])

@@ -9,6 +9,7 @@ import numpy as np
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
+from seedslib.design.carriers import prediction_of
 from seedslib.designed.base import DesignedFilter
 from seedslib.designed.prediction import HeldOut
 from seedslib.filters.estimates import Estimates
@@ -140,10 +141,8 @@ def _errors(found: Estimates, data: Simulation) -> np.ndarray:
 
 def _held_out(filter: Any, found: Estimates, data: Simulation) -> HeldOut:
     """Accuracy at the filter's own times."""
-    count, paths = len(filter.times), data.states.shape[2]
-    square = _errors(found, data)[:count] ** 2
-    rms = np.sqrt(square.mean(axis=2))
-    error = square.std(axis=2) / np.sqrt(paths) / np.maximum(2.0 * rms, np.finfo(float).tiny)
-    rate = () if data.modes is None else (found.modes != data.modes)[:count].mean(axis=1)
-    modes = () if data.modes is None else (rate, np.sqrt(rate * (1.0 - rate) / paths))
-    return HeldOut(filter.times, rms, error, paths, 0, *modes)
+    squares = _errors(found, data) ** 2
+    wrong = () if data.modes is None else (found.modes != data.modes)[: len(filter.times)]
+    now = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
+    paths = data.states.shape[2]
+    return HeldOut(filter.times, now.rms, now.error, paths, 0, now.mode_rate, now.mode_error)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,10 +13,9 @@ from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.carriers import Carriers, counted, likely, sensors_of
 from seedslib.design.kernels import METHODS
-from seedslib.designed.finite_order import FiniteOrderFilter, FiniteOrderState
 from seedslib.designed.memory import Memory
 from seedslib.designed.output_filter import OutputFilter, TableFilter
-from seedslib.designed.tables import Output, Step, Table, prior, recalled, step_axes
+from seedslib.designed.tables import Step, Table, prior, step_axes
 from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
 LARGEST_TABLE = 1 << 25
@@ -173,16 +171,15 @@ BLOCK = 1 << 16
 """Points at which a function is read off together."""
 
 
-def tabulated(filter: Any, *, y: Any, z: AxesLike | None = None) -> TableFilter:
+def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> TableFilter:
     """The same filter with its functions read off at the nodes of axes.
 
     The table runs without the model, so it may be handed on as a file alone.
 
     Parameters
     ----------
-    filter : FiniteOrderFilter or OutputFilter
-        Learned, or with one estimated component: of several, a regression design does not know
-        the error covariances that a table holds. Its forecasts end at the last measurement.
+    filter : OutputFilter
+        Learned, or of functions of one's own.
     y, z : sequence of Axis or (low, high, count)
         Nodes for each component of a measurement and of an estimate; one alone where there is
         one component. A memory of measurements alone takes no `z`.
@@ -190,36 +187,25 @@ def tabulated(filter: Any, *, y: Any, z: AxesLike | None = None) -> TableFilter:
     Raises
     ------
     TypeError, ValueError
-        Another filter, axes that are none, tables that would be too large, more than one
-        estimated component, a design with a schedule or an availability.
+        Another filter, axes that are none, tables that would be too large.
     """
-    if not isinstance(filter, FiniteOrderFilter | OutputFilter) or switches(filter.system):
-        raise TypeError(
-            f"filter: wanted a FiniteOrderFilter, got a {type(filter).__name__}; tables of a "
-            "switching system come from simulated_synthesis or grid_synthesis"
-        )
-    if filter.measured is not None or filter.availability is not None:
-        raise ValueError(
-            "filter: wanted one whose measurements all arrive, got one with a schedule"
-        )
-    system, memory, times = filter.system, filter.memory, filter.times
+    if not isinstance(filter, OutputFilter) or switches(filter.system):
+        raise TypeError(f"filter: wanted output functions, got a {type(filter).__name__}")
+    system, memory = filter.system, filter.memory
     axes_y = as_axes("y", y, system.measurement_size)
     axes_z = as_axes("z", z, filter.components) if memory.estimates or z is not None else ()
     refuse_large(system, memory, axes_y, axes_z)
-    known, covariances = isinstance(filter, OutputFilter), _covariances(filter)
-    steps, node_fits = (filter.steps, filter.node_fits) if known else _functions(filter)
-    axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(times))]
+    axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(filter.times))]
+    steps = [Step(*map(_read, *pair)) for pair in zip(filter.steps, axes, strict=True)]
+    between = [
+        tuple(_read(fit, blind) for fit in fits)
+        for fits, (_, blind) in zip(filter.node_fits, axes[1:], strict=False)
+    ]
     return TableFilter(
-        system=system, memory=memory, times=times,
-        steps=tuple(Step(*map(_read, *pair)) for pair in zip(steps, axes, strict=True)),
-        method=f"read off {filter.method if known else filter.predictor}",
-        predicted=filter.predicted, covariances=covariances, design=filter.design,
-        node_times=filter.node_times,
-        node_fits=tuple(
-            tuple(_read(fit, blind) for fit in fits)
-            for fits, (_, blind) in zip(node_fits, axes[1:], strict=False)
-        ),
-        between=filter.between,
+        system=system, memory=memory, times=filter.times, steps=tuple(steps),
+        method=f"read off {filter.method}", predicted=filter.predicted,
+        covariances=filter.covariances, design=filter.design, node_times=filter.node_times,
+        node_fits=tuple(between), between=filter.between,
     )  # fmt: skip
 
 
@@ -229,48 +215,3 @@ def _read(function, axes) -> Table:
     parts = [points[:, a : a + BLOCK] for a in range(0, points.shape[1], BLOCK)]
     values = [function([*part]).filling(part.shape[1:]).mean for part in parts]
     return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))
-
-
-def _functions(filter) -> tuple[list, list]:
-    """The functions of a filter with affine or polynomial forecasts: outputs, and at nodes."""
-    m, n, times = filter.system.measurement_size, filter.components, filter.times
-
-    def shown(k, points):
-        y, memory = np.array(points[:m]), points[m:]
-        state = _after(filter, k - 1, memory) if k else filter.initial(y.shape[1:])
-        return Output(filter.correct(filter.predict(state, times[k]), y).mean)
-
-    def blind(k, points):
-        state = _after(filter, k - 1, points) if k else filter.initial()
-        return Output(filter.predict(state, times[k]).mean[:n])
-
-    def node(k, i, points):
-        return Output(filter.nodes_after(k, _after(filter, k, points))[0][i])
-
-    steps = [Step(partial(shown, k), partial(blind, k)) for k in range(len(times))]
-    return steps, [
-        [partial(node, k, i) for i in range(len(stops))]
-        for k, stops in enumerate(filter.node_times)
-    ]
-
-
-def _after(filter, k, points) -> FiniteOrderState:
-    """State after measurement k of which only the memory is known."""
-    past = recalled(filter.system, filter.memory, filter.components, k, points)
-    unknown = np.full((filter.components, *np.shape(points[0])), np.nan)
-    mean = past.estimates[0] if past.estimates else unknown
-    return FiniteOrderState(k, mean, None, past, 0.0, None, True)
-
-
-def _covariances(filter) -> np.ndarray:
-    """Error covariances at the measurements, shape (K+1, n', n')."""
-    if isinstance(filter, OutputFilter):
-        return filter.covariances
-    if filter.components > 1:
-        raise ValueError(
-            f"filter: wanted one estimated component, got {filter.components}; of several the "
-            "design knows no error covariance (design with components=1)"
-        )
-    predicted = filter.predicted
-    at = np.abs(predicted.times - filter.times[:, None]).argmin(axis=1)
-    return predicted.rms[at][:, :, None] ** 2
