@@ -13,7 +13,7 @@ from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
 from seedslib.design.carriers import prediction_of
-from seedslib.design.paths import crew, with_held_out
+from seedslib.design.held_out import with_held_out
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.output_filter import OutputFilter
 from seedslib.designed.prediction import Design
@@ -157,8 +157,7 @@ def binned_synthesis(
         design=Design(paths, BLOCK, *seed_record(root)),
         covariances=np.array(errors),
     )  # fmt: skip
-    with crew(workers) as each:
-        return with_held_out(filter, root, paths, each, times)
+    return with_held_out(filter, root, paths, workers)
 
 
 def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:

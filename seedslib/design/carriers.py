@@ -14,8 +14,8 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.tables import mesh
+from seedslib.design.held_out import with_held_out
 from seedslib.design.kernels import histogram_table, likelihood_table
-from seedslib.design.paths import crew, with_held_out
 from seedslib.design.regression import root_mean_squares, scatter
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, Prediction
@@ -225,9 +225,7 @@ class Carriers:
 
     def examined(self, filter: Any) -> Any:
         """The finished filter with its errors on other paths than those of all sets."""
-        stops = np.concatenate([self.times[:1], *self.stops])
-        with crew(self.workers) as each:
-            return with_held_out(filter, self.root, self.paths, each, stops)
+        return with_held_out(filter, self.root, self.paths, self.workers)
 
     def design(self) -> Design:
         """Record of how the paths were made."""

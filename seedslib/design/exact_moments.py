@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
 from seedslib.base.diffuse import LOST
+from seedslib.base.values import Course
 from seedslib.design.regression import ROUNDING, regress
 from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
@@ -21,8 +22,9 @@ from seedslib.models.propagation import integrated, stepped
 
 
 def linear_design(
-    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, measured: np.ndarray
-) -> Any:
+    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, measured: np.ndarray,
+    inputs: Course,
+) -> Any:  # fmt: skip
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance
@@ -38,6 +40,8 @@ def linear_design(
         Node times.
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
+    inputs : Course
+        At the measurement times.
 
     Returns
     -------
@@ -50,19 +54,22 @@ def linear_design(
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    start = joint.first(measured[0], *linear.sensor(times[0]))
+    with inputs.at(0):
+        start = joint.first(measured[0], *linear.sensor(times[0]))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, found = times[k], []
-        for node in nodes:
-            joint.move(*linear.transition(t, node))
-            found.append(joint.node_fit())
-            scores.append((node, np.diagonal(found[-1].cov)))
-            t = node
+        with inputs.at(k):
+            for node in nodes:
+                joint.move(*linear.transition(t, node))
+                found.append(joint.node_fit())
+                scores.append((node, np.diagonal(found[-1].cov)))
+                t = node
+            joint.move(*linear.transition(t, times[k + 1]))
         node_fits.append(tuple(found))
-        joint.move(*linear.transition(t, times[k + 1]))
-        fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
+        with inputs.at(k + 1):
+            fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
         scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))

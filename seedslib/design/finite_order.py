@@ -17,9 +17,11 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
 from seedslib.base.clock import step_count, when
+from seedslib.base.values import Inputs
 from seedslib.design.forward_pass import ForwardPass
+from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
-from seedslib.design.paths import Walk, crew, require_range, with_held_out
+from seedslib.design.paths import Walk, crew, require_range
 from seedslib.design.regression import coefficients_of
 from seedslib.designed.finite_order import FiniteOrderFilter, Rules
 from seedslib.designed.memory import Memory
@@ -27,7 +29,7 @@ from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.units import as_linearization
-from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -121,7 +123,7 @@ def synthesize(
     paths: Count | None = None, seed: Seed | None = None, workers: Any = 1,
     exact_moments: bool = False, step: float | None = None, scheme: str = "euler",
     normalisation: str = "consistent", measured: ArrayLike | None = None,
-    availability: ArrayLike | None = None,
+    availability: ArrayLike | None = None, inputs: Inputs | None = None,
 ) -> Any:  # fmt: skip
     """Design a filter of finite order for a system.
 
@@ -132,8 +134,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers` and `normalisation` and gives a
-        `SwitchingFilter`; see `seedslib.design.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers`, `inputs` and `normalisation` and gives
+        a `SwitchingFilter`; see `seedslib.design.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -173,6 +175,9 @@ def synthesize(
         of what has arrived, by classes of histories, see `seedslib.design.histories`: errors,
         likelihoods and what is expected are known after gaps too, likely or not. The work is that
         of a design for each class, and up to 64 of them.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        Values of the inputs that the system mentions, each held until the next measurement. They
+        are in the numbers of the forecasts; a run is given them again, for the correction.
 
     Returns
     -------
@@ -214,7 +219,7 @@ def synthesize(
                 raise ValueError(f"{name}: wanted none for a switching system")
         return synthesize_switching(
             system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            normalisation=normalisation,
+            normalisation=normalisation, inputs=inputs,
         )  # fmt: skip
     if normalisation != "consistent":
         raise ValueError("normalisation: wanted for a switching system only")
@@ -222,6 +227,7 @@ def synthesize(
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     mask, availability = certain(schedule)
     check_kinds(memory, predictor, exact_moments, availability is not None)
+    course = course_of(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
@@ -246,14 +252,15 @@ def synthesize(
     if exact_moments:
         from seedslib.design.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid, mask))
+        return made(*linear_design(system, rules, times, grid, mask, course))
     paths = as_count("paths", paths)
     check_paths(paths, memory, predictor, components, system.sensor.size)
     root = as_seed_sequence(seed)
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
         walk = Walk(system, paths, root, len(stops), each, options)
-        found = ForwardPass(walk, rules, predictor, mask, availability).design(times, grid)
+        forward = ForwardPass(walk, rules, predictor, mask, availability, course)
+        found = forward.design(times, grid)
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), walk.warn_of_lost()))
-        del walk  # its paths are not wanted any more
-        return with_held_out(designed, root, paths, each, np.unique(stops), options)
+    del walk, forward  # their paths are not wanted any more
+    return with_held_out(designed, root, paths, workers, inputs=course.values, **options)

@@ -19,6 +19,7 @@ import numpy as np
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
 from seedslib.base.triangles import lower_triangle
+from seedslib.base.values import Course
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
 from seedslib.designed.finite_order import FiniteOrderState, Start
@@ -44,13 +45,15 @@ class ForwardPass:
         Components that are measured at each time.
     availability : ndarray, shape (m,), or None
         Probability that a component that is measured arrives; None where all do.
+    inputs : Course
+        At the measurement times.
     """
 
     def __init__(
         self, walk: Any, rules: Any, predictor: Any, measured: np.ndarray,
-        availability: np.ndarray | None = None,
+        availability: np.ndarray | None, inputs: Course,
     ) -> None:  # fmt: skip
-        self.walk, self.predictor, self.measured = walk, predictor, measured
+        self.walk, self.predictor, self.measured, self.inputs = walk, predictor, measured, inputs
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
         self.rules: Any = walk.each.share(rules)
@@ -72,15 +75,19 @@ class ForwardPass:
         grid : tuple of ndarray, length K
             Node times.
         """
-        self._start(times[0])
+        with self.inputs.at(0):
+            self._start(times[0])
         for k in followed(range(len(grid)), "design"):
             t, stop = times[k], times[k + 1]
-            if self.continuous:
-                between, memories = self._moves(t, [*grid[k], stop])
-            else:
-                between, memories = self._nodes(k, t, grid[k])
+            with self.inputs.at(k):
+                if self.continuous:
+                    between, memories = self._moves(t, [*grid[k], stop])
+                else:
+                    between, memories = self._nodes(k, t, grid[k])
+                self.walk.advance(self.scores[-1][0], stop)
             self.node_fits.append(tuple(between))
-            self._measurement(k + 1, stop, memories)
+            with self.inputs.at(k + 1):
+                self._measurement(k + 1, stop, memories)
         stamps, rms, error = (np.array(part) for part in zip(*self.scores, strict=True))
         predicted = Prediction(stamps, rms, error, True)
         return self.start, tuple(self.fits), tuple(self.node_fits), predicted
@@ -147,9 +154,7 @@ class ForwardPass:
 
     def _measurement(self, k, t, memories):
         """Fit the forecasts for a measurement, and correct them."""
-        walk = self.walk
-        walk.advance(self.scores[-1][0], t)
-        size = self._sizes(k - 1)
+        walk, size = self.walk, self._sizes(k - 1)
         fits = [self._fit(self.predictor, u, walk.n, size) for u in memories]
         self.fits.append(self._of_classes(fits, self.histories.classes.table, self.covs_before))
         if not self.one_class:

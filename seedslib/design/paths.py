@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from contextvars import copy_context
@@ -15,13 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.blocks import BLOCK, child
+from seedslib.base.blocks import child
 from seedslib.base.bundles import Bundle, bundles
 from seedslib.base.checks import as_count, is_whole, outside
-from seedslib.base.clock import when
-from seedslib.design.regression import DOMINATED, Scatter, combine, root_mean_squares, scatter
-from seedslib.designed.prediction import HeldOut
-from seedslib.models.kinds import AnySystem, switches
+from seedslib.design.regression import Scatter, combine, scatter
+from seedslib.models.kinds import AnySystem
 
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
@@ -258,140 +254,3 @@ class Walk:
 def _generator(streams, counts):
     generators = [np.random.default_rng(stream) for stream in streams]
     return Bundle(generators, counts) if len(generators) > 1 else generators[0]
-
-
-SHARE, LEAST = 8, 512
-"""There is one held-out path for so many design paths, but at least so many."""
-
-STREAM = 0x48454C44
-"""Key of the held-out paths among the children of the seed: no block of a design has it."""
-
-DOUBT = 4.0
-"""Standard errors that a single difference must have to be one."""
-
-SOME = 0.02
-"""A smaller part of an error than this is not worth a warning."""
-
-ROUNDING = 1e-9
-"""An error that is a smaller part of its state than this is rounding."""
-
-
-def with_held_out(
-    filter: Any, root: np.random.SeedSequence, paths: int, each: Crew, stops: np.ndarray,
-    options: Mapping[str, Any] | None = None,
-) -> Any:  # fmt: skip
-    """The filter with its errors on held-out paths, by its own `run`.
-
-    Parameters
-    ----------
-    filter : FiniteOrderFilter, SwitchingFilter or OutputFilter
-        As it was designed, with the errors that it predicts.
-    root : SeedSequence
-        Of the design; the design paths do not depend on what is done here.
-    paths : int
-        Design paths.
-    each : Crew
-        Map over blocks.
-    stops : ndarray
-        Measurement times and nodes: the simulation is that of the design.
-    options : mapping, optional
-        Of ``system.simulate``.
-
-    Warns
-    -----
-    UserWarning
-        Errors that differ from the predicted ones, or that rest on few paths.
-    """
-    count = max(LEAST, -(-paths // SHARE))
-    sizes = [min(BLOCK, count - a) for a in range(0, count, BLOCK)]
-    streams = child(root, STREAM).spawn(len(sizes))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
-        blocks = each(
-            lambda one, stream, size: _moments(one, stream, size, stops, options or {}),
-            each.share(filter), streams, sizes,
-        )  # fmt: skip
-        moments, diverged = zip(*blocks, strict=True)
-    n, rms, error, size, modes = filter.predicted.rms.shape[1], [], [], [], []
-    for parts in zip(*moments, strict=True):
-        part = combine(parts)
-        if part.count < 2:
-            part = part._replace(count=2, mean=np.full_like(part.mean, np.nan))
-        root_mean, doubt, spread = root_mean_squares(part, n)
-        rms.append(root_mean)
-        error.append(doubt)
-        size.append(np.sqrt(part.mean[n : 2 * n]))
-        modes.append((part.mean[-1], spread[-1] / math.sqrt(part.count)))
-    held = HeldOut(filter.times, np.array(rms), np.array(error), count, sum(diverged))
-    if switches(filter.system):
-        rate, rate_error = np.array(modes).T
-        held = held._replace(mode_rate=rate, mode_error=rate_error)
-    _warn(filter.predicted, held, ROUNDING * np.array(size), math.sqrt(paths / count))
-    return dataclasses.replace(filter, held_out=held)
-
-
-def _moments(filter, stream, count, stops, options):
-    """Moments of squared errors, squares of the state and wrong modes at each measurement.
-
-    And how many paths there are on which the filter leaves the range of numbers.
-    """
-    system, rows = filter.system, np.searchsorted(stops, filter.times)
-    if filter.measured is None:
-        mask = rows
-    else:
-        mask = np.zeros((len(stops), filter.measured.shape[1]), dtype=bool)
-        mask[rows] = filter.measured
-    if filter.availability is not None:
-        options = {**options, "availability": filter.availability}
-    with np.errstate(all="ignore"):
-        data = system.simulate(stops, count, stream, measured=mask, **options)
-        x, y = data.states[rows], data.measurements[rows]
-        good = (np.abs(x) <= LARGEST).all(axis=(0, 1))
-        indicators = {} if data.indicators is None else {"indicators": data.indicators[rows]}
-        for part in (y, *indicators.values()):  # of a path that is not scored: any record
-            part[..., ~good] = part[..., good.argmax(), None]
-        found = filter.run(filter.times, y, **indicators)
-        finite = (np.abs(found.mean) <= LARGEST).all(axis=(0, 1))
-        n, kept, parts = found.mean.shape[1], good & finite, []
-        for k in range(len(rows)):
-            samples = [(x[k, :n] - found.mean[k]) ** 2, x[k, :n] ** 2]
-            if data.modes is not None:
-                samples.append((found.modes[k] != data.modes[rows[k]])[None])
-            parts.append(scatter(np.concatenate(samples)[:, kept]))
-    return parts, int(np.count_nonzero(good & ~finite))
-
-
-def _warn(predicted, held, rounding, share):
-    """Tell of errors that are not the predicted ones.
-
-    `share` is the root of the number of design paths by that of held-out paths.
-    """
-    at = np.searchsorted(predicted.times, held.times)
-    columns = [(predicted.rms[at], predicted.error[at], held.rms, held.error)]
-    if held.mode_rate is not None:
-        modes = predicted.mode_rate[at], predicted.mode_error[at], held.mode_rate, held.mode_error
-        columns.append(tuple(part[:, None] for part in modes))
-    wanted, wanted_error, rms, error = (
-        np.concatenate(part, axis=1) for part in zip(*columns, strict=True)
-    )
-    rounding = np.pad(rounding, ((0, 0), (0, rms.shape[1] - rounding.shape[1])))
-    # the same chance of a false alarm whatever the number of comparisons
-    doubt = math.sqrt(DOUBT**2 + 2.0 * math.log(rms.size))
-    # few paths that miss the large errors believe themselves too much
-    both = np.hypot(wanted_error, np.maximum(error, share * wanted_error))
-    difference = np.abs(rms - wanted)
-    bad = difference > doubt * both
-    bad[:, : held.rms.shape[1]] |= (held.error > DOMINATED * held.rms) & (held.rms > columns[0][0])
-    bad &= (difference > SOME * wanted) & (np.maximum(rms, wanted) > rounding)
-    if bad.any() or held.diverged:
-        ratio = np.where(bad, difference / np.maximum(wanted, np.finfo(float).tiny), -1.0)
-        k, i = np.unravel_index(ratio.argmax(), ratio.shape)
-        diverged = f"; on {held.diverged} of them the filter diverged" * bool(held.diverged)
-        warnings.warn(
-            f"held out: errors on {held.paths} other paths are not the predicted ones at "
-            f"{np.count_nonzero(bad.any(axis=1))} of {len(bad)} times, most at "
-            f"{when(held.times[k])}: {rms[k, i]:.4g} ± {error[k, i]:.2g} for {wanted[k, i]:.4g}"
-            f"{diverged}; take more design paths, or forecasts of a lower degree or a shorter "
-            "memory",
-            stacklevel=outside(),
-        )

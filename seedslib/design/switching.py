@@ -16,7 +16,9 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
 from seedslib.base.semidefinite import NEGATIVE
-from seedslib.design.paths import Crew, Walk, crew, with_held_out
+from seedslib.base.values import Inputs
+from seedslib.design.held_out import with_held_out
+from seedslib.design.paths import Crew, Walk, crew
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
 from seedslib.designed.base import warn_of_mended
 from seedslib.designed.memory import Memory
@@ -30,7 +32,7 @@ from seedslib.designed.switching.filter import (
 )
 from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, elapsed
+from seedslib.models.kinds import as_grid, course_of, elapsed
 from seedslib.models.switching import SwitchingSystem
 
 JITTER = 1e-8
@@ -167,6 +169,7 @@ OFTEN = 0.05
 def synthesize_switching(
     system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
     paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
+    inputs: Inputs | None = None,
 ) -> SwitchingFilter:  # fmt: skip
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -189,6 +192,8 @@ def synthesize_switching(
         it, bit by bit.
     normalisation
         As `SwitchingFilter`.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        As `seedslib.design.synthesize`.
 
     Returns
     -------
@@ -206,7 +211,7 @@ def synthesize_switching(
     UserWarning
         More than a twentieth of the pairs of cell and mode are thin; covariances were mended;
         paths of the system or of the filter diverged and were left out. What held-out paths
-        say against the design, see `seedslib.design.paths`.
+        say against the design, see `seedslib.design.held_out`.
     """
     times = as_grid("times", times, system)
     require_memory(memory, system)
@@ -215,11 +220,12 @@ def synthesize_switching(
     paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
+    course = course_of(system, inputs, len(times))
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {})
-        fits, scores, thin, pairs, mended = _pass(walk, system, memory, rules, times)
+        fits, scores, thin, pairs, mended = _pass(walk, system, memory, rules, times, course)
         if thin > OFTEN * pairs:
             warnings.warn(
                 f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
@@ -235,11 +241,11 @@ def synthesize_switching(
             ),
             rules=rules,
         )  # fmt: skip
-        del walk  # its paths are not wanted any more
-        return with_held_out(designed, root, paths, each, times)
+    del walk  # its paths are not wanted any more
+    return with_held_out(designed, root, paths, workers, inputs=course.values)
 
 
-def _pass(walk, system, memory, rules, times):
+def _pass(walk, system, memory, rules, times, inputs):
     """Run the filter on the paths, and fit it before each step."""
     n, m = system.state_size, system.measurement_size
     states, fits, scores, thin, pairs, mended = [], [], [], 0, 0, 0
@@ -255,7 +261,7 @@ def _pass(walk, system, memory, rules, times):
                 law = rules.predict(old, fit.forecast(cell, state.past.vector))
                 return state._replace(law=law, corrected=False)
 
-            with elapsed(system, old, t):
+            with inputs.at(k - 1), elapsed(system, old, t):
                 walk.advance(old, t)
                 states = walk.each(predict, states)
 
@@ -263,7 +269,8 @@ def _pass(walk, system, memory, rules, times):
             indicator = y[m].astype(int) if system.indicators else None
             return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory)
 
-        states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
+        with inputs.at(k):
+            states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
         scores.append(_score(walk, n, states))
         if k + 1 == len(times):
             continue

@@ -434,15 +434,20 @@ class FiniteOrderFilter(BetweenFilter):
     ) -> int:  # fmt: skip
         """Run over a block of records; covariances are formed where they are wanted."""
         state, interval, spread = self.initial(y.shape[2:]), None, rows.cov is not None
+        last = 0  # row of the last measurement: its inputs hold until the next
         for j, (t, k) in enumerate(zip(times, index, strict=True)):
             if k < 0:
-                interval = interval or self.interval(state)
+                with inputs.at(last):
+                    interval = interval or self.interval(state)
                 rows.mean[j], rows.loglik[j] = at(interval, t, self.between), 0.0
                 if spread:
                     rows.cov[j] = np.nan
                 continue
-            state = self._correct(self._predict(state, interval), y[j], spread)
-            rows.mean[j], rows.loglik[j], interval = state.mean, state.loglik, None
+            with inputs.at(last):
+                state = self._predict(state, interval)
+            with inputs.at(j):
+                state = self._correct(state, y[j], spread)
+            rows.mean[j], rows.loglik[j], interval, last = state.mean, state.loglik, None, j
             if spread:
                 rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
         return 0

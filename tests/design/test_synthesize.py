@@ -11,6 +11,7 @@ from oracles.linear import kalman
 from seedslib import zoo
 from seedslib.design import Continuous, Crew, Polynomial, synthesize
 from seedslib.designed import Memory, finite_memory
+from seedslib.evaluation import evaluate
 from seedslib.linearization import Cubature, ExactGaussian, Taylor
 from seedslib.models import JumpDiffusion, Noise
 from systems import TIMES, discrete_system, linear_numbers, with_gaps
@@ -165,24 +166,15 @@ def test_continuous_forecast_is_fitted_at_every_step(oscillator):
 
 
 def test_held_out_errors_are_those_of_a_run_on_other_paths_of_the_seed(curved):
-    """An eighth as many as in the design, in two blocks, which are merged by their counts."""
+    """An eighth as many as in the design, as `evaluate` simulates and scores them."""
     made = synthesize(
         curved, Memory(2), Taylor(), STOPS, nodes=1, paths=66_000, seed=7, measured=READ
     )
-    root, stops = np.random.SeedSequence(7, spawn_key=(HELD_OUT,)), made.predicted.times
-    mask = np.zeros((7, 2), dtype=bool)
-    mask[::2] = READ
-    parts = []
-    for stream, count in zip(root.spawn(2), (8192, 58), strict=True):
-        data = curved.simulate(stops, count, stream, measured=mask)
-        found = made.run(STOPS, data.measurements[::2]).mean
-        parts.append((found - data.states[::2]) ** 2)
-    square = np.concatenate(parts, axis=2)
-    held = made.held_out
+    root, held = np.random.SeedSequence(7, spawn_key=(HELD_OUT,)), made.held_out
+    wanted = evaluate(made, curved, STOPS, 8250, root, measured=READ)
     assert (held.paths, held.diverged) == (8250, 0)
-    np.testing.assert_allclose(held.rms, np.sqrt(square.mean(axis=2)), rtol=1e-12)
-    spread = square.std(axis=2) / np.sqrt(8250) / (2.0 * held.rms)
-    np.testing.assert_allclose(held.error, spread, rtol=1e-10)
+    np.testing.assert_allclose(held.rms, wanted.rms, rtol=1e-12)
+    np.testing.assert_allclose(held.error, wanted.rms_error, rtol=1e-10)
     np.testing.assert_array_equal(held.times, STOPS)
 
 

@@ -208,6 +208,7 @@ FILTERS = {
     "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS),
     "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
     "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
+    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
     "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
     "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),

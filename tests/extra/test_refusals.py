@@ -7,7 +7,7 @@ import pytest
 import sympy
 from sklearn.tree import DecisionTreeRegressor
 
-from extra.exported_filters import case, shrinking
+from extra.exported_filters import BIAS, FORCE, cart, case, shrinking
 from seedslib import zoo
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
@@ -61,6 +61,7 @@ def learned(regressor=CONSTANT, times=range(2), memory=None, **options):
 
 EKF, FLIP = extended_kalman(growth()), zoo.flip_process()
 PRINTED = {"normalisation": "printed"}
+TOLD = {"system": cart("bearing", inputs=True), "inputs": {FORCE: np.zeros(7), BIAS: np.zeros(7)}}
 EXPORTS = [
     (lambda: to_c(growth()), TypeError, "filter"),
     (lambda: to_c(EKF, name="2nd"), ValueError, "name"),
@@ -75,6 +76,7 @@ EXPORTS = [
     (lambda: to_c(design(system=FLIP).forecasting("linear")), ValueError, "between"),
     (lambda: to_c(design(times=[0.0])), TypeError, "predictor"),
     (lambda: to_c(design(memory=Late(1))), TypeError, "memory"),
+    (lambda: to_c(design(TIMES, **TOLD)), ValueError, "filter"),
     (lambda: to_c(learned()), TypeError, "filter"),
     (lambda: to_c(design(availability=0.8)), ValueError, "filter"),
     (lambda: to_js(case("extended, inputs").filter), ValueError, "filter"),
