@@ -43,8 +43,10 @@ def child(root: np.random.SeedSequence, *key: int) -> np.random.SeedSequence:
 
 
 def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
-    """Entropy (a whole number or a list of them) and spawn key: what a file keeps of a root."""
-    entropy = root.entropy if isinstance(root.entropy, int) else np.ravel(root.entropy).tolist()
+    """Entropy (a whole number or a tuple of them) and spawn key: what a file keeps of a root."""
+    entropy = root.entropy
+    if not isinstance(entropy, int):
+        entropy = tuple(np.ravel(entropy).tolist())
     return entropy, tuple(map(int, root.spawn_key))
 
 

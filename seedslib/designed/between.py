@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from seedslib.base.clock import Clock, slack, when
-from seedslib.designed.guards import want_corrected
-from seedslib.designed.runs import DesignedFilter
+from seedslib.designed.base import DesignedFilter, want_corrected
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:

@@ -18,7 +18,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from seedslib.base.values import carried
-from seedslib.design.paths.walk import Crew
+from seedslib.design.paths import Crew
 
 PATIENCE = 30
 """Seconds for a scheduler to answer, and for a first worker to come."""

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from seedslib.designed.finite_order import law_symbols
 from seedslib.designed.switching.rules import SwitchingRules
-from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.source import function
 from seedslib.extra.c.tape import Scalar, Tape
 from seedslib.extra.c.traced import told_of, told_on
