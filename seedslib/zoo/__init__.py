@@ -1,8 +1,8 @@
 """The models of the papers, by name; each call builds a new system.
 
-Only models of the core: the wings keep theirs in `examples`. No results and no filters.
+No results and no filters.
 
-May import: base, models.
+May import: base, models, piecewise.
 """
 
 from seedslib.base.lazy import lazy_names
@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from seedslib.zoo.continuous import kicked_duffing as kicked_duffing
     from seedslib.zoo.continuous import linear_gaussian as linear_gaussian
     from seedslib.zoo.continuous import van_der_pol as van_der_pol
+    from seedslib.zoo.piecewise import falling_body as falling_body
     from seedslib.zoo.switching import dependent_switching as dependent_switching
     from seedslib.zoo.switching import manoeuvring_target as manoeuvring_target
     from seedslib.zoo.switching import scalar_switching as scalar_switching
