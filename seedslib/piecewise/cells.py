@@ -73,14 +73,12 @@ class Intervals:
         size = np.where(np.isfinite(edges), np.abs(edges), 0.0) + np.abs(shift)
         with np.errstate(divide="ignore", invalid="ignore"):
             ends = (edges - shift) / slope
+            rounding = ROUNDING * size / np.abs(slope)
             for bound in (lower, upper):  # an edge within rounding of an end does not cut
-                near = np.abs(ends - bound) <= ROUNDING * size / np.abs(slope)
-                ends = np.where(near, bound, ends)
-        # a map without slope takes the whole region into one cell
-        inside = (self.edges[:-1] <= shift) & (shift < self.edges[1:])
-        low = np.where(slope == 0.0, np.where(inside, -np.inf, np.inf), ends.min(axis=0))
-        high = np.where(slope == 0.0, np.inf, ends.max(axis=0))
-        low, high = np.maximum(low, lower), np.minimum(high, upper)
+                ends = np.where(np.abs(ends - bound) < rounding, bound, ends)
+        # a map without slope takes the whole region into the cell of its shift
+        ends = np.where(np.isnan(ends), -np.inf, ends)
+        low, high = np.maximum(ends.min(axis=0), lower), np.minimum(ends.max(axis=0), upper)
         parent, cell = np.nonzero(high > low)
         return parent, cell, np.stack([low[parent, cell], high[parent, cell]])
 
@@ -164,9 +162,7 @@ def _area(vertices: np.ndarray) -> float:
     return 0.5 * float(x[:-1] @ y[1:] - x[1:] @ y[:-1])
 
 
-def _cut(
-    vertices: np.ndarray, normal: np.ndarray, offset: float, size: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _cut(vertices, normal, offset: float, size: float) -> tuple[np.ndarray, np.ndarray]:
     """Parts of a convex polygon where ``normal . x <= offset``, and on the other side.
 
     A vertex within rounding of the line, whose offset is the difference of numbers of this size,

@@ -18,7 +18,6 @@ from seedslib.linearization import Moments
 from seedslib.models.kinds import as_steps, as_system
 from seedslib.piecewise.system import Coefficients, PiecewiseLinearSystem
 
-MOST = 20_000  # branches
 NEGLIGIBLE = 80.0  # nats below the best bound of a weight where no integral is taken
 SINGULAR = 1e-13  # relative eigenvalue of a predicted measurement's covariance that counts as zero
 
@@ -98,7 +97,8 @@ class PiecewiseLinearFilter(Filter):
     The posterior is a sum of Gaussian laws, each restricted to a region: a *branch*. A transition
     keeps that form when the restricted components (the leading one or two, of which the cells
     are made) receive no noise and depend on themselves only; noise in the others does no harm.
-    Regions then stay (the paper's case), or move and split. Other transitions are refused.
+    Regions then stay (the paper's case), or move and split, and the branches multiply unless they
+    are pruned. Other transitions are refused.
 
     Kolessa, theorem 2 and equation (29); all branches and records are batch axes.
 
@@ -140,11 +140,11 @@ class PiecewiseLinearFilter(Filter):
         ------
         ValueError
             A time before that of the state; a transition after which branches are no longer
-            Gaussian laws on regions, or too many.
+            Gaussian laws on regions.
         """
         if stays(state, t):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))
-        return self._weighed(self._moved(state, t), state._replace(time=float(t)))
+        return self._weighed(self._moved(state), state._replace(time=float(t)))
 
     def correct(self, state: PiecewiseState, y: object) -> PiecewiseState:
         """State after the measurement y, (m, *batch), at the time of `state`; NaN is missing.
@@ -162,7 +162,7 @@ class PiecewiseLinearFilter(Filter):
         """Forecast to time t and correct there; the forecast's own moments are not formed."""
         if self.system.adaptive or stays(state, t):
             return self.correct(self.predict(state, t), y)
-        branches, state = self._moved(state, t), state._replace(time=float(t))
+        branches, state = self._moved(state), state._replace(time=float(t))
         return self._weighed(self._measured(state, branches, y), state, update=True)
 
     def states(self, times: object, measurements: object) -> Iterator[PiecewiseState]:
@@ -170,8 +170,7 @@ class PiecewiseLinearFilter(Filter):
         times, y = self.record(times, measurements)
         state = self.initial(y.shape[2:])
         for t, now in zip(times, y, strict=True):
-            state = self.step(state, float(t), now)
-            yield state
+            yield (state := self.step(state, float(t), now))
 
     def record(self, times: object, measurements: object) -> tuple[np.ndarray, np.ndarray]:
         """Times, also from the number of steps K, and measurements (K+1, m, *batch), checked."""
@@ -182,15 +181,15 @@ class PiecewiseLinearFilter(Filter):
     def _estimate(self, state: PiecewiseState) -> np.ndarray | None:
         return state.mean.reshape(len(state.mean), -1) if self.system.adaptive else None
 
-    def _moved(self, state: PiecewiseState, t: float) -> Branches:
-        """Every branch carried to time t through the dynamics of its cell, cut along the cells."""
+    def _moved(self, state: PiecewiseState) -> Branches:
+        """Every branch carried through the dynamics of its cell and cut along the cells."""
         branches, cells, size = state.branches, self.system.regions, self.system.regions.size
         c = self.system.dynamics_at(state.time, self._estimate(state))
         unlike = np.ptp(c.offset[:size], -1).any() or np.ptp(c.matrix[:size, :size], -1).any()
         if c.noise[:size].any() or c.matrix[:size, size:].any() or unlike:
             wanted = "restricted components that move by themselves, alike in all records"
             raise ValueError(f"system: wanted {wanted}, not so at t = {when(state.time)}")
-        offset, matrix, G = _from_branches(branches, c)
+        offset, matrix, noise = _from_branches(branches, c)
         # a map that spreads is applied to the region; under one that shrinks it stays, and the
         # cells are pulled back
         head = matrix[:size, :size, :, 0].copy(), offset[:size, :, 0].copy()
@@ -200,16 +199,12 @@ class PiecewiseLinearFilter(Filter):
         back, start = (np.where(follow, *pair) for pair in zip(still, head, strict=True))
         matrix[:size, :size], offset[:size] = turn[..., None], origin[..., None]
         mean, cov = _mapped(offset, matrix, branches.mean, branches.cov)
-        cov = cov + np.einsum("ip...,jp...->ij...", G, G)
         slope = np.repeat(np.eye(len(mean))[..., None], follow.size, axis=2)
         shift = np.zeros(slope.shape[1:])
         slope[:size, :size], shift[:size] = back, start
-        moved = branches._replace(slope=slope, shift=shift, mean=mean, cov=cov)
-        regions = cells.image(branches.regions, turn, origin)
-        moved = moved.pieces(*cells.split(regions, back, start))
-        if (count := len(moved.cell)) > MOST:
-            raise ValueError(f"prune: wanted fewer branches, got {count} at t = {when(t)}")
-        return moved
+        moved = branches._replace(slope=slope, shift=shift, mean=mean, cov=cov + noise)
+        images = cells.image(branches.regions, turn, origin)
+        return moved.pieces(*cells.split(images, back, start))
 
     def _measured(self, state: PiecewiseState, branches: Branches, y: object) -> Branches:
         """Every branch corrected linearly, its likelihood put into U."""
@@ -218,8 +213,7 @@ class PiecewiseLinearFilter(Filter):
             return branches
         c = self.system.sensor_at(state.time, self._estimate(state))
         y = as_shape("y", y, (len(c.offset), *batch), nan=True).reshape(len(y), -1)
-        offset, matrix, H = _from_branches(branches, c)
-        noise = np.einsum("ip...,jp...->ij...", H, H)
+        offset, matrix, noise = _from_branches(branches, c)
         predicted, spread = _mapped(offset, matrix, branches.mean, branches.cov)
         cross = np.einsum("ij...,kj...->ik...", branches.cov, matrix)
         values = np.linalg.eigvalsh(np.moveaxis(spread + noise, (0, 1), (-2, -1)))
@@ -229,8 +223,7 @@ class PiecewiseLinearFilter(Filter):
         with np.errstate(over="ignore", invalid="ignore"):
             mean, cov, loglik = correct(*known, noise=lambda: noise)
             log_unit = branches.log_unit + loglik
-        bad = ~(np.isfinite(log_unit) & np.isfinite(mean).all(axis=0))
-        mean, log_unit = np.where(bad, 0.0, mean), np.where(bad, -np.inf, log_unit)
+        mean = np.where(log_unit > -np.inf, mean, 0.0)  # where a measurement was out of all range
         return branches._replace(mean=mean, cov=cov, log_unit=log_unit)
 
     def _weighed(self, branches: Branches, state: PiecewiseState, update=False) -> PiecewiseState:
@@ -295,15 +288,14 @@ class PiecewiseLinearFilter(Filter):
 
 
 def _from_branches(branches: Branches, c: Coefficients) -> list[np.ndarray]:
-    """Offset, matrix and noise of the map in the cell of every branch, as one of its ``v``."""
+    """Offset, matrix and noise covariance of the map in the cell of a branch, as one of its v."""
     offset, matrix, noise = (part[..., branches.cell, :] for part in c)
     offset = offset + np.einsum("ijbd,jb->ibd", matrix, branches.shift)
-    return [offset, np.einsum("ijbd,jkb->ikbd", matrix, branches.slope), noise]
+    matrix = np.einsum("ijbd,jkb->ikbd", matrix, branches.slope)
+    return [offset, matrix, np.einsum("ip...,jp...->ij...", noise, noise)]
 
 
-def _mapped(
-    offset: np.ndarray, matrix: np.ndarray, mean: np.ndarray, cov: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _mapped(offset, matrix, mean, cov) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance, exactly symmetric, after an affine map."""
     half = np.einsum("ij...,jk...->ik...", matrix, cov)
     full = np.einsum("ij...,kj...->ik...", half, matrix)

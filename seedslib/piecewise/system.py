@@ -59,10 +59,8 @@ class Tangents:
         gain, mean = value.jacobian(symbols), value.subs(dict.fromkeys(symbols, 0))
         if gain.free_symbols & set(symbols):
             raise ValueError(f"noise: wanted one that enters linearly, got {list(value)}")
-        parts, given = (
-            (list(mean), mean.jacobian(self.map.state), gain),
-            (self.map.time, self.map.state),
-        )
+        given = self.map.time, self.map.state
+        parts = list(mean), mean.jacobian(self.map.state), gain
         vars(self).update(functions=[compile_array(given, part) for part in parts])
 
     def __call__(self, t: float, estimate: np.ndarray | None) -> tuple[np.ndarray, ...]:
