@@ -7,14 +7,19 @@ import sympy
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
-from seedslib.piecewise.system import PiecewiseLinearSystem
+from seedslib.piecewise import PiecewiseLinearSystem
 
 
 def falling_body(
-    cells: int = 100, *, partition: str = "gradient", span: tuple[float, float] = (5.0, 50.0),
-    support: str | ArrayLike = "centroid", sensor_noise: float = 1e-3, deviation: float = 11.25,
+    cells: int = 100,
+    *,
+    partition: str = "gradient",
+    span: tuple[float, float] = (5.0, 50.0),
+    support: str | ArrayLike = "centroid",
+    sensor_noise: float = 1e-3,
+    deviation: float = 11.25,
     speed: float = 0.0,
-) -> PiecewiseLinearSystem:  # fmt: skip
+) -> PiecewiseLinearSystem:
     """Body in free fall from rest, of which only the elevation angle is measured.
 
     The example (24) to (30) of the piecewise-linear paper: the range X1 (in km) stays, the small
@@ -44,31 +49,20 @@ def falling_body(
     Returns
     -------
     PiecewiseLinearSystem
-        Prior N((27.5, 0.1), diag(deviation², 1e-12)); its `functions.transition` and
-        `functions.sensor_map` are the nonlinear maps.
-
-    Raises
-    ------
-    ValueError
-        No cell, a span that is not 0 < low < high, or an unknown partition.
+        Prior N((27.5, 0.1), diag(deviation², 1e-12)); its `discrete` has the nonlinear maps.
     """
-    cells, (low, high) = as_count("cells", cells), span
-    if not 0.0 < low < high:
-        raise ValueError(f"span: wanted 0 < low < high, got {span!r}")
-    powers = {"gradient": -2.0, "curvature": -0.5}
-    if (power := powers.get(partition)) is None:
-        raise ValueError(f'partition: wanted "gradient" or "curvature", got {partition!r}')
-    share = np.arange(cells + 1) / cells
+    (low, high), power = span, {"gradient": -2.0, "curvature": -0.5}[partition]
+    share = np.arange(as_count("cells", cells) + 1) / cells
     edges = ((1.0 - share) * low**power + share * high**power) ** (1.0 / power)
-    x1, x2, v, t, g = sympy.symbols("x1 x2 v t g")
+    x1, x2, v, t = sympy.symbols("x1 x2 v t")
+    fall = (t + sympy.Rational(1, 2) + sympy.Rational(speed)) / 100  # g t, in km/s
     return PiecewiseLinearSystem.from_functions(
         state=(x1, x2),
-        dynamics=[x1, x2 - g * (t + sympy.Rational(1, 2) + sympy.Rational(speed)) / x1],
+        dynamics=[x1, x2 - fall / x1],
         sensor=[x2 + sensor_noise * v],
-        noise=v,
+        noise=[v],
         breakpoints=edges,
         support=support,
         time=t,
         initial=([27.5, 0.1], np.diag([deviation**2, 1e-12])),
-        parameters={g: sympy.Rational(1, 100)},
     )
