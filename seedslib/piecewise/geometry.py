@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.gaussian.regions.interval import interval
-from seedslib.gaussian.regions.polygon import pad_regions, polygon
-from seedslib.gaussian.regions.regions import RegionMoments
+from seedslib.gaussian.intervals import interval
+from seedslib.gaussian.polygons import pad_regions, polygon
+from seedslib.gaussian.regions import RegionMoments
 from seedslib.piecewise.cells import Intervals, Polygons
 from seedslib.piecewise.clipping import area, box, clip, clip_all
 

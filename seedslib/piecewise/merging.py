@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.gaussian.regions.interval import interval
+from seedslib.gaussian.intervals import interval
 from seedslib.piecewise.branches import Branches
 from seedslib.piecewise.geometry import IntervalRegions
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.correction import correct
-from seedslib.gaussian.regions.lift import lift
+from seedslib.gaussian.regions import lift
 from seedslib.linearization.moments import Moments
 from seedslib.piecewise.branches import Branches
 from seedslib.piecewise.coefficients import Coefficients

@@ -262,9 +262,7 @@ def _squares(matrix: sp.Matrix) -> list[tuple[sp.Expr, sp.Matrix]]:
     return squares
 
 
-def _half_space(
-    key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr
-) -> sp.Expr:
+def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr) -> sp.Expr:
     """``exp(exponent) E p(x) 1{u > 0}`` under N(m, P), by the Stein recursion with its boundary.
 
     For a blurred half-space u has one more component, which is independent of x. A real exponent
