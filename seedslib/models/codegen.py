@@ -27,15 +27,11 @@ from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.base.values import current
-from seedslib.gaussian.means.exp_difference import exp_difference
-from seedslib.gaussian.means.normal_cdf import spread, tilted_tail
+from seedslib.gaussian.means.normal_cdf import difference, tilted_cdf
 from seedslib.models.sinc import sinc_ratio, with_ratios
 
 LARGEST_POWER = 40
-OWN = {
-    "sinc_ratio": sinc_ratio, "exp_difference": exp_difference, "spread": spread,
-    "tilted_tail": tilted_tail,
-}  # fmt: skip
+OWN = {"sinc_ratio": sinc_ratio, "difference": difference, "tilted_cdf": tilted_cdf}
 MODULES = [OWN, "scipy", "numpy"]
 
 _products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)

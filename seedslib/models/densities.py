@@ -26,10 +26,8 @@ def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, An
     cov = np.empty((map.size, map.size), dtype=object)
     for i in range(map.size):
         for j in range(i + 1):
-            spread = None if joint else map.noise.covariance(y[i], y[j])
-            if spread is None:
-                spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
-                spread = sympy.expand(spread) if not joint else spread.xreplace(means) / mass
+            spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+            spread = sympy.expand(spread) if not joint else spread.xreplace(means) / mass
             cov[i, j] = cov[j, i] = spread
     return np.array(mean, dtype=object), cov, mass if joint else map.weight_expression
 
