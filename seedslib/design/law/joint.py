@@ -32,7 +32,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.outputs.lookup import Output, Table, letter_labels, require_letters
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.filters.weights import most_probable
-from seedslib.models.chains.switching import chain_of
+from seedslib.models.chains import chain_of
 from seedslib.models.kinds import AnySystem, as_grid, as_system, course_of, elapsed, switches
 
 LOST = 1e-6
