@@ -20,7 +20,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
-from seedslib.models.chains.switching import chain_of
+from seedslib.models.chains import chain_of
 from seedslib.models.kinds import AnySystem, as_grid, as_system, elapsed, switches
 
 NEGLIGIBLE = 1e-290

@@ -65,7 +65,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
 
     Parameters
     ----------
-    chain : PlaneChain or PlaneModes
+    chain : PlaneChain or SwitchingChain
     times : array_like, shape (K+1,)
     z : two of Axis or (low, high, count)
         Nodes of the remembered estimates.

@@ -15,8 +15,7 @@ from seedslib.filters.estimates import as_seen
 from seedslib.filters.grid_records import GridSmoother
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
-from seedslib.models.chains.discrete import DiscreteChain
-from seedslib.models.chains.switching import SwitchingChain
+from seedslib.models.chains import DiscreteChain, SwitchingChain
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0

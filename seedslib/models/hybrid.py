@@ -19,6 +19,7 @@ from seedslib.base.checks import as_count, as_whole
 from seedslib.base.semidefinite import factor
 from seedslib.base.values import on_paths
 from seedslib.models.kinds import as_grid, elapsed
+from seedslib.models.noise import lower_times
 from seedslib.models.simulation import Simulation, simulate
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ class Hybrid:
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
             here = mode == i
-            x[:-1, here] = mean[:, None] + root @ noise[:, here]
+            x[:-1, here] = mean[:, None] + lower_times(root, noise[:, here])
         x[-1] = mode
         return x
 

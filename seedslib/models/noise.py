@@ -96,7 +96,7 @@ class Noise:
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Independent draws, shape (size, count); the first of many are the draws of a few."""
         if self.sample is None:
-            return self.mean[:, None] + _apply_root(self.root, normal(rng, self.size, count))
+            return self.mean[:, None] + lower_times(self.root, normal(rng, self.size, count))
         return drawn(rng, count, self._sampled)
 
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -195,7 +195,7 @@ def tidy(number: float) -> float:
     return int(number) if float(number).is_integer() else float(number)
 
 
-def _apply_root(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def lower_times(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Product of a lower triangular matrix with draws, component by component."""
     if np.array_equal(root, np.eye(len(root))):
         return normal

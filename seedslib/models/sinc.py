@@ -37,6 +37,9 @@ class SincRatio(sympy.Function):
     def _eval_is_extended_real(self) -> Any:
         return self.args[1].is_extended_real
 
+    def _numpycode(self, printer: Any) -> str:
+        return f"sinc_ratio({', '.join(printer._print(part) for part in self.args)})"
+
     def _sympystr(self, printer: Any) -> str:
         k, x = (printer._print(part) for part in self.args)
         return f"sinc({x})" if k == "0" else f"sinc_ratio({k}, {x})"
