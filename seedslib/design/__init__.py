@@ -4,7 +4,7 @@ Regressions on simulated paths (`finite_order`, `switching`, `minimax`), the exa
 memory (`exact_moments`, `grids`, `plane`), tables of simulated paths (`tables`, `binned`). Nothing
 here runs on data; what a fit is and does there is in `designed`.
 
-May import: base, models, linearization, filters, designed.
+May import: base, models, linearization, filters, designed, evaluation.
 """
 
 from seedslib.base.lazy import lazy_names
