@@ -90,8 +90,11 @@ class OutputFilter(BetweenFilter):
     node_fits : tuple of tuple of callable
         Forecasts Z_k^i, functions of the memory.
     changes : ndarray, shape (2, K+1), or None
-        How far each function is from the one before: root mean square of the difference of the
-        estimates, probability of another mode; NaN where the memory was still filling.
+        Of a design on a grid: how far each function is from the one before, root mean square of
+        the difference of the estimates, probability of another mode; NaN where the memory was
+        still filling. They are those of arguments that are rounded to the nodes at random, as the
+        design has them. Between the nodes a run interpolates, so it finds less by the convexity
+        of the square: a tenth where the difference moves as much from node to node as it is large.
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     cycle : int
