@@ -19,7 +19,7 @@ from seedslib.design.kernels import histogram_table, likelihood_table
 from seedslib.design.regression import root_mean_squares, scatter
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, Prediction
-from seedslib.designed.tables import Output, Table, arguments, require_like_blocks
+from seedslib.designed.tables import Table, arguments, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
 
@@ -98,8 +98,6 @@ class Carriers:
     times : ndarray, shape (K+1,)
     stops : tuple of ndarray
         Nodes and end of each interval.
-    changes : list of (float, float)
-        How far each table is from the one before; NaN where there is none to compare.
     components : int
     root : SeedSequence
 
@@ -139,7 +137,7 @@ class Carriers:
                 stacklevel=3,
             )
         self.pasts, self.reached = [Past()] * sets, -1
-        self.scores, self.errors, self.wrong, self.changes, self.before = [], [], [], [], None
+        self.scores, self.errors, self.wrong = [], [], []
 
     def _simulated(self, seed):
         grid = np.concatenate([self.times[:1], *self.stops])
@@ -192,21 +190,11 @@ class Carriers:
                 self.errors.append(error @ error.T / error.shape[1])
                 if found.mode is not None:
                     self.wrong.append(found.mode != lesson.modes)
-                self.changes.append(self._change(function, points, found))
             self.pasts[which] = self.memory.push(
                 self.pasts[which], estimate=found.mean, measurement=lesson.measurements,
                 mode=found.mode, indicator=lesson.indicators,
             )  # fmt: skip
-        self.reached, self.before = k, function
-
-    def _change(self, function, points, now: Output):
-        """How far estimates and modes are from those of the table before."""
-        old = self.before
-        if not (isinstance(function, Table) and old is not None and old.axes == function.axes):
-            return np.nan, np.nan
-        before = old(points)
-        apart = np.sqrt(((now.mean - before.mean) ** 2).sum(axis=0).mean())
-        return apart, 0.0 if now.mode is None else (now.mode != before.mode).mean()
+        self.reached = k
 
     def score(self, t: float, forecast: Any) -> None:
         """Note the errors of a forecast, a function of the memory, at a node."""

@@ -124,7 +124,6 @@ def simulated_synthesis(
         method=METHODS[method], predicted=carriers.prediction(),
         covariances=carriers.covariances, design=carriers.design(),
         node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
-        changes=np.array(carriers.changes).T,
     ))  # fmt: skip
 
 

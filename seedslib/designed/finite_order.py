@@ -15,9 +15,8 @@ from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
 from seedslib.base.correction import correct
 from seedslib.base.objects import by_fields
-from seedslib.base.values import Course
 from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
-from seedslib.designed.between import BetweenFilter, at, known_kind
+from seedslib.designed.between import BetweenFilter, known_kind
 from seedslib.designed.checks import check_covariances, check_nodes, check_start, check_verbs
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.patterns import PatternFit, chosen, loose, pattern_ways, regrouped
@@ -330,9 +329,10 @@ class FiniteOrderFilter(BetweenFilter):
         want_next(self.clock, state.index + 1, t, self.cycle)
         if state.index >= 0:
             want_corrected(state)
-        return self._predict(state)
+        return self.advanced(state)
 
-    def _predict(self, state, interval=None):
+    def advanced(self, state: FiniteOrderState, interval: Any = None) -> FiniteOrderState:
+        """The forecast for the next measurement, from what is known of the interval if anything."""
         k = state.index + 1
         if k == 0:
             return state._replace(index=0)
@@ -357,18 +357,21 @@ class FiniteOrderFilter(BetweenFilter):
         want_forecast(state)
         y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
         gap = state.gap | gap
-        found = self._correct(state, y, True)
+        found = self.corrected(state, y, None, True)
         if not np.any(gap):
             return found
         loglik = np.where(state.gap, np.nan, found.loglik)
         return found._replace(cov=nan_where(gap, found.cov), loglik=loglik, gap=gap)
 
-    def _correct(self, state, y, spread):
+    def corrected(
+        self, state: FiniteOrderState, y: np.ndarray, indicator: MaybeArray, covariance: bool
+    ) -> FiniteOrderState:
+        """The state after a measurement, with its covariance where that is wanted."""
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            found = self.rules.first(state, t, y, self.start, spread)
+            found = self.rules.first(state, t, y, self.start, covariance)
         else:
-            found = self.rules.correct(state, t, y, spread)
+            found = self.rules.correct(state, t, y, covariance)
         return found if self.ways is None else regrouped(self, found, y)
 
     def expect(self, state: FiniteOrderState) -> Moments:
@@ -427,30 +430,6 @@ class FiniteOrderFilter(BetweenFilter):
         """Shapes of what is found at each time."""
         n = self.components
         return Estimates((n,), (n, n) if covariances else None, None, ())
-
-    def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, inputs: Course,
-    ) -> int:  # fmt: skip
-        """Run over a block of records; covariances are formed where they are wanted."""
-        state, interval, spread = self.initial(y.shape[2:]), None, rows.cov is not None
-        last = 0  # row of the last measurement: its inputs hold until the next
-        for j, (t, k) in enumerate(zip(times, index, strict=True)):
-            if k < 0:
-                with inputs.at(last):
-                    interval = interval or self.interval(state)
-                rows.mean[j], rows.loglik[j] = at(interval, t, self.between), 0.0
-                if spread:
-                    rows.cov[j] = np.nan
-                continue
-            with inputs.at(last):
-                state = self._predict(state, interval)
-            with inputs.at(j):
-                state = self._correct(state, y[j], spread)
-            rows.mean[j], rows.loglik[j], interval, last = state.mean, state.loglik, None, j
-            if spread:
-                rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
-        return 0
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"

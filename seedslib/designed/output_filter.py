@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import Course
 from seedslib.designed.base import freeze, moment, nan_where, want_corrected, want_forecast
-from seedslib.designed.between import BetweenFilter, at, known_kind
+from seedslib.designed.between import BetweenFilter, known_kind
 from seedslib.designed.checks import check_array, check_nodes, check_verbs
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
@@ -90,8 +89,11 @@ class OutputFilter(BetweenFilter):
     node_fits : tuple of tuple of callable
         Forecasts Z_k^i, functions of the memory.
     changes : ndarray, shape (2, K+1), or None
-        How far each function is from the one before: root mean square of the difference of the
-        estimates, probability of another mode; NaN where the memory was still filling.
+        Of a design on a grid: how far each function is from the one before, root mean square of
+        the difference of the estimates, probability of another mode; NaN where the memory was
+        still filling. They are those of arguments that are rounded to the nodes at random, as the
+        design has them. Between the nodes a run interpolates, so it finds less by the convexity
+        of the square: a tenth where the difference moves as much from node to node as it is large.
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     cycle : int
@@ -193,7 +195,7 @@ class OutputFilter(BetweenFilter):
         """
         if state.index >= 0:
             want_corrected(state)
-        arrived, t = self._arrived(state), float(t)
+        arrived, t = self.advanced(state), float(t)
         if not self.clock.same(t, arrived.time):
             raise ValueError(
                 f"t: wanted the next measurement time {when(arrived.time)}, got {when(t)}"
@@ -222,9 +224,9 @@ class OutputFilter(BetweenFilter):
         """
         want_forecast(state)
         y, indicator, gap = self.admitted(y, indicator, state.mean.shape[1:], state.index)
-        return self._correct(state, y, indicator, gap)
+        return self.corrected(state, y, indicator, True, gap)
 
-    def _arrived(self, state):
+    def advanced(self, state: OutputState, interval: Any = None) -> OutputState:
         """The state at the next measurement time, with the estimate that it had."""
         before = state._replace(before=None) if state.corrected else None
         time = moment(self.clock, state.index + 1, self.cycle)
@@ -239,11 +241,11 @@ class OutputFilter(BetweenFilter):
         points = arguments(self.system, y, indicator, state.past)
         return function(points).filling(state.mean.shape[1:])
 
-    def _correct(self, state, y, indicator, gap=False) -> OutputState:
-        """The state after a measurement (m, *batch) and an indicator (*batch) or None.
-
-        `gap` is where something is missing, shape (*batch).
-        """
+    def corrected(
+        self, state: OutputState, y: np.ndarray, indicator: MaybeArray, covariance: bool,
+        gap: np.ndarray | bool = False,
+    ) -> OutputState:  # fmt: skip
+        """The state after a measurement; `gap` is where something is missing, shape (*batch)."""
         missing = np.isnan(y)
         if missing.any():
             output = self._with_gaps(state, y, indicator, missing)
@@ -286,7 +288,7 @@ class OutputFilter(BetweenFilter):
             values += [fit(points).mean for fit in self.node_fits[k]]
         if not end or not (self.cycle or state.index + 1 < len(self.times)):
             return times, values, None
-        ahead = self._arrived(state)
+        ahead = self.advanced(state)
         return times, values, (ahead.time, self._found(ahead, None, None).mean)
 
     def forecast(self, state: OutputState, t: float, kind: str | None = None) -> Estimates:
@@ -313,29 +315,9 @@ class OutputFilter(BetweenFilter):
 
     def sizes(self, covariances: bool) -> Estimates:
         """Shapes of what is found at each time."""
-        like = self._found(self._arrived(self.initial()), None, None)
+        like = self._found(self.advanced(self.initial()), None, None)
         mean, modes, prob = (None if part is None else np.shape(part) for part in like)
         return Estimates(mean, mode_prob=prob, modes=modes)
-
-    def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, inputs: Course,
-    ) -> int:  # fmt: skip
-        """Run over a block of records."""
-        state, interval = self.initial(y.shape[2:]), None
-        for j, k in enumerate(index):
-            if k < 0:
-                interval = interval or self.interval(state)
-                rows.mean[j] = at(interval, times[j], self.between)
-                continue
-            indicator = None if indicators is None else indicators[j]
-            state, interval = self._correct(self._arrived(state), y[j], indicator), None
-            rows.mean[j] = state.mean
-            if rows.modes is not None:
-                rows.modes[j] = state.mode
-            if rows.mode_prob is not None:
-                rows.mode_prob[j] = state.mode_prob
-        return 0
 
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
         """With the covariances that the design found."""

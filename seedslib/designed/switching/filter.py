@@ -208,7 +208,7 @@ class SwitchingFilter(DesignedFilter):
             rules = compiled_rules(self.system, self.linearization, self.normalisation)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        freeze((self.held_out, *self.fits))
+        freeze((self.predicted, self.held_out, self.fits))
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
