@@ -7,8 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from seedslib.base.diffuse import LOST
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import LOST, lower_triangle
 from seedslib.design.regression import ABSOLUTE, Scatter, regress
 from seedslib.designed.predictors import (
     AffineFit,

@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.correction import correct
-from seedslib.base.diffuse import WIDE
-from seedslib.base.semidefinite import ABSOLUTE, RELATIVE
+from seedslib.base.semidefinite import ABSOLUTE, RELATIVE, WIDE
 from seedslib.linearization.moments import Linearization, symmetric
 from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap

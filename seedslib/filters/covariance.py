@@ -12,8 +12,7 @@ from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.base.semidefinite import settled
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle, settled
 from seedslib.filters.estimates import Estimates, require_time
 from seedslib.filters.integration import adaptive, euler, finite_or_nan, rk4
 from seedslib.filters.verbs import Filter

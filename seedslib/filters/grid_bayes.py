@@ -15,7 +15,7 @@ from seedslib.filters.estimates import as_seen
 from seedslib.filters.grid_records import GridSmoother
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
-from seedslib.models.chains import DiscreteChain, SwitchingChain
+from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
@@ -94,6 +94,7 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
+            require_scalar(system)
             self.chain: Any = SwitchingChain(system, Axis.of("x", x))
             self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
         else:

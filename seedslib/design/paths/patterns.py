@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths.forward_pass import ForwardPass, as_read, remembered
 from seedslib.designed.finite_order_rules import FiniteOrderState, Rules
