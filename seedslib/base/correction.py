@@ -311,10 +311,7 @@ def _correct_wide(
         exact = (np.abs(rest) <= UNEXPLAINED * unit[:, None] * unit[None, :]).all(axis=(0, 1))
     exact &= ~(noise == 0.0).all(axis=(0, 1)) & np.isfinite(root).all(axis=(0, 1))
     rows = np.zeros((m + n, m + n, np.count_nonzero(exact)))
-    rows[:m, :m], rows[:m, m:] = (
-        factor(noise, bend=True)[..., exact],
-        np.swapaxes(slope, 0, 1)[..., exact],
-    )
+    rows[:m, :m], rows[:m, m:] = factor(noise)[..., exact], np.swapaxes(slope, 0, 1)[..., exact]
     rows[m:, m:] = root[..., exact]
     corner = np.linalg.qr(rows.transpose(2, 1, 0), mode="r")[:, m:, m:]
     wide = wide.copy()

@@ -53,11 +53,8 @@ def mirrored(n: int) -> np.ndarray:
     return index
 
 
-def factor(cov: ArrayLike, scale: np.ndarray | None = None, *, bend: bool = False) -> np.ndarray:
+def factor(cov: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L Lᵀ = P, item by item; a zero pivot gives a zero column.
-
-    With its diagonal not negative L is unique, so that what is drawn or integrated along its
-    columns does not depend on the processor, as eigenvectors would where eigenvalues repeat.
 
     Parameters
     ----------
@@ -66,45 +63,56 @@ def factor(cov: ArrayLike, scale: np.ndarray | None = None, *, bend: bool = Fals
     scale : ndarray, shape (n, *batch), optional
         Variances that a negative pivot is judged by: of a corrected covariance those before
         the correction. The diagonal by default.
-    bend : bool
-        Whether what rounding has made indefinite is bent back: a negative pivot counts as zero,
-        and no entry exceeds what its variance allows.
 
     Returns
     -------
     ndarray, shape (n, n, *batch)
-        Unless they are bent, NaN in the items that are not positive semidefinite: a pivot below
-        -1e-9 of the scale (between that and 1e-13 of its variance a pivot counts as zero).
+        NaN in the items that are not positive semidefinite: a pivot below -1e-9 of the scale
+        (between that and 1e-13 of its variance a pivot counts as zero).
     """
-    rest = np.array(cov, dtype=float)
-    lower = np.zeros_like(rest)
-    variances = np.abs(np.einsum("ii...->i...", rest))
-    scale = variances if scale is None else scale
-    for j in range(len(rest)):
-        pivot = rest[j, j]
-        regular = pivot > RELATIVE * variances[j] + ABSOLUTE
+    cov = np.asarray(cov, dtype=float)
+    n = len(cov)
+    lower = np.zeros_like(cov)
+    # lists of components: for few of them and many items faster than slices
+    rest = [[cov[k, q] for q in range(k + 1)] for k in range(n)]
+    for j in range(n):
+        pivot, variance = rest[j][j], np.abs(cov[j, j])
+        regular = pivot > RELATIVE * variance + ABSOLUTE
         if np.all(regular):
             root = np.sqrt(pivot)
             inverse = 1.0 / root
         else:
-            root = np.sqrt(np.where(regular, pivot, 0.0))
-            inverse = np.where(regular, 1.0, 0.0) / np.where(regular, root, 1.0)
-            if not bend:
-                broken = ~(pivot >= -INDEFINITE * scale[j])
-                root, inverse = (np.where(broken, np.nan, part) for part in (root, inverse))
-        below = rest[j + 1 :, j] * inverse
-        if bend:
-            most = np.sqrt(np.maximum(np.einsum("ii...->i...", rest)[j + 1 :], 0.0))
-            below = np.clip(below, -most, most)
-        lower[j, j], lower[j + 1 :, j] = root, below
-        rest[j + 1 :, j + 1 :] -= below[:, None] * below[None, :]
+            broken = ~(pivot >= -INDEFINITE * (variance if scale is None else scale[j]))
+            root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
+            inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
+        lower[j, j] = root
+        for k in range(j + 1, n):
+            lower[k, j] = rest[k][j] * inverse
+            for q in range(j + 1, k + 1):
+                rest[k][q] = rest[k][q] - lower[k, j] * lower[q, j]
     return lower
 
 
 def square_root(cov: np.ndarray) -> np.ndarray:
-    """`factor` of one or more covariances (..., n, n), batch axes first, bent where need be."""
-    last = np.moveaxis(np.asarray(cov, dtype=float), (-2, -1), (0, 1))
-    return np.moveaxis(factor(last, bend=True), (0, 1), (-2, -1))
+    """Lower triangular L with L Lᵀ = P of one or more covariances (..., n, n), batch axes first.
+
+    With its diagonal not negative L is unique, so that what is drawn or integrated along its
+    columns does not depend on the processor, as eigenvectors would where eigenvalues repeat. A
+    pivot at or below 1e-13 of its variance gives a zero column. What rounding has made indefinite
+    is bent back: a negative pivot counts as zero, and no entry exceeds what its variance allows.
+    """
+    rest = np.array(cov, dtype=float)
+    least = RELATIVE * np.abs(np.einsum("...ii->...i", rest)) + ABSOLUTE
+    lower = np.zeros_like(rest)
+    for j in range(rest.shape[-1]):
+        pivot = rest[..., j, j]
+        root = np.sqrt(np.where(pivot > least[..., j], pivot, 0.0))
+        left = np.sqrt(np.maximum(np.einsum("...ii->...i", rest)[..., j + 1 :], 0.0))
+        below = rest[..., j + 1 :, j] / np.where(root > 0, root, np.inf)[..., None]
+        below = np.clip(below, -left, left)
+        lower[..., j, j], lower[..., j + 1 :, j] = root, below
+        rest[..., j + 1 :, j + 1 :] -= below[..., :, None] * below[..., None, :]
+    return lower
 
 
 def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
