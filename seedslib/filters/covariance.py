@@ -19,8 +19,8 @@ from seedslib.filters.verbs import Filter
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.linearization.points import PointRule
 from seedslib.linearization.units import as_linearization
-from seedslib.models.derived import doubled
 from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps
+from seedslib.models.maps import doubled
 
 INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
-from seedslib.base.nodes import Grid, Nodes
-from seedslib.base.tables import Axis
+from seedslib.base.tables import Axis, Grid, Nodes
 from seedslib.filters.estimates import as_seen
 from seedslib.filters.grid_records import GridSmoother
 from seedslib.filters.verbs import Filter

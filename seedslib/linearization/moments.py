@@ -16,8 +16,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import lower_triangle, mirrored
-from seedslib.models.derived import products
-from seedslib.models.maps import StochasticMap
+from seedslib.models.maps import StochasticMap, products
 
 TINY = np.finfo(float).tiny
 """Branches of a smaller mass count as empty."""

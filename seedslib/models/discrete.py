@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
-from seedslib.base.bundles import Source
+from seedslib.base.blocks import Source
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.objects import Shown
 from seedslib.base.values import Inputs

@@ -11,8 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.nodes import NodesLike
-from seedslib.base.tables import AxesLike, Labels
+from seedslib.base.tables import AxesLike, Labels, NodesLike
 from seedslib.base.values import Inputs
 from seedslib.design.law.joint import BY_GRID, GridRisk, JointLaw
 from seedslib.design.law.patterns import PatternLaw

@@ -12,9 +12,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
-from seedslib.base.nodes import NodesLike, as_grids
 from seedslib.base.progress import followed
-from seedslib.base.tables import AxesLike, Axis, Labels, as_axes, mesh
+from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
 from seedslib.base.values import Course, Inputs
 from seedslib.design.law.recursion import (
     GridRisk,
