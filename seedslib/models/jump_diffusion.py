@@ -17,7 +17,7 @@ from seedslib.base.blocks import BLOCK, Source, drawn, parts
 from seedslib.base.checks import as_covariance, as_positive, as_shape
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Shown, Travelling
-from seedslib.base.values import Inputs, looked_at, on_paths, with_values
+from seedslib.base.values import looked_at, on_paths, with_values
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation, simulate
@@ -280,19 +280,12 @@ class JumpDiffusion(Travelling, Shown):
         step = self.step if step is None else step
         return advance(self, x, start, stop, rng, step, scheme)
 
-    def simulate(
-        self, times: ArrayLike, paths: Count, seed: Seed, *, step: float | None = None,
-        scheme: str = "euler", measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, inputs: Inputs | None = None, workers: int = 1,
-    ) -> Simulation:  # fmt: skip
+    def simulate(self, times: ArrayLike, paths: Count, seed: Seed, **options: Any) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`.
 
-        `step` is the largest integration step and `scheme` as in `advance`.
+        Options are those of that function, and `step` and `scheme` of `advance`.
         """
-        return simulate(
-            self, times, paths, seed, measured=measured, availability=availability, inputs=inputs,
-            workers=workers, step=step, scheme=scheme,
-        )  # fmt: skip
+        return simulate(self, times, paths, seed, **options)
 
 
 def _never(t: float, x: np.ndarray) -> np.ndarray:

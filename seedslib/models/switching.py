@@ -15,7 +15,7 @@ from seedslib.base.blocks import Source, drawn, normal
 from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_whole
 from seedslib.base.objects import Shown
 from seedslib.base.semidefinite import factor
-from seedslib.base.values import Inputs, looked_at, on_paths
+from seedslib.base.values import looked_at, on_paths
 from seedslib.models.kinds import as_grid, elapsed
 from seedslib.models.maps import StochasticMap, noise_of
 from seedslib.models.noise import Noise, lower_times, named_noise
@@ -503,10 +503,8 @@ class SwitchingSystem(Shown):
         return Hybrid(self)
 
     def simulate(
-        self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, inputs: Inputs | None = None,
-        modes: ArrayLike | None = None, workers: int = 1,
-    ) -> Simulation:  # fmt: skip
+        self, times: ArrayLike, paths: Count, seed: Seed, *, modes: Any = None, **options: Any
+    ) -> Simulation:
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
@@ -514,7 +512,7 @@ class SwitchingSystem(Shown):
 
         Parameters
         ----------
-        times, paths, seed, measured, availability, inputs, workers
+        times, paths, seed, **options
             As there.
         modes : array_like of int, shape (K+1,) or (K+1, paths), optional
             A course of the modes that is imposed on the paths, as in the truth of a benchmark:
@@ -527,17 +525,22 @@ class SwitchingSystem(Shown):
             As there; modes of a system whose switching depends on the noise, which would have
             another law.
         """
-        return simulate_hybrid(
-            self,
-            times,
-            paths,
-            seed,
-            measured=measured,
-            availability=availability,
-            inputs=inputs,
-            modes=modes,
-            workers=workers,
-        )
+        told = None
+        if modes is not None:
+            if any(b is not None and b.depends_on_noise for row in self.branches for b in row):
+                raise ValueError("modes: wanted none, for the switching depends on the noise")
+            steps, paths = len(as_grid("times", times, self)), as_count("paths", paths)
+            told = np.asarray(modes)
+            told = np.repeat(told[:, None], paths, axis=1) if told.ndim == 1 else told
+            told = as_whole("modes", told, (steps, paths))
+            if not ((told >= 0) & (told < self.modes)).all():
+                raise ValueError(f"modes: wanted numbers from 0 to {self.modes - 1}, got others")
+        made = simulate(self.hybrid, times, paths, seed, told=told, **options)
+        m, shown = self.measurement_size, made.measurements
+        indicators, modes = None, made.states[:, -1].astype(int)
+        if self.indicators:
+            indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
+        return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
 
 
 class Hybrid:
@@ -671,31 +674,6 @@ class HybridSensor:
                     with on_paths(batch, both):
                         found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
         return found
-
-
-def simulate_hybrid(
-    system: Any, times: ArrayLike, paths: Count, seed: Seed, *, modes: ArrayLike | None = None,
-    **options: Any,
-) -> Simulation:  # fmt: skip
-    """Simulate a switching system, its modes and indicators apart from the numbers."""
-    told = None
-    if modes is not None:
-        if any(b is not None and b.depends_on_noise for row in system.branches for b in row):
-            raise ValueError("modes: wanted none, for the switching depends on the noise")
-        steps = len(as_grid("times", times, system))
-        paths = as_count("paths", paths)
-        told = np.asarray(modes)
-        if told.ndim == 1:
-            told = np.repeat(told[:, None], paths, axis=1)
-        told = as_whole("modes", told, (steps, paths))
-        if not ((told >= 0) & (told < system.modes)).all():
-            raise ValueError(f"modes: wanted numbers from 0 to {system.modes - 1}, got others")
-    made = simulate(system.hybrid, times, paths, seed, told=told, **options)
-    m, shown = system.measurement_size, made.measurements
-    indicators, modes = None, made.states[:, -1].astype(int)
-    if system.indicators:
-        indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
-    return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
 
 
 def _branch(
