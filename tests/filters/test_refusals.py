@@ -111,7 +111,6 @@ ROWS = [
     (lambda: KALMAN.run(TWO, [[0.0], [np.inf]]), ValueError, "measurements"),
     (lambda: KALMAN.run(TWO, [[np.inf], [-np.inf]]), ValueError, "measurements"),
     (lambda: KALMAN.run(TWO, [["a"], ["b"]]), TypeError, "measurements"),
-    (lambda: KALMAN.run(TWO, np.ma.masked_equal([[0.0], [9.0]], 9)), TypeError, "measurements"),
     (lambda: KALMAN.run(TWO, [[0.0], [0.0, 1.0]]), (TypeError, ValueError), "measurements"),
     (lambda: KALMAN.run(TWO, Y, modes=SHOWN), ValueError, "modes"),
     (lambda: KALMAN.run(TWO, Y, indicators=SHOWN), ValueError, "indicators"),
