@@ -15,7 +15,7 @@ import numpy as np
 
 from seedslib.base.blocks import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
-from seedslib.base.correction import correct
+from seedslib.base.correction import gaussian_logpdf
 from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import with_values
 from seedslib.models.noise import Noise, named_noise
@@ -287,10 +287,7 @@ class StochasticMap(Travelling, Shown):
                 "got a map without a closed form"
             )
         mean, cov, _ = self.conditional
-        predicted, spread = mean(t, x), cov(t, x)
-        blind = np.zeros((1, self.size, *(1,) * (predicted.ndim - 1)))
-        anchor = np.zeros((1, *(1,) * (predicted.ndim - 1)))
-        return correct(anchor, None, y, (predicted, blind, spread), periods=self.period)[2]
+        return gaussian_logpdf(y, mean(t, x), cov(t, x), self.period)
 
 
 def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, Any]:
