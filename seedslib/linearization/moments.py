@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -73,9 +73,6 @@ class Weighted(NamedTuple):
 
 class Linearization(ABC):
     """How means of functions of a Gaussian state are taken."""
-
-    products: ClassVar[int] = 1
-    """How many values of a map are multiplied in a formula of its own."""
 
     @abstractmethod
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
@@ -224,3 +221,16 @@ def refuse_weight(map: StochasticMap) -> None:
 def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
     """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
     return np.asarray(lower)[mirrored(size)]
+
+
+def as_linearization(value: Any, system: Any) -> Linearization:
+    """The linearization that was passed.
+
+    Raises
+    ------
+    TypeError
+        Something else.
+    """
+    if not isinstance(value, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {value!r}")
+    return value

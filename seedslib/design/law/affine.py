@@ -14,8 +14,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine
-from seedslib.linearization.moments import Linearization, Moments
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.models.kinds import AnySystem
 
 
