@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
 from seedslib.base.correction import correct
-from seedslib.base.diffuse import LOST
+from seedslib.base.semidefinite import LOST
 from seedslib.base.values import Course
 from seedslib.design.regression import ROUNDING, regress
 from seedslib.designed.finite_order import Start

@@ -27,8 +27,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter, Rules
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
-from seedslib.linearization.moments import Linearization
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 from seedslib.models.simulation import Schedule
 

@@ -18,7 +18,7 @@ import numpy as np
 
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle
 from seedslib.base.values import Course
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares

@@ -12,8 +12,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
 from seedslib.base.correction import correct
-from seedslib.base.nodes import NodesLike
-from seedslib.base.tables import AxesLike, AxisLike, Labels
+from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
 from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, seen
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter, Start
@@ -22,8 +21,7 @@ from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Affine
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.designed.tables import Output, Step, Table, prior, recalled
-from seedslib.linearization.moments import Linearization, Moments
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.models.kinds import AnySystem, in_steps
 
 METHOD = "density recursion"

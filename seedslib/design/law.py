@@ -13,9 +13,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
-from seedslib.base.nodes import NodesLike, as_grids
 from seedslib.base.progress import followed
-from seedslib.base.tables import AxesLike, Axis, Labels, as_axes, mesh
+from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks

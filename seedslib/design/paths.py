@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.blocks import child
-from seedslib.base.bundles import Bundle, bundles
+from seedslib.base.blocks import Bundle, bundles, child
 from seedslib.base.checks import as_count, is_whole, outside
 from seedslib.design.regression import Scatter, combine, scatter
 from seedslib.models.kinds import AnySystem

@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.diffuse import LOST
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import LOST, lower_triangle
 from seedslib.designed.predictors import (
     AffineFit,
     Fit,

@@ -13,17 +13,25 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.clock import lengths_alike, step_count, when
-from seedslib.base.nodes import Grid, Nodes, as_grids
 from seedslib.base.objects import Shown
 from seedslib.base.semidefinite import factor
-from seedslib.base.tables import AxesLike, Axis, AxisLike, as_axes, locate, mesh
+from seedslib.base.tables import (
+    AxesLike,
+    Axis,
+    AxisLike,
+    Grid,
+    Nodes,
+    as_axes,
+    as_grids,
+    locate,
+    mesh,
+)
 from seedslib.base.values import present
-from seedslib.models.branches import Branch
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
-from seedslib.models.switching import SwitchingSystem
+from seedslib.models.switching import Branch, SwitchingSystem
 
 OUTSIDE = 1e-6
 """Probability in the outermost cells above which a grid is too short."""

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import Array
-from seedslib.base.bundles import drawn, normal
+from seedslib.base.blocks import drawn, normal
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.semidefinite import factor
 from seedslib.gaussian.quadrature import rule_of_rank

@@ -10,9 +10,9 @@ import numpy as np
 
 from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
-from seedslib.models.branches import Branch
 from seedslib.models.kinds import AnySystem, inputs_of
 from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
 
 
 def switch_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:

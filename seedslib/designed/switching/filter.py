@@ -29,8 +29,7 @@ from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, co
 from seedslib.filters.estimates import Estimates, first_step
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import most_probable
-from seedslib.linearization.moments import Linearization
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import AnySystem, as_system, elapsed
 
 

@@ -13,9 +13,9 @@ from seedslib.extra.c.traced import told_of, told_on
 from seedslib.linearization.formulas import BranchFormulas
 from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import TINY
-from seedslib.models.branches import Branch
 from seedslib.models.codegen import compile_components
 from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
 
 
 def check_branches(rules: SwitchingRules, linearization: Any, system: Any) -> None:
