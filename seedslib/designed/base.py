@@ -49,19 +49,6 @@ def want_corrected(state: Any) -> None:
         raise ValueError("state: wanted a state after a correction, got a forecast")
 
 
-def moment(clock: Clock, k: int, cycle: int) -> float:
-    """Time of measurement k.
-
-    Raises
-    ------
-    ValueError
-        There is no such measurement.
-    """
-    if k >= len(clock.times) and not cycle:
-        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
-    return clock.moment(k, cycle)
-
-
 def want_next(clock: Clock, k: int, t: float, cycle: int) -> None:
     """Refuse a time that is not the one of measurement k.
 
@@ -70,54 +57,11 @@ def want_next(clock: Clock, k: int, t: float, cycle: int) -> None:
     ValueError
         Another time, or no such measurement.
     """
-    wanted = moment(clock, k, cycle)
+    if k >= len(clock.times) and not cycle:
+        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
+    wanted = clock.moment(k, cycle)
     if not clock.same(t, wanted):
         raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
-
-
-def positions(times: np.ndarray, y: np.ndarray, clock: Clock, horizon: float) -> np.ndarray:
-    """Number of the measurement time at each time of a grid, -1 between them.
-
-    Parameters
-    ----------
-    times : ndarray, shape (J+1,)
-    y : ndarray, shape (J+1, m, *batch)
-        Must be NaN between the measurement times.
-    clock : Clock
-        Measurement times of the filter.
-    horizon : float
-
-    Raises
-    ------
-    ValueError
-        A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
-        measurement at another time.
-    """
-    wanted = np.array(clock.times)
-    wanted = wanted[wanted <= times[-1] + clock.tolerance]
-    if not clock.same(times[0], clock.times[0]):
-        raise ValueError(f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}")
-    if times[-1] > horizon + clock.tolerance:
-        raise ValueError(
-            f"times: wanted at most {when(horizon)}, where the design ends, got {when(times[-1])}; "
-            "seedslib.design.stationary makes it go on"
-        )
-    place = clock.rows(times)[: len(wanted)]
-    missed = place < 0
-    if missed.any():
-        raise ValueError(
-            f"times: wanted all measurement times of the design, {when(wanted[missed][0])} is not "
-            "among them"
-        )
-    index = np.full(len(times), -1)
-    index[place] = np.arange(len(wanted))
-    for j in np.flatnonzero(index < 0):
-        if not np.isnan(y[j]).all():
-            raise ValueError(
-                f"measurements: wanted NaN at {when(times[j])}, which is no measurement time of "
-                "the design"
-            )
-    return index
 
 
 def warn_of_mended(raised: int) -> None:
@@ -417,9 +361,41 @@ class DesignedFilter(Filter):
         return times, as_record(measurements, len(times), self.system.measurement_size)
 
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Number of the measurement at each time, -1 where there is none, shape (J+1,)."""
+        """Number of the measurement at each time, -1 where there is none, shape (J+1,).
+
+        Raises
+        ------
+        ValueError
+            A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
+            measurement at another time.
+        """
         clock = self.clock.prolonged(times[-1], self.cycle) if self.cycle else self.clock
-        return positions(times, y, clock, self.horizon)
+        wanted = np.array(clock.times)
+        wanted = wanted[wanted <= times[-1] + clock.tolerance]
+        if not clock.same(times[0], clock.times[0]):
+            raise ValueError(
+                f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}"
+            )
+        if times[-1] > self.horizon + clock.tolerance:
+            raise ValueError(
+                f"times: wanted at most {when(self.horizon)}, where the design ends, got "
+                f"{when(times[-1])}; seedslib.design.stationary makes it go on"
+            )
+        place = clock.rows(times)[: len(wanted)]
+        if (place < 0).any():
+            raise ValueError(
+                f"times: wanted all measurement times of the design, {when(wanted[place < 0][0])} "
+                "is not among them"
+            )
+        index = np.full(len(times), -1)
+        index[place] = np.arange(len(wanted))
+        for j in np.flatnonzero(index < 0):
+            if not np.isnan(y[j]).all():
+                raise ValueError(
+                    f"measurements: wanted NaN at {when(times[j])}, which is no measurement time "
+                    "of the design"
+                )
+        return index
 
     def admitted(
         self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...], k: int

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
-from seedslib.designed.base import freeze, moment, nan_where, want_corrected, want_forecast
+from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
 from seedslib.designed.between import BetweenFilter, known_kind
 from seedslib.designed.checks import check_array, check_nodes, check_verbs
 from seedslib.designed.memory import Memory, Past
@@ -195,11 +195,8 @@ class OutputFilter(BetweenFilter):
         """
         if state.index >= 0:
             want_corrected(state)
-        arrived, t = self.advanced(state), float(t)
-        if not self.clock.same(t, arrived.time):
-            raise ValueError(
-                f"t: wanted the next measurement time {when(arrived.time)}, got {when(t)}"
-            )
+        want_next(self.clock, state.index + 1, float(t), self.cycle)
+        arrived = self.advanced(state)
         mean, mode, prob = self._found(arrived, None, None)
         return arrived._replace(mean=mean, mode=mode, mode_prob=prob)
 
@@ -229,7 +226,7 @@ class OutputFilter(BetweenFilter):
     def advanced(self, state: OutputState, interval: Any = None) -> OutputState:
         """The state at the next measurement time, with the estimate that it had."""
         before = state._replace(before=None) if state.corrected else None
-        time = moment(self.clock, state.index + 1, self.cycle)
+        time = self.clock.moment(state.index + 1, self.cycle)
         return OutputState(
             state.index + 1, time, state.mean, past=state.past, before=before, gap=state.gap
         )
