@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import align, blockwise, gaussian_arguments
 from seedslib.gaussian.intervals import flat_interval, peak_rule, reach_of, unit_nodes
-from seedslib.gaussian.regions import RegionMoments
+from seedslib.gaussian.regions import SINGULAR, RegionMoments, difference_of_products
 
 BLOCK, PAIRS = 512, 100_000  # laws at a time, and pairs of their edges
 ORDER = 16  # nodes of a panel
@@ -29,7 +29,6 @@ RESOLVED = 1e-8  # last Legendre coefficients beside the integral of a panel
 SMOOTH = 3.0  # nats by which the integrand of a panel varies where only rounding is left
 NATS = 46.0  # what is bounded this far below the largest integrand is left out
 DEPTH = 80  # halvings of a panel
-SINGULAR = 1e-15  # det(cov) below this part of the product of variances: the law is on a line
 FAR = 60.0  # standard deviations beyond which an unbounded region may be closed
 NEVER = 1e15  # squared distance beyond which the mass is zero
 ROUNDING, NOISY = 2.0**-52, 1e-4  # the widths of a region known less well than NOISY are refused
@@ -188,25 +187,6 @@ def _moments(
         for whole, part in zip(found, parts, strict=True):
             whole[..., chosen] = part
     return found
-
-
-def difference_of_products(
-    a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray
-) -> np.ndarray:
-    """``a b - c d`` with the rounding of both products (Dekker) put back."""
-    left, right = a * b, c * d
-    return (left - right) + (_rounded_off(a, b, left) - _rounded_off(c, d, right))
-
-
-def _rounded_off(a: np.ndarray, b: np.ndarray, product: np.ndarray) -> np.ndarray:
-    (high_a, low_a), (high_b, low_b) = _halves(a), _halves(b)
-    return ((high_a * high_b - product) + high_a * low_b + low_a * high_b) + low_a * low_b
-
-
-def _halves(a: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    high = 134217729.0 * a
-    high = high - (high - a)
-    return high, a - high
 
 
 def _in_the_plane(

@@ -15,9 +15,7 @@ from scipy.special import erfcx
 from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import variance_argument
 from seedslib.gaussian.errors.bivariate import density, ratio
-
-REACH = 9.5
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(96)
+from seedslib.gaussian.errors.planes import split_rule
 
 
 class FunctionMoments(NamedTuple):
@@ -139,44 +137,18 @@ def abs_errors(
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
     mean, var, error_var = _scalar_law(mean, var, error_var)
-    distance = np.abs(mean - as_real("origin", origin))
-    distance, var, error_var = np.broadcast_arrays(distance, var, error_var)
-    root, known = np.sqrt(error_var), np.sqrt(var - error_var)
-    centre, offset, width = ratio(distance, root), ratio(distance, known), ratio(known, root)
-    lost = square = 0.0
-    for side in (1.0, -1.0):
-        point, weight = _half_line(side * np.minimum(offset, 1e100), np.minimum(width, 1e100))
-        gap = 2 * _excess(point)
-        lost = lost + np.sum(weight * gap * (2 * point + gap), axis=0)
-        square = square + np.sum(weight * gap * gap, axis=0)
-    # Without measurements the estimate does not vary and the two means are values at a point.
-    gap = 2 * _excess(centre)
-    lost = np.where(known == 0, gap * (2 * np.minimum(centre, 40.0) + gap), lost)
-    square = np.where(known == 0, gap * gap, square)
-    optimal = error_var * (1.0 - lost)
-    return MeanSquareErrors(optimal, optimal + error_var * square)
+    mean, known = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
+    z, weight = split_rule(mean, known, np.sqrt(error_var))
+    modulus, variance = abs_moments(mean + known * z, error_var)
+    bias = modulus - np.abs(mean + known * z)
+    optimal = (weight * variance).sum(axis=0)
+    return MeanSquareErrors(optimal, optimal + (weight * bias * bias).sum(axis=0))
 
 
 def _excess(scaled: np.ndarray) -> np.ndarray:
     """``φ(α) - α Φ(-α)`` for α >= 0: by how much E(X+α)⁺ exceeds α. Positive to underflow."""
     scaled = np.minimum(scaled, 40.0)
     return density(scaled) * (1.0 - scaled * np.sqrt(np.pi / 2) * erfcx(scaled / np.sqrt(2)))
-
-
-def _half_line(offset: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre nodes and weights for a mean over N(offset * width, width²), positive side.
-
-    The functions to be averaged vanish beyond `REACH`; the nodes cover the part of (0, REACH)
-    that lies within `REACH` standard deviations of the mean.
-    """
-    safe = np.where(width > 0, width, 1.0)
-    low = np.clip((offset - REACH) * safe, 0.0, REACH)
-    high = np.clip((offset + REACH) * safe, 0.0, REACH)
-    half = 0.5 * (high - low)
-    nodes = NODES.reshape(-1, *[1] * np.ndim(half))
-    weights = WEIGHTS.reshape(nodes.shape)
-    point = low + half * (1.0 + nodes)
-    return point, weights * (half / safe) * density(point / safe - offset)
 
 
 def _scalar_law(
