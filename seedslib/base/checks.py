@@ -38,10 +38,12 @@ def as_real(
     Raises
     ------
     TypeError
-        `value` is complex, an object array, text, or ragged.
+        `value` is complex, an object array, text, ragged, or masked.
     ValueError
         Another shape, or an entry that is not allowed.
     """
+    if isinstance(value, np.ma.MaskedArray):  # NumPy would read the numbers behind the mask
+        raise TypeError(f"{name}: wanted NaN for missing numbers, got a masked array")
     try:
         array = np.asarray(value)
     except ValueError as error:

@@ -276,14 +276,16 @@ def as_axes(name: str, given: Any, size: int) -> tuple[Axis, ...]:
     TypeError, ValueError
         Something that is no axis, or another number of them.
     """
-    if isinstance(given, Axis) or all(np.isscalar(part) for part in given):
-        given = [given]
-    return as_grids(name, [Axis.of(name, axis) for axis in given], size)
+    axes = as_grids(name, given, size)
+    for axis in axes:
+        if not isinstance(axis, Axis):
+            raise TypeError(f"{name}: wanted even axes, got Nodes")
+    return axes
 
 
 def as_grids(name: str, given: Any, size: int) -> tuple[Any, ...]:
     """As `as_axes`, where nodes need not be evenly spaced."""
-    if isinstance(given, Axis | Nodes) or all(np.isscalar(part) for part in given):
+    if isinstance(given, Axis | Nodes) or np.ndim(given) == 0 or all(map(np.isscalar, given)):
         given = [given]
     axes = tuple(part if isinstance(part, Nodes) else Axis.of(name, part) for part in given)
     if len(axes) != size:
