@@ -167,5 +167,5 @@ def test_filter_of_modes_goes_on_step_by_step_as_its_run():
         shown = () if data.indicators is None else (data.indicators[k],)
         state = lasting.correct(lasting.predict(state, t), data.measurements[k], *shown)
         np.testing.assert_allclose(state.mean, found.mean[k], rtol=1e-12)
-    with pytest.raises(ValueError, match="^t: "):
+    with pytest.raises(ValueError, match=r"^t: "):
         lasting.predict(state, 15.0)
