@@ -12,7 +12,6 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.gaussian.errors import forms as forms
-    from seedslib.gaussian.errors.bivariate import bivariate_normal_cdf as bivariate_normal_cdf
     from seedslib.gaussian.errors.elevation import elevation_moments as elevation_moments
     from seedslib.gaussian.errors.exact import mean_square_errors as mean_square_errors
     from seedslib.gaussian.errors.exact import (
@@ -20,11 +19,12 @@ if TYPE_CHECKING:
     )
     from seedslib.gaussian.errors.functions import abs_errors as abs_errors
     from seedslib.gaussian.errors.functions import abs_moments as abs_moments
+    from seedslib.gaussian.errors.functions import bivariate_normal_cdf as bivariate_normal_cdf
+    from seedslib.gaussian.errors.functions import max_errors as max_errors
+    from seedslib.gaussian.errors.functions import max_moments as max_moments
     from seedslib.gaussian.errors.functions import sine_errors as sine_errors
     from seedslib.gaussian.errors.functions import sine_moments as sine_moments
     from seedslib.gaussian.errors.hermite import hermite_expansion as hermite_expansion
-    from seedslib.gaussian.errors.maximum import max_errors as max_errors
-    from seedslib.gaussian.errors.maximum import max_moments as max_moments
     from seedslib.gaussian.errors.norms import norm_errors as norm_errors
     from seedslib.gaussian.intervals import interval as interval
     from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
