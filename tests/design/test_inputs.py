@@ -63,7 +63,7 @@ def both(kind):
 def test_inputs_of_a_design_are_a_course_of_time(kind, more, tmp_path):
     """On its own paths, on those held out, in a run and in a file."""
     times, told, written = both(kind)
-    memory = Memory(1, 1) if kind is linear else Memory(1)
+    memory = Memory(0, 1) if kind is linear else Memory(1)
     if "exact_moments" not in more:
         more = {"paths": 1500, "seed": 3, **more}
     made = synthesize(told, memory, Taylor(), times, inputs={u: VALUES}, **more)
