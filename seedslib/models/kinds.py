@@ -60,8 +60,7 @@ _WAYS_OUT = {
     "JumpDiffusion": "see extended_kalman, ParticleFilter or synthesize",
     "DiscreteSystem": "see extended_kalman, ParticleFilter or synthesize",
     "SwitchingSystem": "see SwitchingFilter, RaoBlackwellFilter, ParticleFilter or synthesize",
-    "LinearDiffusion": "see two_step.KalmanBucyFilter, or write it as a JumpDiffusion",
-    "AugmentedDiffusion": "see the filters of two_step, or write it as a JumpDiffusion",
+    "LinearDiffusion": "see two_step.kalman_bucy, or write it as a JumpDiffusion",
     "DelaySystem": "see DelaySystem.stacked, the LinearSystem of the last states together",
     "PiecewiseLinearSystem": (
         "see piecewise.PiecewiseLinearFilter, or write it as a DiscreteSystem of array functions"
