@@ -31,8 +31,7 @@ from seedslib.delay.means import (
 from seedslib.delay.recursions import RECURSIONS, DelayState, gains_up_to
 from seedslib.delay.structure import StructureGains
 from seedslib.delay.system import DelaySystem
-from seedslib.filters.estimates import Estimates, stays
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, stays
 from seedslib.models.kinds import as_system
 
 

@@ -21,8 +21,7 @@ from seedslib.delay.coefficients import as_instants, divided, require_finite
 from seedslib.delay.means import predicted_mean, start_mean
 from seedslib.delay.structure import StructureGains
 from seedslib.delay.system import DelaySystem
-from seedslib.filters.estimates import Estimates, stays
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, stays
 from seedslib.models.kinds import as_system
 
 

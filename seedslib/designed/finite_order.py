@@ -22,7 +22,7 @@ from seedslib.designed.patterns import PatternFit, chosen, pattern_ways, regroup
 from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.designed.shapes import check_covariances, check_nodes, check_start, check_verbs
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.linearization.moments import Linearization, Moments
 
 

@@ -17,7 +17,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.designed.patterns import PatternFit, loose
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 
 if TYPE_CHECKING:
     from seedslib.designed.finite_order_rules import FiniteOrderState

@@ -18,8 +18,7 @@ from seedslib.designed.gaps import check_schedule, dropouts, expected, missing, 
 from seedslib.designed.guards import positions, warn_of_mended
 from seedslib.designed.memory import Memory
 from seedslib.designed.shapes import check_errors, check_times
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, as_indicators, as_record
 from seedslib.models.kinds import course_of
 from seedslib.models.simulation import Schedule
 

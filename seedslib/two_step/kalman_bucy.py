@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_covariance, as_real, as_shape, as_times, as_vectors
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import as_system
 from seedslib.models.propagation import Pair, bounded, distinct_steps, solve, stepped
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign, LinearMoments, make_design

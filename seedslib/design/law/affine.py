@@ -14,8 +14,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.finite_order_rules import Start
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine
-from seedslib.linearization.moments import Linearization, Moments
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.models.kinds import AnySystem
 
 
@@ -44,7 +43,7 @@ def affine_synthesis(
     TypeError, ValueError
         As `grid_synthesis`; something that is no linearization.
     """
-    as_linearization(linearization, system)
+    as_linearization(linearization)
     law = JointLaw(system, memory, times, x, z, y, inputs)
     sensor, start, fits = linearization.moments(system.sensor), None, []
     for k, t, sight, _ in law.steps():

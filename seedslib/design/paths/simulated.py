@@ -31,8 +31,7 @@ from seedslib.designed.finite_order_rules import Rules
 from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous
-from seedslib.linearization.moments import Linearization
-from seedslib.linearization.units import as_linearization
+from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
 from seedslib.models.simulation import Schedule
 
@@ -186,7 +185,7 @@ def synthesize(
             raise ValueError(f"{name}: wanted none for a switching system, got {given[name]!r}")
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-    as_linearization(linearization, system)
+    as_linearization(linearization)
     require_range(system)
     if switching:
         from seedslib.design.paths.switching import synthesize_switching

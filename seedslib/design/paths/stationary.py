@@ -11,7 +11,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
 from seedslib.designed.prediction import HeldOut
 from seedslib.designed.runs import DesignedFilter
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
 

@@ -20,7 +20,7 @@ from seedslib.designed.outputs.patterns import check_patterns, classes_at
 from seedslib.designed.outputs.steps import OutputState, after, arrived, found
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.shapes import check_array, check_nodes
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import switches
 
 

@@ -29,11 +29,9 @@ from seedslib.designed.switching.fits import (
 )
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates, first_step
-from seedslib.filters.mixture import mix
-from seedslib.filters.weights import most_probable
-from seedslib.linearization.moments import Linearization
-from seedslib.linearization.units import as_linearization
+from seedslib.filters.base import Estimates, first_step
+from seedslib.filters.weights import mix, most_probable
+from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import as_system, elapsed
 
 
@@ -103,7 +101,7 @@ class SwitchingFilter(DesignedFilter):
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
-        as_linearization(self.linearization, self.system)
+        as_linearization(self.linearization)
         if self.memory is not None:
             self._check_memory()
         if self.rules is None:
