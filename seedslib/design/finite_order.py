@@ -203,7 +203,7 @@ def synthesize(
     as_system("system", system, *KINDS)
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-    as_linearization(linearization, system)
+    as_linearization(linearization)
     require_range(system)
     if switches(system):
         from seedslib.design.switching import synthesize_switching

@@ -229,7 +229,7 @@ def affine_synthesis(
     TypeError, ValueError
         As `grid_synthesis`; something that is no linearization.
     """
-    as_linearization(linearization, system)
+    as_linearization(linearization)
     law = JointLaw(system, memory, times, x, z, y)
     sensor, start, fits = linearization.moments(system.sensor), None, []
     for k, t, sight, _ in law.steps():

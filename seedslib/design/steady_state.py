@@ -12,7 +12,7 @@ from seedslib.base.checks import as_count, as_positive
 from seedslib.design.carriers import prediction_of
 from seedslib.designed.base import DesignedFilter
 from seedslib.designed.prediction import HeldOut
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
 

@@ -16,8 +16,7 @@ from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course, Inputs, on_paths
 from seedslib.designed.checks import check_errors, check_times
 from seedslib.designed.memory import Memory
-from seedslib.filters.estimates import Estimates, as_indicators, as_record
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, as_indicators, as_record
 from seedslib.models.kinds import course_of
 from seedslib.models.simulation import Schedule
 

@@ -10,7 +10,7 @@ import numpy as np
 from seedslib.base.clock import Clock, slack, when
 from seedslib.base.values import Course
 from seedslib.designed.base import DesignedFilter, want_corrected
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 
 if TYPE_CHECKING:
     from typing import Self

@@ -22,7 +22,7 @@ from seedslib.designed.memory import Memory, Past
 from seedslib.designed.patterns import PatternFit, chosen, loose, pattern_ways, regrouped
 from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.linearization.moments import Linearization, Moments, symmetric
 from seedslib.models.kinds import AnySystem
 

@@ -16,7 +16,7 @@ from seedslib.designed.checks import check_array, check_nodes, check_verbs
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
 from seedslib.designed.tables import Output, Step, Table, arguments, step_axes
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import switches
 
 

@@ -16,7 +16,7 @@ from scipy.special import ndtri
 
 from seedslib.base.parameters import Parameter
 from seedslib.base.values import Inputs, assigned
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Filter
 from seedslib.models.kinds import mentioned
 
 STEP = 1e-3

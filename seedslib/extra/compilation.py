@@ -21,8 +21,8 @@ from seedslib.extra.c.header import to_c
 from seedslib.extra.c.traced import told_of
 from seedslib.extra.compiled_records import CompiledRecords
 from seedslib.extra.compiled_state import CompiledState
+from seedslib.filters.base import Estimates, as_indicators
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.estimates import Estimates, as_indicators
 
 _DOUBLE = np.dtype(np.float64)
 

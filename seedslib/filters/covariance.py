@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import cached_property, partial
+from collections.abc import Callable
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -10,18 +11,34 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
+from seedslib.base.clock import step_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import lower_triangle, settled
-from seedslib.filters.estimates import Estimates, require_time
-from seedslib.filters.integration import euler, finite_or_nan, rk4
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, require_time
 from seedslib.linearization.moments import Linearization, Moments, as_linearization, symmetric
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps
-from seedslib.models.maps import doubled
+from seedslib.models.kinds import AnySystem, as_system, in_steps
 
-INTEGRATORS = {"rk4": rk4, "euler": euler}
+
+def euler_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
+    """One explicit Euler step of size h."""
+    return [a + h * b for a, b in zip(y, rate(t, y), strict=True)]
+
+
+def rk4_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
+    """One classical Runge-Kutta step of size h."""
+    k1 = rate(t, y)
+    k2 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k1, strict=True)])
+    k3 = rate(t + 0.5 * h, [a + (0.5 * h) * b for a, b in zip(y, k2, strict=True)])
+    k4 = rate(t + h, [a + h * b for a, b in zip(y, k3, strict=True)])
+    return [
+        a + (h / 6.0) * (b + 2.0 * (c + d) + e)
+        for a, b, c, d, e in zip(y, k1, k2, k3, k4, strict=True)
+    ]
+
+
+STEPS = {"rk4": rk4_step, "euler": euler_step}
 
 
 class FilterState(NamedTuple):
@@ -84,13 +101,11 @@ class CovarianceFilter(Filter, Remade):
         integrator: str = "rk4",
         bound: float | None = None,
     ) -> None:
-        if integrator not in INTEGRATORS:
-            raise ValueError(
-                f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
-            )
+        if integrator not in STEPS:
+            raise ValueError(f"integrator: wanted one of {', '.join(STEPS)}, got {integrator!r}")
         as_system("system", system, *self._systems)
         self.system: Any = system
-        self.linearization: Linearization = as_linearization(linearization, system)
+        self.linearization: Linearization = as_linearization(linearization)
         self.integrator: str = integrator
         self.continuous: bool = not in_steps(system)
         step = getattr(system, "step", 1.0) if step is None else step
@@ -102,9 +117,8 @@ class CovarianceFilter(Filter, Remade):
         self._by_points = isinstance(linearization, PointRule)
         if self.continuous:
             self._rate = linearization.rate(system)
-            self._integrate = partial(finite_or_nan, INTEGRATORS[integrator])
         else:
-            self._dynamics = linearization.transition(system.dynamics)
+            self._dynamics = linearization.moments(system.dynamics)
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
         """State before any measurement: the moments of the initial law.
@@ -122,64 +136,71 @@ class CovarianceFilter(Filter, Remade):
 
     def moved(self, state: FilterState, t: float) -> FilterState:
         """Mean and covariance at time t, by the moment equations or the dynamics map."""
+        if not self.continuous:
+            return self.moved_jointly(state, t)[0]
+        mean, lower = state.mean, state.cov[lower_triangle(self.n)]
+        if mean.ndim == 1:  # plain floats are faster than arrays without axes
+            mean, lower = mean.tolist(), lower.tolist()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            if not self.continuous:
-                mean, cov = self._dynamics(state.time, state.mean, state.cov)
-                return state._replace(mean=mean, cov=cov)
-            rows, columns = lower_triangle(self.n)
-            lower = state.cov[rows, columns]
-            if state.mean.ndim == 1:
-                components = [*state.mean.tolist(), *lower.tolist()]
-            else:
-                components = [*state.mean, *lower]
-            moved = self._integrate(self._rate, components, state.time, t, self.integration_step)
-        mean = np.empty_like(state.mean)
-        for k in range(self.n):
-            mean[k] = moved[k]
-        batch = np.broadcast_shapes(*(np.shape(c) for c in moved[self.n :]))
-        change = np.empty((len(rows), *batch))
-        for k, component in enumerate(moved[self.n :]):
-            change[k] = component
-        return state._replace(mean=mean, cov=symmetric(change, self.n))
-
-    def smoother(self) -> Any:
-        """See `Filter.smoother`."""
-        from seedslib.filters.backward import Rauch
-
-        return Rauch(self)
-
-    def apart(self) -> CovarianceFilter:
-        """The filter as `smooth` runs it."""
-        return self
+            moved = self._integrate(self._rate, [*mean, *lower], state.time, t)
+        mean = _filled(moved[: self.n], state.mean.shape[1:])
+        return state._replace(mean=mean, cov=symmetric(_filled(moved[self.n :]), self.n))
 
     def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
         """What `moved` gives, and the covariance of the state now with the one at time t.
 
-        Between measurements that covariance C obeys dC/dt = cov(x, b), the mean velocity b being
-        linearized in the joint law of both states.
+        Between measurements that covariance C obeys dC/dt = cov(x, b): with the mean velocity b
+        linearized in the law of the state then, C P⁻¹ cov(x then, b).
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                with elapsed(self.system, state.time, t):
-                    mean, cross, cov = self._jointly(state.time, state.mean, state.cov)
+                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov)
                 return state._replace(mean=mean, cov=cov), cross
-            n, size = self.n, len(lower_triangle(self.n)[0])
-            lower = state.cov[lower_triangle(n)]
-            parts = [*state.mean, *lower, *state.cov.reshape(n * n, *state.cov.shape[2:])]
-            rate = partial(_joint_rate, *self._jointly, state.cov)
-            moved = self._integrate(rate, parts, state.time, t, self.integration_step)
-        batch = np.broadcast_shapes(*(np.shape(c) for c in moved))
-        full = np.stack([np.broadcast_to(c, batch) for c in moved])
-        later = state._replace(mean=full[:n], cov=symmetric(full[n : n + size], n))
-        return later, full[n + size :].reshape(n, n, *batch)
+            n, (rows, columns) = self.n, lower_triangle(self.n)
+            lower = slice(n, n + len(rows))
+
+            def split(parts: list[Any]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+                full = _filled(parts)
+                cross = full[lower.stop :].reshape(n, n, *full.shape[1:])
+                return full[:n], symmetric(full[lower], n), cross
+
+            def rate(t: float, parts: list[Any]) -> list[Any]:
+                mean, cov, cross = split(parts)
+                b, *squares = self._flow(t, mean, cov)
+                with_b, spread = (wide(part, mean.shape[1:]) for part in squares)
+                change = with_b + np.swapaxes(with_b, 0, 1) + spread
+                joint = np.einsum("ij...,jk...->ik...", cross, _slope(with_b, cov))
+                return [*b, *change[rows, columns], *joint.reshape(n * n, *joint.shape[2:])]
+
+            now = state.cov
+            parts = [*state.mean, *now[rows, columns], *now.reshape(n * n, *now.shape[2:])]
+            mean, cov, cross = split(self._integrate(rate, parts, state.time, t))
+        return state._replace(mean=mean, cov=cov), cross
 
     @cached_property
-    def _jointly(self) -> Any:
-        """Moments of the dynamics with the state they start from, compiled when first wanted."""
-        if not self.continuous:
-            return self.linearization.moments(self.system.dynamics)
-        both, spread = doubled(self.system.drift_map), self.system.spread_map
-        return tuple(self.linearization.moments(map, spread=False) for map in (both, spread))
+    def _flow(self) -> Any:
+        return self.linearization.flow(self.system)
+
+    def _integrate(self, rate: Callable[..., Any], parts: list, start: float, stop: float) -> list:
+        """Components at a later time; NaN where Python's numbers overflow, as arrays would."""
+        steps = step_count(start, stop, self.integration_step)
+        h, step = (stop - start) / steps, STEPS[self.integrator]
+        try:
+            for k in range(steps):
+                parts = step(rate, start + k * h, parts, h)
+        except (OverflowError, ZeroDivisionError):
+            return [np.full(np.shape(part), np.nan) for part in parts]
+        return parts
+
+    def smoother(self) -> Any:
+        """See `Filter.smoother`."""
+        from seedslib.filters.smoothing import Rauch
+
+        return Rauch(self)
+
+    def unsettled(self) -> CovarianceFilter:
+        """The filter as `smooth` runs it."""
+        return self
 
     def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
         """Correct by the measurement y, shape (m, *batch), at the time of the state.
@@ -191,16 +212,10 @@ class CovarianceFilter(Filter, Remade):
         """
         require_time(state)
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            moments = Moments(*self._sensor(state.time, state.mean, state.cov))
-            mean, cov, loglik = correct(
-                state.mean, state.cov, y, moments,
-                noise=lambda: self._sensor(state.time, state.mean, np.zeros_like(state.cov)).cov,
-                exact=True,
-                periods=self.system.sensor.period,
-            )  # fmt: skip
-            if self._by_points:
-                cov = settled(cov, state.cov)
-            return state._replace(mean=mean, cov=cov, loglik=loglik)
+            sensor, periods = self._sensor, self.system.sensor.period
+            law = state.mean, state.cov
+            law = update(sensor, state.time, *law, y, periods, by_points=self._by_points)
+        return state._replace(mean=law[0], cov=law[1], loglik=law[2])
 
     def expect(self, state: FilterState) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
@@ -219,47 +234,80 @@ class CovarianceFilter(Filter, Remade):
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 
-def _joint_rate(velocity, spread, before, t, components):
-    """Rates of mean, covariance and covariance with the state before, on a list of components."""
-    n = len(before)
-    rows, columns = lower_triangle(n)
-    batch = np.broadcast_shapes(before.shape[2:], *(np.shape(c) for c in components))
-    full = np.stack([np.broadcast_to(c, batch) for c in components])
-    mean, cov = full[:n], symmetric(full[n : n + len(rows)], n)
-    cross = full[n + len(rows) :].reshape(n, n, *batch)
-    joint = np.empty((2 * n, 2 * n, *batch))
-    joint[:n, :n] = before.reshape(
-        *before.shape[:2], *(1,) * (len(batch) + 2 - before.ndim), *before.shape[2:]
-    )
-    joint[:n, n:], joint[n:, :n], joint[n:, n:] = cross, np.swapaxes(cross, 0, 1), cov
-    b, lean, _ = velocity(t, np.concatenate([mean, mean]), joint)
-    sigma = spread(t, mean, cov).mean
-    lean = np.broadcast_to(lean, (2 * n, n, *lean.shape[2:]))
-    change = [
-        lean[n + i, j] + lean[n + j, i] + sigma[k]
-        for k, (i, j) in enumerate(zip(rows, columns, strict=True))
-    ]
-    return [*b, *change, *lean[:n].reshape(n * n, *lean.shape[2:])]
+def update(sensor, t, mean, cov, y, periods, moments=None, by_points=False):
+    """Mean, covariance and log-likelihood after a measurement through a linearized sensor.
+
+    Parameters
+    ----------
+    sensor : callable
+        ``sensor(t, mean, cov) -> Moments`` of the whole sensor.
+    t : float
+    mean, cov : ndarray, shapes (n, *batch) and (n, n) or (n, n, *batch)
+    y : array_like, shape (m, *batch)
+        NaN is missing.
+    periods : tuple
+        Components of y on a circle.
+    moments : Moments, optional
+        Those of a branch of the sensor, in the place of the whole one's.
+    by_points : bool
+        Whether the linearization wants a factor of the covariance.
+    """
+    moments = sensor(t, mean, cov) if moments is None else moments
+    zero = np.zeros_like(cov)
+    law, noise = (mean, cov, y, moments), lambda: sensor(t, mean, zero).cov
+    later, covariance, loglik = correct(*law, noise=noise, exact=True, periods=periods)
+    return later, settled(covariance, cov) if by_points else covariance, loglik
+
+
+def _filled(parts: list[Any], batch: tuple[int, ...] | None = None) -> np.ndarray:
+    """Array of components, which may lack some of the batch axes."""
+    batch = np.broadcast_shapes(*map(np.shape, parts)) if batch is None else batch
+    full = np.empty((len(parts), *batch))
+    for k, part in enumerate(parts):
+        full[k] = part
+    return full
+
+
+def _slope(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """P⁻¹ cov(x, b), of which a singular P takes the pseudo-inverse."""
+    try:
+        parts = (np.moveaxis(part, (0, 1), (-2, -1)) for part in (cov, cross))
+        return np.moveaxis(np.linalg.solve(*parts), (-2, -1), (0, 1))
+    except np.linalg.LinAlgError:
+        return np.swapaxes(gain_of(np.swapaxes(cross, 0, 1), cov), 0, 1)
+
+
+def gain_of(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """G = C P⁺, shape (n, n, *batch): what each unit of the later state moves."""
+    n = len(cross)
+    still = np.zeros((n, *(1,) * (cross.ndim - 1)))
+    unit = np.eye(n).reshape(n, *(1,) * (cross.ndim - 2), n)
+    gain, _, _ = correct(still, None, unit, (still, cross[..., None], cov[..., None]))
+    return np.moveaxis(np.broadcast_to(gain, (*cross.shape[:1], *gain.shape[1:])), -1, 1)
+
+
+def wide(cov: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
+    """A matrix with axes of paths, of length one where it is common to them."""
+    return cov if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * len(batch))
 
 
 def extended_kalman(system: AnySystem, **options: Any) -> CovarianceFilter:
     """Extended Kalman filter (the paper's OFK, or L-AOF): `CovarianceFilter` with `Taylor`."""
-    from seedslib.linearization.symbolic import Taylor
+    from seedslib.linearization.taylor_and_exact import Taylor
 
     return CovarianceFilter(system, Taylor(), **options)
 
 
 def assumed_density(system: AnySystem, **options: Any) -> CovarianceFilter:
     """Gaussian assumed-density filter (the paper's FNA): `CovarianceFilter` with exact means."""
-    from seedslib.linearization.symbolic import ExactGaussian
+    from seedslib.linearization.taylor_and_exact import ExactGaussian
 
     return CovarianceFilter(system, ExactGaussian(), **options)
 
 
 def unscented_kalman(
-    system: AnySystem, *, alpha: float = 1.0, beta: float = 0.0, kappa: float | None = None,
-    **options: Any,
-) -> CovarianceFilter:  # fmt: skip
+    system: AnySystem, *, alpha: float = 1, beta: float = 0, kappa: float | None = None, **options
+) -> CovarianceFilter:
     """Unscented Kalman filter: `CovarianceFilter` with `Unscented(alpha, beta, kappa)`."""
     from seedslib.linearization.points import Unscented
 

@@ -8,12 +8,12 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.tables import Axis, Grid, Nodes
-from seedslib.filters.estimates import as_seen
-from seedslib.filters.grid_records import GridSmoother
-from seedslib.filters.verbs import Filter
-from seedslib.filters.weights import logarithm, normalised, relative
+from seedslib.filters.base import Estimates, Filter, as_seen
+from seedslib.filters.smoothing import Smoother
+from seedslib.filters.weights import logarithm, most_probable, normalised, relative
 from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
 from seedslib.models.kinds import AnySystem, as_system, switches
 
@@ -110,10 +110,8 @@ class GridBayesFilter(Filter):
         law = self.chain.start().reshape(*shape, *(1,) * len(batch))
         log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
         self._look(log_prob, 0.0)
-        return GridState(
-            None, log_prob, law, *self._moments(log_prob, law), np.zeros(batch),
-            np.zeros(batch, dtype=bool),
-        )  # fmt: skip
+        none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
+        return GridState(None, log_prob, law, *self._moments(log_prob, law), none, clean)
 
     def moved(self, state: GridState, t: float) -> GridState:
         """The law one step of the system later."""
@@ -177,10 +175,8 @@ class GridBayesFilter(Filter):
         law = np.where((evidence == -np.inf)[:, None] | lost, state.law, law)
         if not np.isnan(seen).all():
             lost = lost | self._at_ends(log_prob, law)
-        return GridState(
-            state.time, log_prob, law, *self._moments(log_prob, law), loglik,
-            state.diverged | lost, state.interval,
-        )  # fmt: skip
+        estimate, lost = self._moments(log_prob, law), state.diverged | lost
+        return GridState(state.time, log_prob, law, *estimate, loglik, lost, state.interval)
 
     def _at_ends(self, log_prob, law):
         """Where nearly all that is left of the probability is on the outermost nodes, (*batch)."""
@@ -224,6 +220,38 @@ class GridBayesFilter(Filter):
         ]
         mean = shift + middle.reshape(-1, *(1,) * len(batch))
         return prob if switches(self.system) else None, mean, np.array(cov)
+
+
+class GridSmoother(Smoother):
+    """The exact step back on nodes, of mode and state together.
+
+    p(x | later) = p(x) sum over x' of P(x' | x) p(x' | later) / p'(x'), with the forecast p' = P p:
+    nothing is approximated but the nodes. A part is the joint law (S, N) of N records.
+    """
+
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the transition."""
+        before = state.time
+        later, _ = super().forecast(state, t)
+        return later, None if before is None else self.filter.chain.transition(before, t)
+
+    def last(self, state: Any) -> Any:
+        """See `Smoother.last`."""
+        joint = np.exp(state.log_prob)[:, None] * state.law
+        return joint.reshape(joint.shape[0] * joint.shape[1], -1)
+
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+        """See `Smoother.back`."""
+        now = self.last(state)
+        ahead = link @ now
+        ratio = np.divide(part, ahead, out=np.zeros_like(part), where=ahead > 0)
+        return now * (link.T @ ratio)
+
+    def report(self, part: Any) -> Estimates:
+        """Mean, covariance, and the modes with their probabilities, where there are modes."""
+        prob, mean, cov = self.filter.moments_of(part)
+        modes = None if prob is None else most_probable(prob)
+        return Estimates(mean, cov, prob, modes=modes)
 
 
 def _split(joint):

@@ -7,13 +7,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.base.semidefinite import settled
 from seedslib.base.values import on_paths
-from seedslib.filters.estimates import Estimates, as_modes, as_seen
-from seedslib.filters.verbs import Filter
-from seedslib.linearization.moments import Gaussian, Linearization, as_linearization
+from seedslib.filters.base import Estimates, Filter, as_modes, as_seen
+from seedslib.filters.covariance import update
+from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system
 
@@ -60,15 +58,16 @@ class KnownModeFilter(Filter, Remade):
     def __init__(self, system: AnySystem, linearization: Any = None) -> None:
         as_system("system", system, "SwitchingSystem")
         if linearization is None:
-            from seedslib.linearization.symbolic import Taylor
+            from seedslib.linearization.taylor_and_exact import Taylor
 
             linearization = Taylor()
         self.system: Any = system
-        self.linearization: Linearization = as_linearization(linearization, system)
+        self.linearization: Linearization = as_linearization(linearization)
         self._moves = [
             [self._move(i, l, branch) for l, branch in enumerate(row)]
             for i, row in enumerate(system.branches)
         ]
+        self._by_points = isinstance(linearization, PointRule)
         self._sensors = [linearization.moments(map) for map in system.sensors]
         self._readings = [
             [None if b is None or b.constant else linearization.weighted(b.map) for b in row]
@@ -76,22 +75,17 @@ class KnownModeFilter(Filter, Remade):
         ]
 
     def _move(self, i, l, branch):
-        """Function (t, mean, cov) -> Gaussian of the next state in a branch; None for none."""
+        """Moments of the next state in a branch, the covariance last; None for no branch."""
         if branch is None:
             return None
         new = self.system.drives == "new"
-        whole = self.linearization.transition(self.system.dynamics[l if new else i])
+        whole = self.linearization.moments(self.system.dynamics[l if new else i])
         if branch.constant:
             return whole
         weighted = self.linearization.weighted((branch.still if new else branch).map)
         if new:  # what the switch says of the state, and then the move
             return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
-
-        def move(t, mean, cov):
-            _, _, y = weighted(t, mean, cov)
-            return Gaussian(y.mean, y.cov)
-
-        return move
+        return lambda t, mean, cov: weighted(t, mean, cov).value
 
     def initial(
         self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
@@ -147,46 +141,29 @@ class KnownModeFilter(Filter, Remade):
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
         for i, row in enumerate(self._readings):
+            sensor, periods = self._sensors[i], self.system.sensors[i].period
             for j, reading in ((-1, None), *enumerate(row)):
                 here = (state.mode == i) & (shown == j if shown is not None else j < 0)
                 if not here.any():
                     continue
                 prior = state.mean[:, here], state.cov[:, :, here]
                 with on_paths(here.shape, here):
-                    if reading is None:
-                        moments = self._sensors[i](state.time, *prior)
-                    else:
+                    moments = None
+                    if reading is not None:
                         _, prior, moments = reading(state.time, *prior)
-                    plain, still = self._sensors[i], np.zeros_like(prior[1])
-                    *found, loglik[here] = correct(
-                        *prior, y[:, here], moments, periods=self.system.sensors[i].period,
-                        noise=lambda f=plain, m=prior[0], d=still: f(state.time, m, d).cov,
-                        exact=True,
-                    )  # fmt: skip
-                if isinstance(self.linearization, PointRule):
-                    found[1] = settled(found[1], prior[1])
-                _put(mean, cov, here, found)
+                    known = sensor, state.time, *prior, y[:, here], periods, moments
+                    *law, loglik[here] = update(*known, by_points=self._by_points)
+                _put(mean, cov, here, law)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def report(self, state: KnownModeState) -> Estimates:
         """Mean and covariance; the mode is the given one, with probability one."""
-        return self.kept(state)._replace(mode_prob=self._certain(state.mode, 0))
-
-    def kept(self, state: KnownModeState) -> Estimates:
-        """Without probabilities: those of all times are formed at once."""
-        return Estimates(state.mean, state.cov, None, state.loglik, None, state.mode)
-
-    def completed(self, found: Estimates) -> Estimates:
-        """With the probabilities of the given modes."""
-        return found._replace(mode_prob=self._certain(found.modes, 1))
-
-    def _certain(self, modes, axis):
-        """Probability one for the given modes, with an axis of all modes at `axis`."""
-        return np.stack([modes == i for i in range(self.system.modes)], axis=axis).astype(float)
+        certain = np.stack([state.mode == i for i in range(self.system.modes)]).astype(float)
+        return Estimates(state.mean, state.cov, certain, state.loglik, None, state.mode)
 
 
-def _put(mean, cov, here, found):
+def _put(mean, cov, here, law):
     """Write moments, of which the covariance may be common to all items, where they belong."""
-    mean[:, here] = found[0]
-    square = np.asarray(found[1])
+    mean[:, here] = law[0]
+    square = np.asarray(law[-1])
     cov[:, :, here] = square if square.ndim == 3 else square[:, :, None]

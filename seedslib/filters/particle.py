@@ -13,8 +13,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
-from seedslib.filters.estimates import Estimates, as_seen
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Estimates, Filter, as_seen
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
 
@@ -138,10 +137,9 @@ class ParticleFilter(Filter):
         rng = stream(state.seed, state.draws)
         if np.isfinite(y).any():
             x = _resample(x, weight, rng)
-        return state._replace(
-            particles=x, draws=state.draws + 1, mean=mean, cov=cov, loglik=loglik,
-            diverged=state.diverged | lost, mode_prob=prob,
-        )  # fmt: skip
+        estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
+        lost, draws = state.diverged | lost, state.draws + 1
+        return state._replace(particles=x, draws=draws, diverged=lost, **estimate)
 
     def forecast(self, state: ParticleState, t: float) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""

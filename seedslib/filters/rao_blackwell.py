@@ -10,14 +10,12 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
-from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
 from seedslib.base.values import on_paths
-from seedslib.filters.estimates import as_seen
-from seedslib.filters.mixture import mix
+from seedslib.filters.base import Filter, as_seen
+from seedslib.filters.covariance import update
 from seedslib.filters.particle import resampled, stream
-from seedslib.filters.verbs import Filter
-from seedslib.filters.weights import logarithm, normalised
+from seedslib.filters.weights import logarithm, mix, normalised
 from seedslib.models.kinds import AnySystem, as_system
 
 
@@ -75,13 +73,13 @@ class RaoBlackwellFilter(Filter, Remade):
 
     def __init__(self, system: AnySystem, particles: Count = 100) -> None:
         require_jump_linear(system)
-        from seedslib.linearization.symbolic import Taylor
+        from seedslib.linearization.taylor_and_exact import Taylor
 
         self.system: Any = system
         self.particles: int = as_count("particles", particles)
         self.records: int = max(1, 2 * BLOCK // self.particles)
         exact = Taylor()
-        self._move = [exact.transition(map) for map in system.dynamics]
+        self._move = [exact.moments(map) for map in system.dynamics]
         self._sense = [exact.moments(map) for map in system.sensors]
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
@@ -97,22 +95,16 @@ class RaoBlackwellFilter(Filter, Remade):
             np.broadcast_to(mean, (n, modes, 1, *batch)),
             np.broadcast_to(cov, (n, n, modes, 1, *batch)),
         )
-        return RaoBlackwellState(
-            None, prob, law, seed, 0, **_estimate(prob, law), loglik=np.zeros(batch),
-            diverged=np.zeros(batch, dtype=bool),
-        )  # fmt: skip
+        none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
+        return RaoBlackwellState(None, prob, law, seed, 0, *_estimate(prob, law), none, clean)
 
     def moved(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
-        prob = state.log_prob.reshape(-1, *batch)
-        count = len(prob)
-        mean = state.law[0].reshape(n, count, *batch)
-        cov = state.law[1].reshape(n, n, count, *batch)
-        mode = np.broadcast_to(
-            np.repeat(np.arange(modes), count // modes).reshape(-1, *(1,) * len(batch)), prob.shape
-        )
-        draws = state.draws
+        prob, mean, cov = _in_one_row(state.log_prob, state.law)
+        count, draws = len(prob), state.draws
+        mode = np.repeat(np.arange(modes), count // modes).reshape(-1, *(1,) * len(batch))
+        mode = np.broadcast_to(mode, prob.shape)
         if count > self.particles:
             chosen = resampled(np.exp(prob), self.particles, stream(state.seed, draws))
             mean, cov = (_taken(part, chosen) for part in (mean, cov))
@@ -129,23 +121,25 @@ class RaoBlackwellFilter(Filter, Remade):
         if self.system.drives == "new":  # each history moves in every mode that continues it
             made = [move(state.time, mean, cov) for move in self._move]
             law = (
-                np.stack([y for y, _ in made], axis=1),
-                np.stack([_wide(square, y) for y, square in made], axis=2),
+                np.stack([y for y, _, _ in made], axis=1),
+                np.stack([_wide(square, y) for y, _, square in made], axis=2),
             )
         else:
             moved, spread = np.empty(mean.shape), np.empty(cov.shape)
             for i, move in enumerate(self._move):
                 here = mode == i
                 with on_paths(here.shape, here):
-                    y, square = move(state.time, mean[:, here], cov[:, :, here])
+                    y, _, square = move(state.time, mean[:, here], cov[:, :, here])
                 moved[:, here], spread[:, :, here] = y, _wide(square, y)
             law = (
                 np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
                 np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
             )
         prob = prob + leave
-        found = _estimate(prob, law)
-        return state._replace(log_prob=prob, law=law, draws=draws, **found)
+        mean, cov, mode_prob = _estimate(prob, law)
+        return state._replace(
+            log_prob=prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
+        )
 
     def correct(
         self, state: RaoBlackwellState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -166,34 +160,28 @@ class RaoBlackwellFilter(Filter, Remade):
             A state without a time: `predict` gives it one.
         """
         y, shown = as_seen(state, self.system, y, indicator)
-        n, t = self.system.state_size, state.time
-        mean, cov = (np.empty(part.shape) for part in state.law)
+        system, t = self.system, state.time
+        law = np.empty(state.law[0].shape), np.empty(state.law[1].shape)
         score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
-            prior = state.law[0][:, i], state.law[1][:, :, i]
-            mean[:, i], square, score[i] = correct(
-                *prior, y[:, None], sense(t, *prior), periods=self.system.sensors[i].period,
-                noise=lambda f=sense, m=prior[0], d=prior[1]: f(t, m, np.zeros_like(d)).cov,
-                exact=True,
-            )  # fmt: skip
-            cov[:, :, i] = _wide(square, mean[:, i])
+            prior, periods = (state.law[0][:, i], state.law[1][:, :, i]), system.sensors[i].period
+            law[0][:, i], cov, score[i] = update(sense, t, *prior, y[:, None], periods)
+            law[1][:, :, i] = _wide(cov, prior[0])
             if shown is not None:
-                row = self.system.readings[i]
-                chances = [
-                    np.zeros(y.shape[1:]) if b is None else _chance(b, t, n, y.shape[1:])
-                    for b in row
-                ]
-                chances.append(np.ones(y.shape[1:]))  # of a missing one
+                none, size = np.zeros(y.shape[1:]), system.state_size
+                row = system.readings[i]
+                chances = [none if b is None else _chance(b, t, size, none.shape) for b in row]
+                chances.append(none + 1.0)  # of a missing one
                 score[i] += logarithm(np.take_along_axis(np.stack(chances), shown[None], 0)[0])
         known = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
         prob, loglik = normalised(known, (0, 1))
-        lost, law = ~np.isfinite(loglik), (mean, cov)
-        if lost.any():  # no history explains the measurement: keep what was forecast
+        lost = ~np.isfinite(loglik)
+        if lost.any():  # no history explains the measurement: all stays as it was forecast
             prob, loglik = np.where(lost, state.log_prob, prob), np.where(lost, -np.inf, loglik)
-        return state._replace(
-            log_prob=prob, law=law, loglik=loglik, diverged=state.diverged | lost,
-            **_estimate(prob, law),
-        )  # fmt: skip
+            law = tuple(np.where(lost, *pair) for pair in zip(state.law, law, strict=True))
+        lost, estimate = state.diverged | lost, _estimate(prob, law)
+        given = t, prob, law, state.seed, state.draws
+        return RaoBlackwellState(*given, *estimate, loglik, lost, state.interval)
 
 
 def require_jump_linear(system: AnySystem) -> None:
@@ -205,33 +193,25 @@ def require_jump_linear(system: AnySystem) -> None:
         What is missing is named.
     """
     as_system("system", system, "SwitchingSystem")
-    for name, maps, table, odds in (
-        ("dynamics", system.dynamics, system.branches, "switching"),
-        ("sensor", system.sensors, system.readings, "indicator"),
+    for name, maps, odds, table in (
+        ("dynamics", system.dynamics, "switching", system.branches),
+        ("sensor", system.sensors, "indicator", system.readings),
     ):
         for i, map in enumerate(maps):
-            if not map.noise.gaussian:
-                raise ValueError(f"{name}: wanted Gaussian noise, got a law of its own")
-            if not map.symbolic or not _affine(map):
-                raise ValueError(
-                    f"{name}: wanted symbolic maps affine in state and noise, got another in "
-                    f"mode {i}"
-                )
+            if not map.noise.gaussian or not map.symbolic or not _affine(map):
+                wanted = "formulas affine in state and Gaussian noise"
+                raise ValueError(f"{name}: wanted {wanted}, got another map in mode {i}")
             if not all(b is None or b.constant for b in table[i]):
-                raise ValueError(
-                    f"{odds}: wanted probabilities that depend on neither state nor noise, got "
-                    f"others in mode {i}"
-                )
+                wanted = "probabilities that depend on neither state nor noise"
+                raise ValueError(f"{odds}: wanted {wanted}, got others in mode {i}")
 
 
 def _affine(map) -> bool:
     import sympy
 
     variables = (*map.state, *map.noise.symbols)
-    return all(
-        sympy.simplify(sympy.diff(y, a, b)) == 0
-        for y in map.expressions for a in variables for b in variables
-    )  # fmt: skip
+    seconds = (sympy.diff(y, a, b) for y in map.expressions for a in variables for b in variables)
+    return all(sympy.simplify(second) == 0 for second in seconds)
 
 
 def _chance(branch, t, n, batch) -> np.ndarray:
@@ -251,10 +231,15 @@ def _taken(part, chosen):
     return np.take_along_axis(part, chosen[(None,) * core], axis=core)
 
 
-def _estimate(prob, law) -> dict[str, np.ndarray]:
-    """Mean, covariance and mode probabilities of a weighted mixture, by the state's names."""
-    prob, batch, n = np.exp(prob), prob.shape[2:], len(law[0])
-    found = mix(
-        prob.reshape(-1, *batch), law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
-    )
-    return {"mean": found.mean, "cov": found.cov, "mode_prob": prob.sum(axis=1)}
+def _in_one_row(prob, law):
+    """Weights, means and covariances of all histories, whatever their mode, along one axis."""
+    batch, n = prob.shape[2:], len(law[0])
+    mean, cov = law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
+    return prob.reshape(-1, *batch), mean, cov
+
+
+def _estimate(prob, law):
+    """Mean, covariance and mode probabilities of a weighted mixture."""
+    prob = np.exp(prob)
+    _, mean, cov = mix(*_in_one_row(prob, law))
+    return mean, cov, prob.sum(axis=1)

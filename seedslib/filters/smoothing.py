@@ -2,25 +2,29 @@
 
 from __future__ import annotations
 
-from contextlib import nullcontext
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.blocks import in_blocks
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.values import Inputs, on_paths
-from seedslib.filters.backward import Smoother
-from seedslib.filters.estimates import Estimates, as_indicators
-from seedslib.filters.verbs import Filter
-from seedslib.models.kinds import course_of, elapsed
+from seedslib.base.values import Inputs
+from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
+from seedslib.filters.covariance import gain_of, wide
+from seedslib.filters.kalman import settle
+from seedslib.models.kinds import elapsed
 
 
 def smooth(
-    filter: Filter, times: ArrayLike, measurements: ArrayLike, *, lag: int | None = None,
-    indicators: ArrayLike | None = None, inputs: Inputs | None = None,
-) -> Estimates:  # fmt: skip
+    filter: Filter,
+    times: ArrayLike,
+    measurements: ArrayLike,
+    *,
+    lag: int | None = None,
+    indicators: ArrayLike | None = None,
+    inputs: Inputs | None = None,
+) -> Estimates:
     """Estimates of the state at each time from the measurements up to a later one.
 
     The state at a time is corrected by the smoothed state at the next one, as by a measurement:
@@ -60,105 +64,143 @@ def smooth(
     TypeError, ValueError
         A filter that has no smoother; a lag below one; as `run` of the filter.
     """
-    found = _in_blocks(filter, times, measurements, lag, indicators, inputs)
-    batch, covs = np.shape(measurements)[2:], [one.cov for one in found]
-
-    def joined(parts):
-        if parts[0] is None or found[0].mean.ndim == 2:  # one record without an axis of records
-            return parts[0]
-        whole = np.concatenate(parts, axis=-1)
-        return whole.reshape((*whole.shape[:-1], *batch))
-
-    if all(c.ndim == 3 and np.array_equal(c, covs[0], equal_nan=True) for c in covs):
-        cov = covs[0]
-    else:
-        shapes = [(*one.cov.shape[:3], *one.mean.shape[2:]) for one in found]
-        covs = [c if c.ndim > 3 else c[..., None] for c in covs]
-        cov = joined([np.broadcast_to(c, s) for c, s in zip(covs, shapes, strict=True)])
-    rest = (one._replace(cov=None) for one in found)
-    return Estimates(*map(joined, zip(*rest, strict=True)))._replace(cov=cov)
-
-
-def _in_blocks(filter, times, measurements, lag, indicators, inputs) -> list[Estimates]:
-    """Estimates of each block of records, in their order."""
     if not isinstance(filter, Filter):
         raise TypeError(f"filter: wanted a filter of this library, got {type(filter).__name__}")
-    smoother = filter.smoother()
-    lag = None if lag is None else as_count("lag", lag)
+    smoother, lag = filter.smoother(), lag if lag is None else as_count("lag", lag)
     filter = smoother.filter
-    times, y = filter.record(times, measurements)
-    batch, shape = y.shape[2:], (len(times), *y.shape[2:])
-    course = course_of(filter.system, inputs, len(times), batch)
-    indicators = as_indicators(indicators, filter.system, shape)
-    flat = y.reshape(*y.shape[:2], -1)
-    shown = None if indicators is None else indicators.reshape(len(times), -1)
-    wide, paths = bool(batch) or not filter.alone, flat.shape[2]
+    batch, record = filter.records_of(times, measurements, indicators, None, inputs)
 
-    def work(start, stop, _stream):
-        own = slice(start, stop)
-        with on_paths(batch, own) if batch else nullcontext():
-            return smoothed(own, course.of(own) if wide else course)
+    def work(record: Record, stream: object) -> Estimates:
+        links: list[Any] = []
 
-    def smoothed(own, held):
-        states, links = [], []
-        state = filter.initial((own.stop - own.start,) if wide else ())
-        for k, t in enumerate(times):
-            seen = () if shown is None else (shown[k, own],)
-            with held.at(max(k - 1, 0)):
-                state, link = smoother.forecast(state, t)
-            with held.at(k):
-                state = filter.correct(state, flat[k, :, own] if wide else y[k], *seen)
-            states.append(state)
-            links.append((link, *seen))
+        def predict(state: Any, t: float) -> Any:
+            state, link = smoother.forecast(state, t)
+            links.append(link)
+            return state
 
-        def back(k, part):
-            with held.at(k), elapsed(filter.system, times[k], times[k + 1]):
-                return smoother.back(states[k], part, *links[k + 1])
+        states = list(walk(filter, record, None, predict))
+        last, times, shown = len(states) - 1, record.times, record.indicators
 
-        return _estimated(smoother, _parts(smoother, back, states, lag), states)
+        def back(k: int, part: Any) -> Any:
+            """What is known of time k from what is known of the next."""
+            seen = () if shown is None else (shown[k + 1],)
+            with record.inputs.at(k), elapsed(filter.system, times[k], times[k + 1]):
+                return smoother.back(states[k], part, links[k + 1], *seen)
 
-    return in_blocks(work, paths, 0, block=filter.block(times, paths, 1))
+        parts: list[Any] = []
+        for k in range(last, -1, -1):
+            if lag is None and parts:
+                end, part = k + 1, parts[-1]
+            else:
+                end = last if lag is None else min(k + lag, last)
+                part = smoother.last(states[end])
+            for j in range(end - 1, k - 1, -1):
+                part = back(j, part)
+            parts.append(part)
+        forward = (filter.report(state) for state in states)
+        reports = (
+            smoother.report(part)._replace(loglik=now.loglik, diverged=now.diverged)
+            for part, now in zip(reversed(parts), forward, strict=True)
+        )
+        return stacked(reports, len(times))
 
-
-def _parts(smoother: Smoother, back: Any, states: list[Any], lag: int | None) -> list[Any]:
-    """What is known of each time from all measurements, or from those of `lag` later times."""
-    last = len(states) - 1
-    if lag is not None:
-        found = []
-        for k in range(last + 1):
-            end = min(k + lag, last)
-            part = smoother.last(states[end])
-            for j in range(end, k, -1):
-                part = back(j - 1, part)
-            found.append(part)
-        return found
-    found = [smoother.last(states[last])]
-    for j in range(last, 0, -1):
-        found.append(back(j - 1, found[-1]))
-    return found[::-1]
+    return filter.in_blocks(work, record, batch)
 
 
-def _estimated(smoother: Smoother, parts: list, states: list) -> Estimates:
-    """Estimates of one block of records."""
-    said = [smoother.report(part) for part in parts]
-    loglik = [state.loglik for state in states]
-    batch = np.broadcast_shapes(*(one.mean.shape[1:] for one in said), *map(np.shape, loglik))
-    mean = np.stack([np.broadcast_to(one.mean, (len(one.mean), *batch)) for one in said])
-    diverged = ~np.isfinite(mean).all(axis=(0, 1))
-    for one, state in zip(said, states, strict=True):
-        diverged = diverged | ~_known(one.cov, batch) | smoother.lost(state)
-    covs = [one.cov for one in said]
-    if all(c.shape[2:] in ((), (1,) * len(batch)) for c in covs):  # common to all paths
-        covs = [c.reshape(c.shape[:2]) for c in covs]
-    else:
-        covs = [np.broadcast_to(c, (*c.shape[:2], *batch)) for c in covs]
-    prob = modes = None
-    if said[0].mode_prob is not None:
-        prob, modes = (np.stack([one[p] for one in said]) for p in (2, 5))
-    loglik = np.stack([np.broadcast_to(one, batch) for one in loglik])
-    return Estimates(mean, np.stack(covs), prob, loglik, diverged, modes)
+class Smoother:
+    """What `smooth` asks of a filter beside its verbs: steps forward that can be gone back.
+
+    What is known of one time is a *part*, of any type: `last` makes the first of them from the
+    filter's last state, `back` each one from that of the next time, `report` says it.
+
+    Parameters
+    ----------
+    filter : Filter
+    """
+
+    def __init__(self, filter: Any) -> None:
+        self.filter: Any = filter
+
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+        """The filter's forecast, as by `predict`, and what `back` has to know of the step."""
+        return self.filter.predict(state, t), None
+
+    def last(self, state: Any) -> Any:
+        """What is known of the time of a state without later measurements."""
+        raise NotImplementedError
+
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+        """What is known of the time of a state from what is known of the next.
+
+        With the link of the step between them, and the indicator shown at the next time.
+        """
+        raise NotImplementedError
+
+    def report(self, part: Any) -> Estimates:
+        """What is estimated, without the axis of times."""
+        raise NotImplementedError
 
 
-def _known(cov: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
-    """Where a covariance is one at least in part: of what nothing told some entries are NaN."""
-    return ~np.isnan(cov).all(axis=(0, 1)).reshape(cov.shape[2:] or (1,) * len(batch))
+class Rauch(Smoother):
+    """The smoother of Rauch, Tung and Striebel, of a filter that carries a covariance.
+
+    A part is the mean, with what unknown numbers add to it as further columns, the covariance,
+    and the last state, which says what the measurements tell of those numbers.
+
+    Differences are taken between two laws of one time only. They are counted from the same turn
+    of a circle, so circular components need no care.
+    """
+
+    def __init__(self, filter: Any) -> None:
+        super().__init__(filter.unsettled())
+
+    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
+        if state.time is None:
+            return super().forecast(state, t)
+        with elapsed(self.filter.system, state.time, t):
+            later, cross = self.filter.moved_jointly(state, t)
+        batch = state.mean.shape[1:]
+        cov = wide(later.cov, batch)
+        link = _columns(later), cov, gain_of(wide(cross, batch), cov)
+        return later._replace(time=float(t)), link
+
+    def last(self, state: Any) -> Any:
+        """See `Smoother.last`."""
+        return _columns(state), wide(state.cov, state.mean.shape[1:]), state
+
+    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+        """See `Smoother.back`."""
+        cov = wide(state.cov, state.mean.shape[1:])
+        return *stepped_back(_columns(state), cov, *link, *part[:2]), part[2]
+
+    def report(self, part: Any) -> Estimates:
+        """Mean and covariance, unknown numbers taken from what the measurements say of them."""
+        columns, cov, last = part
+        if columns.shape[-1] == 1:
+            mean, n = columns[..., 0], len(columns)
+            return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
+        return Estimates(*settle(columns[..., 0], cov, columns[..., 1:], last, self.filter.scale))
+
+
+def stepped_back(columns, cov, forecast, forecast_cov, gain, later, later_cov):
+    """One step back: m + G (m' - E m'), P + G (P' - E P') Gᵀ.
+
+    Parameters
+    ----------
+    columns, forecast, later : ndarray, shape (n, *batch, c)
+        Means as columns: now, forecast for the next time, and smoothed there.
+    cov, forecast_cov, later_cov : ndarray, shape (n, n, *batch)
+    gain : ndarray, shape (n, n, *batch)
+        From `gain_of`.
+    """
+    columns = columns + np.einsum("ij...,j...c->i...c", gain, later - forecast)
+    change = np.einsum("ij...,jk...,lk...->il...", gain, later_cov - forecast_cov, gain)
+    return columns, cov + 0.5 * (change + np.swapaxes(change, 0, 1))
+
+
+def _columns(state: Any) -> np.ndarray:
+    """The mean, and what unknown numbers add to it, as columns (n, *batch, 1 + q)."""
+    mean = state.mean[..., None]
+    effect = getattr(state, "effect", None)
+    return mean if effect is None else np.concatenate([mean, effect], axis=-1)

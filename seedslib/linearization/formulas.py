@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -11,7 +12,6 @@ import sympy
 
 from seedslib.base.semidefinite import lower_triangle
 from seedslib.gaussian.means.classes import NoClosedForm
-from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import (
     TINY,
     Gaussian,
@@ -25,6 +25,41 @@ from seedslib.models.maps import StochasticMap
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
 """E y (m, 1), cov(x, y) (n, m) and cov y (m, m) or None."""
+
+
+class Names:
+    """Symbols that stand for large expressions, so that these are met once.
+
+    Called with an expression or a matrix of them it gives symbols in their place; `table` holds
+    the pairs of symbol and meaning in the order in which they can be evaluated.
+    """
+
+    def __init__(self) -> None:
+        self._known = {}
+
+    def __call__(self, expression: sympy.Expr | sympy.Matrix) -> sympy.Expr | sympy.Matrix:
+        """Symbol for an expression, the same for equal ones; short ones stay as they are."""
+        if isinstance(expression, sympy.MatrixBase):
+            return expression.applyfunc(self)
+        if not expression.args or (-expression).is_Symbol:
+            return expression
+        if expression not in self._known:
+            self._known[expression] = sympy.Symbol(f"part{len(self._known)}_", real=True)
+        return self._known[expression]
+
+    @property
+    def table(self) -> list[tuple[sympy.Symbol, sympy.Expr]]:
+        """Pairs of symbol and meaning."""
+        return [(symbol, meaning) for meaning, symbol in self._known.items()]
+
+    def meaning(self, expression: sympy.Expr) -> sympy.Expr:
+        """What a symbol stands for; other expressions stand for themselves."""
+        return {symbol: part for part, symbol in self._known.items()}.get(expression, expression)
+
+
+def mentions(expression: sympy.Expr, symbols: Iterable[sympy.Symbol]) -> bool:
+    """Whether an expression contains one of the symbols."""
+    return bool(sympy.sympify(expression).free_symbols & set(symbols))
 
 
 class BranchFormulas(NamedTuple):
@@ -67,7 +102,7 @@ class Formulas(Linearization):
             The map is given by array functions, or a mean has no closed form.
         """
         refuse_weight(map)
-        return _once(self, Formulas._moments, [map], spread)
+        return _derived_once(self, Formulas._moments, [map], spread)
 
     def _moments(self, maps: list[StochasticMap], spread: bool) -> Callable[..., Moments]:
         (map,) = maps
@@ -78,12 +113,11 @@ class Formulas(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             lower = _lower(cov)
-            y, cross, *rest = evaluate(t, mean, lower)
-            return Moments(
-                stack(y, (m,), batch_shape(mean, lower)),
-                stack(cross, (n, m)),
-                stack(rest[0], (m, m)) if spread else None,
-            )
+            y, cross, *square = evaluate(t, mean, lower)
+            batch = batch_shape(mean, lower)
+            own = None if batch else ()  # covariances may lack the axes of a batch
+            cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
+            return Moments(stack(y, (m,), batch), cross, cov)
 
         return f
 
@@ -96,17 +130,6 @@ class Formulas(Linearization):
         """
         raise NotImplementedError
 
-    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
-        """See `Linearization.weighted`.
-
-        Raises
-        ------
-        NoClosedForm
-            As `moments`.
-        """
-        row = self.row([map])
-        return lambda t, mean, cov: row(t, mean, cov)[0]
-
     def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
         """See `Linearization.row`; one compiled function, in which branches share what they can.
 
@@ -117,7 +140,7 @@ class Formulas(Linearization):
         ValueError
             Maps of different states.
         """
-        return _once(self, Formulas._row, list(maps))
+        return _derived_once(self, Formulas._row, maps)
 
     def _row(self, maps: list[StochasticMap]) -> Callable[..., list[Weighted]]:
         arguments, mean, cov = _arguments(maps[0], type(self).__name__)
@@ -135,41 +158,20 @@ class Formulas(Linearization):
         evaluate = _compiled(
             arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
         )
-        varied = [mentions(names.meaning(b.mass), {*mean, *cov}) for b in branches]
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
             lower = _lower(cov)
             batch = batch_shape(mean, lower)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                masses, *found = evaluate(t, mean, lower)
-            found = [
-                stack(values, part.shape[:1], batch) if vector else stack(values, part.shape)
-                for values, (vector, part) in zip(found, parts, strict=True)
+                masses, *values = evaluate(t, mean, lower)
+            arrays = [
+                stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
+                for value, (vector, part) in zip(values, parts, strict=True)
             ]
-            result = []
-            for mass, row, varies in zip(masses, places, varied, strict=True):
-                branch = [stack([mass], (), batch), *(found[k] for k in row)]
-                mass, x, p, *of_y = _emptied(*branch) if varies else branch
-                result.append(Weighted(mass, Gaussian(x, p), Moments(*of_y)))
-            return result
-
-        return f
-
-    def transition(self, map: StochasticMap) -> Callable[..., Gaussian]:
-        """See `Linearization.transition`."""
-        refuse_weight(map)
-        return _once(self, Formulas._transition, [map])
-
-    def _transition(self, maps: list[StochasticMap]) -> Callable[..., Gaussian]:
-        (map,) = maps
-        arguments, mean, cov = _arguments(map, type(self).__name__)
-        y, _, spread = self.formulas(map, mean, cov)
-        evaluate, m = _compiled(arguments, [y, spread]), map.size
-
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
-            lower = _lower(cov)
-            y, spread = evaluate(t, mean, lower)
-            return Gaussian(stack(y, (m,), batch_shape(mean, lower)), stack(spread, (m, m)))
+            return [
+                _weighted(stack([mass], (), batch), [arrays[k] for k in row])
+                for mass, row in zip(masses, places, strict=True)
+            ]
 
         return f
 
@@ -182,31 +184,29 @@ class Formulas(Linearization):
         return compile_components((time, (*mean, *lower)), rates)
 
 
+@dataclass(frozen=True)
 class _Written:
     """A map in formulas, equal to any other that is written in the same way."""
 
-    def __init__(self, map: StochasticMap) -> None:
-        self.map = map
-        law = (*map.expressions, map.weight_expression, map.noise)
-        self._content = (map.state, map.time, map.period, *law)
-        self._hash = hash(self._content)
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Written) and self._content == other._content
-
-    def __hash__(self) -> int:
-        return self._hash
+    content: tuple[Any, ...]
+    map: StochasticMap = field(compare=False)
 
 
-def _once(rule: Formulas, derive: Callable[..., Any], maps: list[Any], *options: bool) -> Any:
+def _derived_once(
+    rule: Formulas, derive: Callable[..., Any], maps: Sequence[StochasticMap], *options: bool
+) -> Any:
     """What `derive` makes of the maps, made once for equal ones: a system is often made again.
 
     Rules that may change, being no frozen dataclasses, derive it whenever they are asked.
     """
-    settled = vars(type(rule)).get("__dataclass_params__")
-    if settled is None or not settled.frozen or not all(map.symbolic for map in maps):
+    settings = vars(type(rule)).get("__dataclass_params__")
+    if not getattr(settings, "frozen", False) or not all(map.symbolic for map in maps):
         return derive(rule, maps, *options)
-    return _derived(rule, derive, tuple(_Written(map) for map in maps), *options)
+    known = (
+        (m.state, m.time, m.period, *m.expressions, m.weight_expression, m.noise) for m in maps
+    )
+    written = (_Written(content, map) for content, map in zip(known, maps, strict=True))
+    return _derived(rule, derive, tuple(written), *options)
 
 
 @lru_cache(maxsize=256)
@@ -252,10 +252,10 @@ def _compiled(
     return evaluate
 
 
-def _emptied(mass: np.ndarray, *moments: np.ndarray) -> tuple[np.ndarray, ...]:
+def _weighted(mass: np.ndarray, moments: list[np.ndarray]) -> Weighted:
     """Zero for the mass of an empty branch (rounding may be negative), NaN for its moments."""
     empty = mass < TINY
     if empty.any():
         moments = [np.where(empty, np.nan, part) for part in moments]
         mass = np.where(empty, 0.0, mass)
-    return mass, *moments
+    return Weighted(mass, Gaussian(*moments[:2]), Moments(*moments[2:]))

@@ -1,14 +1,15 @@
 """Conditional moments: what a map y = g(t, x, v) does to a Gaussian state.
 
 A linearization turns such a map and N(m, D) into the mean of y, its covariance with x, and its
-covariance; every filter that takes means uses nothing else. A new one has to write `moments`
-only: continuous-time flows and weighted branches follow from it.
+covariance; every filter that takes means uses nothing else. A new one writes `moments`, from which
+continuous-time flows follow, and `row` where it is for systems that switch.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -16,7 +17,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.semidefinite import lower_triangle, mirrored
-from seedslib.models.maps import StochasticMap, products
+from seedslib.models.linear import LinearMap
+from seedslib.models.maps import StochasticMap
 
 TINY = np.finfo(float).tiny
 """Branches of a smaller mass count as empty."""
@@ -97,22 +99,6 @@ class Linearization(ABC):
             A map with a weight, for which `weighted` is meant.
         """
 
-    def transition(self, map: StochasticMap) -> Callable[..., Gaussian]:
-        """Mean and covariance of y alone, the forecast of a system in discrete time.
-
-        Returns
-        -------
-        callable
-            ``f(t, mean, cov) -> Gaussian``.
-        """
-        moments = self.moments(map)
-
-        def forecast(t: float, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
-            y = moments(t, mean, cov)
-            return Gaussian(y.mean, y.cov)
-
-        return forecast
-
     def flow(self, system: object) -> Callable[..., Moments]:
         """Rates of the moments of a jump-diffusion, (8.1) of the jump-diffusion paper.
 
@@ -161,55 +147,75 @@ class Linearization(ABC):
 
         return derivative
 
-    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
-        """Moments of a branch that is taken with probability weight(t, x, v).
-
-        Parameters
-        ----------
-        map : StochasticMap
-
-        Returns
-        -------
-        callable
-            ``f(t, mean, cov) -> Weighted``.
-
-        Notes
-        -----
-        This general form takes raw means of products and loses digits far from the origin; the
-        linearizations of the library replace it by centred forms.
-        """
-        n, m = map.state_size, map.size
-        raw = self.moments(products(map), spread=False)
-        cut = np.cumsum([1, n, m, n * (n + 1) // 2, n * m])
-
-        def branch(t: float, mean: np.ndarray, cov: np.ndarray) -> Weighted:
-            mass, x, y, xx, xy, yy = np.split(raw(t, mean, cov).mean, cut)
-            mass = mass[0]
-            with np.errstate(divide="ignore", invalid="ignore"):
-                x, y, xx, xy, yy = (part / mass for part in (x, y, xx, xy, yy))
-            xx = symmetric(xx, n) - x[:, None] * x[None, :]
-            xy = xy.reshape(n, m, *mass.shape) - x[:, None] * y[None, :]
-            yy = symmetric(yy, m) - y[:, None] * y[None, :]
-            return Weighted(mass, Gaussian(x, xx), Moments(y, xy, yy))
-
-        return branch
-
     def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
-        """Moments of several branches of one state, such as the moves from one mode.
+        """Moments of branches of one state that are taken with probabilities weight(t, x, v).
 
         Parameters
         ----------
         maps : sequence of StochasticMap
-            Branches of one state; those with the same value share its evaluation where the
-            linearization can.
+            Such as the moves from one mode; those with the same value share its evaluation where
+            the linearization can.
 
         Returns
         -------
         callable
             ``f(t, mean, cov) -> list of Weighted``, one for each map.
+
+        Raises
+        ------
+        NotImplementedError
+            A linearization that was not written for branches.
         """
-        branches = [self.weighted(map) for map in maps]
-        return lambda t, mean, cov: [branch(t, mean, cov) for branch in branches]
+        raise NotImplementedError(f"{type(self).__name__}: wanted one with `row`, for branches")
+
+    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
+        """Moments of one branch, ``f(t, mean, cov) -> Weighted``; see `row`."""
+        row = self.row([map])
+        return lambda t, mean, cov: row(t, mean, cov)[0]
+
+
+@dataclass(frozen=True)
+class Matrices(Linearization):
+    """Moments of linear maps from their matrices, exact and without compilation."""
+
+    def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
+        """See `Linearization.moments`.
+
+        Raises
+        ------
+        TypeError
+            The map is not a `LinearMap`.
+        """
+        if not isinstance(map, LinearMap):
+            raise TypeError(f"map: wanted one of a LinearSystem, got {map!r}")
+
+        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+            slope = map.slope_at(t)
+            lean = np.einsum("ij...,jk...->ik...", slope, cov)  # cov(y, x)
+            y = map.pushed(t, np.einsum("ij...,j...->i...", slope, mean))
+            cross = np.swapaxes(lean, 0, 1)
+            if not spread:
+                return Moments(y, cross, None)
+            square = np.einsum("ij...,kj...->ik...", lean, slope)
+            noise = map.cov_at(t)
+            if noise.ndim == 2:
+                noise = noise.reshape(*noise.shape, *(1,) * (square.ndim - 2))
+            return Moments(y, cross, 0.5 * (square + np.swapaxes(square, 0, 1)) + noise)
+
+        return f
+
+
+def as_linearization(value: Any) -> Linearization:
+    """The linearization that was passed.
+
+    Raises
+    ------
+    TypeError
+        Something else.
+    """
+    if not isinstance(value, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {value!r}")
+    return value
 
 
 def refuse_weight(map: StochasticMap) -> None:
@@ -221,16 +227,3 @@ def refuse_weight(map: StochasticMap) -> None:
 def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
     """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
     return np.asarray(lower)[mirrored(size)]
-
-
-def as_linearization(value: Any, system: Any) -> Linearization:
-    """The linearization that was passed.
-
-    Raises
-    ------
-    TypeError
-        Something else.
-    """
-    if not isinstance(value, Linearization):
-        raise TypeError(f"linearization: wanted a Linearization, got {value!r}")
-    return value

@@ -6,13 +6,14 @@ from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
 from seedslib.base.semidefinite import factor
-from seedslib.gaussian.quadrature import cubature, rule_of_rank
+from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
 from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
@@ -28,6 +29,22 @@ SMALL = 1e-150
 """Points of a smaller weight count for nothing: its square is out of the range of numbers."""
 
 
+class Points(NamedTuple):
+    """Points of a rule for N(mean, cov), with the weights of means and of centred squares."""
+
+    unit: np.ndarray  # (n, S), of the standard normal state
+    root: np.ndarray  # (n, n, *batch), factor of the covariance
+    x: np.ndarray  # (n, S, *batch)
+    v: np.ndarray | None  # (q, S, *batch); None where noise is averaged otherwise
+    weights: np.ndarray  # (S,)
+    centred: np.ndarray  # (S,)
+
+    def cross(self, apart: np.ndarray) -> np.ndarray:
+        """Covariance (n, m, *batch) of the state with values less their mean (m, S, *batch)."""
+        slope = np.einsum("js,is...,s->ji...", self.unit, apart, self.centred)
+        return np.einsum("kj...,ji...->ki...", self.root, slope)
+
+
 class PointRule(Linearization):
     """Means as weighted sums over points of a standard normal vector, moved to N(m, D).
 
@@ -40,103 +57,83 @@ class PointRule(Linearization):
     def rule(self, size: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Points (size, S), weights (S,) of means and weights (S,) of centred squares."""
 
-    def _points(
-        self, mean: np.ndarray, cov: np.ndarray, size: int, noise: Noise | None = None
-    ) -> tuple:
-        """Standard points, states and noises at them, and the two weights.
-
-        States have shape (n, S, *batch); noise is None where it is averaged otherwise.
-        """
-        mean = np.asarray(mean, dtype=float)
-        root = factor(cov)
-        n, depth = len(mean), max(mean.ndim - 1, root.ndim - 2)
+    def _points(self, mean: np.ndarray, cov: np.ndarray, noise: Noise | None = None) -> Points:
+        """Points of the state, and of a noise where one is given."""
+        root, n = factor(cov), len(mean)
+        depth = max(mean.ndim - 1, root.ndim - 2)
         mean = mean.reshape(n, *(1,) * (depth + 1 - mean.ndim), *mean.shape[1:])
         root = root.reshape(n, n, *(1,) * (depth + 2 - root.ndim), *root.shape[2:])
-        unit, weights, centred = _rule(self, size)
-        x = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n])
-        if noise is None:
-            return unit, root, x, None, weights, centred
-        v = noise.mean[:, None] + noise.root @ unit[n:]
-        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
-        return unit, root, x, v, weights, centred
+        unit, weights, centred = _rule(self, n if noise is None else n + noise.size)
+        x, v = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n]), None
+        if noise is not None:
+            v = noise.mean[:, None] + noise.root @ unit[n:]
+            v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
+        return Points(unit[:n], root, x, v, weights, centred)
 
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
         """See `Linearization.moments`."""
         refuse_weight(map)
         given = _conditional(map)
-        n = map.state_size
-        size = n if given is not None else n + map.noise.size
+        noise = map.noise if given is None else None
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
-            noise = map.noise if given is None else None
-            unit, root, x, v, weights, centred = self._points(mean, cov, size, noise)
-            y = map.value(t, x, v) if given is None else given.mean(t, x)
+            points = self._points(np.asarray(mean, dtype=float), cov, noise)
+            y = map.value(t, points.x, points.v) if given is None else given.mean(t, points.x)
             # about one of the values, so that equal ones are exactly their mean
             start = y[:, :1]
             y = nearest(y, start, map.period)
-            h = start[:, 0] + np.einsum("is...,s->i...", y - start, weights)
+            h = start[:, 0] + np.einsum("is...,s->i...", y - start, points.weights)
             apart = y - h[:, None]
-            slope = np.einsum("js,is...,s->ji...", unit[:n], apart, centred)
-            cross = np.einsum("kj...,ji...->ki...", root, slope)
+            cross = points.cross(apart)
             if not spread:
                 return Moments(h, cross, None)
-            square = np.einsum("is...,js...,s->ij...", apart, apart, centred)
+            square = np.einsum("is...,js...,s->ij...", apart, apart, points.centred)
             if given is not None:
-                square = square + np.einsum("ijs...,s->ij...", given.cov(t, x), weights)
+                noise_cov = given.cov(t, points.x)
+                square = square + np.einsum("ijs...,s->ij...", noise_cov, points.weights)
             return Moments(h, cross, square)
 
         return f
 
     def flow(self, system: object) -> Callable[..., Moments]:
         """See `Linearization.flow`; both means are taken at the same points."""
-        n = system.state_size
         none = np.empty((0, 1))
 
         def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
-            unit, root, x, _, weights, centred = self._points(mean, cov, n)
-            b = system.drift_map.value(t, x, none)
-            velocity = np.einsum("is...,s->i...", b, weights)
-            slope = np.einsum("js,is...,s->ji...", unit, b - velocity[:, None], centred)
-            spread = np.einsum("ks...,s->k...", system.spread_map.value(t, x, none), weights)
-            return Moments(
-                velocity, np.einsum("kj...,ji...->ki...", root, slope), symmetric(spread, n)
+            points = self._points(np.asarray(mean, dtype=float), cov)
+            b = system.drift_map.value(t, points.x, none)
+            velocity, spread = (
+                np.einsum("is...,s->i...", y, points.weights)
+                for y in (b, system.spread_map.value(t, points.x, none))
             )
+            cross = points.cross(b - velocity[:, None])
+            return Moments(velocity, cross, symmetric(spread, system.state_size))
 
         return rates
 
-    def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
-        """See `Linearization.weighted`; the weights of the points are those of means.
-
-        Where mean and covariance of the branch given x have closed forms, so that they may
-        stand for a weight that mentions the noise, (6.23) and (6.27) of the switching paper,
-        points are laid in the space of x.
-        """
-        row = self.row([map])
-        return lambda t, mean, cov: row(t, mean, cov)[0]
-
     def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
-        """See `Linearization.row`; equal values at equal points are taken once."""
-        maps = list(maps)
-        n, given = maps[0].state_size, [_conditional(map) for map in maps]
-        spaces = [None if g else map.noise for g, map in zip(given, maps, strict=True)]
-        kinds = [_kind(map, bool(g)) for g, map in zip(given, maps, strict=True)]
+        """See `Linearization.row`; the weights of the points are those of means.
+
+        Where mean and covariance of a branch given x have closed forms, so that they may stand
+        for a weight that mentions the noise, (6.23) and (6.27) of the switching paper, points are
+        laid in the space of x. Equal values at equal points are taken once.
+        """
+        branches = [(map, given := _conditional(map), _kind(map, bool(given))) for map in maps]
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
-            points, values = {}, {}
+            laid: dict[int | None, Points] = {}
+            values: dict[object, tuple] = {}
             result = []
-            for map, known, noise, kind in zip(maps, given, spaces, kinds, strict=True):
-                if id(noise) not in points:
-                    size = n if noise is None else n + noise.size
-                    points[id(noise)] = self._points(mean, cov, size, noise)
-                _, _, x, v, weights, _ = points[id(noise)]
+            for map, given, kind in branches:
+                space = None if given else id(map.noise)
+                if space not in laid:
+                    laid[space] = self._points(mean, cov, None if given else map.noise)
+                _, _, x, v, weights, _ = laid[space]
                 if kind not in values:
                     with np.errstate(divide="ignore", invalid="ignore"):  # points without weight
-                        values[kind] = (
-                            (known.mean(t, x), known.cov(t, x))
-                            if known
-                            else (map.value(t, x, v), None)
-                        )
-                share = known.weight(t, x) if known else map.weight(t, x, v)
+                        known = (given.mean(t, x), given.cov(t, x)) if given else None
+                        values[kind] = known or (map.value(t, x, v), None)
+                share = given.weight(t, x) if given else map.weight(t, x, v)
                 share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
                 result.append(_branch(x, share, *values[kind]))
             return result
@@ -165,11 +162,8 @@ def _branch(x: np.ndarray, share: np.ndarray, y: np.ndarray, spread: np.ndarray 
     square = np.einsum(squares, dy, dy, share)
     if spread is not None:
         square = square + (share * np.where(empty, 0.0, spread)).sum(axis=2)
-    return Weighted(
-        mass,
-        Gaussian(middle, np.einsum(squares, dx, dx, share)),
-        Moments(h, np.einsum(squares, dx, dy, share), square),
-    )
+    state = Gaussian(middle, np.einsum(squares, dx, dx, share))
+    return Weighted(mass, state, Moments(h, np.einsum(squares, dx, dy, share), square))
 
 
 @lru_cache(maxsize=64)
@@ -223,15 +217,10 @@ class Unscented(PointRule):
             alpha² (n + kappa) is not positive.
         """
         kappa = 3.0 - size if self.kappa is None else self.kappa
-        reach = self.alpha**2 * (size + kappa)
-        if not reach > 0:
-            raise ValueError(f"alpha, kappa: wanted alpha² (n + kappa) > 0, got {reach:g}")
-        points = np.sqrt(reach) * np.hstack([np.zeros((size, 1)), np.eye(size), -np.eye(size)])
-        weights = np.full(2 * size + 1, 0.5 / reach)
-        weights[0] = 1.0 - size / reach
-        centred = weights.copy()
+        rule = unscented(size, self.alpha**2 * (size + kappa) - size)
+        centred = rule.weights.copy()
         centred[0] += 1.0 - self.alpha**2 + self.beta
-        return points, weights, centred
+        return rule.points, rule.weights, centred
 
 
 @dataclass(frozen=True)

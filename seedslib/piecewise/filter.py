@@ -11,8 +11,7 @@ from scipy.special import logsumexp
 from seedslib.base.checks import as_real, as_shape
 from seedslib.base.clock import when
 from seedslib.base.correction import correct
-from seedslib.filters.estimates import require_time, stays
-from seedslib.filters.verbs import Filter
+from seedslib.filters.base import Filter, require_time, stays
 from seedslib.gaussian import lift
 from seedslib.linearization import Moments
 from seedslib.models.kinds import as_steps, as_system

@@ -18,7 +18,7 @@ from scipy.linalg import LinAlgError, expm, solve_continuous_are, solve_continuo
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_times
 from seedslib.base.semidefinite import square_root, symmetrized
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
 from seedslib.models.propagation import balanced, bounded, distinct_steps, halvings, stepped
 
 

@@ -18,7 +18,7 @@ from seedslib.filters import (
     unscented_kalman,
 )
 from seedslib.linearization import GaussHermite
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 from systems import (
     EVEN,
     INPUTS,
@@ -155,3 +155,17 @@ def test_record_beyond_the_bound_has_diverged_when_smoothed(make, system):
     smoothed = smooth(filter, TIMES, many, inputs=INPUTS)
     np.testing.assert_array_equal(smoothed.diverged, largest > filter.bound)
     assert smoothed.diverged.sum() == 2
+
+
+def test_unscented_smoothing_of_an_oscillator_equals_the_extended_one():
+    """Linear dynamics, of which one component has no noise of its own."""
+    x1, x2, w = sp.symbols("x1 x2 w", real=True)
+    drift, sensor_noise = [x2, -x1 - 0.4 * x2], Noise((w,), cov=[[0.25]])
+    system = JumpDiffusion(
+        (x1, x2), drift, [[0], [1]], [x1 + w], sensor_noise, [1, -0.5], np.eye(2), step=0.05
+    )
+    times = np.arange(11) * 0.5
+    y = system.simulate(times, 3, 1).measurements
+    one, other = (smooth(make(system), times, y) for make in (extended_kalman, unscented_kalman))
+    np.testing.assert_allclose(other.mean, one.mean, atol=1e-9)
+    np.testing.assert_allclose(np.broadcast_to(other.cov, one.cov.shape), one.cov, atol=1e-9)

@@ -12,7 +12,6 @@ from seedslib.linearization import (
     Cubature,
     ExactGaussian,
     GaussHermite,
-    Linearization,
     Taylor,
     Unscented,
     Weighted,
@@ -79,8 +78,6 @@ def test_branch_of_every_kind_of_weight_against_nodes(name):
     assert_branch(GaussHermite(30).weighted(branch)(AT, *law), branch, *law, 1e-8)
     hidden = as_functions(branch)
     assert_branch(GaussHermite(24).weighted(hidden)(AT, *law), branch, *law, 1e-7)
-    plain = Linearization.weighted(GaussHermite(24), hidden)(AT, *law)
-    assert_branch(plain, branch, *law, 1e-7)
 
 
 @pytest.mark.parametrize("name", ["scalar", "target", "dependent"])

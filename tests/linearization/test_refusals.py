@@ -39,7 +39,7 @@ def filter_of(value, size=1.0, rule=None):
 OTHER = StochasticMap((y,), [y], weight=0.5)
 REFUSALS = [
     (lambda: Taylor().moments(BRANCH), ValueError, "map"),
-    (lambda: ExactGaussian().transition(BRANCH), ValueError, "map"),
+    (lambda: ExactGaussian().moments(BRANCH), ValueError, "map"),
     (lambda: Cubature().moments(BRANCH), ValueError, "map"),
     (
         lambda: ExactGaussian().row([BRANCH, OTHER]),
@@ -52,7 +52,7 @@ REFUSALS = [
     (lambda: filter_of(x, rule="exact"), TypeError, "linearization"),
     # no closed form: the message names a rule that takes the map
     (lambda: Taylor().moments(ARRAYS), NoClosedForm, "GaussHermite"),
-    (lambda: ExactGaussian().transition(ARRAYS), NoClosedForm, "GaussHermite"),
+    (lambda: ExactGaussian().moments(ARRAYS), NoClosedForm, "GaussHermite"),
     (lambda: ExactGaussian().weighted(ARRAYS), NoClosedForm, "GaussHermite"),
     (lambda: ExactGaussian().moments(StochasticMap((x,), [sympy.tanh(x)])), NoClosedForm, "tanh"),
     (lambda: ExactGaussian().moments(StochasticMap((x,), [sympy.erf(x)])), NoClosedForm, "erf"),

@@ -26,9 +26,8 @@ from seedslib.designed.memory import Memory, Past
 from seedslib.designed.prediction import Design, HeldOut, Prediction, page
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.filters.estimates import Estimates, first_step
-from seedslib.filters.mixture import mix
-from seedslib.filters.weights import most_probable
+from seedslib.filters.base import Estimates, first_step
+from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import AnySystem, as_system, elapsed
 
@@ -200,7 +199,7 @@ class SwitchingFilter(DesignedFilter):
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
-        as_linearization(self.linearization, self.system)
+        as_linearization(self.linearization)
         if self.memory is not None:
             self._check_memory()
         if self.rules is None:

@@ -13,8 +13,7 @@ import numpy as np
 
 from seedslib.base.circle import Periods
 from seedslib.base.correction import correct
-from seedslib.filters.mixture import mix
-from seedslib.filters.weights import logarithm, most_probable, normalised, relative
+from seedslib.filters.weights import logarithm, mix, most_probable, normalised, relative
 from seedslib.linearization.moments import Moments, Weighted
 
 FAINT = 1e-200

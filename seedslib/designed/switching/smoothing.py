@@ -11,8 +11,8 @@ from seedslib.base.correction import correct
 from seedslib.base.semidefinite import mended
 from seedslib.designed.switching.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.switching.rules import SwitchingState
-from seedslib.filters.backward import Smoother, gain_of, stepped_back
-from seedslib.filters.estimates import Estimates
+from seedslib.filters.base import Estimates
+from seedslib.filters.smoothing import Smoother, gain_of, stepped_back
 from seedslib.filters.weights import logarithm, normalised
 
 
@@ -39,10 +39,6 @@ class SwitchingSmoother(Smoother):
     filter : SwitchingFilter
         Without a memory.
     """
-
-    def lost(self, state: SwitchingState) -> np.ndarray:
-        """Where no mode can have shown what was seen."""
-        return np.asarray(state.loglik == -np.inf)
 
     def last(self, state: SwitchingState) -> ModeLaw:
         """See `Smoother.last`."""

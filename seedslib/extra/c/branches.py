@@ -10,8 +10,7 @@ from seedslib.designed.switching.rules import SwitchingRules
 from seedslib.extra.c.source import function
 from seedslib.extra.c.tape import Scalar, Tape
 from seedslib.extra.c.traced import told_of, told_on
-from seedslib.linearization.formulas import BranchFormulas
-from seedslib.linearization.means import Names, mentions
+from seedslib.linearization.formulas import BranchFormulas, Names, mentions
 from seedslib.linearization.moments import TINY
 from seedslib.models.codegen import compile_components
 from seedslib.models.maps import StochasticMap

@@ -25,15 +25,11 @@ from seedslib.extra.c.traced import (
     told_on,
     written,
 )
-from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.integration import euler_step, rk4_step
-from seedslib.linearization.matrices import Matrices
-from seedslib.linearization.moments import Linearization
+from seedslib.filters.covariance import STEPS, CovarianceFilter
+from seedslib.linearization.moments import Linearization, Matrices
 from seedslib.linearization.points import PointRule
-from seedslib.linearization.symbolic import Taylor
+from seedslib.linearization.taylor_and_exact import Taylor
 from seedslib.models.kinds import mentioned
-
-_STEPS = {"rk4": rk4_step, "euler": euler_step}
 
 ROUGH = 1e-3
 """Part of a variance that rounding must not take."""
@@ -203,7 +199,7 @@ def _motion(filter: CovarianceFilter, told: list[Any]) -> str:
         return point_rates(rule, system, filter.integrator, told)
     z, t = tape.inputs("z[{}]", n * (n + 3) // 2), tape.inputs("t")[()]
     with told_on(tape, told):
-        found = _STEPS[filter.integrator](mean_rates(rule, system), t, z, tape.inputs("h")[()])
+        found = STEPS[filter.integrator](mean_rates(rule, system), t, z, tape.inputs("h")[()])
     stores = tape.body({f"z[{k}]": part for k, part in enumerate(found)})
     head = "void @name_advance_(double t, double h, double *z@ALSO)"
     return function(head, ["    (void)t; (void)h;@UNUSED", *stores])

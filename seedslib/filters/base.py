@@ -1,0 +1,586 @@
+"""What a filter is: its verbs, the walk over a record that all share, and what it estimates."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
+from typing import Any, ClassVar, NamedTuple, TypeVar
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.blocks import BLOCK, in_blocks
+from seedslib.base.checks import as_real, as_whole, require_shape
+from seedslib.base.clock import when
+from seedslib.base.objects import Shown
+from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.filters.weights import most_probable
+from seedslib.models.kinds import (
+    AnySystem,
+    as_grid,
+    course_of,
+    elapsed,
+    in_even_steps,
+    require_even,
+    switches,
+)
+
+State = TypeVar("State", bound=Any)
+
+
+class Estimates(NamedTuple):
+    """Estimates on a grid of times; what a filter does not give is None.
+
+    Attributes
+    ----------
+    mean : ndarray, shape (K+1, n, *batch)
+        Estimated state after each measurement.
+    cov : ndarray, shape (K+1, n, n) or (K+1, n, n, *batch), or None
+        Covariance of the error that the filter itself claims.
+    mode_prob : ndarray, shape (K+1, L, *batch), or None
+        Posterior probabilities of the modes.
+    loglik : ndarray, shape (K+1, *batch), or None
+        Logarithm of the predictive density of each measurement; the sum over time is the
+        log-likelihood of the record.
+    diverged : ndarray of bool, shape (*batch), or None
+        Which paths left the region that the filter was told to believe, or became NaN.
+    modes : ndarray of int, shape (K+1, *batch), or None
+        Decided modes of a switching system, numbered from 0.
+    """
+
+    mean: np.ndarray
+    cov: MaybeArray = None
+    mode_prob: MaybeArray = None
+    loglik: MaybeArray = None
+    diverged: MaybeArray = None
+    modes: MaybeArray = None
+
+    def interval(self, level: float = 0.95) -> np.ndarray:
+        """Intervals of this probability for each component, shape (2, K+1, n, *batch).
+
+        Of a single estimate or forecast, mean (n,), shape (2, n). They are those of a Gaussian
+        law with the mean and the variance that the filter claims.
+
+        Raises
+        ------
+        ValueError
+            A level that is not between 0 and 1, a filter that claims no covariance.
+        """
+        from scipy.special import ndtri
+
+        if not 0 < level < 1:
+            raise ValueError(f"level: wanted a number between 0 and 1, got {level}")
+        if self.cov is None:
+            raise ValueError("interval: wanted covariances, which this filter does not claim")
+        width = ndtri(0.5 + 0.5 * level) * np.sqrt(self._variances())
+        return np.stack([self.mean - width, self.mean + width])
+
+    def _variances(self) -> np.ndarray:
+        """Shape (K+1, n, *batch), or (K+1, n, 1, ...) where they are common to all records."""
+        if self.mean.ndim == 1:  # of one time
+            return np.diagonal(self.cov)
+        variances = np.einsum("kii...->ki...", self.cov)
+        return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
+
+    def to_dataframe(self, times: Any, names: Any = None) -> Any:
+        """A pandas table, a row for each time and record; pandas must be installed.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+        names : sequence of str, optional
+            Of the components; ``x1, x2, ...`` by default.
+
+        Returns
+        -------
+        pandas.DataFrame
+            Indexed by time, and by record where there are many, with the mean and the deviation
+            of each component, the probability of each mode, the mode and the log-likelihood,
+            where the filter gives them.
+
+        Raises
+        ------
+        ImportError
+            pandas is not installed.
+        ValueError
+            Another number of times or names.
+        """
+        import pandas
+
+        (count, n), times = self.mean.shape[:2], np.asarray(times)
+        names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
+        for label, value, wanted in (("times", times, count), ("names", names, n)):
+            if len(value) != wanted:
+                raise ValueError(f"{label}: wanted {wanted}, got {len(value)}")
+        shape = (count, *self.mean.shape[2:])
+
+        def rows(part: np.ndarray) -> np.ndarray:
+            return np.broadcast_to(part, shape).reshape(-1)
+
+        index = pandas.Index(times, name="t")
+        if len(shape) > 1:
+            records = range(int(np.prod(shape[1:])))
+            index = pandas.MultiIndex.from_product([times, records], names=["t", "record"])
+        columns = {name: rows(self.mean[:, k]) for k, name in enumerate(names)}
+        if self.cov is not None:
+            deviations = np.sqrt(self._variances())
+            columns |= {f"{name}_sd": rows(deviations[:, k]) for k, name in enumerate(names)}
+        if self.mode_prob is not None:
+            modes = range(self.mode_prob.shape[1])
+            columns |= {f"mode{i}": rows(self.mode_prob[:, i]) for i in modes}
+        more = {"mode": self.modes, "loglik": self.loglik}
+        columns |= {name: rows(part) for name, part in more.items() if part is not None}
+        return pandas.DataFrame(columns, index=index)
+
+
+def as_record(measurements: object, count: int, size: int) -> np.ndarray:
+    """Measurements (count, size, *batch), finite; NaN is a missing one.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real numbers, a wrong shape, or an infinite entry.
+    """
+    record = as_real("measurements", measurements, nan=True)
+    require_shape("measurements", record, (count, size, *record.shape[2:]))
+    return record
+
+
+def stays(state: object, t: float) -> bool:
+    """Whether a forecast to time t leaves the state as it is: it has no time yet, or that one.
+
+    Parameters
+    ----------
+    state : NamedTuple
+        Of any filter, with a field `time`.
+    t : float
+
+    Raises
+    ------
+    ValueError
+        A time before that of the state.
+    """
+    if state.time is None or t == state.time:
+        return True
+    if not t > state.time:
+        raise ValueError(f"t: wanted a time from {when(state.time)} on, got {when(t)}")
+    return False
+
+
+def first_step(state: object, t: float, system: object) -> float:
+    """Length of the first step of a record, of which the one to time t is a later one.
+
+    Parameters
+    ----------
+    state : NamedTuple
+        Of any filter, with fields `time` and `interval`.
+    t : float
+    system : System
+
+    Raises
+    ------
+    ValueError
+        A step of another length, of a system in discrete time; see `as_grid`.
+    """
+    step = t - state.time
+    if state.interval is None:
+        return step
+    if step != state.interval and in_even_steps(system):
+        steps = np.array([state.interval, step])
+        require_even("t", steps, [state.time - state.interval, state.time, t])
+    return state.interval
+
+
+def require_time(state: object) -> None:
+    """Refuse to correct a state that was not given a time.
+
+    Raises
+    ------
+    ValueError
+        A state without a time: `predict` gives it one.
+    """
+    if state.time is None:
+        raise ValueError("state: wanted a state with a time, got None; predict to it first")
+
+
+def as_modes(
+    name: str, value: object, shape: tuple[int, ...], count: int, least: int = 0
+) -> np.ndarray:
+    """Whole numbers from `least` to count - 1 in the wanted shape.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No whole numbers, another shape, or numbers out of range.
+    """
+    if value is None:
+        raise ValueError(f"{name}: wanted whole numbers of shape {shape}, got None")
+    numbers = as_whole(name, value, shape)
+    bad = (numbers < least) | (numbers >= count)
+    if bad.any():
+        raise ValueError(f"{name}: wanted {least} to {count - 1}, got {numbers[bad][0]}")
+    return numbers
+
+
+def as_indicators(
+    indicators: Any, system: AnySystem, shape: tuple[int, ...], name: str = "indicators"
+) -> np.ndarray | None:
+    """Indicators of a switching system, whole numbers in the shape; -1 is missing.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Indicators where the system has none or none where it has; no whole numbers, a wrong
+        shape, a value out of range.
+    """
+    values = getattr(system, "indicators", 0)
+    if indicators is not None and not values:
+        what = "indicator" if switches(system) else "modes"
+        raise ValueError(f"{name}: wanted none, the system has no {what}")
+    return as_modes(name, indicators, shape, values, least=-1) if values else None
+
+
+def as_seen(
+    state: object, system: object, y: object, indicator: object
+) -> tuple[np.ndarray, np.ndarray | None]:
+    """What a state with a time is corrected by: a measurement (m, *batch), and an indicator.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `require_time` and `as_indicators`.
+    """
+    require_time(state)
+    y = np.asarray(y, dtype=float)
+    return y, as_indicators(indicator, system, y.shape[1:], "indicator")
+
+
+class Record(NamedTuple):
+    """Checked records, all in one row, or a single one without an axis of records."""
+
+    times: np.ndarray  # (K+1,)
+    y: np.ndarray  # (K+1, m, *records)
+    indicators: MaybeArray  # (K+1, *records)
+    modes: MaybeArray  # (K+1, *records)
+    inputs: Course
+
+    def of(self, own: slice) -> Record:
+        """Some of the records."""
+        if self.y.ndim == 2:
+            return self
+        parts = (None if part is None else part[..., own] for part in self[1:4])
+        return Record(self.times, *parts, self.inputs.of(own))
+
+
+def walk(
+    filter: Any, record: Record, seed: object = None, predict: Callable[..., Any] | None = None
+) -> Iterator[Any]:
+    """The states of a filter after each measurement; `predict` may replace its own."""
+    told = {} if record.modes is None else {"mode": record.modes[0]}
+    state = filter.initial(record.y.shape[2:], seed, **told)
+    for k, t in enumerate(record.times):
+        shown = () if record.indicators is None else (record.indicators[k],)
+        told = {} if record.modes is None else {"mode": record.modes[k]}
+        if predict is None and not record.inputs.values:
+            state = filter.step(state, t, record.y[k], *shown, **told)
+        else:  # inputs of a time act in the dynamics from there on, and in the sensor at that time
+            with record.inputs.at(max(k - 1, 0)):
+                state = (predict or filter.predict)(state, t, *told.values())
+            with record.inputs.at(k):
+                state = filter.correct(state, record.y[k], *shown)
+        yield state
+
+
+def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
+    """Estimates of a block of records, from those of each of its times.
+
+    A record has diverged where a time says so, an estimate is no number, or a measurement was
+    impossible.
+    """
+    columns: dict[str, np.ndarray] = {}
+    lost: Any = False
+    for k, report in enumerate(reports):
+        for name, part in zip(report._fields, report, strict=True):
+            if part is None:
+                continue
+            if name == "diverged":
+                lost = lost | part
+                continue
+            part, column = np.asarray(part), columns.get(name)
+            if column is None or part.ndim >= column.ndim:  # until now common to all records
+                columns[name] = np.empty((count, *part.shape), part.dtype)
+                if column is not None:
+                    columns[name][:k].T[...] = column[:k].T
+            columns[name][k, ...].T[...] = part.T
+    mean, cov, loglik = (columns.get(name) for name in ("mean", "cov", "loglik"))
+    # what is no number once is none at the end, or on the way back at the beginning
+    lost = lost | ~np.isfinite(mean).all(axis=(0, 1))
+    lost = lost | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if loglik is not None:
+        lost = lost | (loglik == -np.inf).any(axis=0)
+    return Estimates(**columns, diverged=np.asarray(lost))
+
+
+def in_one(blocks: list[Estimates], batch: tuple[int, ...]) -> Estimates:
+    """Estimates of all records, with their batch axes, from those of blocks of them."""
+    whole = []
+    for parts, core in zip(zip(*blocks, strict=True), (2, 3, 2, 1, 0, 1), strict=True):
+        part = parts[0]
+        if part is not None and any(
+            other.ndim > core or not np.array_equal(other, part, equal_nan=True) for other in parts
+        ):
+            sizes = (block.mean.shape[2:] for block in blocks)
+            parts = [_on_batch(other, core, n) for other, n in zip(parts, sizes, strict=True)]
+            part = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+            part = part.reshape(part.shape[:core] + batch)
+        whole.append(part)  # as it is where all records have it in common, or there is one
+    return Estimates(*whole)
+
+
+def _on_batch(part: Any, core: int, batch: tuple[int, ...]) -> np.ndarray:
+    """An array with core axes and those of the batch, which it may lack."""
+    part = np.asarray(part)
+    if part.ndim == core:
+        part = part.reshape(part.shape + (1,) * len(batch))
+    return np.broadcast_to(part, part.shape[:core] + batch)
+
+
+class Filter(Shown):
+    """Estimates of a state from measurements, one after the other.
+
+    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
+    ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
+    system has modes, and `report` where its states do not say by themselves what is estimated.
+    States are frozen, so every verb gives a new one. Whole records are run here, many at once.
+
+    Attributes
+    ----------
+    system : System
+    takes : tuple of str
+        What `run` looks at beside times and measurements: of ``"indicators"``, ``"modes"`` (the
+        true ones), ``"seed"`` and ``"covariances"`` (whether they are wanted).
+    records : int
+        How many are worked on together: so many as stay in the processor's cache.
+    alone : bool
+        Whether a single record is run without an axis of records.
+    """
+
+    system: Any
+    takes: ClassVar[tuple[str, ...]] = ()
+    records: int = BLOCK
+    alone: bool = False
+
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
+        """State before any measurement, for batch axes such as (paths,).
+
+        A filter that draws nothing does not look at the seed; one that does takes None for 0.
+        """
+        raise NotImplementedError
+
+    def predict(self, state: State, t: float, *modes: ArrayLike) -> State:
+        """Forecast to time t; a state without a time is only given one.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            Left as it is.
+        t : float
+        *modes : array_like of int, shape (*batch)
+            The mode at that time, for a filter that knows it.
+
+        Raises
+        ------
+        ValueError
+            A time before that of the state; of a system in discrete time that does not mention
+            the elapsed time, a step of another length than the first.
+        """
+        if stays(state, t):
+            return state._replace(time=float(t))
+        interval = first_step(state, t, self.system)
+        with elapsed(self.system, state.time, t):
+            moved = self.moved(state, float(t), *modes)
+        return moved._replace(time=float(t), interval=interval)
+
+    def moved(self, state: State, t: float) -> State:
+        """What `predict` makes of a state, but for its time."""
+        raise NotImplementedError
+
+    def correct(self, state: Any, y: ArrayLike) -> Any:
+        """Correct by the measurement y, shape (m, *batch), at the time of the state.
+
+        Raises
+        ------
+        ValueError
+            A state without a time: `predict` gives it one.
+        """
+        raise NotImplementedError
+
+    def report(self, state: Any) -> Estimates:
+        """What is estimated in a state, without the axis of times."""
+        parts = [getattr(state, name, None) for name in Estimates._fields[:-1]]
+        modes, prob = getattr(state, "mode", None), parts[2]
+        if modes is None and prob is not None:
+            modes = most_probable(prob)
+        return Estimates(*parts, modes)
+
+    def step(
+        self,
+        state: Any,
+        t: float,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        mode: ArrayLike | None = None,
+    ) -> Any:
+        """Forecast to time t and correct there.
+
+        A model with inputs is told those that act from the time of the state on for the forecast,
+        and those of time t for the correction::
+
+            with assigned({u: 0.3}):
+                state = filter.predict(state, t)
+            with assigned({u: 0.5}):
+                state = filter.correct(state, y)
+
+        and likewise `forecast`; where they are the same, one block around `step` will do.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            Left as it is.
+        t : float
+        y : array_like, shape (m, *batch)
+            NaN marks a missing component.
+        indicator : array_like of int, shape (*batch), optional
+            Of a system that has one; -1 where it is missing.
+        mode : array_like of int, shape (*batch), optional
+            The true mode at time t, for a filter that is told it.
+
+        Raises
+        ------
+        TypeError, ValueError
+            As `predict` and `correct`.
+        """
+        modes = () if mode is None else (mode,)
+        indicators = () if indicator is None else (indicator,)
+        return self.correct(self.predict(state, t, *modes), y, *indicators)
+
+    def forecast(self, state: Any, t: float, *, mode: ArrayLike | None = None) -> Estimates:
+        """What the filter expects at a later time, without a measurement; arguments as `step`."""
+        modes = () if mode is None else (mode,)
+        later = self.report(self.predict(state, t, *modes))
+        return later._replace(loglik=None, diverged=None)
+
+    def smoother(self) -> Any:
+        """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.
+
+        Raises
+        ------
+        TypeError
+            The filter has none.
+        """
+        raise TypeError(
+            "filter: wanted one that can be smoothed (extended_kalman and other covariance "
+            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
+            f"{type(self).__name__}"
+        )
+
+    def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Times (K+1,) and measurements (K+1, m, *batch) of a run, checked."""
+        times = as_grid("times", times, self.system)
+        return times, as_record(measurements, len(times), self.system.measurement_size)
+
+    def block(self, times: np.ndarray, paths: int, workers: int) -> int:
+        """Number of records that are worked on together."""
+        return self.records
+
+    def run(
+        self,
+        times: ArrayLike,
+        measurements: ArrayLike,
+        *,
+        indicators: ArrayLike | None = None,
+        modes: ArrayLike | None = None,
+        inputs: Inputs | None = None,
+        seed: object = 0,
+        workers: int = 1,
+    ) -> Estimates:
+        """Filter a record, or many at once.
+
+        Parameters
+        ----------
+        times : array_like, shape (K+1,)
+            Times of the measurements; the first is that of the initial law and has no forecast.
+        measurements : array_like, shape (K+1, m, *batch)
+            NaN marks a missing component; a time without any measurement gives a forecast.
+        indicators : array_like of int, shape (K+1, *batch), optional
+            -1 marks a missing one; wanted where the system has an indicator.
+        modes : array_like of int, shape (K+1, *batch), optional
+            The true modes, wanted by a filter that is told them.
+        inputs : mapping of Input to array_like, shape (K+1,) or (K+1, *batch), optional
+            Values of the inputs that the model mentions: those of a time act in the dynamics from
+            there until the next time, and in the sensor at that time.
+        seed : int, SeedSequence or Generator
+            Of a filter that draws.
+        workers : int
+            Threads over blocks of records; the numbers do not depend on it.
+
+        Returns
+        -------
+        Estimates
+            ``mean`` (K+1, n, *batch), ``cov`` (K+1, n, n, *batch), or (K+1, n, n) where it is
+            common to all records, ``loglik`` (K+1, *batch), ``diverged`` (*batch) and, of modes,
+            ``mode_prob`` (K+1, L, *batch) and ``modes`` (K+1, *batch).
+
+        Raises
+        ------
+        TypeError, ValueError
+            Times that do not increase, infinite measurements, shapes that do not fit, inputs
+            that are missing or that the model does not mention, and what `predict` and `correct`
+            refuse.
+        """
+        batch, record = self.records_of(times, measurements, indicators, modes, inputs)
+
+        def work(record: Record, stream: Any) -> Estimates:
+            reports = (self.report(state) for state in walk(self, record, stream))
+            return stacked(reports, len(record.times))
+
+        return self.in_blocks(work, record, batch, seed, workers)
+
+    def records_of(
+        self, times: ArrayLike, measurements: ArrayLike, indicators: Any, modes: Any, inputs: Any
+    ) -> tuple[tuple[int, ...], Record]:
+        """Batch axes, and the records of a run, checked."""
+        times, y = self.record(times, measurements)
+        batch, shape = y.shape[2:], (len(times), *y.shape[2:])
+        course = course_of(self.system, inputs, len(times), batch)
+        indicators = as_indicators(indicators, self.system, shape)
+        if "modes" in self.takes:
+            modes = as_modes("modes", modes, shape, self.system.modes)
+        elif modes is not None:
+            raise ValueError("modes: wanted none, the filter finds them by itself")
+        row = (-1,) if batch or not self.alone else ()
+        indicators, modes = (
+            None if part is None else part.reshape(len(times), *row) for part in (indicators, modes)
+        )
+        return batch, Record(times, y.reshape(*y.shape[:2], *row), indicators, modes, course)
+
+    def in_blocks(
+        self,
+        work: Callable[..., Estimates],
+        record: Record,
+        batch: tuple[int, ...],
+        seed: object = 0,
+        workers: int = 1,
+    ) -> Estimates:
+        """What ``work(record, stream)`` estimates in each block of records, on threads."""
+
+        def block(start: int, stop: int, stream: Any) -> Estimates:
+            own = slice(start, stop)
+            with on_paths(batch, own) if batch else nullcontext():
+                return work(record.of(own), stream)
+
+        paths = record.y[0, 0].size
+        size = self.block(record.times, paths, workers)
+        return in_one(in_blocks(block, paths, seed, workers=workers, block=size), batch)
