@@ -7,7 +7,7 @@ make a filter. The library is a core in layers, each of which uses only layers b
 ``evaluation``, ``zoo``, ``commands``,
 
 and one wing for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
-``pareto``, ``riemann`` (``delay`` may use ``riemann``). ``extra`` is what wants another package
+``pareto``, ``riemann`` (``zoo`` has their systems too). ``extra`` is what wants another package
 or another language; nothing uses it. A public name has one address, its room:
 ``from seedslib.models import Noise``. What a room may import stands in its opening lines.
 """

@@ -12,7 +12,7 @@ import seedslib
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
-    "base", "gaussian", "models", "linearization", "filters", "designed", "design", "evaluation",
+    "base", "gaussian", "models", "linearization", "filters", "designed", "evaluation", "design",
     "zoo", "commands",
 )  # fmt: skip
 """Each uses only packages before it."""
@@ -42,8 +42,6 @@ def test_a_package_imports_only_layers_below_it_and_nothing_of_the_book(package)
     files = [*folder.rglob("*.py")] or [folder.with_suffix(".py")]
     used = set().union(*map(used_by, files))
     allowed = set(LAYERS[: LAYERS.index(package)] if package in LAYERS else LAYERS)
-    if package == "delay":
-        allowed |= {"riemann"}
     if package == "zoo":
         allowed |= {"delay", "piecewise"}
     assert used & set(seedslib.__all__) <= allowed

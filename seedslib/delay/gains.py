@@ -1,110 +1,408 @@
-"""What every covariance recursion of the delay filter gives, and how a missing value enters it."""
+"""Gains for systems with delay: optimal, repaired, printed, greedy; and the errors any gains leave.
+
+Structure (6) of the paper: from the prediction ``x̂'_k = sum_d A_d x̂_{k-1-d}`` and the innovations
+``ν_k = y_k - C x̂'_k`` the estimate ``x̂_k = x̂'_k + K_k ν_k + sum_j L_{k,j} ν_{k-j}``.
+Structure (R1) takes each innovation against the prediction that the older ones have corrected:
+``x̄_k = x̂'_k + sum_j L_{k,j} e_{k-j}``, ``e_k = y_k - C x̄_k``, ``x̂_k = x̄_k + K_k e_k``.
+
+For any gains the errors and innovations are linear functions of the start and of the noises.
+Their coefficients on independent variables of variance one are carried along, so that every
+covariance is a product of coefficients and every best gain a regression.
+
+The optimal gains come from the covariance of the stacked state (x_k, ..., x_{k-N}) in a ring:
+instant k occupies block ``k mod (N+1)``, so that the shift of the stack costs nothing and one step
+overwrites the oldest block only. The correction is a symmetric rank-2m update of the lower
+triangle in place. Nothing of size D × D, D = (N+1)n, is ever multiplied.
+"""
 
 from __future__ import annotations
 
-from types import ModuleType
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_factor
+from numpy.typing import ArrayLike
+from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg.blas import dsyr2k
 
-from seedslib.delay.coefficients import InstantStep, require_finite
+from seedslib.base.checks import as_count, as_shape
+from seedslib.base.semidefinite import square_root, symmetrized
 from seedslib.delay.system import DelaySystem
 
 
-class StepGains(NamedTuple):
-    """One instant: gain (N+1, n, m), innovation_cov (m, m), predicted and cov (n, n).
+class StructureGains(NamedTuple):
+    """Gains of an estimator with innovations of the past.
 
-    Block s of the gain corrects x_{k-s}; block 0 is the filter's own.
+    gain (K+1, n, m): K_k; past (K+1, N, n, m): entry [k, j-1] is L_{k,j}, zero where there is no
+    measurement k-j; corrected: whether the structure is (R1) rather than (6).
     """
 
     gain: np.ndarray
-    innovation_cov: np.ndarray
-    predicted: np.ndarray
+    past: np.ndarray
+    corrected: bool = False
+
+
+class StructureErrors(NamedTuple):
+    """Gains, and the exact error covariance cov (K+1, n, n) of the estimates they give."""
+
+    gains: StructureGains
     cov: np.ndarray
 
 
-class DelayGains(NamedTuple):
-    """Gains and covariances for k = 0..K; they do not depend on the data.
+class OptimalGains(NamedTuple):
+    """Gains and covariances of the optimal filter for k = 0..K; they do not depend on the data.
 
     Attributes
     ----------
     gain : ndarray, shape (K+1, N+1, n, m)
         Entry [k, s] is K_k^{[s]}, the gain of the measurement of instant k for x_{k-s}: the
-        filter's for s = 0, the smoother's of lag s otherwise. Zero for a missing component.
+        filter's for s = 0, the smoother's of lag s otherwise.
     innovation_cov : ndarray, shape (K+1, m, m)
-        S_k, with a unit pivot in place of a missing component.
-    predicted, cov : ndarray, shape (K+1, n, n)
-        Covariance of x_k given the measurements before k, and up to k.
-    method : str
-        The recursion that was used, with the reason where it is not the one asked for.
+    cov : ndarray, shape (K+1, n, n)
+        Error covariance of the estimate of x_k.
     """
 
     gain: np.ndarray
     innovation_cov: np.ndarray
-    predicted: np.ndarray
     cov: np.ndarray
-    method: str
-
-    def lagged_cov(self, lag: int) -> np.ndarray:
-        """Covariance of x_k given the measurements up to ``min(k + lag, K)``, shape (K+1, n, n).
-
-        Each later measurement takes ``K^{[s]} S K^{[s]T}`` off the filter's covariance.
-        """
-        cov = self.cov.copy()
-        for s in range(1, min(lag, len(cov) - 1) + 1):
-            gain = self.gain[s:, s]
-            cov[:-s] -= gain @ self.innovation_cov[s:] @ gain.swapaxes(1, 2)
-        return cov
 
 
-def empty_gains(steps: int, blocks: int, cov: np.ndarray, m: int, method: str) -> DelayGains:
-    """Table of K = `steps` instants whose entry 0 is the start, where nothing is measured."""
-    n = len(cov)
-    gain, inner = np.zeros((steps + 1, blocks, n, m)), np.empty((steps + 1, m, m))
-    table = DelayGains(gain, inner, *np.empty((2, steps + 1, n, n)), method)
-    table.innovation_cov[0] = np.eye(m)
-    table.predicted[0] = table.cov[0] = cov
-    return table
+class PrintedGains(NamedTuple):
+    """Result of the printed recursion.
 
-
-def present_sensor(step: InstantStep, missing: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
-    """Sensor and its noise covariance with missing components switched off.
-
-    A missing component measures nothing (zero row) with an independent noise of variance one:
-    its gain is zero and its pivot one, so the others are treated exactly.
+    gains: K_k and L_{k,j} of (20) and (21), for structure (6); claimed (K+1, n, n): the matrix
+    P_k of (22).
     """
-    if missing is None or not missing.any():
-        return step.sensor, step.sensor_cov
-    present = ~missing
-    noise = np.where(np.outer(present, present), step.sensor_cov, 0.0)
-    noise[missing, missing] = 1.0
-    return np.where(present[:, None], step.sensor, 0.0), noise
+
+    gains: StructureGains
+    claimed: np.ndarray
 
 
-def advanced(
-    engine: ModuleType, system: DelaySystem, state: object, missing: np.ndarray | None, k: int
-) -> tuple[object, StepGains]:
-    """Step k of a recursion, refused where it overflows."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        state, now = engine.advance(system, state, missing)
-    require_finite("covariances", k, *now)
-    return state, now
+def optimal_gains(system: DelaySystem, steps: int) -> OptimalGains:
+    """Gains of the Kalman filter of ``system.stacked()`` up to instant K = `steps`.
+
+    A step costs n²N²m operations, where that of the stacked filter costs n³N³.
+
+    Raises
+    ------
+    TypeError, ValueError
+        `steps` is no positive integer; the covariances of an unstable system overflow.
+    """
+    steps = as_count("steps", steps)
+    n, m, blocks = system.state_size, system.measurement_size, system.max_delay + 1
+    shapes = (blocks, n, m), (m, m), (n, n)
+    tables = OptimalGains(*(np.zeros((steps + 1, *shape)) for shape in shapes))
+    tables.innovation_cov[0], tables.cov[0] = np.eye(m), system.cov0
+    ring = np.zeros((blocks * n, blocks * n), order="F")
+    for j, block in enumerate(system.start_blocks()):
+        at = (-j % blocks) * n
+        ring[at : at + n, at : at + n] = block
+    for k in range(1, steps + 1):
+        ring, *now = _advance(system, k, ring)
+        for table, value in zip(tables, now, strict=True):
+            table[k] = value
+    return tables
 
 
-def innovation_factor(inner: np.ndarray, k: int) -> tuple[np.ndarray, bool]:
-    """Cholesky factor of an innovation covariance.
+def repaired_gains(system: DelaySystem, steps: int) -> StructureGains:
+    """Gains of the optimal filter in the innovations form (R1), for `apply_gains`.
+
+    By (R2) ``L_{k,j} = sum_{d>=j} A_d K_{k-j}^{[d+1-j]}``.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `optimal_gains`.
+    """
+    gain = optimal_gains(system, steps).gain
+    past = np.zeros((len(gain), system.max_delay, *gain.shape[2:]))
+    for d, matrix in system.dynamics.items():
+        for j in range(1, d + 1):
+            past[j + 1 :, j - 1] += matrix @ gain[1:-j, d + 1 - j]
+    return StructureGains(gain[:, 0], past, corrected=True)
+
+
+def printed_gains(system: DelaySystem, steps: int) -> PrintedGains:
+    """Gains exactly as printed, (9)-(29), and the matrix that they claim as error covariance.
+
+    The filter is not optimal, and the matrix is not the covariance of its error: that is
+    `error_covariance` of the gains. Where the paper is silent: a measurement of an instant k <= 0
+    does not exist and its term is absent; lags that the start values (25), (28) do not give are
+    zero (they never enter).
+
+    Parameters
+    ----------
+    system : DelaySystem
+        With no delay but 0 and N.
+    steps : int
+        Last instant K.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Other delays; the printed recursion meets an indefinite innovation matrix.
+    """
+    steps, reach, n = as_count("steps", steps), system.max_delay, system.state_size
+    if not set(system.dynamics) <= {0, reach}:
+        raise ValueError(f"system: wanted the delays 0 and {reach}, got {[*system.dynamics]}")
+    # with N = 0 there is one matrix only, and it counts as A
+    near, far = (system.dynamics.get(d, np.zeros((n, n))) for d in (0, reach or -1))
+    sensor, m = system.sensor, system.measurement_size
+    gain, past = np.zeros((steps + 1, n, m)), np.zeros((steps + 1, reach, n, m))
+    claimed = np.tile(system.cov0, (steps + 1, 1, 1))
+    lags = np.zeros((2 * reach + 1, 2 * reach + 1, n, n))  # P_{k,j,i}
+    lags[np.arange(reach + 1), np.arange(reach + 1)] = system.start_blocks()  # (23), (25), (28)
+    for k in range(1, steps + 1):
+        used = min(reach, k - 1)
+        same = np.arange(used + 1)
+        # half[j] = A P_{j,·} + Ā P_{N+j,·}, the left factor of (9)-(11) and (24)
+        half = near @ lags[: used + 1] + far @ lags[reach : reach + used + 1]
+        right = half[:, : used + 1] @ near.T + half[:, reach : reach + used + 1] @ far.T
+        right[same, same] += system.state_noise  # (9), (10), (11): P'_{k,j,i} = right[j, i]
+        inner = sensor @ right[same, same] @ sensor.T + system.sensor_cov
+        np.linalg.cholesky(inner)  # the factors S of (13), (14): without them there is no filter
+        cross = right[0] @ sensor.T
+        past[k, :used] = np.linalg.solve(inner[1:], cross[1:].mT).mT  # (21)
+        removed = (cross[1:] @ past[k, :used].mT).sum(axis=0)
+        gain[k] = np.linalg.solve(inner[0], sensor @ (right[0, 0].T - removed)).T  # (20)
+        keep = np.eye(n) - gain[k] @ sensor
+        older = past[k, :used] @ sensor  # L_{k,j} C
+        doubled = older[:, None] @ right[1:, 1:] @ older.mT
+        claimed[k] = keep @ (right[0, 0] - removed)  # (22)
+        claimed[k] += doubled[~np.eye(used, dtype=bool)].sum(axis=0)
+        row = keep @ half[0] - (older[:, None] @ half[1:]).sum(axis=0)
+        lags[1:, 1:] = lags[:-1, :-1].copy()  # (27)
+        lags[0, 1:], lags[1:, 0] = row[:-1], row[:-1].mT  # (24)
+        lags[0, 0] = claimed[k]  # (29)
+    return PrintedGains(StructureGains(gain, past), claimed)
+
+
+def error_covariance(system: DelaySystem, gains: StructureGains) -> np.ndarray:
+    """Exact covariance (K+1, n, n) of the errors ``x_k - x̂_k`` that given gains leave.
 
     Raises
     ------
     ValueError
-        It is not positive definite.
+        Shapes that do not fit.
     """
-    require_finite("covariances", k, inner)
-    try:
-        return cho_factor(inner, lower=True, check_finite=False)
-    except np.linalg.LinAlgError:
-        raise ValueError(
-            f"innovation covariance at step {k}: wanted positive definite, "
-            f"got eigenvalue {np.linalg.eigvalsh(inner)[0]:.3g}"
-        ) from None
+    gains = _checked(system, gains)
+
+    def given(k, past, *_):
+        return gains.gain[k], gains.past[k, : len(past)]
+
+    return _errors(system, len(gains.gain) - 1, given, gains.corrected).cov
+
+
+def greedy_gains(
+    system: DelaySystem,
+    steps: int,
+    *,
+    past: int | None = None,
+    keep: str = "newest",
+    corrected: bool = False,
+    criterion: str = "newest",
+) -> StructureErrors:
+    """Gains that minimise the error covariance of each instant, given those before.
+
+    All kept innovations enter one regression of the prediction error: the best one-step choice
+    within the structure. With `corrected` and all innovations kept it is the optimal filter.
+
+    Parameters
+    ----------
+    system : DelaySystem
+    steps : int
+        Last instant K.
+    past : int, optional
+        Number of past innovations that are used, 0 to N; all N by default.
+    keep : {"newest", "oldest"}
+        Which of the N past innovations these are: j = 1, 2, ... or j = N, N-1, ...
+    corrected : bool
+        Structure (R1) instead of (6).
+    criterion : {"newest", "sum"}
+        Minimise the error of x_k, (7), or ``E |x̃_k + x̃_{k-1} + ... + x̃_{k-N}|²``, which is
+        what (4) says if its double sum is taken at its word; the latter in structure (6) only.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An illegal argument.
+    """
+    reach, m = system.max_delay, system.measurement_size
+    past = reach if past is None else as_count("past", past, 0, reach)
+    if keep not in ("newest", "oldest"):
+        raise ValueError(f"keep: wanted 'newest' or 'oldest', got {keep!r}")
+    if criterion not in ("newest", "sum") or (corrected and criterion == "sum"):
+        raise ValueError(f"criterion: wanted 'newest', or 'sum' of (6), got {criterion!r}")
+    used = range(past) if keep == "newest" else range(reach - past, reach)
+
+    def regress(k, past, predicted, innovation, older):
+        kept = [j for j in used if j < len(past)]
+        rows, target = np.vstack(past[kept]) if kept else innovation[:0], predicted
+        if criterion == "sum":
+            target = predicted + older
+        if corrected:
+            known = _regression(target, rows)
+            own = _regression(target, innovation - system.sensor @ known @ rows)
+        else:
+            own, known = np.split(_regression(target, np.vstack([innovation, rows])), [m], axis=1)
+        chosen = np.zeros((len(past), *own.shape))
+        chosen[kept] = known.reshape(len(own), -1, m).swapaxes(0, 1)
+        return own, chosen
+
+    return _errors(system, as_count("steps", steps), regress, corrected)
+
+
+def separate_gains(system: DelaySystem, steps: int) -> StructureErrors:
+    """Gains of the paper's (20) and (21) in structure (6), with exact covariances put in.
+
+    Each L_{k,j} regresses on one innovation alone and K_k accounts for them one by one; since
+    the innovations of structure (6) are correlated this is no minimum.
+    """
+
+    def separate(k, past, predicted, innovation, older):
+        known = np.zeros((len(past), *system.sensor.T.shape))
+        left = predicted @ predicted.T
+        for j, one in enumerate(past):
+            known[j] = _regression(predicted, one)
+            left = left - known[j] @ one @ predicted.T
+        inner = innovation @ innovation.T
+        return np.linalg.solve(inner, system.sensor @ left.T).T, known
+
+    return _errors(system, as_count("steps", steps), separate, False)
+
+
+def apply_gains(system: DelaySystem, gains: StructureGains, measurements: ArrayLike) -> np.ndarray:
+    """Estimates of an estimator with given gains.
+
+    Parameters
+    ----------
+    system : DelaySystem
+    gains : StructureGains
+    measurements : array_like, shape (K+1, m, *batch)
+        Nothing is measured at k = 0, and nothing may be missing after it.
+
+    Returns
+    -------
+    ndarray, shape (K+1, n, *batch)
+
+    Raises
+    ------
+    ValueError
+        Shapes that do not fit.
+    """
+    gains, y = _checked(system, gains), np.asarray(measurements, dtype=float)
+    flat = y.reshape(*y.shape[:2], -1)
+    as_shape("measurements", flat[1:], (len(gains.gain) - 1, system.measurement_size, -1))
+    reach, n = system.max_delay, system.state_size
+    estimates = np.zeros((reach + len(y), n, flat.shape[2]))  # of x_{-N}, ..., x_K
+    estimates[reach] = system.mean0[:, None]
+    innovations = np.zeros_like(flat)
+    for k in range(1, len(y)):
+        plain = sum(a @ estimates[reach + k - 1 - d] for d, a in system.dynamics.items())
+        mean = plain
+        for j in range(1, min(reach, k - 1) + 1):
+            mean = mean + gains.past[k, j - 1] @ innovations[k - j]
+        innovations[k] = flat[k] - system.sensor @ (mean if gains.corrected else plain)
+        estimates[reach + k] = mean + gains.gain[k] @ innovations[k]
+    return estimates[reach:].reshape(len(y), n, *y.shape[2:])
+
+
+def _advance(system: DelaySystem, k: int, cov: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Predict and correct the ring, valid on and below the diagonal; then gain, S_k and P_k.
+
+    The correction is Joseph's form ``(I-KH) Π (I-KH)ᵀ + K R Kᵀ``, which stays right for a gain
+    that is not: with ``T = Π - K H Π`` it is ``T - V Kᵀ``, ``V = T Hᵀ - K R``. V is zero but for
+    rounding; it is computed from block column 0 of T, because ``B - K S`` (the same on paper,
+    ``B = Π Hᵀ``) has lost the digits that matter when S is nearly singular. The blocks of the
+    newest instant, where the measurement bites, are written with ``I - K^{[0]} C`` multiplied
+    out.
+    """
+    sensor, noise, n = system.sensor, system.sensor_cov, system.state_size
+    blocks = system.max_delay + 1
+    here = (k % blocks) * n
+    new = slice(here, here + n)
+
+    # the new block row A Π, and its corner A Π Aᵀ + G Q Gᵀ, from the blocks the delays reach
+    moves = [(a, ((k - 1 - d) % blocks) * n) for d, a in system.dynamics.items()]
+    row = sum(a @ _rows(cov, at, n) for a, at in moves)
+    corner = sum((row[:, at : at + n] @ a.T for a, at in moves), start=system.state_noise)
+    row[:, new] = predicted = symmetrized(corner)
+
+    cross = row.T @ sensor.T
+    inner = symmetrized(sensor @ cross[new] + noise)
+    root = cho_factor(inner, lower=True)
+    # rows without a gap between them, as the update of the triangle wants them
+    gain = np.ascontiguousarray(cho_solve(root, cross.T, check_finite=False).T)
+    own = gain[new]
+    keep = np.eye(n) - own @ sensor
+    left = row.T - gain @ (sensor @ predicted)  # block column 0 of T = Π - K (C Π_0)
+    left[new] = keep @ predicted
+    rest = left @ sensor.T - gain @ noise
+    cov[new, :here], cov[here:, new] = row[:, :here], row[:, here:].T
+    cov = dsyr2k(-1.0, gain, 0.5 * (cross + rest), beta=1.0, c=cov, lower=1, overwrite_c=1)
+
+    border = keep @ row - rest[new] @ gain.T
+    filtered = symmetrized(keep @ predicted @ keep.T + own @ noise @ own.T)
+    border[:, new] = filtered
+    cov[new, :here], cov[here:, new] = border[:, :here], border[:, here:].T
+
+    lags = (k - np.arange(blocks)) % blocks
+    return cov, gain.reshape(blocks, n, -1)[lags], inner, filtered
+
+
+def _rows(cov: np.ndarray, at: int, n: int) -> np.ndarray:
+    """Full block row (n, D) of a symmetric matrix of which the lower triangle is valid."""
+    end = at + n
+    low = np.tril(cov[at:end, at:end])
+    return np.hstack([cov[at:end, :at], low + np.tril(low, -1).T, cov[end:, at:end].T])
+
+
+def _errors(
+    system: DelaySystem, steps: int, choose: Callable[..., tuple], corrected: bool
+) -> StructureErrors:
+    """Errors and innovations instant by instant, with gains chosen on the way.
+
+    ``choose(k, past, predicted, innovation, older)`` is given, as coefficients on the independent
+    variables, the innovations (J, m, size) of the instants k-1, ..., k-J, the error (n, size) of
+    x̂'_k, ν_k (m, size), and the sum (n, size) of the errors of the estimates of x_{k-1}, ...,
+    x_{k-N}; it returns K_k (n, m) and the L_{k,j}, (J, n, m).
+    """
+    reach, n, m = system.max_delay, system.state_size, system.measurement_size
+    drive = system.noise_input @ square_root(system.noise_cov)
+    sensor_root, q = np.linalg.cholesky(system.sensor_cov), drive.shape[1]
+    size = (reach + 1) * n + steps * (q + m)
+    errors = list(np.zeros((reach + 1, n, size)))  # newest first, as the past innovations
+    past = np.zeros((0, m, size))
+    for j, root in enumerate(square_root(system.start_blocks())):
+        errors[j][:, j * n : (j + 1) * n] = root
+    gains, past_gains = np.zeros((steps + 1, n, m)), np.zeros((steps + 1, reach, n, m))
+    cov = np.tile(system.cov0, (steps + 1, 1, 1))
+    for k in range(1, steps + 1):
+        at = (reach + 1) * n + (k - 1) * (q + m)
+        predicted = sum(a @ errors[d] for d, a in system.dynamics.items())
+        predicted[:, at : at + q] += drive
+        innovation = system.sensor @ predicted
+        innovation[:, at + q : at + q + m] += sensor_root
+        older = sum(errors[:reach], np.zeros((n, size)))
+        gains[k], known = choose(k, past, predicted, innovation, older)
+        past_gains[k, : len(past)] = known
+        error = predicted - np.einsum("jnm,jms->ns", known, past)
+        if corrected:
+            innovation = innovation - system.sensor @ (predicted - error)
+        error = error - gains[k] @ innovation
+        errors = [error, *errors[:-1]]
+        past = np.concatenate([innovation[None], past])[:reach]
+        cov[k] = error @ error.T
+    return StructureErrors(StructureGains(gains, past_gains, corrected), cov)
+
+
+def _regression(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
+    """Gain of the best linear estimate of a target from other variables, all as coefficients."""
+    return np.linalg.solve(rows @ rows.T, rows @ target.T).T
+
+
+def _checked(system: DelaySystem, gains: StructureGains) -> StructureGains:
+    sizes = system.state_size, system.measurement_size
+    gain = as_shape("gains.gain", gains.gain, (-1, *sizes))
+    past = as_shape("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
+    return StructureGains(gain, past, gains.corrected)

@@ -122,7 +122,7 @@ def compare(
                 f"{name}: wanted a filter with run(times, measurements), got a "
                 f"{type(each).__name__}; filters come before the system"
             )
-    as_system("system", system, *KINDS, "DelaySystem", "PiecewiseLinearSystem")
+    as_system("system", system, *KINDS, "PiecewiseLinearSystem")
     times, paths = as_times("times", times), as_count("paths", paths)
     measured = _measured(filters, times) if measured is None else measured
     mask = np.asarray(measured) if np.ndim(measured) == 2 else as_measured(measured, len(times))

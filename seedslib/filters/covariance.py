@@ -14,8 +14,7 @@ from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import step_count
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.base.semidefinite import settled
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle, settled
 from seedslib.filters.base import Estimates, Filter, require_time
 from seedslib.linearization.moments import Linearization, Moments, as_linearization, symmetric
 from seedslib.linearization.points import PointRule

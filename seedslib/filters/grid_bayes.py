@@ -10,13 +10,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
-from seedslib.base.nodes import Grid, Nodes
-from seedslib.base.tables import Axis
+from seedslib.base.tables import Axis, Grid, Nodes
 from seedslib.filters.base import Estimates, Filter, as_seen
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
-from seedslib.models.chains.discrete import DiscreteChain
-from seedslib.models.chains.switching import SwitchingChain
+from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
@@ -95,6 +93,7 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
+            require_scalar(system)
             self.chain: Any = SwitchingChain(system, Axis.of("x", x))
             self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
         else:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.triangles import lower_triangle, mirrored
+from seedslib.base.semidefinite import lower_triangle, mirrored
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
 

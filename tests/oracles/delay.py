@@ -6,20 +6,23 @@ from scipy.linalg import block_diag
 from seedslib.delay import DelaySystem
 
 
-def varying_system(delays, steps, seed=3):
-    """Time-varying in everything, n = 3, m = 2, singular Q, correlated history with a mean."""
+def general_system(delays, seed=3, **changes):
+    """Not symmetric, n = 3, two unlike sensors, singular Q, a mean, unlike blocks of history."""
     rng = np.random.default_rng(seed)
-    size = (max(delays) + 1) * 3
-    spread, noise = rng.standard_normal((size, size)), rng.standard_normal((steps + 1, 2, 2))
-    return DelaySystem(
-        {d: 0.4 * rng.standard_normal((steps, 3, 3)) for d in delays},
-        sensor=rng.standard_normal((steps + 1, 2, 3)),
-        noise_cov=lambda k: np.diag([1.0 + k / 10, 0.0]),
-        sensor_cov=noise @ noise.swapaxes(1, 2) + 0.3 * np.eye(2),
-        cov0=spread @ spread.T / size,
-        mean0=rng.standard_normal(size),
-        noise_input=lambda k: np.array([[1.0, k], [np.sin(k), 0.0], [0.5, 1.0]]),
-    )
+    reach = max(delays)
+    roots = rng.standard_normal((reach + 1, 3, 3))
+    start = roots @ roots.swapaxes(1, 2) / 3
+    given = {
+        "dynamics": {d: 0.4 * rng.standard_normal((3, 3)) for d in delays},
+        "sensor": rng.standard_normal((2, 3)),
+        "noise_cov": [[1.3, 0.0], [0.0, 0.0]],
+        "sensor_cov": [[0.8, 0.2], [0.2, 0.5]],
+        "cov0": start[0],
+        "history_cov": start[1:] if reach else 0.0,
+        "mean0": [0.4, -0.9, 1.2],
+        "noise_input": [[1.0, 2.0], [-0.6, 0.0], [0.5, 1.0]],
+    }
+    return DelaySystem(**(given | changes))
 
 
 class Regression:
@@ -32,7 +35,7 @@ class Regression:
 
     def __init__(self, system, steps):
         n, m, reach = system.state_size, system.measurement_size, system.max_delay
-        q = system.step(1).noise_cov.shape[0]
+        q = len(system.noise_cov)
         start = (reach + 1) * n
         size = start + steps * (q + m)
         self.n, self.m, self.reach = n, m, reach
@@ -40,23 +43,22 @@ class Regression:
         self.outputs, self.output_means = np.zeros((steps + 1, m, size)), [np.zeros(m)]
         for j in range(reach, -1, -1):
             self.states[reach - j, :, j * n : (j + 1) * n] = np.eye(n)
-            self.means.append(system.mean0[j * n : (j + 1) * n])
-        drives, errors = [], []
+            self.means.append(np.zeros(n) if j else system.mean0)
         for k in range(1, steps + 1):
-            step, now, at = system.step(k), reach + k, start + (k - 1) * q
+            now, at = reach + k, start + (k - 1) * q
             mean = 0.0
-            for d, a in step.dynamics.items():
+            for d, a in system.dynamics.items():
                 self.states[now] += a @ self.states[now - 1 - d]
                 mean = mean + a @ self.means[now - 1 - d]
             self.means.append(mean)
-            self.states[now, :, at : at + q] += step.noise_input
+            self.states[now, :, at : at + q] += system.noise_input
             at = start + steps * q + (k - 1) * m
-            self.outputs[k] = step.sensor @ self.states[now]
+            self.outputs[k] = system.sensor @ self.states[now]
             self.outputs[k, :, at : at + m] += np.eye(m)
-            self.output_means.append(step.sensor @ mean)
-            drives.append(step.noise_cov)
-            errors.append(step.sensor_cov)
-        self.spread = block_diag(system.start_cov(), *drives, *errors)
+            self.output_means.append(system.sensor @ mean)
+        self.spread = block_diag(
+            *system.start_blocks(), *[system.noise_cov] * steps, *[system.sensor_cov] * steps
+        )
 
     def estimate(self, y, k, last):
         """Mean, covariance of x_k given y (K+1, m) up to `last`; log density; weights of y_last."""
@@ -83,44 +85,35 @@ def printed_recursion(system, steps):
     for j, block in enumerate(system.start_blocks()):
         known[j, j] = block
 
-    def matrices(k):
-        both = system.step(k + 1).dynamics
-        return both.get(0, np.zeros((n, n))), both[reach]
-
+    a, b = system.dynamics.get(0, np.zeros((n, n))), system.dynamics[reach]
+    c, r = system.sensor, system.sensor_cov
     gains, pasts, claims = [], [], []
     for k in range(1, steps + 1):
         used = range(1, min(reach, k - 1) + 1)
         ahead = {}
         for j in (0, *used):
             for i in (0, *used):
-                (a, b), (c, d) = matrices(k - 1 - j), matrices(k - 1 - i)
-                ahead[j, i] = a @ known[j, i] @ c.T + b @ known[reach + j, i] @ c.T
-                ahead[j, i] += a @ known[j, reach + i] @ d.T
-                ahead[j, i] += b @ known[reach + j, reach + i] @ d.T
+                ahead[j, i] = a @ known[j, i] @ a.T + b @ known[reach + j, i] @ a.T
+                ahead[j, i] += a @ known[j, reach + i] @ b.T
+                ahead[j, i] += b @ known[reach + j, reach + i] @ b.T
                 if i == j:
-                    ahead[j, i] += system.step(k - j).state_noise
-        sensor = {j: system.step(k - j).sensor for j in (0, *used)}
-        inverse = {
-            j: np.linalg.inv(s @ ahead[j, j] @ s.T + system.step(k - j).sensor_cov)
-            for j, s in sensor.items()
-        }
-        past = {j: ahead[0, j] @ sensor[j].T @ inverse[j] for j in used}
-        removed = sum((past[j] @ sensor[j] @ ahead[0, j].T for j in used), np.zeros((n, n)))
-        gain = (ahead[0, 0] - removed) @ sensor[0].T @ inverse[0]
-        keep = np.eye(n) - gain @ sensor[0]
+                    ahead[j, i] += system.state_noise
+        inverse = {j: np.linalg.inv(c @ ahead[j, j] @ c.T + r) for j in (0, *used)}
+        past = {j: ahead[0, j] @ c.T @ inverse[j] for j in used}
+        removed = sum((past[j] @ c @ ahead[0, j].T for j in used), np.zeros((n, n)))
+        gain = (ahead[0, 0] - removed) @ c.T @ inverse[0]
+        keep = np.eye(n) - gain @ c
         claimed = keep @ (ahead[0, 0] - removed.T)
         for i in used:
             for j in used:
                 if i != j:
-                    claimed += past[i] @ sensor[i] @ ahead[i, j] @ sensor[j].T @ past[j].T
+                    claimed += past[i] @ c @ ahead[i, j] @ c.T @ past[j].T
         moved = {(j, i): known[j - 1, i - 1] for j, i in known if i and j}
         for j in range(1, 2 * reach + 1):
-            a, b = matrices(k - 1)
             row = keep @ (a @ known[0, j - 1] + b @ known[reach, j - 1])
             for i in used:
-                a, b = matrices(k - i - 1)
                 older = a @ known[i, j - 1] + b @ known[reach + i, j - 1]
-                row -= past[i] @ sensor[i] @ older
+                row -= past[i] @ c @ older
             moved[0, j], moved[j, 0] = row, row.T
         moved[0, 0] = claimed
         known = moved

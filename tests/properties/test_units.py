@@ -8,7 +8,7 @@ import sympy as sp
 from hypothesis import given
 from hypothesis import strategies as st
 
-from seedslib.delay import DelayKalmanFilter, DelaySystem
+from seedslib.delay import DelaySystem
 from seedslib.design import synthesize
 from seedslib.designed import SwitchingFilter, large_order
 from seedslib.extra import compiled
@@ -47,11 +47,10 @@ def linear(c, d, **diffuse):
 
 
 def late(c, d):
-    return DelayKalmanFilter(
-        DelaySystem({0: turned(c, 0.6 * F, 1 / c), 2: turned(c, 0.3 * F, 1 / c)},
-                    turned(d, H, 1 / c), turned(c, Q, c), turned(d, R, d), turned(c, COV, c),
-                    mean0=c * MEAN)
-    )  # fmt: skip
+    near, far = (turned(c, part * F, 1 / c) for part in (0.6, 0.3))
+    sensor, noises = turned(d, H, 1 / c), (turned(c, Q, c), turned(d, R, d))
+    system = DelaySystem({0: near, 2: far}, sensor, *noises, turned(c, COV, c), mean0=c * MEAN)
+    return KalmanFilter(system.stacked())
 
 
 def bent(c, d):
@@ -125,6 +124,7 @@ def test_kalman(diffuse, powers):
 def test_delays(powers):
     c, d = units(powers)
     one, other = (late(*u).run(TIMES, Y * u[1]) for u in ((c, d), (ONE, ONE)))
+    c = np.tile(c, 3)
     np.testing.assert_allclose(one.mean / c, other.mean, rtol=1e-9, atol=1e-10)
     np.testing.assert_allclose(one.cov / c[:, None] / c, other.cov, rtol=1e-9, atol=1e-10)
 

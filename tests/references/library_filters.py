@@ -9,7 +9,7 @@ import numpy as np
 import sympy
 
 from references.record import STEPS, wave
-from seedslib.delay import DelayKalmanFilter, DelaySystem, stationary_gains
+from seedslib.delay import DelaySystem, optimal_gains
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.filters import (
@@ -132,23 +132,12 @@ def designed(mean0, cov0, drift, diffusion, sensor, step, noise, memory):
     return law_values(found.mean[-1], found.cov[-1])
 
 
-def delay_system(A, delays, C, Q, R, cov0, past):
-    return DelaySystem(dict(zip(delays, A, strict=True)), C, Q, R, cov0, past)
-
-
-def delay_values(gain, spread, cov):
+def delay(A, delays, C, Q, R, cov0, past):
+    system = DelaySystem(dict(zip(delays, A, strict=True)), C, Q, R, cov0, past)
+    gains = optimal_gains(system, 60)
+    gain, innovation_cov, cov = (table[-1] for table in gains)
     law = {k: c for k, c in law_values(cov, cov).items() if k.startswith("cov")}
-    return {**matrix_values(gain.reshape(-1, 1), "gain"), "innovation": spread[0, 0], **law}
-
-
-def delay(method, **told):
-    found = DelayKalmanFilter(delay_system(**told), method).gains(60)
-    return delay_values(found.gain[-1], found.innovation_cov[-1], found.cov[-1])
-
-
-def stationary_delay(**told):
-    found = stationary_gains(delay_system(**told))
-    return delay_values(found.gain, found.innovation_cov, found.cov)
+    return {**matrix_values(gain.reshape(-1, 1), "gain"), "innovation": innovation_cov[0, 0], **law}
 
 
 def two_modes(a, q, h, r, A, p, mean0, var0, drives):
@@ -198,7 +187,6 @@ CALLS: dict[str, Callable[..., dict[str, Any]]] = {
     "two-step estimator": two_step,
     "designed filter": designed,
     "delay filter": delay,
-    "stationary delay filter": stationary_delay,
     "switching filter": switching,
     "multiple models (IMM)": switching,
     "fixed mode": fixed_mode,

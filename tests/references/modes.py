@@ -39,16 +39,9 @@ def delay_values(gain: Any, spread: Any, cov: Any, n: int) -> dict[str, Any]:
 
 
 @family(
-    "delay filter", "recursion",
-    **{f"{method} {name}": {"method": method, **told} for method, name, told in (
-        ("structured", "level", LEVEL), ("structured", "coupled", COUPLED),
-        ("structured", "slow", SLOW), ("structured", "sharp", SHARP),
-        ("structured", "dull", DULL), ("array", "level", LEVEL), ("array", "sharp", SHARP),
-        ("chandrasekhar", "coupled", COUPLED), ("augmented", "coupled", COUPLED))},
-)  # fmt: skip
-def delay(
-    A: Any, delays: Any, C: Any, Q: Any, R: Any, cov0: Any, past: Any, method: Any
-) -> dict[str, Any]:
+    "delay filter", "recursion", level=LEVEL, coupled=COUPLED, slow=SLOW, sharp=SHARP, dull=DULL
+)
+def delay(A: Any, delays: Any, C: Any, Q: Any, R: Any, cov0: Any, past: Any) -> dict[str, Any]:
     with mp.workdps(100):
         n, (move, sensor, noise) = len(Q), stacked(A, delays, C, Q)
         cov = mp.zeros(move.rows)
@@ -56,22 +49,6 @@ def delay(
             cov[n * d : n * d + n, n * d : n * d + n] = matrix(past if d else cov0)
         for _ in range(60):
             cov = move * cov * move.T + noise
-            spread = (sensor * cov * sensor.T)[0] + R[0][0]
-            gain = cov * sensor.T / spread
-            cov = cov - gain * gain.T * spread
-        return delay_values(gain, spread, cov[:n, :n], n)
-
-
-@family("stationary delay filter", "recursion to its limit", sensitive=False,
-        level=LEVEL, coupled=COUPLED, dull={**LEVEL, "R": [[64.0]]})  # fmt: skip
-def stationary_delay(
-    A: Any, delays: Any, C: Any, Q: Any, R: Any, cov0: Any, past: Any
-) -> dict[str, Any]:
-    with mp.workdps(60):
-        n, (move, sensor, noise) = len(Q), stacked(A, delays, C, Q)
-        cov, before = noise, None
-        while before is None or mp.mnorm(cov - before) > mp.mpf(10) ** -45:
-            before, cov = cov, move * cov * move.T + noise
             spread = (sensor * cov * sensor.T)[0] + R[0][0]
             gain = cov * sensor.T / spread
             cov = cov - gain * gain.T * spread
