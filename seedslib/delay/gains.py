@@ -98,9 +98,9 @@ def optimal_gains(system: DelaySystem, steps: int) -> OptimalGains:
         at = (-j % blocks) * n
         ring[at : at + n, at : at + n] = block
     for k in range(1, steps + 1):
-        ring, *now = _advance(system, k, ring)
-        for table, value in zip(tables, now, strict=True):
-            table[k] = value
+        ring, *entries = _advance(system, k, ring)
+        for table, entry in zip(tables, entries, strict=True):
+            table[k] = entry
     return tables
 
 
@@ -159,20 +159,21 @@ def printed_gains(system: DelaySystem, steps: int) -> PrintedGains:
         half = near @ lags[: used + 1] + far @ lags[reach : reach + used + 1]
         right = half[:, : used + 1] @ near.T + half[:, reach : reach + used + 1] @ far.T
         right[same, same] += system.state_noise  # (9), (10), (11): P'_{k,j,i} = right[j, i]
-        inner = sensor @ right[same, same] @ sensor.T + system.sensor_cov
-        np.linalg.cholesky(inner)  # the factors S of (13), (14): without them there is no filter
+        innovation_covs = sensor @ right[same, same] @ sensor.T + system.sensor_cov
+        # the factors S of (13), (14): without them there is no filter
+        np.linalg.cholesky(innovation_covs)
         cross = right[0] @ sensor.T
-        past[k, :used] = np.linalg.solve(inner[1:], cross[1:].mT).mT  # (21)
+        past[k, :used] = np.linalg.solve(innovation_covs[1:], cross[1:].mT).mT  # (21)
         removed = (cross[1:] @ past[k, :used].mT).sum(axis=0)
-        gain[k] = np.linalg.solve(inner[0], sensor @ (right[0, 0].T - removed)).T  # (20)
-        keep = np.eye(n) - gain[k] @ sensor
+        gain[k] = np.linalg.solve(innovation_covs[0], sensor @ (right[0, 0].T - removed)).T  # (20)
+        reduction = np.eye(n) - gain[k] @ sensor
         older = past[k, :used] @ sensor  # L_{k,j} C
         doubled = older[:, None] @ right[1:, 1:] @ older.mT
-        claimed[k] = keep @ (right[0, 0] - removed)  # (22)
+        claimed[k] = reduction @ (right[0, 0] - removed)  # (22)
         claimed[k] += doubled[~np.eye(used, dtype=bool)].sum(axis=0)
-        row = keep @ half[0] - (older[:, None] @ half[1:]).sum(axis=0)
+        first = reduction @ half[0] - (older[:, None] @ half[1:]).sum(axis=0)
         lags[1:, 1:] = lags[:-1, :-1].copy()  # (27)
-        lags[0, 1:], lags[1:, 0] = row[:-1], row[:-1].mT  # (24)
+        lags[0, 1:], lags[1:, 0] = first[:-1], first[:-1].mT  # (24)
         lags[0, 0] = claimed[k]  # (29)
     return PrintedGains(StructureGains(gain, past), claimed)
 
@@ -236,18 +237,19 @@ def greedy_gains(
     used = range(past) if keep == "newest" else range(reach - past, reach)
 
     def regress(k, past, predicted, innovation, older):
-        kept = [j for j in used if j < len(past)]
-        rows, target = np.vstack(past[kept]) if kept else innovation[:0], predicted
+        selected = [j for j in used if j < len(past)]
+        rows, target = np.vstack(past[selected]) if selected else innovation[:0], predicted
         if criterion == "sum":
             target = predicted + older
         if corrected:
-            known = _regression(target, rows)
-            own = _regression(target, innovation - system.sensor @ known @ rows)
+            past_gain = _regression(target, rows)
+            gain = _regression(target, innovation - system.sensor @ past_gain @ rows)
         else:
-            own, known = np.split(_regression(target, np.vstack([innovation, rows])), [m], axis=1)
-        chosen = np.zeros((len(past), *own.shape))
-        chosen[kept] = known.reshape(len(own), -1, m).swapaxes(0, 1)
-        return own, chosen
+            joint = _regression(target, np.vstack([innovation, rows]))
+            gain, past_gain = np.split(joint, [m], axis=1)
+        past_gains = np.zeros((len(past), *gain.shape))
+        past_gains[selected] = past_gain.reshape(len(gain), -1, m).swapaxes(0, 1)
+        return gain, past_gains
 
     return _errors(system, as_count("steps", steps), regress, corrected)
 
@@ -260,13 +262,13 @@ def separate_gains(system: DelaySystem, steps: int) -> StructureErrors:
     """
 
     def separate(k, past, predicted, innovation, older):
-        known = np.zeros((len(past), *system.sensor.T.shape))
-        left = predicted @ predicted.T
+        past_gains = np.zeros((len(past), *system.sensor.T.shape))
+        remaining = predicted @ predicted.T
         for j, one in enumerate(past):
-            known[j] = _regression(predicted, one)
-            left = left - known[j] @ one @ predicted.T
-        inner = innovation @ innovation.T
-        return np.linalg.solve(inner, system.sensor @ left.T).T, known
+            past_gains[j] = _regression(predicted, one)
+            remaining = remaining - past_gains[j] @ one @ predicted.T
+        innovation_cov = innovation @ innovation.T
+        return np.linalg.solve(innovation_cov, system.sensor @ remaining.T).T, past_gains
 
     return _errors(system, as_count("steps", steps), separate, False)
 
@@ -317,10 +319,10 @@ def _advance(system: DelaySystem, k: int, cov: np.ndarray) -> tuple[np.ndarray, 
     newest instant, where the measurement bites, are written with ``I - K^{[0]} C`` multiplied
     out.
     """
-    sensor, noise, n = system.sensor, system.sensor_cov, system.state_size
+    sensor, sensor_cov, n = system.sensor, system.sensor_cov, system.state_size
     blocks = system.max_delay + 1
-    here = (k % blocks) * n
-    new = slice(here, here + n)
+    start = (k % blocks) * n
+    new = slice(start, start + n)
 
     # the new block row A Π, and its corner A Π Aᵀ + G Q Gᵀ, from the blocks the delays reach
     moves = [(a, ((k - 1 - d) % blocks) * n) for d, a in system.dynamics.items()]
@@ -328,26 +330,26 @@ def _advance(system: DelaySystem, k: int, cov: np.ndarray) -> tuple[np.ndarray, 
     corner = sum((row[:, at : at + n] @ a.T for a, at in moves), start=system.state_noise)
     row[:, new] = predicted = symmetrized(corner)
 
-    cross = row.T @ sensor.T
-    inner = symmetrized(sensor @ cross[new] + noise)
-    root = cho_factor(inner, lower=True)
+    cross_cov = row.T @ sensor.T
+    innovation_cov = symmetrized(sensor @ cross_cov[new] + sensor_cov)
+    root = cho_factor(innovation_cov, lower=True)
     # rows without a gap between them, as the update of the triangle wants them
-    gain = np.ascontiguousarray(cho_solve(root, cross.T, check_finite=False).T)
-    own = gain[new]
-    keep = np.eye(n) - own @ sensor
-    left = row.T - gain @ (sensor @ predicted)  # block column 0 of T = Π - K (C Π_0)
-    left[new] = keep @ predicted
-    rest = left @ sensor.T - gain @ noise
-    cov[new, :here], cov[here:, new] = row[:, :here], row[:, here:].T
-    cov = dsyr2k(-1.0, gain, 0.5 * (cross + rest), beta=1.0, c=cov, lower=1, overwrite_c=1)
+    gains = np.ascontiguousarray(cho_solve(root, cross_cov.T, check_finite=False).T)
+    gain = gains[new]
+    reduction = np.eye(n) - gain @ sensor
+    column = row.T - gains @ (sensor @ predicted)  # block column 0 of T = Π - K (C Π_0)
+    column[new] = reduction @ predicted
+    rest = column @ sensor.T - gains @ sensor_cov  # V
+    cov[new, :start], cov[start:, new] = row[:, :start], row[:, start:].T
+    cov = dsyr2k(-1.0, gains, 0.5 * (cross_cov + rest), beta=1.0, c=cov, lower=1, overwrite_c=1)
 
-    border = keep @ row - rest[new] @ gain.T
-    filtered = symmetrized(keep @ predicted @ keep.T + own @ noise @ own.T)
+    border = reduction @ row - rest[new] @ gains.T
+    filtered = symmetrized(reduction @ predicted @ reduction.T + gain @ sensor_cov @ gain.T)
     border[:, new] = filtered
-    cov[new, :here], cov[here:, new] = border[:, :here], border[:, here:].T
+    cov[new, :start], cov[start:, new] = border[:, :start], border[:, start:].T
 
     lags = (k - np.arange(blocks)) % blocks
-    return cov, gain.reshape(blocks, n, -1)[lags], inner, filtered
+    return cov, gains.reshape(blocks, n, -1)[lags], innovation_cov, filtered
 
 
 def _rows(cov: np.ndarray, at: int, n: int) -> np.ndarray:
@@ -384,9 +386,9 @@ def _errors(
         innovation = system.sensor @ predicted
         innovation[:, at + q : at + q + m] += sensor_root
         older = sum(errors[:reach], np.zeros((n, size)))
-        gains[k], known = choose(k, past, predicted, innovation, older)
-        past_gains[k, : len(past)] = known
-        error = predicted - np.einsum("jnm,jms->ns", known, past)
+        gains[k], chosen = choose(k, past, predicted, innovation, older)
+        past_gains[k, : len(past)] = chosen
+        error = predicted - np.einsum("jnm,jms->ns", chosen, past)
         if corrected:
             innovation = innovation - system.sensor @ (predicted - error)
         error = error - gains[k] @ innovation

@@ -1,7 +1,7 @@
 """Linear discrete system whose next state depends on states of several past instants.
 
-The state obeys ``x_k = sum_d A_d x_{k-1-d} + G w_{k-1}`` for any set of delays d and is seen
-through ``y_k = C x_k + v_k``, k = 1, 2, ... (Babenko, Lebedev, *Kalman filter for linear discrete
+The state obeys ``x_k = sum_d A_d x_{k-1-d} + G w_{k-1}`` for any set of delays d and is measured
+as ``y_k = C x_k + v_k``, k = 1, 2, ... (Babenko, Lebedev, *Kalman filter for linear discrete
 systems with delay*, equations (1)-(3), where the delays are 0 and N).
 """
 
@@ -68,26 +68,25 @@ class DelaySystem:
         if not delays or not all(is_whole(d) and d >= 0 for d in delays):
             raise ValueError(f"dynamics: wanted matrices by delays >= 0, got {self.dynamics}")
         noise_cov, sensor_cov, cov0 = (
-            as_covariance(name, np.atleast_2d(getattr(self, name)), definite=name == "sensor_cov")
+            as_covariance(name, _filled(name, getattr(self, name)), definite=name == "sensor_cov")
             for name in ("noise_cov", "sensor_cov", "cov0")
         )
         n, reach = len(cov0), max(delays)
         drive = _filled("noise_input", self.noise_input, np.eye(n))
-        history = np.atleast_2d(_filled("history_cov", self.history_cov, np.eye(n)))
+        history = _filled("history_cov", self.history_cov, np.eye(n))
         history = np.tile(history, (reach, 1, 1)) if history.ndim == 2 else history
         for block in history:
             as_covariance("history_cov", block)
+        blocks = {d: _filled("dynamics", self.dynamics[d]) for d in delays}
         vars(self).update(
-            dynamics={
-                d: as_shape("dynamics", np.atleast_2d(self.dynamics[d]), (n, n)) for d in delays
-            },
-            sensor=as_shape("sensor", np.atleast_2d(self.sensor), (len(sensor_cov), n)),
+            dynamics={d: as_shape("dynamics", block, (n, n)) for d, block in blocks.items()},
+            sensor=as_shape("sensor", _filled("sensor", self.sensor), (len(sensor_cov), n)),
             noise_cov=noise_cov,
             sensor_cov=sensor_cov,
             cov0=cov0,
             history_cov=as_shape("history_cov", history, (reach, n, n)),
             mean0=as_shape("mean0", _filled("mean0", self.mean0, np.ones(n)), (n,)),
-            noise_input=as_shape("noise_input", np.atleast_2d(drive), (n, len(noise_cov))),
+            noise_input=as_shape("noise_input", drive, (n, len(noise_cov))),
         )
 
     @property
@@ -178,6 +177,7 @@ class DelaySystem:
         return Simulation(np.arange(steps + 1.0), states[reach - 1 :], measurements)
 
 
-def _filled(name: str, value: ArrayLike, unit: np.ndarray) -> np.ndarray:
+def _filled(name: str, value: ArrayLike, unit: ArrayLike = ((1.0,),)) -> np.ndarray:
+    """An array; a number is that times `unit`."""
     value = as_real(name, value)
-    return value * unit if value.ndim == 0 else value
+    return value * np.array(unit) if value.ndim == 0 else value

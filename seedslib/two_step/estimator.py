@@ -3,29 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real, as_times, as_vectors
-from seedslib.gaussian.arguments import gaussian_arguments, in_range
-from seedslib.gaussian.errors.functions import MeanSquareErrors
-from seedslib.gaussian.quadrature import Rule
-from seedslib.two_step.kalman_bucy import KalmanBucyFilter
-from seedslib.two_step.kalman_bucy_design import LinearMoments
-from seedslib.two_step.laws import (
-    TwoStepPaths,
-    along,
-    checked_symbols,
-    closed_law,
-    quadrature_law,
-    used_symbols,
-    with_estimate,
+from seedslib.base.checks import as_vectors
+from seedslib.gaussian import (
+    expectation_function,
+    mean_square_errors,
+    posterior_variance_function,
 )
-from seedslib.two_step.linear import LinearDiffusion
-from seedslib.two_step.table import TwoStepTable, make_table
+from seedslib.gaussian.arguments import in_range
+from seedslib.two_step.linear import LinearDiffusion, LinearMoments, kalman_bucy
+
+
+class TwoStepPaths(NamedTuple):
+    """Along measured paths: optimal estimates, their conditional variances, plug-in estimates.
+
+    Shapes (K+1, ...) for a scalar function; (K+1, p, ...) and (K+1, p, p, ...) for a vector.
+    """
+
+    mean: np.ndarray
+    variance: np.ndarray
+    plugin: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,75 +41,39 @@ class TwoStepEstimator:
     ----------
     system : LinearDiffusion
         With n components of state.
-    f : SymPy expression, list or column Matrix of expressions, or callable
-        The function of the state. A callable takes points (n, N), returns (N,) or (p, N), and
-        needs `quadrature`.
+    f : SymPy expression, list or column Matrix of expressions
+        The function of the state.
     variables : sequence of n Symbols
         The state in f, in the order of its components.
     estimate_variables : sequence of n Symbols, optional
         Where f depends on the estimate x̂ as well, its symbols: ``f(x, x̂)``, for instance the
         length of the estimation error.
-    quadrature : Rule, optional
-        Use this rule instead of closed forms (see `seedslib.gaussian.quadrature`). Means,
-        variances and errors are then approximate.
-    lead : float
-        Estimate f at time t + lead from the measurements up to t.
-
-    Attributes
-    ----------
-    filter : KalmanBucyFilter
-        The first step.
 
     Raises
     ------
     NoClosedForm
-        The function has no closed form and no quadrature was asked for.
+        The function has no closed form.
     TypeError, ValueError
-        Unknown symbols in f, not n variables, or a rule for another dimension.
+        Unknown symbols in f, or not n variables.
     """
 
     system: LinearDiffusion
     f: Any
-    variables: Sequence[Any] | None = field(default=None, kw_only=True)
-    estimate_variables: Sequence[Any] | None = field(default=None, kw_only=True)
-    quadrature: Rule | None = field(default=None, kw_only=True)
-    lead: float = field(default=0.0, kw_only=True)
-    filter: KalmanBucyFilter = field(init=False, repr=False)
+    variables: Sequence[Any]
+    estimate_variables: Sequence[Any] | None = None
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "filter", KalmanBucyFilter(self.system))
-        lead = float(as_real("lead", self.lead, ndim=0))
-        if lead < 0:
-            raise ValueError(f"lead: wanted a nonnegative time, got {lead:g}")
-        object.__setattr__(self, "lead", lead)
-        groups = {"variables": self.variables}
-        if self.estimate_variables is not None:
-            groups["estimate_variables"] = self.estimate_variables
         n = self.system.state_size
-        symbols = checked_symbols(self.f, groups, n, self.quadrature)
-        if not isinstance(self.quadrature, Rule | None):
-            got = type(self.quadrature).__name__
-            raise TypeError(
-                f"quadrature: wanted a Rule, for instance gauss_hermite(n, 20), got {got}"
-            )
-        if self.quadrature is not None:
-            size = n * (1 if self.estimate_variables is None else 2)
-            if len(self.quadrature.points) != size:
-                raise ValueError(
-                    f"quadrature: wanted a rule in {size} dimensions, "
-                    f"got one in {len(self.quadrature.points)}"
-                )
-            law = quadrature_law(self.f, symbols, self.quadrature)
-        else:
-            law = closed_law(self.f, symbols)
-        law = law if self.estimate_variables is None else with_estimate(law)
-        object.__setattr__(self, "_law", law)
-        object.__setattr__(self, "_used", used_symbols(self.f, symbols, n))
-
-    @property
-    def kind(self) -> str:
-        """Class of functions whose formulas are used; ``quadrature`` if asked for."""
-        return self._law.kind
+        for name in ("variables", "estimate_variables"):
+            symbols = getattr(self, name)
+            if symbols is not None and len(symbols) != n:
+                raise ValueError(f"{name}: wanted {n} symbols, got {len(symbols)}")
+        symbols = (*self.variables, *(self.estimate_variables or ()))
+        vars(self).update(
+            _mean=expectation_function(self.f, symbols),
+            _variance=posterior_variance_function(self.f, symbols),
+            _errors=mean_square_errors(self.f, symbols),
+        )
 
     def estimate(self, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
         """Optimal estimate: the mean of f under N(mean, cov).
@@ -129,37 +95,23 @@ class TwoStepEstimator:
         TypeError, ValueError
             Wrong shapes, not finite, not a covariance, or an infinite mean of f.
         """
-        return self._law.mean(*self._checked(mean, cov))
+        return self._mean(*self._joint_law(mean, cov))
 
     def variance(self, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
         """Conditional variance of f under N(mean, cov), (...) or (p, p, ...).
 
         Arguments and errors as `estimate`.
         """
-        return self._law.variance(*self._checked(mean, cov))
+        return self._variance(*self._joint_law(mean, cov))
 
     def plugin(self, mean: ArrayLike) -> np.ndarray:
-        """Plug-in estimate: f at the estimate of the state.
+        """Plug-in estimate: f at the estimate of the state, (n, ...) to (...) or (p, ...)."""
+        n = self.system.state_size
+        point, _ = self._joint_law(mean, np.zeros((n, n)))
+        value = in_range("mean", lambda: self._mean.compiled().value(point))
+        return value[0] if self._mean.scalar else value
 
-        Parameters
-        ----------
-        mean : array_like
-            Shape (n, ...).
-
-        Returns
-        -------
-        ndarray
-            Shape (...) or (p, ...).
-
-        Raises
-        ------
-        TypeError, ValueError
-            Wrong shape, or not finite.
-        """
-        mean = as_vectors("mean", mean, self.system.state_size)
-        return in_range("mean", lambda: self._law.plugin(mean))
-
-    def errors(self, times: ArrayLike) -> MeanSquareErrors:
+    def errors(self, times: ArrayLike) -> Any:
         """Exact mean-square errors of the optimal and the plug-in estimate on a grid.
 
         Parameters
@@ -170,116 +122,50 @@ class TwoStepEstimator:
         Returns
         -------
         MeanSquareErrors
-            Each (K,), or (K, p, p) for a vector f.
+            optimal, plugin: each (K,), or (K, p, p) for a vector f.
 
         Raises
         ------
         TypeError, ValueError
             An illegal grid, or an infinite mean.
         """
-        return self._errors(self.filter.moments(times, self.lead))
+        return self._errors_of(self.system.moments(times))
 
-    def mse_optimal(self, times: ArrayLike) -> np.ndarray:
-        """Exact mean-square error of the optimal estimate; see `errors`."""
-        return self.errors(times).optimal
-
-    def mse_plugin(self, times: ArrayLike) -> np.ndarray:
-        """Exact mean-square error of the plug-in estimate; see `errors`."""
-        return self.errors(times).plugin
-
-    def steady_errors(self) -> MeanSquareErrors:
-        """Steady mean-square errors: numbers, or matrices (p, p).
-
-        Components that the function neither uses nor depends on need no steady law.
+    def steady_errors(self) -> Any:
+        """Steady mean-square errors, optimal and plugin: numbers, or matrices (p, p).
 
         Raises
         ------
         ValueError
-            No steady state: see `KalmanBucyFilter.steady_moments`.
+            No steady state: see `LinearDiffusion.steady_moments`.
         """
-        steady = self.filter.steady_moments(self._used)
-        if self.lead:
-            ahead = self._ahead(steady.error_cov[0], 0.0)[1]
-            there = steady.cov[0].diagonal() != 0.0  # the others have no steady law
-            ahead = np.where(there & there[:, None], ahead, 0.0)
-            steady = LinearMoments(*steady[:2], ahead[None])
-        optimal, plugin = self._errors(steady)
-        return MeanSquareErrors(optimal[0], plugin[0])
+        errors = self._errors_of(self.system.steady_moments())
+        return errors._make(part[0] for part in errors)
 
     def run(self, times: ArrayLike, increments: ArrayLike) -> TwoStepPaths:
-        """Estimates along measured paths.
+        """Estimates along measured paths; arguments and errors as `kalman_bucy`."""
+        first = kalman_bucy(self.system, times, increments)
+        mean, cov = np.moveaxis(first.mean, 0, 1), np.moveaxis(first.cov, 0, 2)
+        cov = cov.reshape(*cov.shape, *(1,) * (mean.ndim + 1 - cov.ndim))
+        values = self.estimate(mean, cov), self.variance(mean, cov), self.plugin(mean)
+        return TwoStepPaths(*(np.moveaxis(v, v.ndim + 1 - mean.ndim, 0) for v in values))
 
-        Parameters
-        ----------
-        times, increments : array_like
-            As `KalmanBucyFilter.run`: (K+1,) and (K, m, ...), NaN where nothing was measured.
+    def _joint_law(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
+        """Law of what f takes: given the measurements the estimate is a constant ((2.3), (2.4))."""
+        mean, cov = as_vectors("mean", mean, self.system.state_size), np.asarray(cov, dtype=float)
+        if self.estimate_variables is None:
+            return mean, cov
+        n = len(mean)
+        corner = np.zeros((2 * n, 2 * n, *cov.shape[2:]))
+        corner[:n, :n] = cov
+        return np.concatenate([mean, mean]), corner
 
-        Returns
-        -------
-        TwoStepPaths
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `KalmanBucyFilter.run`.
-        """
-        times = as_times("times", times)
-        paths = self.filter.run(times, increments)
-        mean, cov = np.moveaxis(paths.mean, 0, 1), np.moveaxis(paths.cov, 0, -1)
-        if self.lead:
-            moved = [self._ahead(c, t) for c, t in zip(paths.cov, times, strict=True)]
-            mean = np.einsum("kij,jk...->ik...", np.stack([m for m, _ in moved]), mean)
-            cov = np.stack([c for _, c in moved], axis=-1)
-        return along(self._law, mean, cov)
-
-    def smooth(
-        self, times: ArrayLike, increments: ArrayLike, *, lag: int | None = None
-    ) -> TwoStepPaths:
-        """Estimates from later measurements as well; see `KalmanBucyFilter.smooth`."""
-        self._want_no_lead()
-        paths = self.filter.smooth(times, increments, lag=lag)
-        return along(self._law, np.moveaxis(paths.mean, 0, 1), np.moveaxis(paths.cov, 0, -1))
-
-    def smoothed_errors(self, times: ArrayLike, *, lag: int | None = None) -> MeanSquareErrors:
-        """Exact errors of both smoothed estimates; see `KalmanBucyFilter.smoothed_moments`."""
-        self._want_no_lead()
-        return self._errors(self.filter.smoothed_moments(times, lag=lag))
-
-    def table(self, times: ArrayLike) -> TwoStepTable:
-        """Everything that can be computed before the data, for use online (section 2.5).
-
-        Parameters
-        ----------
-        times : array_like
-            Grid, shape (K+1,).
-
-        Returns
-        -------
-        TwoStepTable
-            For a polynomial f its estimate and variance are polynomials of x̂ whose coefficients
-            are tabulated; for other functions the covariances are.
-
-        Raises
-        ------
-        TypeError, ValueError
-            As `KalmanBucyFilter.design`.
-        """
-        design = self.filter.design(times)
-        moved = [self._ahead(c, t) for c, t in zip(design.cov, design.times, strict=True)]
-        return make_table(self._law, design, moved)
-
-    def _ahead(self, cov: np.ndarray, t: float) -> tuple[np.ndarray, np.ndarray]:
-        """Transition over the lead from time t, and the covariance at its end."""
-        move, noise = self.system.transition(t, t + self.lead)
-        return move, move @ cov @ move.T + noise
-
-    def _want_no_lead(self) -> None:
-        if self.lead:
-            raise ValueError(f"lead: wanted 0 of a smoothed estimate, got {self.lead:g}")
-
-    def _errors(self, moments: LinearMoments) -> MeanSquareErrors:
-        pairs = [self._law.errors(*law) for law in zip(*moments, strict=True)]
-        return MeanSquareErrors(*(np.stack(values) for values in zip(*pairs, strict=True)))
-
-    def _checked(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
-        return gaussian_arguments(as_vectors("mean", mean, self.system.state_size), cov)
+    def _errors_of(self, moments: LinearMoments) -> Any:
+        pairs = []
+        for mean, cov, error_cov in zip(*moments, strict=True):
+            if self.estimate_variables is not None:
+                estimate_cov = cov - error_cov
+                cov = np.block([[cov, estimate_cov], [estimate_cov, estimate_cov]])
+            mean, error_cov = self._joint_law(mean, error_cov)
+            pairs.append(self._errors(mean, cov, error_cov))
+        return pairs[0]._make(map(np.stack, zip(*pairs, strict=True)))

@@ -14,7 +14,7 @@ def delayed_scalar(near: float, far: float, sensor_var: float = 1.0, delay: int 
 
 
 def delayed_oscillator(damping: float = 0.7, delay: int = 3) -> DelaySystem:
-    """Oscillator turning by 0.5 rad a step with a delayed coupling; its first component is seen.
+    """Oscillator turning by 0.5 rad a step, with a delayed coupling, measured in one component.
 
     Stable for damping 0.7 and delay 3 (spectral radius 0.972), unstable for damping 0.8.
     """
@@ -36,7 +36,7 @@ def two_noises() -> DelaySystem:
 
 
 def _plane(dynamics: dict, history: float = 1.0, sensor_var: float = 1.0, drive=((0,), (1,))):
-    """Two components of which the first is seen; unit variances but for the named ones."""
+    """Two components of which the first is measured; unit variances but for the named ones."""
     noise_cov = np.eye(np.shape(drive)[1])
     return DelaySystem(
         dynamics, [[1, 0]], noise_cov, sensor_var, np.eye(2), history, noise_input=drive

@@ -91,10 +91,16 @@ def test_optimal_gains_with_nearly_parallel_precise_sensors_keep_their_digits():
 
     turn = 0.7 * np.array([[np.cos(0.5), np.sin(0.5)], [-np.sin(0.5), np.cos(0.5)]])
     system = general_system(
-        (0, 2), dynamics={0: turn, 2: [[0.1, 0.3], [-0.2, 0.1]]}, sensor=[[1, 0], [1, 1e-4]],
-        sensor_cov=1e-8 * np.eye(2), cov0=np.eye(2), history_cov=1.0, mean0=0.0,
-        noise_cov=1.0, noise_input=[[0.0], [1.0]],
-    )  # fmt: skip
+        (0, 2),
+        dynamics={0: turn, 2: [[0.1, 0.3], [-0.2, 0.1]]},
+        sensor=[[1, 0], [1, 1e-4]],
+        sensor_cov=1e-8 * np.eye(2),
+        cov0=np.eye(2),
+        history_cov=1.0,
+        mean0=0.0,
+        noise_cov=1.0,
+        noise_input=[[0.0], [1.0]],
+    )
     stack = system.stacked()
     parts = stack.dynamics.slope_at(0), stack.dynamics.cov_at(0), stack.sensor.slope_at(0)
     with mpmath.workdps(60):

@@ -69,9 +69,9 @@ def test_estimates_of_given_gains_by_hand():
             mean = plain if k == 1 else plain + np.tensordot(gains.past[k, 0], nu[k - 1], 1)
             nu[k] = y[k] - np.tensordot(system.sensor, mean if corrected else plain, 1)
             x[k] = mean + np.tensordot(gains.gain[k], nu[k], 1)
-        found = apply_gains(system, gains, y)
+        estimates = apply_gains(system, gains, y)
         for k in (1, 2, 3):
-            np.testing.assert_allclose(found[k], x[k], atol=1e-13)
+            np.testing.assert_allclose(estimates[k], x[k], atol=1e-13)
 
 
 @pytest.mark.parametrize(
@@ -133,9 +133,9 @@ def test_greedy_structure_is_optimal_up_to_instant_delay_plus_one(delay):
 def test_separate_gains_are_those_of_the_formulas():
     """(20), (21) with exact covariances of prediction error and innovations; no minimum."""
     system = general_system((0, 3))
-    found, truth = separate_gains(system, 8), Regression(system, 8)
-    np.testing.assert_allclose(found.cov, by_coefficients(system, found.gains), atol=1e-11)
-    error, spread = coefficients(system, found.gains)
+    separate, truth = separate_gains(system, 8), Regression(system, 8)
+    np.testing.assert_allclose(separate.cov, by_coefficients(system, separate.gains), atol=1e-11)
+    error, spread = coefficients(system, separate.gains)
     chain = np.concatenate([truth.states[: truth.reach], error])
     ahead, nu = {}, {}
     for k in range(1, 9):
@@ -148,10 +148,10 @@ def test_separate_gains_are_those_of_the_formulas():
         for j in range(1, min(3, k - 1) + 1):
             cross = ahead[k] @ spread @ nu[k - j].T
             gain = cross @ np.linalg.inv(nu[k - j] @ spread @ nu[k - j].T)
-            np.testing.assert_allclose(found.gains.past[k, j - 1], gain, atol=1e-10)
+            np.testing.assert_allclose(separate.gains.past[k, j - 1], gain, atol=1e-10)
             left = left - gain @ cross.T
         inner = nu[k] @ spread @ nu[k].T
         own = left @ system.sensor.T @ np.linalg.inv(inner)
-        np.testing.assert_allclose(found.gains.gain[k], own, atol=1e-10)
+        np.testing.assert_allclose(separate.gains.gain[k], own, atol=1e-10)
     joint = greedy_gains(system, 8).cov
-    assert traces(found.cov)[4] > traces(joint)[4]
+    assert traces(separate.cov)[4] > traces(joint)[4]

@@ -81,9 +81,9 @@ class Regression:
 def printed_recursion(system, steps):
     """(9)-(29) of the paper with one loop per index: K, L and the claimed matrix."""
     reach, n, m = system.max_delay, system.state_size, system.measurement_size
-    known = {(j, i): np.zeros((n, n)) for j in range(2 * reach + 1) for i in range(2 * reach + 1)}
+    lags = {(j, i): np.zeros((n, n)) for j in range(2 * reach + 1) for i in range(2 * reach + 1)}
     for j, block in enumerate(system.start_blocks()):
-        known[j, j] = block
+        lags[j, j] = block
 
     a, b = system.dynamics.get(0, np.zeros((n, n))), system.dynamics[reach]
     c, r = system.sensor, system.sensor_cov
@@ -93,9 +93,9 @@ def printed_recursion(system, steps):
         ahead = {}
         for j in (0, *used):
             for i in (0, *used):
-                ahead[j, i] = a @ known[j, i] @ a.T + b @ known[reach + j, i] @ a.T
-                ahead[j, i] += a @ known[j, reach + i] @ b.T
-                ahead[j, i] += b @ known[reach + j, reach + i] @ b.T
+                ahead[j, i] = a @ lags[j, i] @ a.T + b @ lags[reach + j, i] @ a.T
+                ahead[j, i] += a @ lags[j, reach + i] @ b.T
+                ahead[j, i] += b @ lags[reach + j, reach + i] @ b.T
                 if i == j:
                     ahead[j, i] += system.state_noise
         inverse = {j: np.linalg.inv(c @ ahead[j, j] @ c.T + r) for j in (0, *used)}
@@ -108,15 +108,15 @@ def printed_recursion(system, steps):
             for j in used:
                 if i != j:
                     claimed += past[i] @ c @ ahead[i, j] @ c.T @ past[j].T
-        moved = {(j, i): known[j - 1, i - 1] for j, i in known if i and j}
+        moved = {(j, i): lags[j - 1, i - 1] for j, i in lags if i and j}
         for j in range(1, 2 * reach + 1):
-            row = keep @ (a @ known[0, j - 1] + b @ known[reach, j - 1])
+            row = keep @ (a @ lags[0, j - 1] + b @ lags[reach, j - 1])
             for i in used:
-                older = a @ known[i, j - 1] + b @ known[reach + i, j - 1]
+                older = a @ lags[i, j - 1] + b @ lags[reach + i, j - 1]
                 row -= past[i] @ c @ older
             moved[0, j], moved[j, 0] = row, row.T
         moved[0, 0] = claimed
-        known = moved
+        lags = moved
         gains.append(gain)
         pasts.append([past.get(j, np.zeros((n, m))) for j in range(1, reach + 1)])
         claims.append(claimed)

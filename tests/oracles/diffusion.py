@@ -1,4 +1,4 @@
-"""A linear diffusion, its filter and smoother by integrating their differential equations."""
+"""A linear diffusion and its filter by integrating their differential equations."""
 
 from itertools import pairwise
 
@@ -10,22 +10,9 @@ from seedslib.two_step import LinearDiffusion
 TIGHT = {"method": "DOP853", "rtol": 1e-11, "atol": 1e-13}
 
 
-def varying_diffusion():
-    """Time-varying in everything, not symmetric, two unlike correlated sensors, one noise."""
-    return LinearDiffusion(
-        drift=lambda t: [[0.2 * np.cos(t), 1.0 + 0.1 * t], [-2.0, -0.3]],
-        noise_intensity=lambda t: [[0.4 + 0.3 * t]],
-        sensor=lambda t: [[1.0, 0.5 * np.sin(t)], [0.2 * t, 1.0]],
-        sensor_intensity=lambda t: np.array([[0.2, 0.05], [0.05, 0.4]]) * (1 + 0.5 * np.sin(3 * t)),
-        mean0=[1.0, -1.0],
-        cov0=[[0.5, 0.1], [0.1, 0.3]],
-        noise_input=lambda t: [[0.3], [1.5 - 0.2 * t]],
-    )
-
-
 def constant_diffusion(**changes):
     """Constant, not symmetric, two unlike correlated sensors."""
-    known = {
+    system = {
         "drift": [[0.2, 1.0], [-2.0, -0.3]],
         "noise_intensity": [[0.4, 0.1], [0.1, 0.2]],
         "sensor": [[1.0, 0.5], [0.0, 1.0]],
@@ -33,7 +20,7 @@ def constant_diffusion(**changes):
         "mean0": [1.0, -1.0],
         "cov0": [[0.5, 0.1], [0.1, 0.3]],
     }
-    return LinearDiffusion(**{**known, **changes})
+    return LinearDiffusion(**{**system, **changes})
 
 
 def transition(system, start, stop):
@@ -41,9 +28,8 @@ def transition(system, start, stop):
     n = system.state_size
 
     def slope(t, y):
-        f, w, *_ = system.matrices(t)
-        move, noise = y.reshape(2, n, n)
-        return np.stack([f @ move, f @ noise + noise @ f.T + w]).ravel()
+        f, (move, noise) = system.drift, y.reshape(2, n, n)
+        return np.stack([f @ move, f @ noise + noise @ f.T + system.diffusion]).ravel()
 
     first = np.stack([np.eye(n), np.zeros((n, n))]).ravel()
     return solve_ivp(slope, (start, stop), first, **TIGHT).y[:, -1].reshape(2, n, n)
@@ -56,51 +42,26 @@ def start_law(system, t):
 
 
 def filtered(system, times, increments=None):
-    """Means (K+1, n), error covariances (K+1, n, n), and both over each step as functions.
+    """Means (K+1, n) and error covariances (K+1, n, n) of the Kalman-Bucy filter.
 
-    With increments (K, m) their rates are constant over a step, and so are the coefficients, those
-    of its middle; NaN is missing. Without increments nothing is frozen, all is measured.
+    With increments (K, m) their rates are constant over a step; NaN is missing. Without
+    increments all is measured and the mean is that of the state.
     """
-    n, laws, steps = system.state_size, [start_law(system, times[0])], []
+    n, laws = system.state_size, [start_law(system, times[0])]
     for k, (a, b) in enumerate(pairwise(times)):
+        h = system.sensor
+        observed = np.ones(len(h), bool) if increments is None else ~np.isnan(increments[k])
+        noise = np.linalg.inv(system.sensor_intensity[np.ix_(observed, observed)])
 
-        def slope(t, y, k=k, a=a, b=b):
+        def slope(t, y, k=k, h=h[observed], noise=noise, observed=observed, length=b - a):
             m, p = y[:n], y[n:].reshape(n, n)
-            f, w, h, r = system.matrices(t if increments is None else 0.5 * (a + b))
-            seen = np.ones(len(h), bool) if increments is None else ~np.isnan(increments[k])
-            rate = h @ m if increments is None else increments[k] / (b - a)
-            gain = p @ h[seen].T @ np.linalg.inv(r[np.ix_(seen, seen)])
-            dm = f @ m + gain @ (rate - h @ m)[seen]
-            return np.concatenate([dm, (f @ p + p @ f.T + w - gain @ h[seen] @ p).ravel()])
+            rate = h @ m if increments is None else increments[k, observed] / length
+            gain = p @ h.T @ noise
+            free = system.drift @ p + p @ system.drift.T + system.diffusion
+            dm = system.drift @ m + gain @ (rate - h @ m)
+            return np.concatenate([dm, (free - gain @ h @ p).ravel()])
 
         first = np.concatenate([laws[-1][0], laws[-1][1].ravel()])
-        if a == b:
-            laws.append(laws[-1])
-            continue
-        run = solve_ivp(slope, (a, b), first, dense_output=True, **TIGHT)
-        steps.append((a, b, run.sol))
-        laws.append((run.y[:n, -1], run.y[n:, -1].reshape(n, n)))
-    means, covs = (np.stack(parts) for parts in zip(*laws, strict=True))
-    return means, covs, steps
-
-
-def smoothed(system, times, increments=None):
-    """Means and covariances by the equations of Rauch, Tung and Striebel, backward in time."""
-    means, covs, steps = filtered(system, times, increments)
-    n, laws = system.state_size, [(means[-1], covs[-1])]
-    for a, b, forward in steps[::-1]:
-
-        def slope(t, y, a=a, b=b, forward=forward):
-            m, p = y[:n], y[n:].reshape(n, n)
-            f, w, *_ = system.matrices(t if increments is None else 0.5 * (a + b))
-            now = forward(t)
-            gain = w @ np.linalg.inv(now[n:].reshape(n, n))
-            back = f + gain
-            return np.concatenate(
-                [f @ m + gain @ (m - now[:n]), (back @ p + p @ back.T - w).ravel()]
-            )
-
-        first = np.concatenate([laws[-1][0], laws[-1][1].ravel()])
-        y = solve_ivp(slope, (b, a), first, **TIGHT).y[:, -1]
+        y = first if a == b else solve_ivp(slope, (a, b), first, **TIGHT).y[:, -1]
         laws.append((y[:n], y[n:].reshape(n, n)))
-    return [np.stack(parts[::-1]) for parts in zip(*laws, strict=True)]
+    return [np.stack(parts) for parts in zip(*laws, strict=True)]

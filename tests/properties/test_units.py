@@ -21,7 +21,7 @@ from seedslib.filters import (
 )
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
-from seedslib.two_step import KalmanBucyFilter, LinearDiffusion
+from seedslib.two_step import LinearDiffusion
 
 x1, x2, v1, v2, w1, w2 = sp.symbols("x1 x2 v1 v2 w1 w2", real=True)
 F, Q = np.array([[0.9, 0.2], [-0.1, 0.8]]), np.array([[0.3, 0.1], [0.1, 0.2]])
@@ -134,10 +134,10 @@ def test_kalman_bucy(powers):
     c, d = units(powers)
 
     def moments(c, d):
-        return KalmanBucyFilter(
-            LinearDiffusion(turned(c, F - 1.2 * np.eye(2), 1 / c), turned(c, Q, c),
-                            turned(d, H, 1 / c), turned(d, R, d), c * MEAN, turned(c, COV, c))
-        ).moments([0.0, 0.5, 5.0])  # fmt: skip
+        drift, noise = turned(c, F - 1.2 * np.eye(2), 1 / c), turned(c, Q, c)
+        sensor, sensor_noise = turned(d, H, 1 / c), turned(d, R, d)
+        start = c * MEAN, turned(c, COV, c)
+        return LinearDiffusion(drift, noise, sensor, sensor_noise, *start).moments([0.0, 0.5, 5.0])
 
     one, other = moments(c, d), moments(ONE, ONE)
     np.testing.assert_allclose(one.mean / c, other.mean, rtol=1e-9, atol=1e-10)

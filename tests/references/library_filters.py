@@ -30,7 +30,8 @@ from seedslib.models import (
     SwitchingSystem,
     van_loan,
 )
-from seedslib.two_step import KalmanBucyFilter, LinearDiffusion, TwoStepEstimator
+from seedslib.two_step import LinearDiffusion, TwoStepEstimator
+from seedslib.two_step import kalman_bucy as filtered
 
 x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
 
@@ -94,14 +95,14 @@ def diffusion_system(drift, diffusion, sensor, intensity, mean0=(0.0, 0.0), cov0
 
 
 def riccati(**told):
-    found = KalmanBucyFilter(diffusion_system(**told)).steady_error_cov()
+    found = diffusion_system(**told).steady_error_cov()
     return {k: c for k, c in law_values([0, 0], found).items() if k.startswith("cov")}
 
 
 def kalman_bucy(step, **told):
     times = np.arange(51) * step
     rate = waves(50, len(told["sensor"])) / 16
-    found = KalmanBucyFilter(diffusion_system(**told)).run(times, (rate * step)[:, :, None])
+    found = filtered(diffusion_system(**told), times, (rate * step)[:, :, None])
     return law_values(found.mean[-1, :, 0], found.cov[-1])
 
 

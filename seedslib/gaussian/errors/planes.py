@@ -21,11 +21,11 @@ from seedslib.gaussian.means.polynomial import polynomial_value
 from seedslib.gaussian.quadrature import rule_of_rank
 
 SIDE = np.polynomial.legendre.leggauss(52)
-PANEL = np.polynomial.legendre.leggauss(24)
+PANEL = np.polynomial.legendre.leggauss(18)
 REACH = 9.5
 # breaks in deviations of the estimate and of its error
 WIDE = np.array([0.0, 2.0, 4.0, 6.5, REACH])
-NARROW = np.array([0.0, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0])
+NARROW = np.array([0.0, 1.0, 2.5, 5.0, 9.5, 16.0])
 POINTS = 250_000  # evaluations at a time
 SMALL = 1e-12  # deviations along the plane beside the largest one that are rounding
 NEGLIGIBLE = 4e-16
