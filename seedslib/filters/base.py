@@ -298,28 +298,32 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
     A record has diverged where a time says so, an estimate is no number, or a measurement was
     impossible.
     """
-    columns: dict[str, np.ndarray] = {}
+    columns: list[Any] = [None] * 6
     lost: Any = False
     for k, report in enumerate(reports):
-        for name, part in zip(report._fields, report, strict=True):
+        for slot, part in enumerate(report):
             if part is None:
                 continue
-            if name == "diverged":
+            if slot == 4:
                 lost = lost | part
                 continue
-            part, column = np.asarray(part), columns.get(name)
-            if column is None or part.ndim >= column.ndim:  # until now common to all records
-                columns[name] = np.empty((count, *part.shape), part.dtype)
+            column, ndim = columns[slot], np.ndim(part)
+            if column is None or ndim >= column.ndim:  # until now common to all records
+                columns[slot] = np.empty((count, *np.shape(part)), np.asarray(part).dtype)
                 if column is not None:
-                    columns[name][:k].T[...] = column[:k].T
-            columns[name][k, ...].T[...] = part.T
-    mean, cov, loglik = (columns.get(name) for name in ("mean", "cov", "loglik"))
+                    columns[slot][:k].T[...] = column[:k].T
+                column = columns[slot]
+            if ndim + 1 == column.ndim:
+                column[k] = part
+            else:
+                column[k].T[...] = np.transpose(part)
+    mean, cov, prob, loglik, _, modes = columns
     # what is no number once is none at the end, or on the way back at the beginning
     lost = lost | ~np.isfinite(mean).all(axis=(0, 1))
     lost = lost | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
     if loglik is not None:
         lost = lost | (loglik == -np.inf).any(axis=0)
-    return Estimates(**columns, diverged=np.asarray(lost))
+    return Estimates(mean, cov, prob, loglik, np.asarray(lost), modes)
 
 
 def in_one(blocks: list[Estimates], batch: tuple[int, ...]) -> Estimates:
