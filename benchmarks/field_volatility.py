@@ -67,7 +67,7 @@ def predictive(system, order):
     law = JointLaw(system, Memory(order), np.arange(float(DESIGNED)), **TABLES[order])
     *_, last = optimal_steps(law)
     likely = np.exp(law.chain.log_likelihood(0.0, law.shown))
-    axes = law.measurement_axes + law.letter_axes * order
+    axes = law.measurement_axes + law.block_axes * order
     found = np.maximum(likely @ last.law.T, 1e-300)
     return axes, np.log(found).reshape(1, *(axis.count for axis in axes))
 

@@ -28,7 +28,8 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 from seedslib.filters import extended_kalman
-from seedslib.piecewise import PiecewiseLinearFilter, examples
+from seedslib.piecewise import PiecewiseLinearFilter
+from seedslib.zoo import falling_body
 
 NOISES = (1e-3, 1e-4, 1e-5)
 DEVIATIONS = (8.6, 11.25, 13.0, 22.5)
@@ -70,7 +71,7 @@ def study(
     fallen = 0.005 * times[1:, None] ** 2 + 0.01 * speed * times[1:, None]
     y = 0.1 - fallen / x + noise * rng.standard_normal((runs, 10)).T
     y = np.concatenate([np.full((1, 1, runs), np.nan), y[:, None]])
-    system = examples.falling_body(sensor_noise=noise, deviation=deviation, speed=speed)
+    system = falling_body(sensor_noise=noise, deviation=deviation, speed=speed)
     parts: dict[str, list[np.ndarray]] = {"square": [], "ratio": []}
     for state in itertools.islice(PiecewiseLinearFilter(system).states(10, y), 1, None):
         parts["square"].append((state.mean[0] / x - 1.0) ** 2)

@@ -12,7 +12,7 @@ import seedslib
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
-    "base", "gaussian", "models", "linearization", "filters", "designed", "design", "evaluation",
+    "base", "gaussian", "models", "linearization", "filters", "designed", "evaluation", "design",
     "zoo", "commands",
 )  # fmt: skip
 """Each uses only packages before it."""

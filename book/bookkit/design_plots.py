@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from bookkit.plots import axes, band, curve, finish
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.outputs.filter import OutputFilter
-from seedslib.designed.outputs.lookup import Table, switches
+from seedslib.designed.output_filter import OutputFilter
 from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.tables import Table, switches
 
 MEMORIES = 5
 """Values of the memory for which the output function is drawn."""

@@ -12,11 +12,11 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.correction import correct as correct
-    from seedslib.base.nodes import Nodes as Nodes
     from seedslib.base.parameters import ELAPSED as ELAPSED
     from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter
     from seedslib.base.tables import Axis as Axis
+    from seedslib.base.tables import Nodes as Nodes
     from seedslib.base.tables import interpolate as interpolate
     from seedslib.base.values import assigned as assigned
 else:

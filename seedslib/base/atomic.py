@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import errno
 import os
 import secrets
 import shutil
@@ -19,7 +18,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     The bytes go to a file beside it, are forced to the disk, and the name is then moved over; when
     anything fails on the way, the old file is as it was and nothing is left beside it. The
     permissions are those of the old file, or what the process gives to new ones. Through a link
-    the file behind it is replaced; what is no file, such as a pipe, is written to as it is.
+    the file behind it is replaced.
 
     Parameters
     ----------
@@ -30,19 +29,10 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     OSError
         No such folder, no room on the disk, no permission.
     """
-    path = Path(path)
-    if path.exists() and not path.is_file():
-        with path.open("wb") as file:
-            yield file
-        return
     path = Path(os.path.realpath(path))
-    if path.exists() and not os.access(path, os.W_OK):
-        # a rename would not ask: it is the folder that it writes to
-        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
     partial = path.with_name(f".{path.name[:40]}.{secrets.token_hex(6)}.part")
     try:
-        # made anew, so that nobody's link or file of this name is followed; the umask holds
-        with partial.open("xb") as file:
+        with partial.open("xb") as file:  # made anew: nobody's file of this name is followed
             if path.exists():
                 shutil.copymode(path, partial)
             yield file

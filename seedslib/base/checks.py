@@ -12,51 +12,36 @@ ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
 
 
-def as_real(name: str, value: object, *, ndim: int | None = None, nan: bool = False) -> np.ndarray:
-    """Float64 array of finite real numbers.
+def as_real(
+    name: str,
+    value: object,
+    shape: tuple[int | None, ...] | None = None,
+    *,
+    ndim: int | None = None,
+    nan: bool = False,
+    infinite: bool = False,
+) -> np.ndarray:
+    """Float64 array of real numbers, finite unless said otherwise.
 
     Parameters
     ----------
     name : str
         The caller's name of the argument, for the message.
     value : array_like
+    shape : tuple of int, optional
+        Wanted lengths of the axes; -1 leaves one free.
     ndim : int, optional
         Wanted number of axes.
-    nan : bool
-        Whether NaN (a missing value) is allowed; infinities never are.
+    nan, infinite : bool
+        Whether NaN (a missing value) and infinities are allowed.
 
     Raises
     ------
     TypeError
-        `value` is complex, an object array, text, or ragged.
+        `value` is complex, an object array, text, ragged, or masked.
     ValueError
-        Wrong number of axes, or an entry that is not finite.
+        Another shape, or an entry that is not allowed.
     """
-    array = _floats(name, value)
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
-    bad = np.isinf(array) if nan else ~np.isfinite(array)
-    if bad.any():
-        where = tuple(int(i) for i in np.argwhere(bad)[0])
-        raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
-    return array
-
-
-def as_bound(name: str, value: object) -> np.ndarray:
-    """Float64 array in which infinities, but not NaN, are legal.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Not real, or NaN.
-    """
-    array = _floats(name, value)
-    if np.isnan(array).any():
-        raise ValueError(f"{name}: wanted numbers or infinities, got NaN")
-    return array
-
-
-def _floats(name, value):
     if isinstance(value, np.ma.MaskedArray):  # NumPy would read the numbers behind the mask
         raise TypeError(f"{name}: wanted NaN for missing numbers, got a masked array")
     try:
@@ -67,20 +52,26 @@ def _floats(name, value):
         hint = "; take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
         text = f"{name}: wanted real numbers, got an array of dtype {array.dtype}"
         raise TypeError(text + hint * (array.dtype.kind in "mM"))
-    return array.astype(float)
+    array = array.astype(float)
+    if ndim is not None and array.ndim != ndim:
+        raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
+    bad = ~(np.isfinite(array) | (nan & np.isnan(array)) | (infinite & np.isinf(array)))
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
+    if shape is not None:
+        require_shape(name, array, shape)
+    return array
+
+
+def as_bound(name: str, value: object) -> np.ndarray:
+    """`as_real` in which infinities are legal."""
+    return as_real(name, value, infinite=True)
 
 
 def as_shape(name: str, value: object, shape: tuple[int, ...], *, nan: bool = False) -> np.ndarray:
-    """Real array (see `as_real`) of exactly the given shape; -1 leaves an axis free.
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `as_real`; `ValueError` also for a wrong shape.
-    """
-    array = as_real(name, value, nan=nan)
-    require_shape(name, array, shape)
-    return array
+    """`as_real` of exactly the given shape; -1 leaves an axis free."""
+    return as_real(name, value, shape, nan=nan)
 
 
 def require_shape(name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
@@ -100,15 +91,9 @@ def require_shape(name: str, array: np.ndarray, shape: tuple[int | None, ...]) -
 
 
 def as_vectors(name: str, value: object, size: int) -> np.ndarray:
-    """Real array (see `as_real`) of vectors of `size` components, (size, *batch).
-
-    Raises
-    ------
-    TypeError, ValueError
-        As `as_shape`.
-    """
+    """`as_real` of vectors of `size` components, (size, *batch)."""
     array = as_real(name, value)
-    return as_shape(name, array, (size, *array.shape[1:]))
+    return as_real(name, array, (size, *array.shape[1:]))
 
 
 def as_covariance(

@@ -7,17 +7,24 @@ regions, a plain float, or a SymPy expression (which turns the step into printab
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from functools import reduce
-from operator import add
+from operator import add, mul
 from typing import Any
 
 import numpy as np
 
 from seedslib.base.circle import Periods, nearest
-from seedslib.base.diffuse import correct_diffuse, narrowed
-from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI, RELATIVE, factor, logs, pseudo_correct
+from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE, WIDE, factor
 
-__all__ = ["correct", "eliminate", "factor", "joint_shape"]
+LEVEL = 1e-6
+"""An innovation without variance up to this part of what it is a difference of is rounding."""
+
+FAINT = 1e-5
+"""The same as a part of a deviation: what `RELATIVE` counts as zero has deviations of 3e-7."""
+
+UNEXPLAINED = 1e-13
+"""What the slope and the noise leave unexplained of cov y is rounding up to this part of it."""
 
 
 def correct(
@@ -62,29 +69,23 @@ def correct(
 
     Raises
     ------
-    TypeError
-        An argument that is not numeric.
     ValueError
-        Shapes that do not fit, or an infinite measurement.
+        A measurement of another size, or an infinite one.
 
     Notes
     -----
     Batch axes come last, broadcast against each other and may be absent. Arrays of SymPy
     expressions (dtype object) are corrected by the same lines.
-    A singular S is met by its Moore-Penrose inverse, on the items concerned. Its rank is decided
-    on the matrix scaled to unit diagonal: variances below the normal numbers and eigenvalues up
-    to 1e-13 are zero; the likelihood is then the density on the range of S (-inf where impossible).
-    Items whose scaled S has an eigenvalue below -1e-9, or with a NaN but in `y`, become NaN.
+    A component of y that the ones before it determine, up to 1e-13 of its variance, is left out:
+    the likelihood is the density of the others (-inf where impossible). Items in which a variance
+    given the components before falls below -1e-9 of itself, or with a NaN but in `y`, become NaN.
     """
-    mean, y = _numbers("mean", mean), _numbers("y", y)
-    cov = None if cov is None else _numbers("cov", cov)
-    predicted, cross, spread = (
-        _numbers(f"moments.{name}", part)
-        for name, part in zip(("mean", "cross", "cov"), moments, strict=True)
-    )
-    rows = _check(mean, cov, y, predicted, cross, spread, rows)
+    mean, y, predicted, cross, spread = map(np.asarray, (mean, y, *moments))
+    if y.shape[:1] != predicted.shape[:1]:
+        raise ValueError(f"y: wanted shape ({len(predicted)}, *batch), got {y.shape}")
+    rows = len(mean) if rows is None else rows
     mean, cross = mean[:rows], cross[:rows]
-    cov = None if cov is None else cov[:rows, :rows]
+    cov = None if cov is None else np.asarray(cov)[:rows, :rows]
     if object in (mean.dtype, y.dtype, predicted.dtype, cross.dtype, spread.dtype):
         return _correct_symbols(mean, cov, y - predicted, cross, spread)
 
@@ -97,29 +98,51 @@ def correct(
     cov = None if cov is None else _align(cov, 2, depth)
 
     y = nearest(y, predicted, periods)
-    error, missing = y - predicted, 0
+    error, missing, whole = y - predicted, 0, cross
+    size = np.abs(y) + np.abs(predicted) if exact else None
     present = np.isfinite(y)
     if not present.all():
         if np.isinf(y).any():
             where = tuple(int(i) for i in np.argwhere(np.isinf(y))[0])
             raise ValueError(f"y: wanted finite numbers or NaN, got {y[where]} at index {where}")
-        cross_before = cross
         error, cross, spread, missing = _without_missing(present, error, cross, spread)
+        size = size[present.reshape(len(present), -1).any(axis=1)] if exact else None
         if missing.any():
             cov_batch = joint_shape(cov_batch, y.shape[1:]) if cov is not None else ()
-    told = (y, predicted, present) if exact else None
-    new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing, told)
-    apart_known = noise is not None and cov is not None and len(error)
-    if apart_known and (suspect := narrowed(cov, new_cov)).any():
-        apart = _align(np.asarray(noise(), dtype=float), 2, depth)
-        if not present.all():
-            apart = _without_missing(present, y, cross_before, apart)[2]
-        correct_diffuse(cov, cross, spread, apart, suspect, new_cov)
+    new_mean, new_cov, loglik = _correct_numbers(mean, cov, error, cross, spread, missing, size)
+    if noise is not None and cov is not None and len(error):
+        wide = (np.diagonal(new_cov) < WIDE * np.diagonal(cov)).any(axis=-1)
+        if wide.any():
+            known = _align(np.asarray(noise(), dtype=float), 2, depth)
+            if not present.all():
+                known = _without_missing(present, y, whole, known)[2]
+            _correct_wide(cov, cross, spread, known, wide, new_cov)
     return (
         new_mean.reshape(rows, *mean_batch),
         None if cov is None else new_cov.reshape(rows, rows, *cov_batch),
         loglik.reshape(mean_batch),
     )
+
+
+def gaussian_logpdf(y: Any, mean: Any, cov: Any, periods: Periods = ()) -> np.ndarray:
+    """Logarithm of the Gaussian density of y (m, *batch), shape (*batch); NaN is left out.
+
+    Parameters
+    ----------
+    mean, cov : ndarray, shapes (m, *batch) and (m, m, *batch)
+    periods : tuple
+        Components on a circle, from `as_periods`.
+    """
+    ones = (1,) * (np.ndim(mean) - 1)
+    state, cross = np.zeros((1, *ones)), np.zeros((1, len(mean), *ones))
+    return correct(state, None, y, (mean, cross, cov), periods=periods)[2]
+
+
+def normalized_squares(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Squares eᵀ P⁻¹ e, shape (*batch), of errors (m, *batch); components as in `correct`."""
+    spread = [list(np.broadcast_to(row, (len(error), *error.shape[1:]))) for row in cov]
+    terms, _ = eliminate([], None, list(error), [], spread, _Pivots(np.ndarray.all))
+    return reduce(add, terms)
 
 
 def joint_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
@@ -131,44 +154,6 @@ def joint_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
                 return np.broadcast_shapes(*shapes)
             joint = shape
     return joint
-
-
-def _numbers(name: str, value: object) -> np.ndarray:
-    array = value
-    if type(value) is not np.ndarray:
-        try:
-            array = np.asarray(value)
-        except ValueError:
-            raise TypeError(f"{name}: wanted an array, got a ragged list") from None
-    foreign = array.dtype.kind == "O" and not all(hasattr(v, "__truediv__") for v in array.flat)
-    if foreign or array.dtype.kind not in "fiuO":
-        raise TypeError(f"{name}: wanted real numbers, got an array of dtype {array.dtype}")
-    return array
-
-
-def _check(mean, cov, y, predicted, cross, spread, rows) -> int:
-    """Number of rows to correct, after every shape has been looked at."""
-    if mean.ndim < 1 or mean.shape[0] < 1:
-        raise ValueError(f"mean: wanted shape (n, *batch), got {mean.shape}")
-    if y.ndim < 1:
-        raise ValueError(f"y: wanted shape (m, *batch), got {y.shape}")
-    n, m = len(mean), len(y)
-    if rows is None:
-        rows = n
-    elif isinstance(rows, bool) or rows != int(rows) or not 1 <= rows <= n:
-        raise ValueError(f"rows: wanted a whole number from 1 to {n}, got {rows}")
-    if predicted.ndim and m != len(predicted) == len(spread):
-        raise ValueError(f"y: wanted shape ({len(predicted)}, *batch), got {y.shape}")
-    for name, part, wanted in (
-        ("cov", cov, (n, n)),
-        ("moments.mean", predicted, (m,)),
-        ("moments.cross", cross, (n, m)),
-        ("moments.cov", spread, (m, m)),
-    ):
-        if part is not None and part.shape[: len(wanted)] != wanted:
-            shape = ", ".join(map(str, wanted))
-            raise ValueError(f"{name}: wanted shape ({shape}, *batch), got {part.shape}")
-    return int(rows)
 
 
 def _align(part: np.ndarray, core: int, depth: int) -> np.ndarray:
@@ -231,6 +216,25 @@ def eliminate(
     return squares, pivots
 
 
+class _Pivots:
+    """Reciprocals of the pivots of `eliminate`; those of redundant components are zero."""
+
+    def __init__(self, everywhere: Any) -> None:
+        self.everywhere, self.count = everywhere, 0
+        self.redundant: dict[int, Any] = {}  # by component: where it is left out, and its variance
+
+    def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
+        j, self.count = self.count, self.count + 1
+        # the first pivot is its variance
+        regular = pivot > (ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE)
+        if self.everywhere(regular):
+            return 1.0 / pivot, pivot
+        self.redundant[j] = np.logical_not(regular), variance
+        pivot_or_one = np.where(regular, pivot, 1.0)
+        broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
+        return np.where(broken, np.nan, regular / pivot_or_one), pivot_or_one
+
+
 def _correct_symbols(mean, cov, error, cross, spread):
     import sympy
 
@@ -240,28 +244,15 @@ def _correct_symbols(mean, cov, error, cross, spread):
     return np.array(lists[0], dtype=object), _mirror(lists[1], (), object), -sum(squares + logs) / 2
 
 
-def _sizes(y, predicted, present):
-    """Magnitudes that innovations are rounded to, of the components that some item has."""
-    found = np.abs(np.where(present, y, 0.0)) + np.abs(predicted)
-    return found[present.reshape(len(present), -1).any(axis=1)]
+def _correct_numbers(mean, cov, error, cross, spread, missing, size):
+    """All parts with the same number of batch axes; `missing` counts dummy components.
 
-
-def _correct_numbers(mean, cov, error, cross, spread, missing, told):
-    """All parts with the same number of batch axes; `missing` counts dummy components."""
+    An innovation of a redundant component above the rounding of numbers of a given size is
+    impossible.
+    """
     gain_batch = joint_shape(cross.shape[2:], spread.shape[2:])
     mean_batch = joint_shape(mean.shape[1:], error.shape[1:], gain_batch)
     cov_batch = () if cov is None else joint_shape(cov.shape[2:], gain_batch)
-    flagged = []
-    everywhere = np.ndarray.all if mean_batch else bool
-
-    def reciprocal(pivot, variance):
-        # the first pivot is its variance
-        regular = pivot > (ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE)
-        if not everywhere(regular):
-            flagged.append(np.logical_not(regular))
-            pivot = np.where(regular, pivot, 1.0)
-        return 1.0 / pivot, pivot
-
     parts = (mean, cov, error, cross, spread)
     if mean_batch:
         lists = [
@@ -270,6 +261,7 @@ def _correct_numbers(mean, cov, error, cross, spread, missing, told):
         ]
     else:  # Python floats: several times faster than arrays without axes
         lists = [part if part is None else part.tolist() for part in parts]
+    reciprocal = _Pivots(np.ndarray.all if mean_batch else bool)
     terms, pivots = eliminate(*lists, reciprocal)
 
     new_mean = np.empty((len(mean), *mean_batch))
@@ -277,15 +269,54 @@ def _correct_numbers(mean, cov, error, cross, spread, missing, told):
         new_mean[k] = component
     new_cov = _mirror(lists[1], cov_batch, float)
     loglik = np.empty(mean_batch)
-    terms += logs(pivots, everywhere)
-    terms.append((len(pivots) - missing) * LOG_2PI)
+    with np.errstate(over="ignore") if mean_batch else nullcontext():  # one logarithm for all
+        product = reduce(mul, pivots, 1.0)
+    sound = np.all((product > ABSOLUTE) & (product < np.inf))
+    terms += [np.log(product)] if sound else [np.log(p) for p in pivots]
+    count = len(pivots) - missing
+    for j, (left_out, variance) in reciprocal.redundant.items():
+        count = count - left_out
+        if size is not None:
+            least = LEVEL * (size[j] + np.abs(mean).max(axis=0)) + FAINT * np.sqrt(np.abs(variance))
+            terms.append(np.where(left_out & (np.abs(lists[2][j]) > least), np.inf, 0.0))
+    terms.append(count * LOG_2PI)
     np.multiply(-0.5, reduce(add, terms), out=loglik)
-    if flagged:
-        bad = np.any(np.broadcast_arrays(*flagged), axis=0)
-        bad = np.broadcast_to(bad, gain_batch)
-        sizes = _sizes(*told) if told else None
-        pseudo_correct(parts, bad, missing, sizes, new_mean, new_cov, loglik)
     return new_mean, new_cov, loglik
+
+
+def _correct_wide(
+    cov: np.ndarray, cross: np.ndarray, spread: np.ndarray, noise: Any, wide: Any,
+    new_cov: np.ndarray,
+) -> None:  # fmt: skip
+    """Write corrected covariances of priors that are so wide that P - C S⁻¹ Cᵀ has no digits.
+
+    There the noise R is rounded off in S, and is needed apart. With P = L Lᵀ and C = L Gᵀ the
+    triangle of (R½, G; 0, L) has a root of the corrected covariance in its corner: nothing is
+    subtracted from a variance. Where cov y is more than slope and noise, it is left as it is.
+    """
+    batch = new_cov.shape[2:]
+    wide = np.broadcast_to(wide, batch)
+    cov, cross, spread, noise = (
+        np.broadcast_to(part, part.shape[:2] + batch)[..., wide]
+        for part in (cov, cross, spread, noise)
+    )
+    n, m = cross.shape[:2]
+    root, slope = factor(cov), np.zeros_like(cross)
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        for j, row in enumerate(root):  # L Gᵀ = C, a row of zeros where L has one
+            rest = cross[j] - (row[:j, None] * slope[:j]).sum(axis=0)
+            slope[j] = np.where(row[j] > 0, rest, 0.0) / np.where(row[j] > 0, row[j], 1.0)
+        rest = spread - noise - np.einsum("ki...,kj...->ij...", slope, slope)
+        unit = np.sqrt(np.einsum("ii...->i...", spread))
+        exact = (np.abs(rest) <= UNEXPLAINED * unit[:, None] * unit[None, :]).all(axis=(0, 1))
+    exact &= ~(noise == 0.0).all(axis=(0, 1)) & np.isfinite(root).all(axis=(0, 1))
+    rows = np.zeros((m + n, m + n, np.count_nonzero(exact)))
+    rows[:m, :m], rows[:m, m:] = factor(noise)[..., exact], np.swapaxes(slope, 0, 1)[..., exact]
+    rows[m:, m:] = root[..., exact]
+    corner = np.linalg.qr(rows.transpose(2, 1, 0), mode="r")[:, m:, m:]
+    wide = wide.copy()
+    wide[wide] = exact
+    new_cov[:, :, wide] = np.einsum("bki,bkj->ijb", corner, corner)
 
 
 def _mirror(lower: list | None, batch: tuple[int, ...], dtype: type) -> np.ndarray | None:

@@ -83,10 +83,8 @@ def require_distinct(**groups: Sequence[Any] | None) -> None:
     for role, group in groups.items():
         for symbol in as_symbols(role, () if group is None else group):
             if symbol in roles:
-                twice = roles[symbol] == role
-                where = f"{role}" if twice else f"{roles[symbol]}, {role}"
-                again = "twice" if twice else "in both"
-                raise ValueError(f"{where}: wanted distinct symbols, got {symbol} {again}")
+                both = ", ".join(dict.fromkeys((roles[symbol], role)))
+                raise ValueError(f"{both}: wanted distinct symbols, got {symbol} twice")
             roles[symbol] = role
 
 
@@ -103,16 +101,11 @@ def require_known(
     known = set(known)
     unknown = set().union(*(e.free_symbols for e in expressions)) - known
     unknown = {s for s in unknown if not isinstance(s, Parameter)}
-    if not unknown:
-        return
-    names = {str(s): s for s in known}
-    text = [
-        f"{s} with assumptions other than those of the known {s}" if str(s) in names else str(s)
-        for s in sorted(unknown, key=str)
-    ]
-    if any(str(s) in names for s in unknown):
+    if {str(s) for s in unknown} & {str(s) for s in known}:
         advice = "; a Symbol of one name but another real=True is another symbol"
-    raise ValueError(f"{name}: wanted known symbols, got {', '.join(text)}{advice}")
+    if unknown:
+        names = ", ".join(sorted(map(str, unknown)))
+        raise ValueError(f"{name}: wanted known symbols, got {names}{advice}")
 
 
 def require_number(name: str, expression: sympy.Expr) -> None:

@@ -1,4 +1,4 @@
-"""Evenly spaced axes, the place of a value between their nodes, and multilinear tables."""
+"""Axes, the place of a value between their nodes, and multilinear tables."""
 
 from __future__ import annotations
 
@@ -6,11 +6,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_bound, as_count, as_real, require_shape
+from seedslib.base.checks import as_bound, as_count, as_real, as_shape, require_shape
 
 
 @dataclass(frozen=True)
@@ -95,6 +95,65 @@ class Axis:
         # just below the last node: its cell is the last one, and its share one but for rounding
         position = np.minimum(position, self._top)
         index = position.astype(np.intp)
+        return index, position - index
+
+    def __str__(self) -> str:
+        return f"{self.count} nodes from {self.low:g} to {self.high:g}"
+
+
+@dataclass(frozen=True, eq=False)
+class Nodes:
+    """Nodes of a quadrature rule, anyhow spaced.
+
+    A rule that is even in another variable u has the nodes x(u) and the weights h x'(u).
+
+    Parameters
+    ----------
+    nodes : array_like, shape (S,)
+        Increasing.
+    weights : array_like, shape (S,), optional
+        Positive; those of the trapezoid rule by default.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Nodes that do not increase, weights that are not positive, other shapes.
+    """
+
+    nodes: Any
+    weights: Any = None
+
+    def __post_init__(self) -> None:
+        nodes = as_real("nodes", self.nodes)
+        if nodes.ndim != 1 or len(nodes) < 2 or not (np.diff(nodes) > 0).all():
+            raise ValueError("nodes: wanted two or more increasing numbers, got others")
+        gaps = np.diff(nodes, prepend=nodes[0], append=nodes[-1])
+        weights = 0.5 * (gaps[1:] + gaps[:-1])
+        if self.weights is not None:
+            weights = as_shape("weights", as_real("weights", self.weights), nodes.shape)
+        if not (weights > 0).all():
+            raise ValueError(f"weights: wanted positive numbers, got {weights.min():g}")
+        vars(self).update(nodes=nodes, weights=weights)
+
+    @property
+    def count(self) -> int:
+        """Number of nodes."""
+        return len(self.nodes)
+
+    @property
+    def low(self) -> float:
+        """First node."""
+        return float(self.nodes[0])
+
+    @property
+    def high(self) -> float:
+        """Last node."""
+        return float(self.nodes[-1])
+
+    def place(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """As `Axis.place`."""
+        position = np.interp(values, self.nodes, np.arange(float(self.count)))
+        index = np.minimum(position, self.count - 2).astype(np.intp)
         return index, position - index
 
     def __str__(self) -> str:
@@ -204,10 +263,12 @@ def mesh(axes: Sequence[Axis | Labels]) -> np.ndarray:
 
 AxisLike = Axis | tuple[float, float, int]
 AxesLike = AxisLike | Sequence[AxisLike]
-"""An axis, or what makes one; and several of them."""
+NodesLike = Nodes | AxisLike
+Grid = NodesLike | Sequence[NodesLike]
+"""Nodes of a component, or what makes evenly spaced ones; and those of several components."""
 
 
-def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:
+def as_axes(name: str, given: Any, size: int) -> tuple[Axis, ...]:
     """Tuple of axes from one or several of them, each an Axis or (low, high, count).
 
     Raises
@@ -215,9 +276,18 @@ def as_axes(name: str, given: object, size: int) -> tuple[Axis, ...]:
     TypeError, ValueError
         Something that is no axis, or another number of them.
     """
-    if isinstance(given, Axis) or all(np.isscalar(part) for part in given):
+    axes = as_grids(name, given, size)
+    for axis in axes:
+        if not isinstance(axis, Axis):
+            raise TypeError(f"{name}: wanted even axes, got Nodes")
+    return axes
+
+
+def as_grids(name: str, given: Any, size: int) -> tuple[Any, ...]:
+    """As `as_axes`, where nodes need not be evenly spaced."""
+    if isinstance(given, Axis | Nodes) or np.ndim(given) == 0 or all(map(np.isscalar, given)):
         given = [given]
-    axes = tuple(Axis.of(name, axis) for axis in given)
+    axes = tuple(part if isinstance(part, Nodes) else Axis.of(name, part) for part in given)
     if len(axes) != size:
         raise ValueError(f"{name}: wanted {size} axes, got {len(axes)}")
     return axes

@@ -19,7 +19,6 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
-from seedslib.designed.arrivals import Arrivals
 from seedslib.designed.patterns import distances, loose
 
 ALIKE = 0.04
@@ -65,27 +64,19 @@ class Classes(NamedTuple):
 
 
 class Histories:
-    """Classes of histories along a design, and what a filter keeps of them.
+    """Classes of histories along a design.
 
     Parameters
     ----------
     rates : ndarray, shape (m,)
         Probabilities that the components arrive.
-    size : int
-        Of an estimate.
 
     Attributes
     ----------
-    loose : ndarray of int
-        Numbers of the components that may be missing.
     classes : Classes or None
         Those after the last measurement; None before the first.
     prob : ndarray, shape (classes,)
         Their probabilities; one before the first measurement.
-    arrivals : list of Arrivals
-        Of the measurements that were `noted`.
-    most : int or None
-        Most classes, where it is less than `MOST`.
 
     Raises
     ------
@@ -93,70 +84,43 @@ class Histories:
         Too many components that may be missing.
     """
 
-    def __init__(self, rates: np.ndarray, size: int) -> None:
-        self.loose: np.ndarray = few_patterns(rates)
+    def __init__(self, rates: np.ndarray) -> None:
+        self.count = 2 ** len(loose(rates))
+        if self.count > 2**LOOSE:
+            raise ValueError(
+                f"availability: wanted at most {LOOSE} components that may be missing, for "
+                f"{2**LOOSE} patterns, got {len(loose(rates))}"
+            )
         self.classes: Any = None
         self.prob: np.ndarray = np.ones(1)
-        self.arrivals: list[Arrivals] = []
-        self.most: int | None = None
-        self._covs: np.ndarray = np.zeros((1, size, size))
-        self._farthest: float = 0.0
+        self._coarsest = 0.0
 
     def take(self, t: float, moments: dict[Any, np.ndarray], prob: dict[Any, float]) -> Classes:
         """Classes after the measurement at t, from second moments and probabilities of the cells.
 
         A cell is a class before it and the number of a pattern. Warns where the classes are few.
         """
-        count = 2 ** len(self.loose)
-        found = classes_of(self.classes, moments, prob, len(self.prob), count, self.most)
-        self._farthest = coarseness(found, t, self._farthest)
+        found = classes_of(self.classes, moments, prob, len(self.prob), self.count)
+        if found.tolerance > FAR >= self._coarsest:
+            warnings.warn(
+                f"availability: {len(found.prob)} classes of histories are few at time {when(t)}, "
+                f"and some hold histories whose deviations differ by {found.tolerance / 2:.0%}",
+                stacklevel=outside(),
+            )
+        self._coarsest = max(self._coarsest, found.tolerance)
         self.classes, self.prob = found, found.prob
         return found
 
-    def noted(
-        self, moments: dict[Any, np.ndarray], prob: dict[Any, float],
-        claimed: dict[Any, np.ndarray] | None = None,
-    ) -> None:  # fmt: skip
-        """Add what a filter keeps of the classes that were taken last; arguments as `take`.
 
-        `claimed` are the variances (n,) that a filter claims in the cells, unless these are its
-        errors' own.
-        """
-        claimed = claimed or {cell: np.diagonal(part) for cell, part in moments.items()}
-        self.arrivals.append(arrivals_of(self.classes, moments, prob, claimed, self._covs))
-        self._covs = self.arrivals[-1].after
+def certain(schedule: Any) -> tuple[np.ndarray, np.ndarray | None]:
+    """Components that may be measured, (K+1, m), and their probabilities, None where all are sure.
 
-
-def few_patterns(availability: np.ndarray) -> np.ndarray:
-    """Numbers of the components that may be missing, refused where they are many.
-
-    Raises
-    ------
-    ValueError
-        More than `LOOSE`.
+    What never arrives is not measured.
     """
-    found = loose(availability)
-    if len(found) > LOOSE:
-        raise ValueError(
-            f"availability: wanted at most {LOOSE} components that may be missing, for "
-            f"{2**LOOSE} patterns, got {len(found)}"
-        )
-    return found
-
-
-def keep_indicators(memory: Any, read: np.ndarray, rates: np.ndarray | None) -> None:
-    """Refuse that an indicator, the last component, is missing where the memory keeps it.
-
-    Raises
-    ------
-    ValueError
-        It may be.
-    """
-    for name, sure in (
-        ("measured", read[:, -1].all()), ("availability", rates is None or rates[-1] == 1.0)
-    ):  # fmt: skip
-        if memory.indicators and not sure:
-            raise ValueError(f"{name}: wanted every indicator that the memory keeps")
+    mask, rates = schedule
+    if rates is None:
+        return mask.copy(), None
+    return mask & (rates > 0.0), rates.copy() if len(loose(rates)) else None
 
 
 def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, Any, float]]:
@@ -173,20 +137,9 @@ def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, 
         yield int(bits @ 2 ** np.arange(len(bits))), there, float(np.prod(chance[here]))
 
 
-def coarseness(classes: Classes, t: float, before: float) -> float:
-    """How far histories of a class have been apart, with a warning where that is far at last."""
-    if classes.tolerance > FAR >= before:
-        warnings.warn(
-            f"availability: {len(classes.prob)} classes of histories are few at time {when(t)}, "
-            f"and some hold histories whose deviations differ by {classes.tolerance / 2:.0%}",
-            stacklevel=outside(),
-        )
-    return max(before, classes.tolerance)
-
-
 def classes_of(
     old: Classes | None, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: int,
-    patterns: int, most: int | None = None,
+    patterns: int,
 ) -> Classes:  # fmt: skip
     """Classes of the cells (class before, pattern), the most probable first.
 
@@ -209,9 +162,8 @@ def classes_of(
     apart = distances(stack, stack)
     label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
     apart[label[:, None] != label] *= STRICT
-    most = MOST if most is None else min(most, MOST)
     tolerance, kept, home = ALIKE, [], []
-    while not kept or len(kept) > most:
+    while not kept or len(kept) > MOST:
         limit = np.where(several <= BURST, np.maximum(ALIKE, tolerance / STRICT), tolerance)
         kept, home = [], []
         for i, near in enumerate(apart):
@@ -239,26 +191,3 @@ def shares(members: Any, prob: dict[Any, float]) -> np.ndarray:
     """Parts of a class that its members are; they sum to one."""
     found = np.array([prob[cell] for cell in members])
     return found / found.sum()
-
-
-def arrivals_of(
-    classes: Classes, moments: dict[Any, np.ndarray], prob: dict[Any, float],
-    claimed: dict[Any, np.ndarray], before: np.ndarray,
-) -> Arrivals:  # fmt: skip
-    """What a filter keeps of the classes about a measurement; arguments as `classes_of`.
-
-    `claimed` are variances in the cells; `before` are the covariances of the classes before it,
-    (classes before, n, n).
-    """
-    covs = np.empty((*classes.table.shape, *before.shape[1:]))
-    for c, number in np.ndindex(covs.shape[:2]):
-        # a component that is not read now does not count
-        covs[c, number] = moments[max(x for x in moments if x[0] == c and x[1] & ~number == 0)]
-    after, told = (
-        np.stack([
-            np.tensordot(shares(members, prob), [part[cell] for cell in members], 1)
-            for members in classes.members
-        ])
-        for part in (moments, claimed)
-    )  # fmt: skip
-    return Arrivals(classes.table, covs, before, after, classes.prob, told)

@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import finite_memory as finite_memory
     from seedslib.designed.memory import large_order as large_order
     from seedslib.designed.memory import small_order as small_order
-    from seedslib.designed.outputs.minimax import MinimaxFilter as MinimaxFilter
-    from seedslib.designed.outputs.table import TableFilter as TableFilter
+    from seedslib.designed.minimax import MinimaxFilter as MinimaxFilter
+    from seedslib.designed.output_filter import TableFilter as TableFilter
     from seedslib.designed.switching import lemmas as lemmas
+    from seedslib.designed.switching.filter import CellFit as CellFit
     from seedslib.designed.switching.filter import SwitchingFilter as SwitchingFilter
-    from seedslib.designed.switching.fits import CellFit as CellFit
     from seedslib.designed.switching.rules import SwitchingRules as SwitchingRules
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from seedslib.base.clock import Clock, slack, when
-from seedslib.designed.guards import want_corrected
-from seedslib.designed.runs import DesignedFilter
+from seedslib.base.values import Course
+from seedslib.designed.base import DesignedFilter, want_corrected
 from seedslib.filters.estimates import Estimates
 
 if TYPE_CHECKING:
@@ -79,6 +79,49 @@ class BetweenFilter(DesignedFilter):
             times.append(end[0])
             values.append(end[1])
         return Interval(np.array(times), values, count, last, last_node)
+
+    def advanced(self, state: Any, interval: Interval | None = None) -> Any:
+        """The state at the next measurement time."""
+        raise NotImplementedError
+
+    def corrected(
+        self, state: Any, y: np.ndarray, indicator: np.ndarray | None, covariance: bool
+    ) -> Any:
+        """The state after a measurement of a record."""
+        raise NotImplementedError
+
+    def fill(
+        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
+        indicators: np.ndarray | None, inputs: Course,
+    ) -> int:  # fmt: skip
+        """Run over a block of records; covariances are formed where they are wanted."""
+        state, interval, covariance = self.initial(y.shape[2:]), None, rows.cov is not None
+        last = 0  # row of the last measurement: its inputs hold until the next
+        for j, k in enumerate(index):
+            if k < 0:
+                with inputs.at(last):
+                    interval = interval or self.interval(state)
+                rows.mean[j] = at(interval, times[j], self.between)
+                if rows.loglik is not None:
+                    rows.loglik[j] = 0.0
+                if covariance:
+                    rows.cov[j] = np.nan
+                continue
+            with inputs.at(last):
+                state = self.advanced(state, interval)
+            with inputs.at(j):
+                indicator = None if indicators is None else indicators[j]
+                state = self.corrected(state, y[j], indicator, covariance)
+            rows.mean[j], interval, last = state.mean, None, j
+            if rows.loglik is not None:
+                rows.loglik[j] = state.loglik
+            if covariance:
+                rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
+            if rows.modes is not None:
+                rows.modes[j] = state.mode
+            if rows.mode_prob is not None:
+                rows.mode_prob[j] = state.mode_prob
+        return 0
 
     def forecasting(self, kind: str) -> Self:
         """The same filter with another kind of forecast between measurements."""

@@ -2,28 +2,196 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
+from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
+from seedslib.base.correction import correct
 from seedslib.base.objects import by_fields
-from seedslib.base.values import Course
-from seedslib.designed.between import BetweenFilter, at, known_kind
-from seedslib.designed.finite_order_rules import FiniteOrderState, Rules, Start, initial_moments
-from seedslib.designed.gaps import step_unclaimed, unexpected
-from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
+from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
+from seedslib.designed.between import BetweenFilter, known_kind
+from seedslib.designed.checks import check_covariances, check_nodes, check_start, check_verbs
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.patterns import PatternFit, chosen, pattern_ways, regrouped
-from seedslib.designed.prediction import Design, HeldOut, Prediction, finite_order_page, headline
+from seedslib.designed.patterns import PatternFit, chosen, loose, pattern_ways, regrouped
+from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.designed.shapes import check_covariances, check_nodes, check_start, check_verbs
 from seedslib.filters.estimates import Estimates
-from seedslib.linearization.moments import Linearization, Moments
+from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.models.kinds import AnySystem
+
+
+class Start(NamedTuple):
+    """Moments for the first estimate, which is the best affine one in Y_0.
+
+    Attributes
+    ----------
+    mean, cov : ndarray, shapes (n,) and (n, n)
+        Of X_0.
+    moments : Moments
+        Of Y_0, with cov(X_0, Y_0).
+    """
+
+    mean: np.ndarray
+    cov: np.ndarray
+    moments: Moments
+
+
+class FiniteOrderState(NamedTuple):
+    """What the filter remembers.
+
+    Attributes
+    ----------
+    index : int
+        Number k of the last measurement time reached; -1 before the first.
+    mean : ndarray
+        After `predict` the forecast of the whole state, (n, *batch); after `correct` the
+        estimate Z_k, (n', *batch).
+    cov : ndarray or None
+        Its covariance as the filter sees it, with or without batch axes.
+    past : Past
+        The memory U_k; after `predict` still U_{k-1}.
+    loglik : ndarray
+        Log-density of the last measurement as forecast by the filter.
+    before : FiniteOrderState or None
+        The state after the measurement before the last, needed by linear forecasts.
+    corrected : bool
+        Whether the measurement at `index` was taken in.
+    gap : ndarray of bool, shape (*batch), or False
+        Whether something that the design does not know of has been missing so far.
+    group : ndarray of int, shape (*batch), or 0
+        Class of what has arrived so far, see `seedslib.designed.patterns`.
+    """
+
+    index: int
+    mean: np.ndarray
+    cov: MaybeArray
+    past: Past
+    loglik: np.ndarray | float
+    before: object
+    corrected: bool
+    gap: np.ndarray | bool = False
+    group: np.ndarray | int = 0
+
+
+@dataclass(frozen=True)
+class Rules:
+    """The steps of a filter that its design and its run share."""
+
+    memory: Memory
+    components: int
+    sensor: object
+    velocity: object = None
+    periods: Periods = ()
+
+    @classmethod
+    def of(
+        cls, system: AnySystem, memory: Memory, predictor: Any, linearization: Linearization,
+        components: int,
+    ) -> Rules:  # fmt: skip
+        """Rules of a filter; the moment functions are compiled here."""
+        velocity = None
+        if isinstance(predictor, Continuous):
+            velocity = _mean_velocity(system, linearization)
+        sensor = linearization.moments(system.sensor)
+        return cls(memory, components, sensor, velocity, system.sensor.period)
+
+    def first(
+        self, state: FiniteOrderState, t: float, y: np.ndarray, start: Start,
+        spread: bool = True,
+    ) -> FiniteOrderState:  # fmt: skip
+        """State after the first measurement, whose moments are fixed."""
+        moments = _first_moments(start, state.mean.ndim - 1)
+        return self._corrected(state, t, y, moments, spread, start.mean)
+
+    def correct(
+        self, state: FiniteOrderState, t: float, y: np.ndarray, spread: bool = True
+    ) -> FiniteOrderState:
+        """State after the measurement; its `mean` and `cov` hold the forecast before.
+
+        Without `spread` no covariance is formed.
+        """
+        moments = self.sensor(t, state.mean, state.cov)
+        return self._corrected(state, t, y, moments, spread, state.mean)
+
+    def _corrected(self, state, t, y, moments, spread, place):
+        y = nearest(y, moments.mean, self.periods)
+        mean, cov, loglik = correct(
+            state.mean, state.cov if spread else None, y, moments, rows=self.components,
+            noise=lambda: self.sensor(t, place, np.zeros_like(state.cov)).cov,
+        )  # fmt: skip
+        # a missing measurement is remembered as what was expected
+        missing = np.isnan(y)
+        remembered = np.where(missing, moments.mean, y) if missing.any() else y
+        past = self.memory.push(state.past, estimate=mean, measurement=remembered)
+        return state._replace(mean=mean, cov=cov, past=past, loglik=loglik, corrected=True)
+
+    def nodes(
+        self, fits: Sequence[AffineFit], stops: Sequence[float], state: FiniteOrderState
+    ) -> tuple[list[np.ndarray], np.ndarray | None]:
+        """Estimates at the nodes of an interval, and at its end where they lead there.
+
+        Parameters
+        ----------
+        fits : tuple of AffineFit
+            Forecasts for the nodes; of a continuous forecast those at the start of each step.
+        stops : sequence of float
+            Start of the interval, its nodes, its end.
+        state : FiniteOrderState
+        """
+        if self.velocity is None:
+            return [chosen(fit, state.group).mean(state.past.vector) for fit in fits], None
+        moved, z = [], state.mean
+        for fit, t, after in zip(fits, stops, stops[1:], strict=False):
+            z = self.move(fit, t, after - t, z)
+            moved.append(z)
+        return moved[: len(stops) - 2], moved[-1]
+
+    def move(self, fit: AffineFit, t: float, h: float, z: np.ndarray) -> np.ndarray:
+        """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean, moved = fit.mean(z), np.empty_like(z)
+            for k, rate in enumerate(self.velocity(t, list(mean), fit.cov)[: self.components]):
+                moved[k] = z[k] + rate * h
+        return moved
+
+
+def _first_moments(start, depth):
+    """Moments of the first measurement, shaped for `depth` batch axes."""
+    return start.moments._replace(mean=start.moments.mean.reshape(-1, *(1,) * depth))
+
+
+def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[..., Any]:
+    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
+
+    The covariance is common to all paths, (n, n).
+    """
+    if not (system.symbolic and hasattr(linearization, "formulas")):
+        moments = linearization.moments(system.drift_map, spread=False)
+        return lambda t, mean, cov: list(moments(t, np.stack(mean), cov).mean)
+    from seedslib.models.codegen import compile_components
+
+    n = system.state_size
+    mean, lower, cov = law_symbols(n)
+    velocity = linearization.formulas(system.drift_map, list(mean), cov, spread=False)[0]
+    evaluate = compile_components((system.time, mean, lower), list(velocity))
+    rows, columns = np.tril_indices(n)
+    return lambda t, mean, cov: evaluate(t, mean, cov[rows, columns].tolist())
+
+
+def law_symbols(n: int) -> tuple[Any, ...]:
+    """Symbols of a mean, of a covariance on and below the diagonal, and that covariance (n, n)."""
+    import sympy
+
+    mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
+    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
+    return mean, lower, sympy.Matrix(symmetric(np.array(lower, dtype=object), n))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -36,24 +204,23 @@ class FiniteOrderFilter(BetweenFilter):
 
     Attributes
     ----------
-    system : JumpDiffusion
+    system : JumpDiffusion or DiscreteSystem
     memory : Memory
     predictor : Affine, Polynomial or Continuous
     linearization : Linearization
     times : ndarray, shape (K+1,)
         Times of the measurements.
-    node_times : tuple of ndarray
-        Nodes within each interval, and after the last measurement where a horizon was given.
+    node_times : tuple of ndarray, length K
+        Nodes within each interval.
     components : int
         n': the first components of the state are estimated.
     start : Start
     fits : tuple of AffineFit or PolynomialFit, length K
+        With an availability of PatternFit.
     node_fits : tuple of tuple of AffineFit
         Forecasts Z_k^i; for `Continuous` the fits at the start of each integration step.
     predicted : Prediction
     design : Design
-    measured_nodes : bool
-        Whether Z_k^i also looks at Y_k directly (remark 1 of the paper).
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     held_out : HeldOut, optional
@@ -67,7 +234,7 @@ class FiniteOrderFilter(BetweenFilter):
     """
 
     takes = ("covariances",)
-    alone = True  # one record goes through compiled lines for plain numbers
+    alone = True  # one record runs without a batch axis, which is twice as fast
 
     system: Any
     memory: Memory
@@ -81,7 +248,6 @@ class FiniteOrderFilter(BetweenFilter):
     node_fits: tuple[Any, ...]
     predicted: Prediction
     design: Design
-    measured_nodes: bool = False
     between: str = "interpolated"
     held_out: HeldOut | Any = None
     cycle: int = 0
@@ -93,15 +259,13 @@ class FiniteOrderFilter(BetweenFilter):
         self.check_shapes()
         if self.rules is None:
             rules = Rules.of(
-                self.system, self.memory, self.predictor, self.linearization, self.components,
-                self.measured_nodes,
-            )  # fmt: skip
+                self.system, self.memory, self.predictor, self.linearization, self.components
+            )
             object.__setattr__(self, "rules", rules)
         known_kind("between", self.between)
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
-        end = None if self.cycle else self.horizon
-        object.__setattr__(self, "clock", Clock(self.times, end))
+        object.__setattr__(self, "clock", Clock(self.times))
         object.__setattr__(self, "ways", pattern_ways(self.fits, self.cycle))
 
     def check_parts(self) -> None:
@@ -112,23 +276,27 @@ class FiniteOrderFilter(BetweenFilter):
         check_covariances("start", (start.cov, start.moments.cov))
         if len(self.fits) != intervals:
             raise ValueError(f"fits: wanted {intervals}, got {len(self.fits)}")
-        check_nodes(self, intervals, intervals + 1)
-        sizes = [memory.dimension(k, components, m) for k in range(intervals + 1)]
-        extra = m if self.measured_nodes and not memory.measurements else 0
+        check_nodes(self, intervals)
+        sizes = [memory.dimension(k, components, m) for k in range(intervals)]
         continuous = isinstance(self.predictor, Continuous)
         targets = n if continuous else components
         regressions = [(f"fits[{k}]", fit, n, sizes[k]) for k, fit in enumerate(self.fits)]
         for k, (grid, fits) in enumerate(zip(self.node_times, self.node_fits, strict=True)):
-            count = len(grid) + (continuous and k < intervals)
-            if len(fits) != count:
-                raise ValueError(f"node_fits[{k}]: wanted {count}, got {len(fits)}")
-            size = sizes[k] + extra
+            if len(fits) != len(grid) + continuous:
+                raise ValueError(
+                    f"node_fits[{k}]: wanted {len(grid) + continuous}, got {len(fits)}"
+                )
             regressions += [
-                (f"node_fits[{k}][{i}]", fit, targets, size) for i, fit in enumerate(fits)
+                (f"node_fits[{k}][{i}]", fit, targets, sizes[k]) for i, fit in enumerate(fits)
             ]
-        verb = "forecast" if self.availability is None else "one"
-        check_verbs([row[:2] for row in regressions], verb)
-        kinds = AffineFit | PolynomialFit if self.availability is None else PatternFit
+        if self.availability is None:
+            check_verbs([row[:2] for row in regressions], "forecast")
+            kinds = AffineFit | PolynomialFit
+        else:
+            kinds, patterns = PatternFit, 2 ** len(loose(self.availability))
+            for name, fit, *_ in regressions:
+                if not isinstance(fit, PatternFit) or fit.table.shape[1:] != (patterns,):
+                    raise ValueError(f"{name}: wanted classes of {patterns} patterns")
         known = [row for row in regressions if isinstance(row[1], kinds)]
         for name, fit, *wanted in known:
             fit.check(name, *wanted)
@@ -139,14 +307,6 @@ class FiniteOrderFilter(BetweenFilter):
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    @property
-    def horizon(self) -> float:
-        """Last time the filter can forecast."""
-        if self.cycle:
-            return np.inf
-        tail = self.node_times[len(self.fits) :]
-        return float(tail[0][-1] if tail else self.times[-1])
-
     def __reduce__(self) -> tuple:
         return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
 
@@ -156,7 +316,7 @@ class FiniteOrderFilter(BetweenFilter):
         """State before any measurement; the filter draws nothing from `seed`."""
         mean = self.start.mean.reshape(-1, *(1,) * len(batch))
         mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
-        return FiniteOrderState(-1, mean, self.start.cov, Past(), None, 0.0, None, False)
+        return FiniteOrderState(-1, mean, self.start.cov, Past(), 0.0, None, False)
 
     def predict(self, state: FiniteOrderState, t: float) -> FiniteOrderState:
         """Forecast for the next measurement time, (n, *batch); the first has none to make.
@@ -166,22 +326,24 @@ class FiniteOrderFilter(BetweenFilter):
         ValueError
             Not the next measurement time of the design, or no more of them.
         """
-        return self._predict(state, t)
+        want_next(self.clock, state.index + 1, t, self.cycle)
+        if state.index >= 0:
+            want_corrected(state)
+        return self.advanced(state)
 
-    def _predict(self, state, t, interval=None):
+    def advanced(self, state: FiniteOrderState, interval: Any = None) -> FiniteOrderState:
+        """The forecast for the next measurement, from what is known of the interval if anything."""
         k = state.index + 1
-        want_next(self.clock, k, t, self.cycle)
         if k == 0:
             return state._replace(index=0)
-        want_corrected(state)
         if self.rules.velocity is None:
             u = state.past.vector
         else:  # the estimate has moved on
             u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
         mean, cov = chosen(self.fits[self.served(k) - 1], state.group).forecast(u)
-        before, seen = state._replace(before=None), state.measurement
-        return FiniteOrderState(
-            k, mean, cov, state.past, seen, 0.0, before, False, state.gap, state.group
+        before = state._replace(before=None)
+        return state._replace(
+            index=k, mean=mean, cov=cov, loglik=0.0, before=before, corrected=False
         )
 
     def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
@@ -192,16 +354,24 @@ class FiniteOrderFilter(BetweenFilter):
         TypeError, ValueError
             A state without a forecast, a wrong shape, an infinite measurement.
         """
-        y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
-        return step_unclaimed(self._correct(state, y, True), state, gap)
-
-    def _correct(self, state, y, spread):
         want_forecast(state)
+        y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
+        gap = state.gap | gap
+        found = self.corrected(state, y, None, True)
+        if not np.any(gap):
+            return found
+        loglik = np.where(state.gap, np.nan, found.loglik)
+        return found._replace(cov=nan_where(gap, found.cov), loglik=loglik, gap=gap)
+
+    def corrected(
+        self, state: FiniteOrderState, y: np.ndarray, indicator: MaybeArray, covariance: bool
+    ) -> FiniteOrderState:
+        """The state after a measurement, with its covariance where that is wanted."""
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            found = self.rules.first(state, t, y, self.start, spread)
+            found = self.rules.first(state, t, y, self.start, covariance)
         else:
-            found = self.rules.correct(state, t, y, spread)
+            found = self.rules.correct(state, t, y, covariance)
         return found if self.ways is None else regrouped(self, found, y)
 
     def expect(self, state: FiniteOrderState) -> Moments:
@@ -214,10 +384,10 @@ class FiniteOrderFilter(BetweenFilter):
         """
         want_forecast(state)
         if state.index == 0:
-            return initial_moments(self.start.moments, state.mean.ndim - 1)
+            return _first_moments(self.start, state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        moments = self.rules.sensor(t, state.mean, state.cov)
-        return unexpected(moments, state)
+        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov)
+        return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 
     def nodes(self, state: FiniteOrderState, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
@@ -246,10 +416,9 @@ class FiniteOrderFilter(BetweenFilter):
         The second is None where the nodes do not lead there.
         """
         row, clock = self._row(k), self.clock
-        start = clock.moment(k, self.cycle)
-        nodes = self.node_times[row] + (start - self.times[row])
-        end = clock.moment(k + 1, self.cycle) if row < len(self.fits) else nodes[-1]
-        return self.rules.nodes(self.node_fits[row], [start, *nodes, end], state)
+        start, end = clock.moment(k, self.cycle), clock.moment(k + 1, self.cycle)
+        stops = [start, *self.node_times[row] + (start - self.times[row]), end]
+        return self.rules.nodes(self.node_fits[row], stops, state)
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Forecasts of the chosen steps."""
@@ -262,36 +431,16 @@ class FiniteOrderFilter(BetweenFilter):
         n = self.components
         return Estimates((n,), (n, n) if covariances else None, None, ())
 
-    def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, held: Course,
-    ) -> int:  # fmt: skip
-        """Run over a block of records; covariances are formed where they are wanted."""
-        state, interval, spread = self.initial(y.shape[2:]), None, rows.cov is not None
-        last = 0  # row of the last measurement
-        for j, (t, k) in enumerate(zip(times, index, strict=True)):
-            if k < 0:
-                with held.at(last):
-                    interval = interval or self.interval(state)
-                rows.mean[j], rows.loglik[j] = at(interval, t, self.between), 0.0
-                if spread:
-                    rows.cov[j] = np.nan
-                continue
-            if not held.values:  # steps are short here, and two contexts would be a part of them
-                state = self._correct(self._predict(state, t, interval), y[j], spread)
-            else:
-                with held.at(last):
-                    state = self._predict(state, t, interval)
-                with held.at(j):
-                    state = self._correct(state, y[j], spread)
-            last = j
-            rows.mean[j], rows.loglik[j], interval = state.mean, state.loglik, None
-            if spread:
-                rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
-        return 0
-
     def __repr__(self) -> str:
-        return f"<FiniteOrderFilter of {headline(self)}>"
+        rules = f"{self.predictor}; {self.linearization}"
+        return f"<FiniteOrderFilter of order {self.order}: {self.memory}; {rules}>"
 
     def __str__(self) -> str:
-        return finite_order_page(self)
+        return page(
+            self,
+            f"Finite-order filter of order {self.order}: {self.memory}",
+            f"forecasts    {self.predictor}; {self.between} between measurements",
+            f"corrections  {self.linearization}",
+            f"estimates    {self.components} of {len(self.start.mean)} state components",
+            span(self),
+        )

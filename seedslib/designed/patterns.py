@@ -12,8 +12,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.designed.checks import check_array, check_covariances
 from seedslib.designed.predictors import AffineFit, Fit, PolynomialFit
-from seedslib.designed.shapes import check_array, check_covariances
 
 
 class PatternFit(NamedTuple):
@@ -94,14 +94,7 @@ class Chosen(NamedTuple):
 
     def mean(self, u: np.ndarray) -> np.ndarray:
         """Forecast (n, *batch) from the memory (d, *batch)."""
-        if np.ndim(self.group) == 0:
-            return self.fit.one(int(self.group)).mean(u)
-        flat, group = u.reshape(len(u), -1), self.group.ravel()
-        found = np.empty((self.fit.covs.shape[-1], group.size))
-        for c in np.unique(group):
-            here = group == c
-            found[:, here] = self.fit.one(int(c)).mean(flat[:, here])
-        return found.reshape(-1, *u.shape[1:])
+        return self.forecast(u)[0]
 
     def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forecast (n, *batch) and its covariance (n, n, *batch) from the memory (d, *batch)."""

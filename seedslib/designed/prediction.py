@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import when
-
-if TYPE_CHECKING:
-    from seedslib.designed.finite_order import FiniteOrderFilter
-    from seedslib.designed.switching.filter import SwitchingFilter
 
 ROWS = 12
 """Times that a page shows at most."""
@@ -70,14 +66,17 @@ class Design(NamedTuple):
     pairs: int = 0
     mended: int = 0
 
-    def source(self, exact: str = "exact moments") -> str:
-        """What the numbers were taken from, in words; `exact` are those for no paths."""
-        return exact if self.exact else f"{self.paths} paths, seed {self.entropy}"
-
-    @property
-    def left_out(self) -> str:
-        """The paths that were left out, to go on a sentence with; empty where none was."""
-        return f", {self.diverged} diverged paths left out" if self.diverged else ""
+    def __str__(self) -> str:
+        if self.exact:
+            return "exact moments or densities on a grid, without random numbers"
+        left_out = f", {self.diverged} diverged paths left out" if self.diverged else ""
+        mended = ""
+        if self.pairs:
+            mended = (
+                f"; mended: {self.thin} of {self.pairs} thin pairs of cell and mode, "
+                f"{self.mended} covariances"
+            )
+        return f"{self.paths} paths, seed {self.entropy}{left_out}{mended}"
 
 
 class HeldOut(NamedTuple):
@@ -89,12 +88,9 @@ class HeldOut(NamedTuple):
         Times of the measurements; errors are those after the correction.
     rms, error : ndarray, shape (K+1, n')
         Root-mean-square errors and their standard errors; NaN where no path was left.
-    deviation : ndarray, shape (K+1, n')
-        Standard deviation of the state there: the error of the best constant.
     paths : int
     diverged : int
-        Paths on which the filter left the range of numbers, which are left out from there on, or
-        made an error that hardly one design would meet on as many paths as it was made on.
+        Paths on which the filter left the range of numbers; they are left out.
     mode_rate, mode_error : ndarray, shape (K+1,), or None
         As in `Prediction`.
     """
@@ -102,123 +98,79 @@ class HeldOut(NamedTuple):
     times: np.ndarray
     rms: np.ndarray
     error: np.ndarray
-    deviation: np.ndarray
     paths: int
     diverged: int
     mode_rate: MaybeArray = None
     mode_error: MaybeArray = None
 
 
-def headline(designed: FiniteOrderFilter) -> str:
-    """One line: order, memory, forecast, linearization."""
-    return (
-        f"order {designed.order}: {designed.memory}; {designed.predictor}; {designed.linearization}"
-    )
-
-
-def finite_order_page(designed: FiniteOrderFilter) -> str:
-    """Page of text: what the filter is, how it was designed, how accurate it says it is."""
-    design, times = designed.design, designed.times
-    nodes, doubts = sum(len(t) for t in designed.node_times), designed.predicted.in_sample
-    first, last = when(times[0]), when(times[-1])
-    return "\n".join([
-        f"Finite-order filter of {headline(designed)}",
-        f"  estimates    {designed.components} of {len(designed.start.mean)} state components",
-        f"  measurements {len(times)}, from {first} to {last}; {nodes} nodes between",
-        f"  forecasts    {designed.between}",
-        *sensor_lines(designed),
-        *([later_times(designed)] if designed.cycle else []),
-        f"  designed on  {design.source()}{design.left_out}",
-        "  predicted root-mean-square errors"
-        + (" (in-sample, with standard errors)" if doubts else ""),
-        *accuracy(designed, doubts),
-    ])  # fmt: skip
-
-
-def switching_page(filter: SwitchingFilter) -> str:
-    """As `finite_order_page`, of a `SwitchingFilter`."""
-    held = "carries the laws of all modes" if filter.memory is None else f"of {filter.memory}"
-    lines = [
-        f"Filter of {filter.system.modes} modes, {held}; {filter.linearization}",
-        f"  order        {filter.order}",
-    ]
-    if (design := filter.design) is not None:
-        lines.append(f"  designed on  {design.source()}")
-        lines.append(
-            f"  mended       {design.thin} of {design.pairs} thin pairs of cell and mode, "
-            f"{design.mended} covariances{design.left_out}"
-        )
-    lines += sensor_lines(filter)
-    if filter.cycle:
-        lines.append(later_times(filter))
-    if filter.predicted is not None:
-        lines.append("  predicted errors of state and part of wrong modes (in-sample)")
-        lines += accuracy(filter, modes="modes ")
-    return "\n".join(lines)
-
-
-def accuracy(designed: Any, doubts: bool = True, modes: str = "") -> list[str]:
-    """Lines of a page: predicted errors, and those on held-out paths beside or below them.
+def page(filter: Any, title: str, *lines: str) -> str:
+    """Page of text: what a filter is, how it was designed, how accurate it says it is.
 
     Parameters
     ----------
-    designed : filter
-        With `predicted`, `held_out` and the `clock` of its measurements.
-    doubts : bool
-        Whether the predicted errors have standard errors.
-    modes : str
-        What stands before the predicted part of wrong modes.
+    filter : filter
+        With `design` and `predicted`, which may be None, `held_out`, `cycle` and the `clock` of
+        its measurements.
+    title : str
+    *lines : str
+        What this kind of filter has to say.
     """
+    design, predicted, text = filter.design, filter.predicted, [title, *lines]
+    if filter.measured is not None:
+        read, whole = np.count_nonzero(filter.measured), filter.measured.size
+        text.append(f"schedule     {read} of {whole} components are read")
+    if filter.availability is not None:
+        rates = ", ".join(f"{rate:g}" for rate in filter.availability)
+        most = max((len(part.prob) for part in filter.fits), default=1)
+        text.append(f"availability {rates}; up to {most} classes of histories")
+    if filter.cycle == 1:
+        text.append("later times  the last step serves all")
+    elif filter.cycle:
+        text.append(f"later times  the last {filter.cycle} steps serve all in turn")
+    if design is not None:
+        text.append(f"designed on  {design}")
+    if predicted is not None:
+        doubts = design is None or not design.exact
+        notes = ["in-sample"] * predicted.in_sample + ["with standard errors"] * doubts
+        modes = " and part of wrong modes" * (predicted.mode_rate is not None)
+        notes = f" ({', '.join(notes)})" if notes else ""
+        text += [f"predicted root-mean-square errors{modes}{notes}", *_accuracy(filter, doubts)]
+    return "\n  ".join(text)
+
+
+def span(filter: Any) -> str:
+    """Line of a page: the measurements, and the nodes between them."""
+    times, nodes = filter.times, sum(len(t) for t in filter.node_times)
+    return f"measurements {len(times)}, from {when(times[0])} to {when(times[-1])}; {nodes} nodes"
+
+
+def _accuracy(designed, doubts):
+    """Lines of a page: predicted errors, and those on held-out paths beside or below them."""
     predicted, held, lines = designed.predicted, designed.held_out, []
     if held is not None:
         lost = f", {held.diverged} of them diverged" if held.diverged else ""
-        lines.append(f"  after the bar: on {held.paths} paths that the design has not seen{lost}")
+        lines.append(f"after the bar: on {held.paths} paths that the design has not seen{lost}")
     at = designed.clock.rows(predicted.times)
-    for k in shown_rows(len(at)):
+    for k in np.linspace(0, len(at) - 1, min(ROWS, len(at))).astype(int):
         j = at[k]
-        row = f"    t = {when(predicted.times[j]):<8} {_errors(predicted, j, doubts, modes)}"
+        row = f"  t = {when(predicted.times[j]):<8} {_errors(predicted, j, doubts)}"
         if held is None:
             lines.append(row)
             continue
-        other = _errors(held, k, True, "modes ")
-        beside = len(row) + len(other) + 3 <= WIDTH
-        lines += [f"{row} | {other}"] if beside else [row, f"{'|':>17} {other}"]
+        other = _errors(held, k, True)
+        beside = len(row) + len(other) + 5 <= WIDTH
+        lines += [f"{row} | {other}"] if beside else [row, f"{'|':>15} {other}"]
     return lines
 
 
-def sensor_lines(filter: Any) -> list[str]:
-    """Lines of a page: what the design knows of missing measurements."""
-    lines = []
-    if filter.measured is not None:
-        read, whole = np.count_nonzero(filter.measured), filter.measured.size
-        lines.append(f"  schedule     {read} of {whole} components are read")
-    if filter.availability is not None:
-        parts = getattr(filter, "arrivals", None) or filter.fits
-        most = max((len(part.prob) for part in parts), default=1)
-        rates = ", ".join(f"{rate:g}" for rate in filter.availability)
-        lines.append(f"  availability {rates}; up to {most} classes of histories")
-    return lines
-
-
-def later_times(filter: Any) -> str:
-    """Line of a page: what comes after the last time of the design."""
-    in_turn = f"the last {filter.cycle} steps serve all in turn"
-    steps = {0: "none after the last time", 1: "the last step serves all"}
-    return "  later times  " + steps.get(filter.cycle, in_turn)
-
-
-def shown_rows(count: int) -> np.ndarray:
-    """Numbers of at most `ROWS` rows, evenly chosen."""
-    return np.linspace(0, count - 1, min(ROWS, count)).astype(int)
-
-
-def _errors(found, j, doubts, modes):
+def _errors(found, j, doubts):
     """Errors and part of wrong modes at one time of a `Prediction` or `HeldOut`."""
 
-    def told(value, doubt):
-        return f"{value:.4f} ± {doubt:.4f}" if doubts else f"{value:.4f}"
+    def number(value, error):
+        return f"{value:.4f} ± {error:.4f}" if doubts else f"{value:.4f}"
 
-    row = [told(*pair) for pair in zip(found.rms[j], found.error[j], strict=True)]
+    row = [number(*pair) for pair in zip(found.rms[j], found.error[j], strict=True)]
     if found.mode_rate is not None:
-        row.append(modes + told(found.mode_rate[j], found.mode_error[j]))
+        row.append("modes " + number(found.mode_rate[j], found.mode_error[j]))
     return "  ".join(row)

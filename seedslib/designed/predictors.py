@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.checks import as_count
-from seedslib.designed.shapes import check_fields
+from seedslib.designed.checks import check_fields
 from seedslib.linearization.moments import symmetric
 
 CLIP = 3.5

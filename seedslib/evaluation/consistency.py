@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.semidefinite import range_root, square_root
+from seedslib.base.correction import normalized_squares
 
 
 def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -14,26 +14,14 @@ def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
     ----------
     error : ndarray, shape (J, c, N)
     cov : ndarray, shape (J, c, c) or (J, c, c, N) (N may be 1)
-        NaN where there is no covariance, which gives NaN. A singular one is met by its
-        pseudo-inverse.
+        NaN where there is no covariance, which gives NaN. Of a singular one the components are
+        left out that others determine.
     """
-    count = error.shape[2]
     cov = cov if cov.ndim == 4 else cov[..., None]
-    matrices = np.moveaxis(np.broadcast_to(cov, (*cov.shape[:3], count)), 3, 1)
-    vectors = np.moveaxis(error, 2, 1)
+    error, cov = np.swapaxes(error, 0, 1), np.moveaxis(cov, 0, 2)
     with np.errstate(invalid="ignore", over="ignore"):
-        known = np.isfinite(matrices).all(axis=(2, 3)) & np.isfinite(vectors).all(axis=2)
-    safe = np.where(known[..., None, None], matrices, np.eye(error.shape[1]))
-    vectors = np.where(known[..., None], vectors, 0.0)
-    # which ones are singular is told by pivots, not by what a solver happens to divide by
-    singular = (np.einsum("...ii->...i", square_root(safe)) == 0.0).any(axis=-1)
-    regular = np.where(singular[..., None, None], np.eye(error.shape[1]), safe)
-    solved = np.linalg.solve(regular, vectors[..., None])[..., 0]
-    squares = np.einsum("jNc,jNc->jN", vectors, solved)
-    if singular.any():
-        roots = range_root(safe[singular])[0]
-        squares[singular] = np.square(np.einsum("brc,bc->br", roots, vectors[singular])).sum(1)
-    return np.where(known, squares, np.nan)
+        known = np.isfinite(cov).all(axis=(0, 1)) & np.isfinite(error).all(axis=0)
+    return np.where(known, normalized_squares(np.where(known, error, 0.0), cov), np.nan)
 
 
 def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> np.ndarray:

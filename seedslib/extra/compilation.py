@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.checks import as_real, outside
 from seedslib.base.clock import ROUNDING, SAME, when
 from seedslib.base.values import current
-from seedslib.designed.runs import DesignedFilter
+from seedslib.designed.base import DesignedFilter
 from seedslib.extra.c.build import library
 from seedslib.extra.c.driver import FIELDS, REFUSED, driver
 from seedslib.extra.c.header import to_c

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.values import Inputs, current
-from seedslib.designed.runs import DesignedFilter
+from seedslib.designed.base import DesignedFilter
 from seedslib.extra.c.driver import REFUSED, side_by_side
 from seedslib.filters.estimates import Estimates, as_indicators
 from seedslib.filters.verbs import Filter

@@ -18,7 +18,7 @@ from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
 from seedslib.base.values import carried
-from seedslib.design.paths.walk import Crew
+from seedslib.design.paths import Crew
 
 PATIENCE = 30
 """Seconds for a scheduler to answer, and for a first worker to come."""
@@ -109,8 +109,13 @@ class Cluster(Crew):
 
     def share(self, thing: object) -> repeat[Any]:
         """Stand-in for a list that has the same thing for every bundle, sent once."""
-        return repeat(self.client.scatter(thing, hash=False, broadcast=True))
+        # a task, since what is scattered is lost for good with the worker that has it
+        return repeat(self.client.submit(_itself, thing, pure=False))
 
     def unzip(self, pairs: Iterable[Any]) -> list[Any]:
         """Lists of the first and of the second parts of the entries of a list."""
         return [self(itemgetter(k), pairs) for k in range(2)]
+
+
+def _itself(thing: object) -> object:
+    return thing

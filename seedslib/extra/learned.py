@@ -12,15 +12,13 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
-from seedslib.design.fitting import fit_forecast
-from seedslib.design.regression import ABSOLUTE, scatter
-from seedslib.design.tables.carriers import Carriers, Lesson
-from seedslib.design.tables.tabulation import tabulated
+from seedslib.design.carriers import Carriers, Lesson
+from seedslib.design.regression import ABSOLUTE, fit_forecast, scatter
+from seedslib.design.tables import tabulated
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.filter import OutputFilter
-from seedslib.designed.outputs.lookup import Output, Step, prior
-from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Polynomial, PolynomialFit
+from seedslib.designed.tables import Output, Step, prior
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.kinds import as_system

@@ -12,18 +12,16 @@ from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.correction import correct
 from seedslib.base.objects import Remade
-from seedslib.base.semidefinite import settled
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle, settled
 from seedslib.filters.estimates import Estimates, require_time
-from seedslib.filters.integration import adaptive, euler, finite_or_nan, rk4
+from seedslib.filters.integration import euler, finite_or_nan, rk4
 from seedslib.filters.verbs import Filter
-from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.linearization.moments import Linearization, Moments, as_linearization, symmetric
 from seedslib.linearization.points import PointRule
-from seedslib.linearization.units import as_linearization
-from seedslib.models.derived import doubled
 from seedslib.models.kinds import AnySystem, as_system, elapsed, in_steps
+from seedslib.models.maps import doubled
 
-INTEGRATORS = {"rk4": rk4, "euler": euler, "adaptive": adaptive}
+INTEGRATORS = {"rk4": rk4, "euler": euler}
 
 
 class FilterState(NamedTuple):
@@ -58,14 +56,11 @@ class CovarianceFilter(Filter, Remade):
     linearization : Linearization
     step : float, optional
         Largest integration step; the system's own by default.
-    integrator : {"rk4", "euler", "adaptive"}
-        Fixed Runge-Kutta or Euler steps, or Dormand-Prince 5(4) steps common to the paths of a
-        block. Euler may diverge on rare paths where the others do not.
+    integrator : {"rk4", "euler"}
+        Runge-Kutta or Euler steps. Euler may diverge on rare paths where the other does not.
     bound : float, optional
         A path counts as diverged when any component of its mean is beyond `bound` in absolute
         value, or not a number; by default only the latter.
-    rtol, atol : float
-        Tolerances of the adaptive integrator.
 
     Raises
     ------
@@ -81,9 +76,14 @@ class CovarianceFilter(Filter, Remade):
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
-        self, system: AnySystem, linearization: Linearization, *, step: float | None = None,
-        integrator: str = "rk4", bound: float | None = None, rtol: float = 1e-6, atol: float = 1e-9,
-    ) -> None:  # fmt: skip
+        self,
+        system: AnySystem,
+        linearization: Linearization,
+        *,
+        step: float | None = None,
+        integrator: str = "rk4",
+        bound: float | None = None,
+    ) -> None:
         if integrator not in INTEGRATORS:
             raise ValueError(
                 f"integrator: wanted one of {', '.join(INTEGRATORS)}, got {integrator!r}"
@@ -96,17 +96,13 @@ class CovarianceFilter(Filter, Remade):
         step = getattr(system, "step", 1.0) if step is None else step
         self.integration_step: float = as_positive("step", step, infinite=True)
         self.bound: float = np.inf if bound is None else as_positive("bound", bound, infinite=True)
-        rtol, atol = as_positive("rtol", rtol, zero=True), as_positive("atol", atol, zero=True)
         self.n: int = len(system.mean0)
         self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
         self._by_points = isinstance(linearization, PointRule)
         if self.continuous:
             self._rate = linearization.rate(system)
-            advance = INTEGRATORS[integrator]
-            if integrator == "adaptive":
-                advance = partial(advance, rtol=rtol, atol=atol)
-            self._integrate = partial(finite_or_nan, advance)
+            self._integrate = partial(finite_or_nan, INTEGRATORS[integrator])
         else:
             self._dynamics = linearization.transition(system.dynamics)
 
@@ -219,9 +215,7 @@ class CovarianceFilter(Filter, Remade):
         return Estimates(state.mean, state.cov, None, state.loglik, beyond)
 
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
-        """Paths do not meet, so the size of a block is free, but for the common adaptive step."""
-        if self.integrator == "adaptive":
-            return BLOCK
+        """Paths do not meet, so the size of a block is free."""
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 

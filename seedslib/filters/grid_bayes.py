@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
-from seedslib.base.nodes import Grid, Nodes
-from seedslib.base.tables import Axis
+from seedslib.base.tables import Axis, Grid, Nodes
 from seedslib.filters.estimates import as_seen
 from seedslib.filters.grid_records import GridSmoother
 from seedslib.filters.verbs import Filter
 from seedslib.filters.weights import logarithm, normalised, relative
-from seedslib.models.chains.discrete import DiscreteChain
-from seedslib.models.chains.switching import SwitchingChain
+from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
@@ -95,6 +93,7 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
+            require_scalar(system)
             self.chain: Any = SwitchingChain(system, Axis.of("x", x))
             self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
         else:

@@ -13,9 +13,8 @@ from seedslib.base.semidefinite import settled
 from seedslib.base.values import on_paths
 from seedslib.filters.estimates import Estimates, as_modes, as_seen
 from seedslib.filters.verbs import Filter
-from seedslib.linearization.moments import Gaussian, Linearization
+from seedslib.linearization.moments import Gaussian, Linearization, as_linearization
 from seedslib.linearization.points import PointRule
-from seedslib.linearization.units import as_linearization
 from seedslib.models.kinds import AnySystem, as_system
 
 

@@ -12,9 +12,6 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.gaussian.errors import forms as forms
-    from seedslib.gaussian.errors.bivariate import bivariate_normal_cdf as bivariate_normal_cdf
-    from seedslib.gaussian.errors.bounds import approximate_errors as approximate_errors
-    from seedslib.gaussian.errors.bounds import hermite_expansion as hermite_expansion
     from seedslib.gaussian.errors.elevation import elevation_moments as elevation_moments
     from seedslib.gaussian.errors.exact import mean_square_errors as mean_square_errors
     from seedslib.gaussian.errors.exact import (
@@ -22,26 +19,28 @@ if TYPE_CHECKING:
     )
     from seedslib.gaussian.errors.functions import abs_errors as abs_errors
     from seedslib.gaussian.errors.functions import abs_moments as abs_moments
+    from seedslib.gaussian.errors.functions import bivariate_normal_cdf as bivariate_normal_cdf
+    from seedslib.gaussian.errors.functions import max_errors as max_errors
+    from seedslib.gaussian.errors.functions import max_moments as max_moments
     from seedslib.gaussian.errors.functions import sine_errors as sine_errors
     from seedslib.gaussian.errors.functions import sine_moments as sine_moments
-    from seedslib.gaussian.errors.maximum import max_errors as max_errors
-    from seedslib.gaussian.errors.maximum import max_moments as max_moments
+    from seedslib.gaussian.errors.hermite import hermite_expansion as hermite_expansion
     from seedslib.gaussian.errors.norms import norm_errors as norm_errors
+    from seedslib.gaussian.intervals import interval as interval
     from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
     from seedslib.gaussian.means.formulas import expectation as expectation
     from seedslib.gaussian.means.norm import norm_mean as norm_mean
     from seedslib.gaussian.means.symbolic import FunctionClass as FunctionClass
     from seedslib.gaussian.means.symbolic import classify as classify
     from seedslib.gaussian.means.symbolic import expectation_function as expectation_function
+    from seedslib.gaussian.polygons import pad_regions as pad_regions
+    from seedslib.gaussian.polygons import polygon as polygon
     from seedslib.gaussian.quadrature import cubature as cubature
     from seedslib.gaussian.quadrature import fifth_degree as fifth_degree
     from seedslib.gaussian.quadrature import gauss_hermite as gauss_hermite
     from seedslib.gaussian.quadrature import mean_of as mean_of
     from seedslib.gaussian.quadrature import unscented as unscented
-    from seedslib.gaussian.regions.interval import interval as interval
-    from seedslib.gaussian.regions.lift import lift as lift
-    from seedslib.gaussian.regions.polygon import pad_regions as pad_regions
-    from seedslib.gaussian.regions.polygon import polygon as polygon
-    from seedslib.gaussian.regions.regions import RegionMoments as RegionMoments
+    from seedslib.gaussian.regions import RegionMoments as RegionMoments
+    from seedslib.gaussian.regions import lift as lift
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

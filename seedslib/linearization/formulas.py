@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
-from seedslib.base.triangles import lower_triangle
+from seedslib.base.semidefinite import lower_triangle
 from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import (

@@ -10,8 +10,7 @@ import sympy
 
 from seedslib.base.symbols import real_part
 from seedslib.gaussian.means.classes import NoClosedForm
-from seedslib.gaussian.means.covariance import covariance_expression
-from seedslib.gaussian.means.formulas import mean_expression
+from seedslib.gaussian.means.formulas import covariance_expression, mean_expression
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import tidy
 

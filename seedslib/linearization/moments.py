@@ -9,15 +9,14 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.triangles import lower_triangle, mirrored
-from seedslib.models.derived import products
-from seedslib.models.maps import StochasticMap
+from seedslib.base.semidefinite import lower_triangle, mirrored
+from seedslib.models.maps import StochasticMap, products
 
 TINY = np.finfo(float).tiny
 """Branches of a smaller mass count as empty."""
@@ -74,9 +73,6 @@ class Weighted(NamedTuple):
 
 class Linearization(ABC):
     """How means of functions of a Gaussian state are taken."""
-
-    products: ClassVar[int] = 1
-    """How many values of a map are multiplied in a formula of its own."""
 
     @abstractmethod
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
@@ -225,3 +221,16 @@ def refuse_weight(map: StochasticMap) -> None:
 def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
     """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
     return np.asarray(lower)[mirrored(size)]
+
+
+def as_linearization(value: Any, system: Any) -> Linearization:
+    """The linearization that was passed.
+
+    Raises
+    ------
+    TypeError
+        Something else.
+    """
+    if not isinstance(value, Linearization):
+        raise TypeError(f"linearization: wanted a Linearization, got {value!r}")
+    return value

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 import sympy
 
@@ -85,8 +85,6 @@ class ExactGaussian(Formulas):
     Stein's identity, cov(x, y) = D (dE y / dm)ᵀ. A state that is known to be where the map jumps
     is on either side with probability one half: the limit of a variance that vanishes.
     """
-
-    products: ClassVar[int] = 2
 
     def formulas(
         self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True

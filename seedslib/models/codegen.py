@@ -8,17 +8,13 @@ processor.
 
 from __future__ import annotations
 
-import builtins
-import re
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache, partial
-from itertools import count
 from typing import Any
 
 import numpy as np
 import sympy
-from scipy import special
-from sympy.codegen.rewriting import create_expand_pow_optimization
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
@@ -27,88 +23,104 @@ from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.base.values import current
-from seedslib.gaussian.means.exp_difference import exp_difference
-from seedslib.gaussian.means.normal_cdf import spread, tilted_tail
-from seedslib.models.sinc import sinc_ratio, with_ratios
+from seedslib.gaussian.means.normal_cdf import difference, tilted_cdf
 
 LARGEST_POWER = 40
-OWN = {
-    "sinc_ratio": sinc_ratio, "exp_difference": exp_difference, "spread": spread,
-    "tilted_tail": tilted_tail,
-}  # fmt: skip
-MODULES = [OWN, "scipy", "numpy"]
+TERMS = 14
+"""Terms of the series within two of zero: the next one is below rounding."""
 
-_products = create_expand_pow_optimization(LARGEST_POWER, base_req=lambda base: True)
+
+class SincRatio(sympy.Function):
+    """j_k(x) / x**k of spherical Bessel functions: sinc for k = 0, and even in x.
+
+    The derivative is -x times the next one, so none of them divides by x.
+    """
+
+    nargs = (2,)
+
+    @classmethod
+    def eval(cls, k: Any, x: Any) -> Any:
+        """Numbers are evaluated."""
+        return sympy.Float(float(sinc_ratio(int(k), float(x)))) if x.is_number else None
+
+    def fdiff(self, argindex: int = 2) -> Any:
+        """Derivative by x."""
+        parts: Any = self.args
+        return -parts[1] * SincRatio(parts[0] + 1, parts[1])
+
+    def _eval_is_extended_real(self) -> Any:
+        return self.args[1].is_extended_real
+
+    def _numpycode(self, printer: Any) -> str:
+        return f"sinc_ratio({', '.join(printer._print(part) for part in self.args)})"
+
+    def _sympystr(self, printer: Any) -> str:
+        k, x = (printer._print(part) for part in self.args)
+        return f"sinc({x})" if k == "0" else f"sinc_ratio({k}, {x})"
+
+
+def with_ratios(expression: Any) -> Any:
+    """The same expression with `SincRatio` in the place of SymPy's sinc."""
+    if not expression.has(sympy.sinc):
+        return expression
+    return expression.replace(sympy.sinc, lambda x: SincRatio(0, x))
+
+
+def sinc_ratio(k: int, x: Any) -> Any:
+    """Values of `SincRatio`: the power series within two of zero, the recurrence elsewhere."""
+    near = x * x < 4.0
+    square, series = np.select([near], [x * x], 0.0), 1.0
+    for m in range(TERMS, 0, -1):
+        series = 1.0 - series * square / (2 * m * (2 * (k + m) + 1))
+    away = np.select([near], [2.0], x)
+    before, ratio = np.cos(away), np.sin(away) / away
+    for j in range(k):
+        before, ratio = ratio, ((2 * j + 1) * ratio - before) / (away * away)
+    return np.select([near], [series / math.prod(range(1, 2 * k + 2, 2))], ratio)
+
+
+OWN = {"sinc_ratio": sinc_ratio, "difference": difference, "tilted_cdf": tilted_cdf}
+MODULES = [OWN, "scipy", "numpy"]
 
 
 class _Printer(SciPyPrinter):
-    """NumPy code with divisions, roots and products in the place of floating-point powers."""
-
-    def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:
-        if expr.exp == -1:
-            return f"(1.0/({self._print(expr.base)}))"
-        plain = expr.base.is_Symbol or abs(expr.exp) == sympy.S.Half
-        if expr.exp.is_Rational and expr.exp.q == 2 and plain:
-            base = self._print(expr.base)
-            product = "*".join([f"numpy.sqrt({base})", *[f"({base})"] * (abs(expr.exp.p) // 2)])
-            return f"(1.0/({product}))" if expr.exp.is_negative else f"({product})"
-        return super()._print_Pow(expr, rational=rational)
-
-    def _print_SincRatio(self, expr: sympy.Expr) -> str:
-        k, x = expr.args
-        return f"sinc_ratio({k}, {self._print(x)})"
-
-    def _print_KroneckerDelta(self, expr: sympy.Expr) -> str:
-        return self._print(expr.rewrite(sympy.Piecewise))
+    """NumPy code with all digits of its numbers, and with products in the place of powers."""
 
     def _print_Float(self, expr: sympy.Float) -> str:
         return repr(float(expr))
 
-
-def fold(expression: sympy.Expr) -> sympy.Expr:
-    """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
-    parts = dict.fromkeys(sympy.preorder_traversal(expression))
-    values = {p: _in_range(p) for p in parts if p.is_number and p.is_real}
-    return expression.xreplace({p: sympy.Float(v) for p, v in values.items() if not p.is_Rational})
-
-
-def _in_range(constant: sympy.Expr) -> float:
-    try:
-        value = float(constant)
-    except OverflowError:
-        value = np.inf
-    if not np.isfinite(value) or (value == 0.0 and not constant.is_zero):
-        raise ValueError(f"expressions: wanted numbers in the range of float64, got {constant}")
-    return value
+    def _print_Pow(self, expr: sympy.Pow, rational: bool = False) -> str:
+        power = expr.exp
+        if not (power.is_Rational and power.q <= 2 and abs(power) <= LARGEST_POWER):
+            return super()._print_Pow(expr, rational=rational)
+        base = f"({self._print(expr.base)})"
+        root = [f"numpy.sqrt({base})"] * (power.q == 2)
+        product = "*".join([*root, *[base] * (abs(power.p) // power.q)])
+        return f"(1.0/({product}))" if power.is_negative else f"({product})"
 
 
-def _share(expressions: Sequence, named: Sequence = ()) -> tuple[list, list]:
-    """Common subexpressions first, then products for powers: the other order hides powers.
+def fold(expression: sympy.Expr, others: Mapping[Any, Any] | None = None) -> sympy.Expr:
+    """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once.
 
-    `named` are pairs of a symbol in the expressions and what it stands for.
+    `others` are replaced in the same pass.
     """
-    parts = [fold(e) for e in (*(part for _, part in named), *expressions)]
-    assignments, results = sympy.cse(parts, order="none")
-    results = [_products(r) for r in results]
-    assignments = [(name, _products(part)) for name, part in assignments]
-    if named:
-        names = [name for name, _ in named]
-        assignments = _in_order([*assignments, *zip(names, results, strict=False)])
-    return assignments, results[len(named) :]
-
-
-def _in_order(assignments: Sequence[tuple]) -> list[tuple]:
-    """The same assignments, each after those it needs."""
-    waiting, ordered = dict(assignments), {}
-    stack = list(reversed(waiting))
-    while stack:
-        name = stack[-1]
-        needed = [s for s in waiting[name].free_symbols if s in waiting and s not in ordered]
-        if needed:
-            stack.extend(sorted(needed, key=str))
+    values, seen, waiting = {}, set(), [expression]
+    while waiting:
+        part = waiting.pop()
+        if part in seen:
             continue
-        ordered.setdefault(stack.pop(), waiting[name])
-    return list(ordered.items())
+        seen.add(part)
+        if part.is_number and part.is_real:
+            values[part] = float(part)
+        else:
+            waiting.extend(part.args)
+    if not np.isfinite(list(values.values())).all():
+        raise ValueError(f"wanted numbers in the range of float64, got {expression}")
+    numbers = {p: sympy.Float(v) for p, v in values.items() if not p.is_Rational}
+    return expression.xreplace(numbers | dict(others or {}))
+
+
+_share = partial(sympy.cse, order="none")
 
 
 def as_expressions(name: str, value: object) -> np.ndarray:
@@ -192,64 +204,44 @@ def compile_components(
     known = {*listed, *(name for name, _ in named)}
     expressions = [as_expression("expressions", e) for e in expressions]
     require_known("expressions", [*expressions, *(part for _, part in named)], known)
-    # lambdify would rename dummies, which makes powers of the products again
-    taken = {str(s) for s in known if not isinstance(s, sympy.Dummy)}
-    free = (name for k in count() if (name := f"u{k}_") not in taken)
-    parameters = parameters_of([*expressions, *(part for _, part in named)])
-    every = [*expressions, *(part for _, part in named)]
-    dummies = [s for s in listed if isinstance(s, sympy.Dummy) or _hides(s, every)]
-    dummies += list(parameters)
-    plain = {s: sympy.Symbol(next(free), **s.assumptions0) for s in dummies}
-    arguments = [
-        tuple(plain.get(s, s) for s in a) if isinstance(a, tuple) else plain.get(a, a)
-        for a in arguments
-    ]
-    expressions = [e.xreplace(plain) for e in expressions]
-    named = [(name, part.xreplace(plain)) for name, part in named]
+    for name, part in reversed(named):
+        expressions = [e.xreplace({name: part}) for e in expressions]
+    parameters = parameters_of(expressions)
+    # equal expressions are compiled once, whatever their dummies are
+    dummies = {
+        s: sympy.Symbol(f"{k} ", **s.assumptions0)
+        for k, s in enumerate(listed)
+        if isinstance(s, sympy.Dummy)
+    }
+    if dummies:
+        expressions = [e.xreplace(dummies) for e in expressions]
+        arguments = [
+            tuple(dummies.get(s, s) for s in a) if isinstance(a, tuple) else dummies.get(a, a)
+            for a in arguments
+        ]
     if parameters:
-        arguments.append(tuple(plain[p] for p in parameters))
-    function = _lambdified(tuple(arguments), tuple(expressions), tuple(named))
+        arguments.append(parameters)
+    function = _lambdified(tuple(arguments), tuple(expressions))
     return function if not parameters else lambda *given: function(*given, current(parameters))
 
 
-def _hides(symbol: sympy.Symbol, expressions: Sequence[sympy.Expr]) -> bool:
-    """Whether a symbol has the name of something that the code of the expressions calls."""
-    known = symbol.name in ("numpy", "scipy", "math")
-    if not (known or any(hasattr(module, symbol.name) for module in (np, builtins, special))):
-        return False
-    printer, other = _Printer({"fully_qualified_modules": False}), sympy.Dummy("other")
-    try:
-        code = " ".join(printer.doprint(e.xreplace({symbol: other})) for e in expressions)
-    except (PrintMethodNotImplementedError, ValueError):  # it is told where it is compiled
-        return False
-    return symbol.name in re.findall(r"[^\W\d]\w*", code)
-
-
 @lru_cache(maxsize=512)
-def _lambdified(arguments: tuple, expressions: tuple, named: tuple) -> Callable[..., list[Any]]:
+def _lambdified(arguments: tuple, expressions: tuple) -> Callable[..., list[Any]]:
     """The compiled function, once for equal expressions: a system is often made again."""
+    listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
+    # names that no function has
+    plain = {s: sympy.Symbol(f"u{k}_", **s.assumptions0) for k, s in enumerate(listed)}
+    named = [tuple(plain[s] for s in a) if isinstance(a, tuple) else plain[a] for a in arguments]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     try:
-        share = partial(_share, named=named)
-        return sympy.lambdify(arguments, list(expressions), MODULES, printer=printer, cse=share)
-    except (PrintMethodNotImplementedError, ValueError):
-        _require_code(printer, [*expressions, *(part for _, part in named)])
-        raise
-
-
-def _require_code(printer: _Printer, expressions: Sequence[sympy.Expr]) -> None:
-    """Name the first part of the expressions that has no NumPy code."""
-    for expression in expressions:
-        for part in sympy.postorder_traversal(expression):
-            try:
-                if isinstance(part, sympy.Expr):
-                    printer.doprint(part)
-            except (PrintMethodNotImplementedError, ValueError):
-                raise ValueError(
-                    f"expressions: wanted functions with NumPy code, got {part} in {expression}; "
-                    "where it is the derivative of a step (sign, Heaviside, floor, Mod), take a "
-                    "rule with points such as Unscented or GaussHermite"
-                ) from None
+        folded = [fold(e, plain) for e in expressions]
+        return sympy.lambdify(named, folded, MODULES, printer=printer, cse=_share)
+    except (PrintMethodNotImplementedError, ValueError, OverflowError) as error:
+        raise ValueError(
+            f"expressions: wanted functions with NumPy code, got {error}; "
+            "where it is the derivative of a step (sign, Heaviside, floor, Mod), take a rule with "
+            "points such as Unscented or GaussHermite"
+        ) from None
 
 
 def batch_shape(*arguments: object) -> tuple[int, ...]:

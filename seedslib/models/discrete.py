@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
-from seedslib.base.bundles import Source
+from seedslib.base.blocks import Source
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.objects import Shown
-from seedslib.base.values import Inputs
 from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
@@ -98,12 +97,6 @@ class DiscreteSystem(Shown):
         with elapsed(self, start, stop):
             return self.dynamics.sample(start, x, rng)
 
-    def simulate(
-        self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, inputs: Inputs | None = None, workers: int = 1,
-    ) -> Simulation:  # fmt: skip
+    def simulate(self, times: ArrayLike, paths: Count, seed: Seed, **options: Any) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""
-        return simulate(
-            self, times, paths, seed, measured=measured, availability=availability, inputs=inputs,
-            workers=workers,
-        )  # fmt: skip
+        return simulate(self, times, paths, seed, **options)

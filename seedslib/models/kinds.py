@@ -56,18 +56,6 @@ KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
 
-_WAYS_OUT = {
-    "JumpDiffusion": "see extended_kalman, ParticleFilter or synthesize",
-    "DiscreteSystem": "see extended_kalman, ParticleFilter or synthesize",
-    "SwitchingSystem": "see SwitchingFilter, RaoBlackwellFilter, ParticleFilter or synthesize",
-    "LinearDiffusion": "see two_step.kalman_bucy, or write it as a JumpDiffusion",
-    "DelaySystem": "see DelaySystem.stacked, the LinearSystem of the last states together",
-    "PiecewiseLinearSystem": (
-        "see piecewise.PiecewiseLinearFilter, or write it as a DiscreteSystem of array functions"
-    ),
-    "Memory": "the system comes before the memory",
-}
-
 
 def kind_of(system: object) -> str:
     """One of `KINDS`, told by what the object has, or the name of its type."""
@@ -82,7 +70,7 @@ def kind_of(system: object) -> str:
 
 
 def as_system(name: str, value: Any, *wanted: str) -> Any:
-    """The system that was passed, or a sentence that says what it is and what takes it.
+    """The system that was passed, or a sentence that says what it is.
 
     Parameters
     ----------
@@ -110,10 +98,8 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
         return value
     if not wanted and isinstance(value, System) and hasattr(value.sensor, "sample"):
         return value
-    kinds, way, got = " or ".join(wanted or KINDS), _WAYS_OUT.get(found), f"a {found}"
-    if isinstance(value, type):
-        got, way = f"the class {value.__name__}", "make one"
-    raise TypeError(f"{name}: wanted a {kinds}, got {got}" + (f"; {way}" if way else ""))
+    got = f"the class {value.__name__}" if isinstance(value, type) else f"a {found}"
+    raise TypeError(f"{name}: wanted a {' or '.join(wanted or KINDS)}, got {got}")
 
 
 def switches(system: object) -> bool:

@@ -161,19 +161,16 @@ class LinearSystem(DiscreteSystem):
             raise ValueError("B, D, inputs: wanted a matrix and its inputs, got one without other")
         mean0 = np.atleast_1d(as_real("mean0", mean0))
         n = len(mean0)
-        F, Q, H, R = (_entries(name, M) for name, M in zip("FQHR", (F, Q, H, R), strict=True))
-        m = next((len(M) for M in (R, H) if hasattr(M, "__len__")), None)
+        given = zip("FQHRBD", (F, Q, H, R, B, D), strict=True)
+        made = {name: _entries(name, M) for name, M in given if M is not None}
+        m = next((len(made[name]) for name in "RH" if hasattr(made[name], "__len__")), None)
         m = len(np.atleast_2d(R(0.0))) if m is None else m
-        sizes = {"F": (n, n), "Q": (n, n), "H": (m, n), "R": (m, m)}
-        for name, M in zip("FQHR", (F, Q, H, R), strict=True):
+        rows, columns = {"F": n, "Q": n, "B": n}, {"F": n, "H": n, "Q": n, "R": m}
+        for name, M in made.items():
             if not callable(M):
-                as_shape(name, M, sizes[name])
+                as_shape(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
                 if name in "QR":
-                    as_covariance(name, M, len(M))
-        B, D = (None if M is None else _entries(name, M) for name, M in (("B", B), ("D", D)))
-        for name, M, rows in (("B", B, n), ("D", D, m)):
-            if M is not None and not callable(M):
-                as_shape(name, M, (rows, len(inputs)))
+                    as_covariance(name, M)
         diffuse = tuple(diffuse)
         for k in diffuse:
             if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
@@ -183,8 +180,11 @@ class LinearSystem(DiscreteSystem):
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
         if np.any(cov0[list(diffuse)] != 0.0):
             raise ValueError("cov0: wanted zeros in the rows of diffuse components")
-        dynamics = LinearMap(F, Q, (n, n), B, inputs if B is not None else ())
-        sensor = LinearMap(H, R, (m, n), D, inputs if D is not None else ())
+        maps = (("F", "Q", "B", n), ("H", "R", "D", m))
+        dynamics, sensor = (
+            LinearMap(made[a], made[s], (size, n), made.get(b), inputs if b in made else ())
+            for a, s, b, size in maps
+        )
         super().__init__(dynamics, sensor, mean0, cov0)
         vars(self)["diffuse"] = diffuse
 
@@ -227,19 +227,17 @@ class LinearSystem(DiscreteSystem):
             As the class; a step that is not positive.
         """
         drift = np.atleast_2d(as_real("drift", drift))
-        spread = as_covariance(
-            "diffusion", np.atleast_2d(as_real("diffusion", diffusion)), len(drift)
-        )
-        as_shape("drift", drift, spread.shape)
+        noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
+        as_shape("drift", drift, noise.shape)
         push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
         as_shape("B", push, (len(drift), len(inputs) if B is not None else 0))
-        steps = Discretised(drift, spread, push)
+        steps = Discretised(drift, noise, push)
         if step is None:
             F, Q, B = (SteppedMatrix(steps, part) for part in range(3))
         else:
             F, Q, B = steps(as_positive("step", step))
-        told = {"B": None if push.size == 0 else B, "D": D, "inputs": inputs}
-        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, **told)
+        B = None if push.size == 0 else B
+        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, B=B, D=D, inputs=inputs)
 
 
 def _entries(name: str, matrix: Any) -> Any:

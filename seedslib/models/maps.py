@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.bundles import Source
+from seedslib.base.blocks import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
-from seedslib.base.correction import correct
+from seedslib.base.correction import gaussian_logpdf
 from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import with_values
-from seedslib.models.densities import by_noise, conditional_formulas, told
 from seedslib.models.noise import Noise, named_noise
 
 
@@ -288,7 +287,147 @@ class StochasticMap(Travelling, Shown):
                 "got a map without a closed form"
             )
         mean, cov, _ = self.conditional
-        predicted, spread = mean(t, x), cov(t, x)
-        blind = np.zeros((1, self.size, *(1,) * (predicted.ndim - 1)))
-        anchor = np.zeros((1, *(1,) * (predicted.ndim - 1)))
-        return correct(anchor, None, y, (predicted, blind, spread), periods=self.period)[2]
+        return gaussian_logpdf(y, mean(t, x), cov(t, x), self.period)
+
+
+def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, Any]:
+    """SymPy mean (size,), covariance (size, size) and weight of y given x, in its branch."""
+    import sympy
+
+    average, y = map.noise.expectation, map.expressions
+    joint = map.weight_expression.free_symbols & set(map.noise.symbols)
+    w = map.weight_expression if joint else sympy.Integer(1)
+    mass = average(w)
+    mean = [average(sympy.expand(w * part)) / mass for part in y]
+    # in a branch the means are quotients, which only their names keep from being multiplied out
+    named = sympy.symbols(f"mean:{map.size}", cls=sympy.Dummy, real=True) if joint else mean
+    means = dict(zip(named, mean, strict=True))
+    cov = np.empty((map.size, map.size), dtype=object)
+    for i in range(map.size):
+        for j in range(i + 1):
+            spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+            spread = sympy.expand(spread) if not joint else spread.xreplace(means) / mass
+            cov[i, j] = cov[j, i] = spread
+    return np.array(mean, dtype=object), cov, mass if joint else map.weight_expression
+
+
+def noise_of(map: StochasticMap) -> tuple[Any, list[Any], Any] | None:
+    """The noise that makes y of x, for a map that is affine in it and can be solved for it.
+
+    Returns
+    -------
+    y : tuple of SymPy symbols
+    noise : list of SymPy expressions
+        In the time, the state and y.
+    volume : SymPy expression
+        Determinant of the map's derivative by the noise. None for a map of another kind.
+    """
+    if not map.symbolic or map.size != map.noise.size:
+        return None
+    import sympy
+
+    y = sympy.symbols(f"y:{map.size}", cls=sympy.Dummy, real=True)
+    value = sympy.Matrix(map.expressions)
+    slope = value.jacobian(map.noise.symbols)
+    volume = slope.det()
+    if volume == 0:
+        return None
+    still = value.subs(dict.fromkeys(map.noise.symbols, 0))
+    return y, list(slope.LUsolve(sympy.Matrix(y) - still)), volume
+
+
+def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
+    """Log-density (t, y, x) of y from that of the noise, by the change of variables."""
+    found = noise_of(map)
+    if map.noise.log_density is None or map.period or found is None:
+        return None
+    import sympy
+
+    from seedslib.models.codegen import compile_array
+
+    y, noise, volume = found
+    solved = compile_array((map.time, map.state, y), [*noise, sympy.Abs(volume)])
+
+    def log_density(t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        parts = solved(t, x, y)
+        batch = np.broadcast_shapes(np.shape(y)[1:], np.shape(x)[1:])
+        with np.errstate(divide="ignore"):
+            return map.noise.log_density(np.broadcast_to(parts[:-1], (map.size, *batch))) - np.log(
+                parts[-1]
+            )
+
+    return log_density
+
+
+def told(log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """The given log-density; zero where the whole measurement is missing (NaN), log 1.
+
+    Parameters
+    ----------
+    log_density : callable
+        ``log_density(t, y, x) -> (*batch)``.
+    t : float
+    y, x : ndarray, shapes (m, *batch) and (n, *batch)
+
+    Raises
+    ------
+    ValueError
+        A part of a measurement is missing, and the function gives no number at any state.
+    """
+    y, gaps = np.asarray(y, dtype=float), np.isnan(y)
+    if not gaps.any():
+        return log_density(t, y, x)
+    with np.errstate(invalid="ignore"):
+        found = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x))
+    partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), found.shape)
+    if partly.any() and np.isnan(found[partly]).all():
+        raise ValueError(
+            "log_density: wanted numbers where a part of the measurement is missing (NaN), got "
+            "NaN; it must integrate over that part, or the measurement be missing as a whole"
+        )
+    return found
+
+
+def doubled(map: StochasticMap) -> StochasticMap:
+    """The same map of a state of twice the size, of which it sees the second half."""
+    n = map.state_size
+    if map.symbolic:
+        import sympy
+
+        before = sympy.symbols(f"before1:{n + 1}", cls=sympy.Dummy, real=True)
+        return StochasticMap([*before, *map.state], map.expressions, map.noise, time=map.time)
+    value, given = map.value, map.__dict__.get("conditional")
+    return StochasticMap.from_functions(
+        2 * n, map.size, _of_half(value, n), map.noise,
+        mean=given and _of_half(given.mean, n), cov=given and _of_half(given.cov, n),
+    )  # fmt: skip
+
+
+def products(map: StochasticMap) -> StochasticMap:
+    """Map of the products (w, w x, w y, w x xᵀ, w x yᵀ, w y yᵀ), symmetric ones lower.
+
+    Their plain means are the raw moments in the branch.
+    """
+    n, m = map.state_size, map.size
+
+    def terms(w, x, y):
+        pairs = [
+            *(x[i] * x[j] for i in range(n) for j in range(i + 1)),
+            *(x[i] * y[j] for i in range(n) for j in range(m)),
+            *(y[i] * y[j] for i in range(m) for j in range(i + 1)),
+        ]
+        return [w, *(w * part for part in (*x, *y, *pairs))]
+
+    if map.symbolic:
+        value = terms(map.weight_expression, map.state, map.expressions)
+        return StochasticMap(map.state, value, map.noise, time=map.time)
+
+    def value(t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+        return np.stack(terms(map.weight(t, x, v), x, map.value(t, x, v)))
+
+    size = (n + m + 1) * (n + m + 2) // 2  # pairs of (1, x, y)
+    return StochasticMap.from_functions(n, size, value, map.noise)
+
+
+def _of_half(function: Callable[..., Any], n: int) -> Callable[..., Any]:
+    return lambda t, x, *rest: function(t, x[n:], *rest)

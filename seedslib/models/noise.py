@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import Array
-from seedslib.base.bundles import drawn, normal
+from seedslib.base.blocks import drawn, normal
 from seedslib.base.checks import as_covariance, as_real, as_shape
 from seedslib.base.semidefinite import factor
 from seedslib.gaussian.quadrature import rule_of_rank
@@ -96,7 +96,7 @@ class Noise:
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
         """Independent draws, shape (size, count); the first of many are the draws of a few."""
         if self.sample is None:
-            return self.mean[:, None] + _apply_root(self.root, normal(rng, self.size, count))
+            return self.mean[:, None] + lower_times(self.root, normal(rng, self.size, count))
         return drawn(rng, count, self._sampled)
 
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -149,36 +149,11 @@ class Noise:
                 f"noise: only its mean and covariance are known, so {expression} has no mean in "
                 "closed form; use GaussHermite or another rule with points"
             )
-        return real_part(mean_expression(expression, **self._law(expression)))
-
-    def covariance(self, first: Any, second: Any) -> Any:
-        """Covariance of two SymPy expressions over the noise, whose digits keep to small noise.
-
-        None for polynomials in the noise, and of noise that is not Gaussian: `expectation` of
-        what is centred does as well.
-
-        Raises
-        ------
-        NoClosedForm
-            As `expectation`.
-        """
-        v = self.symbols
-        if not v or not self.gaussian or all(e.is_polynomial(*v) for e in (first, second)):
-            return None
-        from seedslib.base.symbols import real_part
-        from seedslib.gaussian.means.covariance import covariance_expression
-
-        return real_part(covariance_expression(first, second, **self._law(first * second)))
-
-    def _law(self, expression: Any) -> dict[str, Any]:
-        """The noise as arguments of the means of an expression."""
         from sympy import Matrix
 
         others = tuple(expression.free_symbols - set(self.symbols))
-        cov = Matrix(self.cov.tolist())
-        return {
-            "variables": self.symbols, "mean": self.mean.tolist(), "cov": cov, "parameters": others,
-        }  # fmt: skip
+        law = self.mean.tolist(), Matrix(self.cov.tolist())
+        return real_part(mean_expression(expression, self.symbols, *law, parameters=others))
 
     def _quadratic_mean(self, polynomial):
         moments = np.ones(()), self.mean, self.cov + np.outer(self.mean, self.mean)
@@ -220,7 +195,7 @@ def tidy(number: float) -> float:
     return int(number) if float(number).is_integer() else float(number)
 
 
-def _apply_root(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def lower_times(root: np.ndarray, normal: np.ndarray) -> np.ndarray:
     """Product of a lower triangular matrix with draws, component by component."""
     if np.array_equal(root, np.eye(len(root))):
         return normal

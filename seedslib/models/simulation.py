@@ -16,7 +16,7 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_real
-from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.base.values import Inputs, on_paths
 from seedslib.models.kinds import AnySystem, as_grid, course_of
 
 ARRIVALS = 0x41525256
@@ -98,12 +98,12 @@ class Schedule(NamedTuple):
             mask = np.repeat(as_measured(measured, count)[:, None], size, axis=1)
         if availability is None:
             return cls(mask)
-        there = as_real("availability", availability)
-        if there.shape not in ((), (size,)) or not ((there >= 0) & (there <= 1)).all():
+        chance = as_real("availability", availability)
+        if chance.shape not in ((), (size,)) or not ((chance >= 0) & (chance <= 1)).all():
             raise ValueError(
                 f"availability: wanted a probability, or {size} of them, got {availability!r}"
             )
-        return cls(mask, np.broadcast_to(there, (size,)))
+        return cls(mask, np.broadcast_to(chance, (size,)))
 
     def leave_out(self, k: int, y: np.ndarray, stream: np.random.SeedSequence) -> None:
         """Put NaN for what is not read or does not arrive in measurements (m, paths) of time k.
@@ -113,8 +113,7 @@ class Schedule(NamedTuple):
         y[~self.mask[k]] = np.nan
         if self.availability is not None:
             rng = np.random.default_rng(descendant(stream, ARRIVALS, k))
-            lost = self.availability[:, None] <= rng.random(y.shape[::-1]).T
-            y[lost] = np.nan
+            y[self.availability[:, None] <= rng.random(y.shape[::-1]).T] = np.nan
 
 
 def simulate(
@@ -162,28 +161,23 @@ def simulate(
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
     def work(start: int, stop: int, stream: np.random.SeedSequence) -> None:
-        own = slice(start, stop)
-        with on_paths((paths,), own):
-            fill(start, stop, stream, course.of(own))
-
-    def fill(start: int, stop: int, stream: np.random.SeedSequence, held: Course) -> None:
-        x = None
-        for k, child in enumerate(stream.spawn(len(times))):
-            moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
-            # a path that leaves the range of numbers shows as inf or NaN in the result
-            with np.errstate(over="ignore", invalid="ignore"):
-                modes = () if told is None else (told[k, start:stop],)
+        own, x = slice(start, stop), None
+        inputs_at = course.of(own)
+        # a path that leaves the range of numbers shows as inf or NaN in the result
+        with on_paths((paths,), own), np.errstate(over="ignore", invalid="ignore"):
+            for k, child in enumerate(stream.spawn(len(times))):
+                moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
+                modes = () if told is None else (told[k, own],)
                 if k == 0:
                     x = system.initial_sample(moving, stop - start, *modes)
                 else:
-                    with held.at(k - 1):
+                    with inputs_at.at(k - 1):
                         x = system.advance(x, times[k - 1], times[k], moving, *modes, **options)
-                states[k, :, start:stop] = x
+                states[k, :, own] = x
                 if schedule.mask[k].any():
-                    with held.at(k):
-                        shown = system.sensor.sample(times[k], x, sensing)
-                    measurements[k, :, start:stop] = shown
-                    schedule.leave_out(k, measurements[k, :, start:stop], stream)
+                    with inputs_at.at(k):
+                        measurements[k, :, own] = system.sensor.sample(times[k], x, sensing)
+                    schedule.leave_out(k, measurements[k, :, own], stream)
 
     in_blocks(work, paths, seed, workers=workers)
     return Simulation(times, states, measurements)

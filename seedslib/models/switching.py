@@ -7,17 +7,255 @@ from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.random import Generator
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.blocks import Source, drawn, normal
+from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_whole
 from seedslib.base.objects import Shown
-from seedslib.base.values import Inputs, looked_at
-from seedslib.models.branches import branch_table, map_rows, want_probabilities
-from seedslib.models.hybrid import Hybrid, simulate_hybrid
-from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import Noise, named_noise
-from seedslib.models.simulation import Simulation
+from seedslib.base.semidefinite import factor
+from seedslib.base.values import looked_at, on_paths
+from seedslib.models.kinds import as_grid, elapsed
+from seedslib.models.maps import StochasticMap, noise_of
+from seedslib.models.noise import Noise, lower_times, named_noise
+from seedslib.models.simulation import Simulation, simulate
+
+CLOSE = 1e-9
+"""Probabilities may miss their sum or their range by this much."""
+
+
+class Branch:
+    """One branch of a switching map: y = value(t, x, v), taken with probability w(t, x, v).
+
+    Parameters
+    ----------
+    map : StochasticMap
+        With its weight.
+    apart : bool
+        Whether a weight given as an array function is known not to look at the noise.
+
+    Attributes
+    ----------
+    map, whole : StochasticMap
+        With the weight, and without.
+    """
+
+    def __init__(self, map: StochasticMap, apart: bool = False) -> None:
+        self.map: StochasticMap = map
+        self.apart: bool = apart
+        self.whole: StochasticMap = map.whole()
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Branch, (self.map, self.apart)  # what was compiled stays behind
+
+    @cached_property
+    def still(self) -> Branch:
+        """The switch alone, the state left where it is; of a probability without noise."""
+        map = self.map
+        if map.symbolic:
+            return Branch(
+                StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
+            )
+        weight = partial(_calm, map) if map.weighted else None
+        n = map.state_size
+        return Branch(StochasticMap.from_functions(n, n, _same, weight=weight), True)
+
+    @cached_property
+    def constant(self) -> bool:
+        """Whether the probability depends on neither state nor noise."""
+        map = self.map
+        if not map.symbolic:
+            return not map.weighted
+        return not map.weight_expression.free_symbols & {*map.state, *map.noise.symbols}
+
+    @cached_property
+    def depends_on_noise(self) -> bool:
+        """Whether the probability mentions the noise of the map: dependent noises."""
+        map = self.map
+        if not map.symbolic:
+            return map.weighted and not self.apart
+        return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
+
+    @cached_property
+    def has_log_density(self) -> bool:
+        """Whether `log_density` exists."""
+        if not self.whole.has_log_density:
+            return False
+        return not self.depends_on_noise or self._residual_noise is not None
+
+    @cached_property
+    def probability_expression(self) -> Any:
+        """SymPy probability of the branch given the state.
+
+        Raises
+        ------
+        NoClosedForm
+            The mean over the noise has no closed form, or the map is not symbolic.
+        """
+        if not self.map.symbolic:
+            from seedslib.gaussian.means.classes import NoClosedForm
+
+            raise NoClosedForm("probability: array functions have no closed form")
+        if not self.depends_on_noise:
+            return self.map.weight_expression
+        return self.map.noise.expectation(self.map.weight_expression)
+
+    @cached_property
+    def _probability(self):
+        from seedslib.models.codegen import compile_array
+
+        return compile_array((self.map.time, self.map.state), self.probability_expression)
+
+    def probability(self, t: float, x: np.ndarray) -> np.ndarray:
+        """Probability of the branch given the state, shape (*batch).
+
+        Where it depends on the noise: the closed form if there is one, otherwise nine
+        Gauss-Hermite nodes per component of Gaussian noise.
+
+        Raises
+        ------
+        ValueError
+            No closed form, and noise that is not Gaussian.
+        """
+        x = np.asarray(x, dtype=float)
+        if not self.depends_on_noise:
+            none = np.zeros((self.map.noise.size, *(1,) * (x.ndim - 1)))
+            return np.broadcast_to(self.map.weight(t, x, none), x.shape[1:])
+        try:
+            return np.broadcast_to(self._probability(t, x), x.shape[1:])
+        except ValueError:
+            if not self.map.noise.gaussian:
+                raise
+        states, v, weights = self.map.noise.nodes(x)
+        shares = np.broadcast_to(self.map.weight(t, states, v), v.shape[1:])
+        return np.einsum("s...,s->...", shares, weights)
+
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Logarithm of the joint density of y and the branch given x, shape (*batch).
+
+        A measurement that is missing as a whole (NaN) leaves the probability of the branch.
+
+        Raises
+        ------
+        ValueError
+            There is no closed form: the noise enters nonlinearly, is not Gaussian, or is not
+            determined by the measurement although the probability depends on it.
+        """
+        plain = self.whole.log_density(t, y, x)
+        y = np.asarray(y, dtype=float)
+        x = np.asarray(x, dtype=float)
+        with np.errstate(divide="ignore"):
+            if not self.depends_on_noise:
+                return plain + np.log(self.probability(t, x))
+            if not self.has_log_density:
+                raise ValueError(
+                    "log_density: wanted noise that the value determines where the probability "
+                    "of a branch depends on it"
+                )
+            missing = np.isnan(y).any(axis=0)
+            v = self._residual_noise(t, x, np.where(missing, 0.0, y))
+            found = plain + np.log(self.map.weight(t, x, v))
+            if missing.any():
+                blind = plain + np.log(self.probability(t, x))
+                found = np.where(missing, blind, found)
+            return found
+
+    @cached_property
+    def _residual_noise(self):
+        """The noise as a function of (t, x, y) where the value is affine in it and invertible."""
+        found = noise_of(self.map)
+        if found is None:
+            return None
+        from seedslib.models.codegen import compile_array
+
+        y, noise, _ = found
+        return compile_array((self.map.time, self.map.state, y), noise)
+
+
+def branch_table(
+    name: str, table: Sequence, noise: Noise, x: np.ndarray, v: np.ndarray, new: bool = False
+) -> tuple[tuple[Branch | None, ...], ...]:
+    """Branches without those of probability zero; all probabilities are looked at first.
+
+    Parameters
+    ----------
+    name : str
+        Of the probabilities, for messages.
+    table : sequence of sequence of StochasticMap, shape (L, L) or (L, M)
+    noise : Noise
+        That of all maps.
+    x, v : ndarray, shapes (n, N) and (noise size, N)
+        States and noises where the maps are looked at.
+    new : bool
+        Whether the maps of a column have one value, those of the new mode, and not those of a row.
+
+    Raises
+    ------
+    ValueError
+        No probabilities, or maps that differ where they must not.
+    """
+    size, found = table[0][0].size, []
+    for i, row in enumerate(table):
+        for l, other in enumerate(row):
+            if not other.noise.alike(noise):
+                raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
+            if other.size != size:
+                raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
+            mode, first = (l, table[0][l]) if new else (i, row[0])
+            values = other.value(0.0, x, v), first.value(0.0, x, v)
+            if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
+                raise ValueError(f"{name}: wanted maps of one value in mode {mode}, got several")
+            if new and _noisy(other, x, v):
+                raise ValueError(
+                    f"{name} of mode {i}: wanted probabilities without the noise, which comes "
+                    "after the switch where the new mode drives the step"
+                )
+        weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
+        want_probabilities(f"{name} of mode {i}", weight)
+        never = [m.symbolic and m.weight_expression.is_zero for m in row]
+        pairs = zip(row, never, strict=True)
+        found.append(tuple(None if none else Branch(m, new) for m, none in pairs))
+    return tuple(found)
+
+
+def want_probabilities(name: str, weights: ArrayLike) -> None:
+    """Probabilities along the first axis, or ValueError."""
+    weights = np.asarray(weights, dtype=float)
+    if not (np.isfinite(weights).all() and (weights >= -CLOSE).all()):
+        raise ValueError(f"{name}: wanted probabilities of at least 0, got {np.min(weights):.6g}")
+    total = weights.sum(axis=0)
+    worst = np.ravel(total)[np.argmax(np.abs(total - 1.0))]
+    if abs(worst - 1.0) > CLOSE:
+        raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")
+
+
+def _noisy(map, x, v) -> bool:
+    """Whether the weight of a map depends on the noise: it is looked at with other noises too."""
+    if map.symbolic:
+        return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
+    return not np.array_equal(map.weight(0.0, x, v), map.weight(0.0, x, v[:, ::-1]))
+
+
+def _same(t, x, v):
+    """The state itself."""
+    return x
+
+
+def _calm(map, t, x, v):
+    """Weight of a map that does not look at its noise."""
+    return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))))
+
+
+def map_rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
+    """Rows of maps, as tuples."""
+    try:
+        rows = tuple(tuple(row) for row in table)
+    except TypeError:
+        rows = ()
+    if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
+        raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
+    return rows
 
 
 class InitialMode(NamedTuple):
@@ -265,10 +503,8 @@ class SwitchingSystem(Shown):
         return Hybrid(self)
 
     def simulate(
-        self, times: ArrayLike, paths: Count, seed: Seed, *, measured: ArrayLike | None = None,
-        availability: ArrayLike | None = None, inputs: Inputs | None = None,
-        modes: ArrayLike | None = None, workers: int = 1,
-    ) -> Simulation:  # fmt: skip
+        self, times: ArrayLike, paths: Count, seed: Seed, *, modes: Any = None, **options: Any
+    ) -> Simulation:
         """Simulate paths, modes, measurements and indicators.
 
         See `seedslib.models.simulation.simulate`; `modes` (K+1, paths) and, where there is one,
@@ -276,7 +512,7 @@ class SwitchingSystem(Shown):
 
         Parameters
         ----------
-        times, paths, seed, measured, availability, inputs, workers
+        times, paths, seed, **options
             As there.
         modes : array_like of int, shape (K+1,) or (K+1, paths), optional
             A course of the modes that is imposed on the paths, as in the truth of a benchmark:
@@ -289,14 +525,168 @@ class SwitchingSystem(Shown):
             As there; modes of a system whose switching depends on the noise, which would have
             another law.
         """
-        return simulate_hybrid(
-            self,
-            times,
-            paths,
-            seed,
-            measured=measured,
-            availability=availability,
-            inputs=inputs,
-            modes=modes,
-            workers=workers,
+        told = None
+        if modes is not None:
+            if any(b is not None and b.depends_on_noise for row in self.branches for b in row):
+                raise ValueError("modes: wanted none, for the switching depends on the noise")
+            steps, paths = len(as_grid("times", times, self)), as_count("paths", paths)
+            told = np.asarray(modes)
+            told = np.repeat(told[:, None], paths, axis=1) if told.ndim == 1 else told
+            told = as_whole("modes", told, (steps, paths))
+            if not ((told >= 0) & (told < self.modes)).all():
+                raise ValueError(f"modes: wanted numbers from 0 to {self.modes - 1}, got others")
+        made = simulate(self.hybrid, times, paths, seed, told=told, **options)
+        m, shown = self.measurement_size, made.measurements
+        indicators, modes = None, made.states[:, -1].astype(int)
+        if self.indicators:
+            indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
+        return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
+
+
+class Hybrid:
+    """Mixed state (n + 1, *batch) with the mode as last row, as a number.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+
+    Attributes
+    ----------
+    state_size : int
+        n + 1.
+    measurement_size : int
+        m, or m + 1 where an indicator is shown.
+    sensor : HybridSensor
+    mean0 : ndarray, shape (n + 1,)
+        A harmless mixed state.
+    """
+
+    def __init__(self, system: SwitchingSystem) -> None:
+        self.system: SwitchingSystem = system
+        self.state_size: int = system.state_size + 1
+        self.sensor: HybridSensor = HybridSensor(system)
+        self.indicators: int = system.indicators
+        self.measurement_size: int = self.sensor.size
+        # of the numbers the user gave, so no rounding decides; it is a stand-in for lost paths only
+        likely = system.initial[int(np.argmax(system.initial_probabilities))]
+        self.mean0: np.ndarray = np.append(
+            likely.mean, float(np.argmax(system.initial_probabilities))
         )
+        self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
+
+    def initial_sample(
+        self, rng: Source, count: int, told: np.ndarray | None = None
+    ) -> np.ndarray:  # fmt: skip
+        """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""
+        bounds = np.cumsum(self.system.initial_probabilities)
+        moving, choosing = rng.spawn(2)
+        mode = _chosen(bounds[:-1, None], drawn(choosing, count, Generator.random))
+        mode = mode if told is None else told
+        noise = normal(moving, self.system.state_size, count)
+        x = np.empty((self.state_size, count))
+        for i, (mean, root) in enumerate(self.initial_laws):
+            here = mode == i
+            x[:-1, here] = mean[:, None] + lower_times(root, noise[:, here])
+        x[-1] = mode
+        return x
+
+    def advance(
+        self, x: np.ndarray, start: float, stop: float, rng: Source, told: np.ndarray | None = None
+    ) -> np.ndarray:  # fmt: skip
+        """Mixed states (n + 1, *batch) one step later; the noises are those of the old time.
+
+        The new modes are drawn, unless they are `told`, (*batch).
+        """
+        flat, old_drives = x.reshape(len(x), -1), self.system.drives == "old"
+        moving, choosing = rng.spawn(2)
+        v = self.system.noise.draw(moving, flat.shape[1])
+        choice = drawn(choosing, flat.shape[1], Generator.random)
+        moved = np.empty_like(flat)
+        for i, row in enumerate(self.system.branches):
+            here = flat[-1] == i
+            old, noise = flat[:-1, here], v[:, here]
+            with elapsed(self, start, stop), on_paths(x.shape[1:], here):
+                if old_drives:
+                    moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
+                if told is None:
+                    moved[-1, here] = _branch(row, start, old, noise, choice[here])
+        if told is not None:
+            moved[-1] = told.ravel()
+        if not old_drives:
+            for l, map in enumerate(self.system.dynamics):
+                here = moved[-1] == l
+                with elapsed(self, start, stop), on_paths(x.shape[1:], here):
+                    moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here])
+        return moved.reshape(x.shape)
+
+
+class HybridSensor:
+    """Measurement (m, *batch) of a mixed state, with the indicator as last row if there is one."""
+
+    def __init__(self, system: SwitchingSystem) -> None:
+        self.system: SwitchingSystem = system
+        self.size: int = system.measurement_size + (system.indicators > 0)
+
+    @property
+    def has_log_density(self) -> bool:
+        """Whether all readings have a density in closed form."""
+        return all(b is None or b.has_log_density for row in self.system.readings for b in row)
+
+    def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
+        """One draw for each mixed state, shape (m or m + 1, *batch)."""
+        system, flat = self.system, x.reshape(len(x), -1)
+        sensing, choosing = rng.spawn(2)
+        w = system.sensor_noise.draw(sensing, flat.shape[1])
+        y = np.empty((self.size, flat.shape[1]))
+        choice = drawn(choosing, flat.shape[1], Generator.random) if system.indicators else None
+        for i, row in enumerate(system.readings):
+            here = flat[-1] == i
+            state, noise = flat[:-1, here], w[:, here]
+            with on_paths(x.shape[1:], here):
+                y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
+                if system.indicators:
+                    y[-1, here] = _branch(row, t, state, noise, choice[here])
+        return y.reshape(self.size, *x.shape[1:])
+
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+        """Logarithm of the density of a measurement with its indicator, shape (*batch).
+
+        NaN is a missing component; an indicator that is NaN is missing too.
+        """
+        system = self.system
+        batch = np.broadcast_shapes(y.shape[1:], x.shape[1:])
+        y, x = np.broadcast_to(y, (len(y), *batch)), np.broadcast_to(x, (len(x), *batch))
+        found = np.full(batch, -np.inf)
+        for i, row in enumerate(system.readings):
+            here = x[-1] == i
+            if not system.indicators:
+                with on_paths(batch, here):
+                    found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
+                continue
+            unseen = here & np.isnan(y[-1])
+            if unseen.any():
+                with on_paths(batch, unseen):
+                    shown, known = y[:-1, unseen], x[:-1, unseen]
+                    found[unseen] = system.sensors[i].log_density(t, shown, known)
+            for j, branch in enumerate(row):
+                both = here & (y[-1] == j)
+                if branch is not None and both.any():
+                    with on_paths(batch, both):
+                        found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
+        return found
+
+
+def _branch(
+    row: tuple, t: float, x: np.ndarray, noise: np.ndarray, choice: np.ndarray
+) -> np.ndarray:
+    """Number of the branch that each uniform number chooses."""
+    weights = np.zeros((len(row), x.shape[1]))
+    for weight, branch in zip(weights, row, strict=True):
+        if branch is not None:
+            weight[:] = branch.map.weight(t, x, noise)
+    return _chosen(np.cumsum(weights, axis=0)[:-1], choice)
+
+
+def _chosen(bounds: np.ndarray, choice: np.ndarray) -> np.ndarray:
+    """How many of the bounds lie at or below each number."""
+    return (bounds <= choice).sum(axis=0)

@@ -1,33 +1,94 @@
-"""The optimal filter of a piecewise-linear system, and its pruned, merged and matched relatives."""
+"""The optimal filter of a piecewise-linear system, Kolessa's theorem 2 and equation (29)."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
+from scipy.special import logsumexp
 
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_real, as_shape
 from seedslib.base.clock import when
-from seedslib.filters.estimates import Estimates, require_time, stays
+from seedslib.base.correction import correct
+from seedslib.filters.estimates import require_time, stays
 from seedslib.filters.verbs import Filter
+from seedslib.gaussian import lift
+from seedslib.linearization import Moments
 from seedslib.models.kinds import as_steps, as_system
-from seedslib.piecewise import weights
-from seedslib.piecewise.branches import (
-    Branches,
-    alive,
-    measure,
-    move,
-    obstacle,
-    prior_branches,
-    spread_out,
-)
-from seedslib.piecewise.local import localise
-from seedslib.piecewise.merging import merge
-from seedslib.piecewise.state import PiecewiseState, check_noise, lost_mass
-from seedslib.piecewise.system import PiecewiseLinearSystem
+from seedslib.piecewise.system import Coefficients, PiecewiseLinearSystem
 
-_PAIRS = 2_000_000  # pairs (branch, data set) that are worked on together by `run`
+NEGLIGIBLE = 80.0  # nats below the best bound of a weight where no integral is taken
+SINGULAR = 1e-13  # relative eigenvalue of a predicted measurement's covariance that counts as zero
+
+
+class Branches(NamedTuple):
+    """Posterior law ``sum_b U_b N(v; mean_b, cov_b) [s in region_b]`` for each record.
+
+    A branch keeps its region in coordinates s in which it has volume: ``v = (s, x2)`` with
+    ``x = shift + slope v``. Usually v is x itself; where the dynamics contract or collapse x1,
+    s is x1 at an earlier time.
+
+    Attributes
+    ----------
+    cell : ndarray of int, shape (B,)
+        Cell in which x1 lies now.
+    regions : ndarray, shape (2, B) or (V, 2, B)
+        Ends of intervals, or vertices of polygons, the last one repeated.
+    slope, shift : ndarray, shapes (k, k, B) and (k, B)
+    mean : ndarray, shape (k, B, N)
+    cov : ndarray, shape (k, k, B, 1 or N)
+        Common to all records unless missing measurements, or coefficients that follow the
+        estimate, make it differ.
+    log_unit : ndarray, shape (B, N)
+        ``ln U``; not a probability: the weight of a branch is U times the mass of its region.
+    """
+
+    cell: np.ndarray
+    regions: np.ndarray
+    slope: np.ndarray
+    shift: np.ndarray
+    mean: np.ndarray
+    cov: np.ndarray
+    log_unit: np.ndarray
+
+    def pieces(self, parent: np.ndarray, cell: np.ndarray, regions: np.ndarray) -> Branches:
+        """Branches with the laws of their parents on regions and in cells of their own."""
+        slope, shift, mean = self.slope[..., parent], self.shift[:, parent], self.mean[:, parent]
+        law = slope, shift, mean, self.cov[:, :, parent], self.log_unit[parent]
+        return Branches(cell, regions, *law)
+
+
+class PiecewiseState(NamedTuple):
+    """What the filter knows at one time.
+
+    Attributes
+    ----------
+    time : float or None
+    mean, cov : ndarray, shapes (k, *batch) and (k, k, *batch)
+    mode_prob : ndarray, shape (n, *batch)
+        Probability of every cell.
+    loglik : ndarray, shape (*batch)
+        Logarithm of the predictive density of the last measurement.
+    weights : ndarray, shape (B, *batch)
+        Probabilities of the branches.
+    dropped : ndarray, shape (*batch)
+        Share of the weight that was cut at this time.
+    diverged : ndarray of bool, shape (*batch)
+        Records whose measurement no branch could explain.
+    branches : Branches
+        One axis of records, whatever the batch.
+    """
+
+    time: float | None
+    mean: np.ndarray
+    cov: np.ndarray
+    mode_prob: np.ndarray
+    loglik: np.ndarray
+    weights: np.ndarray
+    dropped: np.ndarray
+    diverged: np.ndarray
+    branches: Branches
 
 
 class PiecewiseLinearFilter(Filter):
@@ -36,75 +97,41 @@ class PiecewiseLinearFilter(Filter):
     The posterior is a sum of Gaussian laws, each restricted to a region: a *branch*. A transition
     keeps that form when the restricted components (the leading one or two, of which the cells
     are made) receive no noise and depend on themselves only; noise in the others does no harm.
-    Regions then stay (the paper's case), move and split, or are carried in earlier coordinates
-    where the dynamics collapse them. Any other transition is met by moment matching: one
-    Gaussian law per cell, which is approximate but does not grow.
+    Regions then stay (the paper's case), or move and split, and the branches multiply unless they
+    are pruned. Other transitions are refused.
 
-    Kolessa, theorem 2 and equation (29); all regions, branches and data sets are batch axes.
+    Kolessa, theorem 2 and equation (29); all branches and records are batch axes.
 
     Parameters
     ----------
     system : PiecewiseLinearSystem
-    method : {"auto", "exact", "matched"}
-        "auto" decides for every transition; "exact" refuses what is not exact; "matched" always
-        matches moments.
     prune : float
-        At every step the branches of smallest weight that together hold at most this share are
-        dropped. `PiecewiseState.lost` bounds what that can have cost: with the dropped share
-        delta, the predictive density c of the measurement, the largest possible likelihood J and
-        the projective distance d of merging,
-        ``lost <- (lost J e^d / c + delta e^d) / (1 - delta e^d)``.
-    keep : int, optional
-        Drop all but this many branches of largest weight, at any price; the bound counts it.
-    merge : float
-        Largest projective distance at which branches are merged; scalar states only.
-    neglect : float
-        Share of the mass whose integrals may be left out because an elementary bound shows that
-        they are small; nothing is dropped, and the default is far below rounding.
-    max_branches : int
-        More branches than this are an error.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Options outside their ranges; merging of a state that is not scalar.
+        At every measurement the branches of smallest weight that together hold at most this share
+        are dropped. With the dropped share delta, the predictive density c of the measurement and
+        the largest possible likelihood J, the total variation to the exact law is at most
+        ``lost / (1 + lost)``, where ``lost <- (lost J / c + delta) / (1 - delta)``.
     """
 
     alone = True  # a measurement that no branch explains is an error there
-    _shown = "method", "prune", "keep", "merge"
+    _shown = ("prune",)
 
-    def __init__(
-        self, system: PiecewiseLinearSystem, *, method: str = "auto", prune: float = 0.0,
-        keep: int | None = None, merge: float = 0.0, neglect: float = 1e-30,
-        max_branches: int = 20_000,
-    ) -> None:  # fmt: skip
+    def __init__(self, system: PiecewiseLinearSystem, *, prune: float = 0.0) -> None:
         as_system("system", system, "PiecewiseLinearSystem")
-        if method not in ("auto", "exact", "matched"):
-            raise ValueError(f'method: wanted "auto", "exact" or "matched", got {method!r}')
-        for name, value in (("prune", prune), ("neglect", neglect)):
-            if not 0.0 <= as_real(name, value, ndim=0) < 1.0:
-                raise ValueError(f"{name}: wanted a share in [0, 1), got {value:g}")
-        if not as_real("merge", merge, ndim=0) >= 0.0:
-            raise ValueError(f"merge: wanted a nonnegative distance, got {merge:g}")
-        if merge > 0.0 and system.state_size > 1:
-            raise ValueError(f"merge: wanted 0 for a state of {system.state_size} components")
-        if not max_branches >= system.regions.count:
-            raise ValueError(f"max_branches: wanted at least one per cell, got {max_branches}")
-        self.system: Any = system
-        self.method: str = method
-        self.keep: int | None = None if keep is None else as_count("keep", keep)
-        self._cuts = prune > 0.0 or keep is not None
-        self.prune: float = float(prune)
-        self.merge: float = float(merge)
-        self.neglect: float = float(neglect)
-        self.max_branches: int = int(max_branches)
+        if not 0.0 <= as_real("prune", prune, ndim=0) < 1.0:
+            raise ValueError(f"prune: wanted a share in [0, 1), got {prune:g}")
+        self.system, self.prune = system, float(prune)
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> PiecewiseState:
         """State before any measurement, with no time yet; `seed` is not used."""
-        datasets = int(np.prod(batch, dtype=int))
-        branches = prior_branches(self.system, datasets)
-        clean = np.zeros(batch)
-        return self._weighed(branches, batch, None, clean, clean, clean > 0.0)
+        mean0, cov0, cells = self.system.mean0, self.system.cov0, self.system.regions
+        one, zero, size = np.eye(mean0.size)[..., None], 0.0 * mean0[:, None], cells.size
+        mean = np.repeat(mean0[:, None, None], np.prod(batch, dtype=int), axis=2)
+        law = one, zero, mean, cov0[:, :, None, None], np.zeros(mean.shape[1:])
+        whole = Branches(np.zeros(1, int), cells.whole(mean0, cov0), *law)
+        pieces = cells.split(whole.regions, one[:size, :size], zero[:size])
+        none, clean = np.zeros((1, *batch)), np.zeros(batch)
+        state = PiecewiseState(None, none, none, none, clean, none, clean, clean > 0.0, whole)
+        return self._weighed(whole.pieces(*pieces), state)
 
     def predict(self, state: PiecewiseState, t: float) -> PiecewiseState:
         """State at time t without a measurement; a state without a time is only given one.
@@ -112,169 +139,165 @@ class PiecewiseLinearFilter(Filter):
         Raises
         ------
         ValueError
-            A time before that of the state; a transition that the chosen method cannot make.
+            A time before that of the state; a transition after which branches are no longer
+            Gaussian laws on regions.
         """
         if stays(state, t):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))
-        batch = state.mean.shape[1:]
-        branches, lost = self._moved(state, t)
-        return self._weighed(branches, batch, float(t), lost, state.distance, state.diverged)
+        return self._weighed(self._moved(state), state._replace(time=float(t)))
 
     def correct(self, state: PiecewiseState, y: object) -> PiecewiseState:
         """State after the measurement y, (m, *batch), at the time of `state`; NaN is missing.
 
         Raises
         ------
-        TypeError, ValueError
-            A state without a time; a measurement of the wrong shape or infinite; a noise-free
-            sensor of a known state; for a single data set, a measurement that no branch can
-            explain.
+        ValueError
+            A measurement without noise of a known state; for a single record, a measurement that
+            no branch can explain.
         """
         require_time(state)
-        return self._corrected(state, state.branches, state.time, y, state.lost)
+        return self._weighed(self._measured(state, state.branches, y), state, update=True)
 
     def step(self, state: PiecewiseState, t: float, y: object) -> PiecewiseState:
-        """Prediction for time t and correction by y in one."""
-        if self._adaptive or stays(state, t):
+        """Forecast to time t and correct there; the forecast's own moments are not formed."""
+        if self.system.adaptive or stays(state, t):
             return self.correct(self.predict(state, t), y)
-        branches, lost = self._moved(state, t)
-        return self._corrected(state, branches, float(t), y, lost)
-
-    def report(self, state: PiecewiseState) -> Estimates:
-        """Mean, covariance and probabilities of the cells."""
-        return Estimates(state.mean, state.cov, state.mode_prob, state.loglik, state.diverged)
+        branches, state = self._moved(state), state._replace(time=float(t))
+        return self._weighed(self._measured(state, branches, y), state, update=True)
 
     def states(self, times: object, measurements: object) -> Iterator[PiecewiseState]:
         """The states at all times, one after the other; arguments as `run`."""
         times, y = self.record(times, measurements)
         state = self.initial(y.shape[2:])
         for t, now in zip(times, y, strict=True):
-            state = self.step(state, float(t), now)
-            yield state
-
-    @property
-    def _adaptive(self) -> bool:
-        return self.system.functions is not None and self.system.functions.adaptive
+            yield (state := self.step(state, float(t), now))
 
     def record(self, times: object, measurements: object) -> tuple[np.ndarray, np.ndarray]:
-        """Times, also from the number of steps K, and measurements (K+1, m, *batch), checked.
+        """Times, also from the number of steps K, and measurements (K+1, m, *batch), checked."""
+        times, y = as_steps(times), as_real("measurements", measurements, nan=True)
+        rows = len(self.system.sensor_at(float(times[-1])).offset)
+        return times, as_shape("measurements", y, (len(times), rows, *y.shape[2:]), nan=True)
 
-        The system measures nothing at the first time, so NaN there is the rule.
-        """
-        times = as_steps(times)
-        y = as_real("measurements", measurements, nan=True)
-        outputs = self.system.sensor_at(float(times[-1])).offset.shape[0]
-        if y.ndim < 2 or y.shape[:2] != (times.size, outputs):
-            raise ValueError(
-                f"measurements: wanted shape ({times.size}, {outputs}, *batch), got {y.shape}"
-            )
-        return times, y
+    def _estimate(self, state: PiecewiseState) -> np.ndarray | None:
+        return state.mean.reshape(len(state.mean), -1) if self.system.adaptive else None
 
-    def block(self, times: np.ndarray, paths: int, workers: int) -> int:
-        """Data sets worked on together: all, unless matching makes too many pairs of cells."""
-        cells = self.system.regions
-        if self.method != "matched" and not obstacle(
-            self.system.dynamics_at(float(times[0])), cells.size
-        ):
-            return max(1, paths)
-        return max(1, min(paths, _PAIRS // cells.count**2))
+    def _moved(self, state: PiecewiseState) -> Branches:
+        """Every branch carried through the dynamics of its cell and cut along the cells."""
+        branches, cells, size = state.branches, self.system.regions, self.system.regions.size
+        c = self.system.dynamics_at(state.time, self._estimate(state))
+        unlike = np.ptp(c.offset[:size], -1).any() or np.ptp(c.matrix[:size, :size], -1).any()
+        if c.noise[:size].any() or c.matrix[:size, size:].any() or unlike:
+            wanted = "restricted components that move by themselves, alike in all records"
+            raise ValueError(f"system: wanted {wanted}, not so at t = {when(state.time)}")
+        offset, matrix, noise = _from_branches(branches, c)
+        # a map that spreads is applied to the region; under one that shrinks it stays, and the
+        # cells are pulled back
+        head = matrix[:size, :size, :, 0].copy(), offset[:size, :, 0].copy()
+        follow = np.abs(np.linalg.det(np.moveaxis(head[0], 2, 0))) >= 1.0
+        still = np.eye(size)[..., None], np.zeros((size, 1))
+        turn, origin = (np.where(follow, *pair) for pair in zip(head, still, strict=True))
+        back, start = (np.where(follow, *pair) for pair in zip(still, head, strict=True))
+        matrix[:size, :size], offset[:size] = turn[..., None], origin[..., None]
+        mean, cov = _mapped(offset, matrix, branches.mean, branches.cov)
+        slope = np.repeat(np.eye(len(mean))[..., None], follow.size, axis=2)
+        shift = np.zeros(slope.shape[1:])
+        slope[:size, :size], shift[:size] = back, start
+        moved = branches._replace(slope=slope, shift=shift, mean=mean, cov=cov + noise)
+        images = cells.image(branches.regions, turn, origin)
+        return moved.pieces(*cells.split(images, back, start))
 
-    def _moved(self, state: PiecewiseState, t: float) -> tuple[Branches, np.ndarray]:
-        """Branches at time t before its measurement, and the bound of the lost mass."""
-        system = self.system
-        estimate = state.mean.reshape(system.state_size, -1) if self._adaptive else None
-        c = system.dynamics_at(state.time, estimate)
-        reason = obstacle(c, system.regions.size)
-        if self.method == "exact" and reason:
-            raise ValueError(f'method: "exact" is impossible at t = {when(t)}, {reason}')
-        if self.method == "matched" or reason:
-            count = system.regions.count
-            share, mean, cov = weights.by_cell(state.law, count)
-            with np.errstate(divide="ignore"):
-                branches = spread_out(system.regions, c, np.log(share), mean, cov)
-            return branches, state.lost if count == 1 else np.full(state.lost.shape, np.nan)
-        branches = move(state.branches, system.regions, c)
-        if len(branches.cell) > self.max_branches:
-            raise ValueError(
-                f"max_branches: got {len(branches.cell)} branches at t = {when(t)}, more than "
-                f"{self.max_branches}; prune, merge or match moments"
-            )
-        return branches, state.lost
+    def _measured(self, state: PiecewiseState, branches: Branches, y: object) -> Branches:
+        """Every branch corrected linearly, its likelihood put into U."""
+        y, batch = as_real("y", y, nan=True), state.mean.shape[1:]
+        if np.isnan(y).all():  # a sensor need not exist when nothing is measured
+            return branches
+        c = self.system.sensor_at(state.time, self._estimate(state))
+        y = as_shape("y", y, (len(c.offset), *batch), nan=True).reshape(len(y), -1)
+        offset, matrix, noise = _from_branches(branches, c)
+        predicted, spread = _mapped(offset, matrix, branches.mean, branches.cov)
+        cross = np.einsum("ij...,kj...->ik...", branches.cov, matrix)
+        values = np.linalg.eigvalsh(np.moveaxis(spread + noise, (0, 1), (-2, -1)))
+        if (values[..., 0] <= SINGULAR * values[..., -1]).any():
+            raise ValueError(f"sensor_noise: a prediction has no spread at t = {when(state.time)}")
+        known = branches.mean, branches.cov, y[:, None], Moments(predicted, cross, spread + noise)
+        with np.errstate(over="ignore", invalid="ignore"):
+            mean, cov, loglik = correct(*known, noise=lambda: noise)
+            log_unit = branches.log_unit + loglik
+        mean = np.where(log_unit > -np.inf, mean, 0.0)  # where a measurement was out of all range
+        return branches._replace(mean=mean, cov=cov, log_unit=log_unit)
 
-    def _corrected(
-        self, state: PiecewiseState, branches: Branches, t: float, y: object, lost: np.ndarray
-    ) -> PiecewiseState:
-        batch = state.mean.shape[1:]
-        y, peak = as_real("y", y, nan=True), np.zeros(batch)
-        if y.shape[1:] != batch or y.ndim != 1 + len(batch):
-            raise ValueError(f"y: wanted shape {('any', *batch)}, got {y.shape}")
-        if not np.isnan(y).all():  # a sensor need not exist when nothing is measured
-            estimate = state.mean.reshape(self.system.state_size, -1) if self._adaptive else None
-            c = self.system.sensor_at(t, estimate)
-            if len(y) != len(c.offset):
-                raise ValueError(f"y: wanted shape {(len(c.offset), *batch)}, got {y.shape}")
-            y = y.reshape(len(y), -1)
-            branches, innovation = measure(branches, c, y)
-            check_noise(c, innovation, t, self._cuts)
-            branches = localise(branches)
-            peak = weights.log_peak(c, y).reshape(batch) if self._cuts else peak
-        return self._weighed(
-            branches, batch, t, lost, state.distance, state.diverged, peak=peak, update=True
-        )
-
-    def _weighed(
-        self,
-        branches: Branches,
-        batch: tuple[int, ...],
-        t: float,
-        lost: np.ndarray,
-        distance: np.ndarray,
-        diverged: np.ndarray,
-        *,
-        peak: np.ndarray | None = None,
-        update: bool = False,
-    ) -> PiecewiseState:
-        """State from branches whose U are not normalised; prunes and merges after an update."""
-        weighed = weights.weigh_branches(branches, self.neglect)
-        total = weights.log_sum(weighed.log_joint)
-        failed = ~(total > -np.inf)
+    def _weighed(self, branches: Branches, state: PiecewiseState, update=False) -> PiecewiseState:
+        """State from branches whose U are not normalised; after an update some are cut."""
+        cells, size, batch = self.system.regions, self.system.regions.size, state.mean.shape[1:]
+        log_unit, records = branches.log_unit, branches.log_unit.shape[1]
+        bound = log_unit
+        if size == 1:  # a mean d deviations outside of an interval: ln P <= -d²/2
+            lower, upper = branches.regions[:, :, None]
+            gap = np.maximum(np.maximum(lower - branches.mean[0], branches.mean[0] - upper), 0.0)
+            bound = log_unit - 0.5 * gap**2 / np.maximum(branches.cov[0, 0], 1e-300)
+        least = np.maximum(bound.max(axis=0) - NEGLIGIBLE, -1e300)
+        branch, record = pair = np.nonzero(bound > least)
+        mean, shared = branches.mean[:, branch, record], branches.cov.shape[3] == 1
+        cov = branches.cov[:, :, branch, 0 if shared else record]
+        inside = cells.moments(branches.regions, branch, mean[:size], cov[:size, :size])
+        log_joint = np.full(log_unit.shape, -np.inf)
+        log_joint[pair] = log_unit[pair] + inside.log_mass
+        loglik = logsumexp(log_joint, axis=0)
+        failed = ~(loglik > -np.inf)
         if failed.any() and not batch:
-            raise ValueError(f"y: measurement incompatible with every branch at t = {when(t)}")
-        norm = np.where(failed, 0.0, total)
-        log_unit, log_weight = branches.log_unit - norm, weighed.log_joint - norm
-        loglik = np.where(diverged, np.nan, total.reshape(batch))
-        if update and self._cuts:
-            dropped, share = weights.prune(np.exp(log_weight), self.prune, self.keep)
-            kept = -np.log1p(-share)
-            log_unit, log_weight = (
-                np.where(dropped, -np.inf, part + kept) for part in (log_unit, log_weight)
-            )
-            share = (share + self.neglect).reshape(batch)
-            lost = lost_mass(
-                lost, share, distance, peak - np.where(failed.reshape(batch), 0.0, loglik)
-            )
-        branches = branches._replace(log_unit=log_unit)
-        law = weights.CellLaw(weighed, np.exp(log_weight), branches.cell)
-        mean, cov = weights.mixture(law)
-        prob = weights.cell_probabilities(law, self.system.regions.count)
-        for part in (mean, cov, prob):
+            raise ValueError(f"y: incompatible with every branch at t = {when(state.time)}")
+        total = np.where(failed, 0.0, loglik)
+        weight, log_unit, dropped = np.exp(log_joint - total), log_unit - total, np.zeros(records)
+        if update and self.prune > 0.0:
+            # in single precision, so that of weights that differ by rounding the first one goes
+            order = np.argsort(weight.astype(np.float32), axis=0, kind="stable")
+            rising = np.take_along_axis(weight, order, axis=0).cumsum(axis=0)
+            small = np.take_along_axis(rising <= self.prune, np.argsort(order, axis=0), axis=0)
+            dropped = np.where(small, weight, 0.0).sum(axis=0)
+            log_unit = np.where(small, -np.inf, log_unit - np.log1p(-dropped))
+            weight = np.where(small, 0.0, weight / (1.0 - dropped))
+
+        def summed(values: np.ndarray) -> np.ndarray:
+            """Sums (..., N) over the branches of values (..., F) of pairs, with their weights."""
+            rows = (weight[pair] * values).reshape(int(np.prod(values.shape[:-1])), -1)
+            rows = [np.bincount(record, row, records) for row in rows]
+            return np.array(rows, dtype=float).reshape((*values.shape[:-1], records))
+
+        # a region without mass has weight zero and moments NaN; moments are those of x, not of v
+        whole, some = lift(inside, mean, cov), weight[pair] > 0.0
+        mean, cov = np.where(some, whole.mean, 0.0), np.where(some, whole.cov, 0.0)
+        if branches.shift.any() or (branches.slope != np.eye(len(mean))[..., None]).any():
+            mean, cov = _mapped(branches.shift[:, branch], branches.slope[..., branch], mean, cov)
+        estimate = summed(mean)
+        gap = mean - estimate[:, record]
+        cov, prob = summed(cov + gap[:, None] * gap), np.zeros((len(cells), records))
+        np.add.at(prob, branches.cell, weight)
+        for part in (estimate, cov, prob):
             part[..., failed] = np.nan
-        if update and (self._cuts or self.merge > 0.0):
-            kept = alive(log_unit)
-            branches, log_weight = branches.take(kept), log_weight[kept]
-        if update and self.merge > 0.0:
-            branches, log_weight, added = merge(branches, log_weight, self.merge)
-            distance = distance + added.reshape(batch)
-        return PiecewiseState(
-            time=t,
-            mean=mean.reshape(-1, *batch),
-            cov=cov.reshape(*cov.shape[:2], *batch),
-            mode_prob=prob.reshape(-1, *batch),
-            loglik=loglik if update else np.zeros(batch),
-            weights=np.exp(log_weight).reshape(-1, *batch),
-            lost=lost,
-            distance=distance,
-            diverged=diverged | failed.reshape(batch),
-            branches=branches,
-            law=law,
-        )
+
+        branches = branches._replace(log_unit=log_unit)
+        if dropped.any():
+            kept = np.flatnonzero((log_unit > -np.inf).any(axis=1))
+            regions = branches.regions[..., kept]
+            branches, weight = branches.pieces(kept, branches.cell[kept], regions), weight[kept]
+        loglik = np.where(state.diverged.ravel(), np.nan, loglik) if update else np.zeros(records)
+        parts = (estimate, cov, prob, loglik, weight, dropped)
+        parts = (part.reshape((*part.shape[:-1], *batch)) for part in parts)
+        diverged = state.diverged | failed.reshape(batch)
+        return PiecewiseState(state.time, *parts, diverged, branches)
+
+
+def _from_branches(branches: Branches, c: Coefficients) -> list[np.ndarray]:
+    """Offset, matrix and noise covariance of the map in the cell of a branch, as one of its v."""
+    offset, matrix, noise = (part[..., branches.cell, :] for part in c)
+    offset = offset + np.einsum("ijbd,jb->ibd", matrix, branches.shift)
+    matrix = np.einsum("ijbd,jkb->ikbd", matrix, branches.slope)
+    return [offset, matrix, np.einsum("ip...,jp...->ij...", noise, noise)]
+
+
+def _mapped(offset, matrix, mean, cov) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance, exactly symmetric, after an affine map."""
+    half = np.einsum("ij...,jk...->ik...", matrix, cov)
+    full = np.einsum("ij...,kj...->ik...", half, matrix)
+    mean = offset + np.einsum("ij...,j...->i...", matrix, mean)
+    return mean, 0.5 * (full + full.swapaxes(0, 1))

@@ -2,21 +2,76 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array
-from seedslib.base.checks import as_covariance, as_real, as_shape, require_one_size
-from seedslib.models.discrete import DiscreteSystem
+from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.correction import correct
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from seedslib.models.kinds import as_steps
-from seedslib.models.simulation import Schedule, Simulation
-from seedslib.piecewise.cells import as_cells
-from seedslib.piecewise.coefficients import Coefficients, affine_map, as_coefficients
-from seedslib.piecewise.functions import Tangents, tangents
+from seedslib.models.simulation import Simulation
+from seedslib.piecewise.cells import Intervals, Polygons
+
+
+class Coefficients(NamedTuple):
+    """Offset, matrix and noise of a map ``offset + matrix x + noise w`` in every cell.
+
+    The last axis is that of the records, of length 1 unless the coefficients follow the estimates.
+    """
+
+    offset: np.ndarray  # (m, n, 1 or N)
+    matrix: np.ndarray  # (m, k, n, 1 or N)
+    noise: np.ndarray  # (m, p, n, 1 or N)
+
+
+@dataclass(frozen=True, eq=False)
+class Tangents:
+    """Tangents of a nonlinear map at the support points of the cells, equations (22) and (23).
+
+    ``a = f(p) - f'(p) p``, ``A = f'(p)``. Made by `PiecewiseLinearSystem.from_functions`.
+
+    Attributes
+    ----------
+    map : StochasticMap
+    support : ndarray, shape (k, n)
+    cells : Intervals
+    adaptive : bool
+        Whether the current estimate replaces the support point of the cell that holds it.
+    """
+
+    map: StochasticMap
+    support: np.ndarray
+    cells: Intervals
+    adaptive: bool
+
+    def __post_init__(self) -> None:
+        import sympy as sp
+
+        from seedslib.models.codegen import compile_array
+
+        value = sp.Matrix(self.map.expressions.tolist())
+        symbols = list(self.map.noise.symbols) or [sp.Dummy()]
+        gain, mean = value.jacobian(symbols), value.subs(dict.fromkeys(symbols, 0))
+        if gain.free_symbols & set(symbols):
+            raise ValueError(f"noise: wanted one that enters linearly, got {list(value)}")
+        given = self.map.time, self.map.state
+        parts = list(mean), mean.jacobian(self.map.state), gain
+        vars(self).update(functions=[compile_array(given, part) for part in parts])
+
+    def __call__(self, t: float, estimate: np.ndarray | None) -> tuple[np.ndarray, ...]:
+        points, lead = self.support, self.cells.size
+        if estimate is not None:
+            sound = np.flatnonzero(np.isfinite(estimate).all(axis=0))
+            points = np.repeat(points[:, :, None], estimate.shape[1], axis=2)
+            points[lead:, :, sound] = estimate[lead:, None, sound]
+            points[:, self.cells.locate(estimate[:lead, sound]), sound] = estimate[:, sound]
+        value, slope, noise = (function(t, points) for function in vars(self)["functions"])
+        return value - np.einsum("ij...,j...->i...", slope, points), slope, noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,10 +86,9 @@ class PiecewiseLinearSystem:
 
     Parameters
     ----------
-    regions : array_like or sequence
-        Edges from ``-inf`` to ``inf``, (n + 1,), or pairs (lower, upper); cells are half-open,
-        ``lower <= x < upper``. For two restricted components a list of convex cells, each the
-        table (V, 2) of its vertices or, where unbounded, `HalfPlanes`.
+    regions : array_like or Polygons
+        Edges from ``-inf`` to ``inf``, (n + 1,), of half-open cells ``lower <= x < upper``; for
+        two restricted components the cells that `line_cells` makes.
     dynamics : (a, A) or callable
         Arrays (k, n) and (k, k, n), cell last; arrays without a cell axis hold for every cell. A
         callable takes the time t that is left and returns the pair.
@@ -47,14 +101,6 @@ class PiecewiseLinearSystem:
         Prior at the first time, where nothing is measured.
     noise : array_like or callable, optional
         G, (k, p) or (k, p, n); none by default.
-    functions : Tangents, optional
-        The nonlinear functions behind the coefficients; set by `from_functions`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Cells that overlap, are out of order or do not cover the space, shapes that do not fit,
-        entries that are not finite, an indefinite `cov0`.
     """
 
     regions: Any
@@ -64,117 +110,96 @@ class PiecewiseLinearSystem:
     mean0: Array
     cov0: Array
     noise: ArrayLike | Callable[..., Any] | None = None
-    functions: Tangents | None = None
+    state_size: int = field(init=False)
+    adaptive: bool = field(init=False)  # whether the coefficients follow the estimate
     indicators = 0
 
     def __post_init__(self) -> None:
+        known = isinstance(self.regions, Intervals | Polygons)
+        cells = self.regions if known else Intervals(self.regions)
         mean0 = as_real("mean0", self.mean0, ndim=1)
-        cells = as_cells(self.regions)
         if mean0.size < cells.size:
-            raise ValueError(
-                f"mean0: wanted at least {cells.size} components for these regions, "
-                f"got {mean0.size}"
-            )
-        cov0 = as_real("cov0", self.cov0)
-        require_one_size("mean0, cov0", mean0, cov0)
-        cov0 = as_covariance("cov0", cov0, mean0.size)
-        vars(self).update(regions=cells, mean0=mean0, cov0=cov0)
-        if self.functions is None:
-            if not callable(self.dynamics) and not callable(self.noise):
-                self.dynamics_at(0.0)
-            if not callable(self.sensor) and not callable(self.sensor_noise):
-                self.sensor_at(0.0)
+            raise ValueError(f"mean0: wanted {cells.size} components or more, got {mean0.size}")
+        cov0 = as_covariance("cov0", self.cov0, mean0.size)
+        adaptive = isinstance(self.dynamics, Tangents) and self.dynamics.adaptive
+        sizes = {"state_size": mean0.size, "adaptive": adaptive}
+        vars(self).update(regions=cells, mean0=mean0, cov0=cov0, **sizes)
 
     @classmethod
     def from_functions(
-        cls, *, state: Sequence[Any], dynamics: Sequence[Any], sensor: Sequence[Any],
-        breakpoints: object, initial: tuple[Any, ...], noise: object = None,
-        support: object = "centroid", time: object = None,
-        parameters: Mapping[Any, Any] | None = None,
-    ) -> PiecewiseLinearSystem:  # fmt: skip
-        """Tangents of nonlinear SymPy functions on every cell, equations (21) to (23).
+        cls, *, state, dynamics, sensor, noise, breakpoints, initial, support="centroid", time=None
+    ) -> PiecewiseLinearSystem:
+        """Tangents of nonlinear SymPy functions on every interval, equations (21) to (23).
 
         Parameters
         ----------
         state : sequence of Symbol
-            The k state symbols; the leading one or two are restricted by the cells.
+            The k state symbols; the first one is restricted by the cells.
         dynamics, sensor : sequence of expressions
             The next state and the measurement, in the state, the noise symbols and `time`.
-        breakpoints : array_like or sequence
+        noise : sequence of Symbol
+            Standard normal; each enters the dynamics or the sensor, linearly.
+        breakpoints : array_like
             Increasing finite edges (n + 1,) of n cells, of which the first and the last are
-            extended to infinity; or plane cells as in the constructor.
+            extended to infinity.
         initial : (mean0, cov0)
             Prior at the first time.
-        noise : Noise or Symbol or sequence of Symbol, optional
-            Noise symbols, standard normal unless a `Noise` says otherwise. They enter linearly,
-            each of them the dynamics or the sensor.
         support : {"centroid", "estimate"} or array_like
             Where the tangents are taken: the middle of the cell as given, so that an extended
             cell keeps the middle of the bounded one, and the prior mean in the components that
             are not restricted; "estimate" puts the current estimate in place of the support
             point of the cell that holds it (predicted estimate for the sensor), and its
-            unrestricted components in every cell; or points (k1, n) or (k, n).
+            unrestricted components in every cell; or points (n,) of the first component.
         time : Symbol, optional
             Symbol of the time: in the dynamics the one they leave.
-        parameters : mapping, optional
-            Values of further symbols.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Unknown symbols, noise that does not enter linearly or enters both functions, edges
-            that do not increase, support points outside their cells.
         """
-        mean0 = as_real("initial[0]", initial[0], ndim=1)
-        model = tangents(
-            state=state, dynamics=dynamics, sensor=sensor, noise=noise, breakpoints=breakpoints,
-            support=support, time=time, mean0=as_shape("initial[0]", mean0, (len(tuple(state)),)),
-            parameters=parameters,
-        )  # fmt: skip
-        return cls(
-            model.cells, model.dynamics, model.sensor, None, mean0, initial[1], functions=model
-        )
+        from seedslib.base.symbols import named_model
+        from seedslib.models.codegen import known_expressions
 
-    @property
-    def state_size(self) -> int:
-        """Number of state components."""
-        return self.mean0.size
-
-    @property
-    def measurement_size(self) -> int:
-        """Number of measured components; of a sensor that is a function of time those at t = 1."""
-        return self.sensor_at(1.0).offset.shape[0]
+        edges = as_real("breakpoints", breakpoints, ndim=1)
+        cells = Intervals(np.concatenate([[-np.inf], edges[1:-1], [np.inf]]))
+        rule = support if isinstance(support, str) else "points"
+        middle, adaptive = rule in ("centroid", "estimate"), rule == "estimate"
+        points = as_real("support", 0.5 * (edges[:-1] + edges[1:]) if middle else support, ndim=1)
+        if not np.array_equal(cells.locate(points[None]), np.arange(len(cells))):
+            raise ValueError("support: wanted one point in each cell, in the order of the cells")
+        state, time, _ = named_model(state, time, None, noise=tuple(noise))
+        mean0 = as_shape("initial[0]", initial[0], (len(state),))
+        points = np.vstack([points, np.repeat(mean0[1:, None], len(cells), axis=1)])
+        allowed = {*state, *noise, time}
+        f = known_expressions("dynamics", dynamics, (len(state),), {}, allowed)
+        h = known_expressions("sensor", sensor, (None,), {}, allowed)
+        own = [[s for s in noise if any(e.has(s) for e in part)] for part in (f, h)]
+        if set(own[0]) & set(own[1]):
+            raise ValueError("noise: wanted independent noises in the dynamics and in the sensor")
+        pairs = zip((f, h), own, strict=True)
+        maps = (StochasticMap(state, list(e), Noise(s), time=time) for e, s in pairs)
+        parts = (Tangents(map_, points, cells, adaptive) for map_ in maps)
+        return cls(cells, *parts, None, mean0, initial[1])
 
     def dynamics_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
-        """Coefficients of the transition that leaves time t.
-
-        Parameters
-        ----------
-        t : float
-        estimate : ndarray, shape (k, N), optional
-            Estimates at time t; used with ``support="estimate"`` only.
-        """
-        if self.functions is not None:
-            parts = self.functions.dynamics(t, estimate)
-        else:
-            noise = _at(self.noise, t)
-            noise = np.zeros((self.state_size, 0)) if noise is None else noise
-            parts = (*_at(self.dynamics, t), noise)
-        count, n = self.regions.count, self.state_size
-        return as_coefficients("dynamics", parts, count, n, n)
+        """Coefficients of the transition that leaves time t; they may follow `estimate` (k, N)."""
+        noise = np.zeros((self.state_size, 0)) if self.noise is None else self.noise
+        return self._coefficients("dynamics", self.dynamics, noise, t, estimate)
 
     def sensor_at(self, t: float, estimate: np.ndarray | None = None) -> Coefficients:
         """Coefficients of the measurement at time t; `estimate` (k, N) is the predicted one."""
-        if self.functions is not None:
-            parts = self.functions.sensor(t, estimate)
-        else:
-            parts = (*_at(self.sensor, t), _at(self.sensor_noise, t))
-        return as_coefficients("sensor", parts, self.regions.count, self.state_size, None)
+        return self._coefficients("sensor", self.sensor, self.sensor_noise, t, estimate)
 
-    def simulate(
-        self, times: object, paths: int, seed: object, *, measured: object = None,
-        availability: Any = None, start: object = None, linear: bool = False, workers: int = 1,
-    ) -> Simulation:  # fmt: skip
+    def _coefficients(self, name, value, noise, t, estimate) -> Coefficients:
+        """Arrays with a cell axis and an axis of records, from arrays that may lack both."""
+        known = isinstance(value, Tangents)
+        parts = value(t, estimate) if known else (*_at(value, t), _at(noise, t))
+        rows, n = self.state_size if name == "dynamics" else len(parts[0]), len(self.regions)
+        full = []
+        for part, columns in zip(parts, ((), (self.state_size,), (-1,)), strict=True):
+            part, depth = as_real(name, part), 1 + len(columns)
+            part = part.reshape(part.shape + (1,) * (depth + 2 - part.ndim))
+            part = as_shape(name, part, (rows, *columns, n if part.shape[depth] > 1 else 1, -1))
+            full.append(np.broadcast_to(part, (*part.shape[:depth], n, part.shape[-1])))
+        return Coefficients(*full)
+
+    def simulate(self, times: Any, paths: int, seed: Any, *, workers: int = 1) -> Simulation:
         """Simulate independent paths and their measurements.
 
         Parameters
@@ -184,16 +209,6 @@ class PiecewiseLinearSystem:
         paths : int
             Number of paths N.
         seed : int, SeedSequence or Generator
-        measured : array_like, optional
-            Mask or indices of the times with a measurement, or mask (K+1, m): all but the first
-            by default, and at the first nothing is ever measured.
-        availability : float or array_like, shape (m,), optional
-            Probability that a component arrives; see `seedslib.models.simulation.simulate`.
-        start : array_like, shape (k,), optional
-            Initial state of every path; drawn from the prior by default.
-        linear : bool
-            Simulate the piecewise-linear model also where it approximates nonlinear functions,
-            which are simulated by default.
         workers : int
             Threads over blocks of paths; the numbers do not depend on it.
 
@@ -202,47 +217,43 @@ class PiecewiseLinearSystem:
         Simulation
             states (K+1, k, N), measurements (K+1, m, N) with NaN at the first time: the first
             measurement follows the first transition.
-
-        Raises
-        ------
-        TypeError, ValueError
-            An illegal grid, `paths` not a positive integer, `start` of a wrong shape.
         """
         times = as_steps(times)
-        source = self.discrete(linear=linear, times=(times[0], times[-1]))
-        if start is not None:
-            start = as_shape("start", start, (self.state_size,))
-            same = start[:, None]
-            source = replace(source, initial=lambda rng, count: np.repeat(same, count, axis=1))
-        mask = Schedule.of(measured, None, times.size, source.measurement_size).mask
-        mask = mask & (np.arange(times.size) > 0)[:, None]
-        return source.simulate(
-            times, paths, seed, measured=mask, availability=availability, workers=workers
-        )
+        measured = np.arange(1, times.size)
+        return self.discrete().simulate(times, paths, seed, measured=measured, workers=workers)
 
-    def discrete(
-        self, *, linear: bool = False, times: Sequence[Any] = (0.0, 1.0)
-    ) -> DiscreteSystem:
+    def discrete(self) -> DiscreteSystem:
         """The system as a pair of maps, for simulation and for other filters.
 
-        Parameters
-        ----------
-        linear : bool
-            The piecewise-linear maps also where they approximate nonlinear functions; by
-            default the functions themselves.
-        times : (float, float)
-            A time at which there are dynamics, and one at which there is a sensor: the shapes of
-            their coefficients are looked up there.
+        Of a system that was made from functions these functions, not their tangents.
         """
-        if self.functions is not None and not linear:
-            maps = self.functions.transition, self.functions.sensor_map
-        else:
-            maps = (
-                affine_map(self.regions, self.state_size, coefficients, float(t))
-                for coefficients, t in zip((self.dynamics_at, self.sensor_at), times, strict=True)
-            )
+        if isinstance(self.dynamics, Tangents):
+            return DiscreteSystem(self.dynamics.map, self.sensor.map, self.mean0, self.cov0)
+        maps = (self._map(self.dynamics_at), self._map(self.sensor_at))
         return DiscreteSystem(*maps, self.mean0, self.cov0)
 
+    def _map(self, coefficients: Callable[[float], Coefficients]) -> StochasticMap:
+        rows, width = coefficients(1.0).noise.shape[:2]
 
-def _at(value: object, t: float) -> object:
+        def of_cell(t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            cell = self.regions.locate(x[: self.regions.size])
+            offset, matrix, noise = (part[..., cell, 0] for part in coefficients(t))
+            return offset + np.einsum("ij...,j...->i...", matrix, x), noise
+
+        def value(t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+            mean, noise = of_cell(t, x)
+            return mean + np.einsum("ij...,j...->i...", noise, v)
+
+        def log_density(t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+            mean, noise = of_cell(t, x)
+            cov, nothing = np.einsum("ip...,jp...->ij...", noise, noise), np.zeros((1, *mean.shape))
+            return correct(nothing[:, 0], None, y, (mean, nothing, cov))[2]
+
+        noise = Noise(width)
+        return StochasticMap.from_functions(
+            self.state_size, rows, value, noise, log_density=log_density
+        )
+
+
+def _at(value: Any, t: float) -> Any:
     return value(t) if callable(value) else value

@@ -2,7 +2,7 @@
 
 No results and no filters.
 
-May import: base, models, delay.
+May import: base, models, delay, piecewise.
 """
 
 from seedslib.base.lazy import lazy_names
@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from seedslib.zoo.delay import delayed_scalar as delayed_scalar
     from seedslib.zoo.delay import precise_sensor as precise_sensor
     from seedslib.zoo.delay import two_noises as two_noises
+    from seedslib.zoo.piecewise import falling_body as falling_body
     from seedslib.zoo.switching import dependent_switching as dependent_switching
     from seedslib.zoo.switching import manoeuvring_target as manoeuvring_target
     from seedslib.zoo.switching import scalar_switching as scalar_switching

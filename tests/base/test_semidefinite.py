@@ -1,9 +1,9 @@
-"""Semidefinite matrices item by item: factors, pseudo-inverses and repair against eigenvalues."""
+"""Semidefinite matrices item by item: factors and repair against eigenvalues."""
 
 import numpy as np
 import pytest
 
-from seedslib.base.semidefinite import factor, mended, range_root, settled, square_root
+from seedslib.base.semidefinite import factor, mended, settled, square_root
 
 UNITS = np.array([3.0, 0.02, 50.0, 7.0])
 """Deviations that have nothing in common."""
@@ -109,51 +109,6 @@ def test_roots_of_what_rounding_has_left_are_no_larger_than_its_variances():
     np.testing.assert_allclose(square_root(cov)[:, 0], [2.0, np.sqrt(2.0), -np.sqrt(3.0)])
     moved = 2.5 * np.eye(4) + 1e-15 * (noise[0, :4, :4] / np.abs(noise[0]).max())
     np.testing.assert_allclose(square_root(moved), np.sqrt(2.5) * np.eye(4), atol=1e-14)
-
-
-# Pseudo-inverses
-
-
-def test_rank_range_and_determinant_item_by_item():
-    """R'R is the pseudo-inverse, whatever the units; a component without variance has none."""
-    wanted = [(in_units(correlations(4, r, r)), r) for r in (4, 3, 2, 1)]
-    alone = np.zeros((4, 4))
-    alone[np.ix_([0, 2], [0, 2])] = [[5.0, 2.0], [2.0, 3.0]]
-    wanted += [(alone, 2), (np.zeros((4, 4)), 0)]
-    root, log_det, rank = range_root(np.stack([matrix for matrix, _ in wanted]))
-    for k, (matrix, r) in enumerate(wanted):
-        values, vectors = np.linalg.eigh(matrix)
-        values, vectors = values[4 - r :], vectors[:, 4 - r :]
-        inverse = vectors / values @ vectors.T
-        size = np.abs(inverse).max() or 1.0
-        assert rank[k] == r
-        np.testing.assert_allclose(root[k].T @ root[k] / size, inverse / size, atol=1e-8)
-        assert log_det[k] == pytest.approx(np.log(values).sum(), abs=1e-7)
-        assert np.count_nonzero(np.abs(root[k]).max(axis=1)) == r
-
-
-def test_edges_of_the_rank_and_what_has_no_root():
-    for gap, rank in ((0.2, 1), (5.0, 2)):
-        c = 1.0 - gap * ZERO
-        assert range_root(np.array([[[1.0, c], [c, 1.0]]]))[2][0] == rank
-    for variance, rank in ((0.25 * TINY, 1), (TINY, 1), (4 * TINY, 2)):
-        found = range_root(np.diag([variance, 1.0])[None])
-        assert found[2].tolist() == [rank]
-        assert found[1][0] == pytest.approx(np.log(variance) if rank == 2 else 0.0)
-    base = in_units(correlations(3, 3))
-    undefined, infinite, negative = base.copy(), base.copy(), base.copy()
-    undefined[0, 1], infinite[2, 2] = np.nan, np.inf
-    negative[1] = negative[:, 1] = 0.0
-    negative[1, 1] = -1e-100
-    root = range_root(np.stack([base, undefined, infinite, negative]))[0]
-    assert np.isfinite(root[0]).all()
-    assert np.isnan(root[1:]).all()
-    past, within = (
-        in_units(np.array([[1.0, c], [c, 1.0]])) for c in (1 + 2 * BROKEN, 1 + BROKEN / 2)
-    )
-    root, _, rank = range_root(np.stack([past, within]))
-    assert np.isnan(root[0]).all()
-    assert rank[1] == 1
 
 
 # Repair

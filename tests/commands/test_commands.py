@@ -8,7 +8,7 @@ import pytest
 
 from seedslib import zoo
 from seedslib.base import Input, Parameter
-from seedslib.design import Polynomial, synthesize, tabulated
+from seedslib.design import Polynomial, grid_synthesis, synthesize
 from seedslib.designed import Memory, SwitchingFilter, load, save
 from seedslib.evaluation import fit
 from seedslib.filters import KalmanFilter, ParticleFilter, smooth
@@ -90,7 +90,8 @@ def test_a_design_is_that_of_python(run, folder, words, rule, options):
 def test_a_design_in_a_file_filters_with_its_model_or_as_tables(run, folder):
     system = zoo.flip_process()
     made = synthesize(system, Memory(1), ExactGaussian(), TIMES, paths=600, seed=1, nodes=0)
-    table = tabulated(made, y=(-8, 8, 9), z=(-3, 3, 7))
+    axes = {"x": (-3.5, 3.5, 21), "z": (-3, 3, 7), "y": (-8, 8, 9)}
+    table = grid_synthesis(system, Memory(1), TIMES, nodes=0, **axes)
     for filter, options in ((made, "--system flip.py"), (table, "")):
         save(filter, folder / "f.npz")
         assert run(f"filter f.npz d.csv {options} --out x.csv")[0] == 0

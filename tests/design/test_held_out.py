@@ -14,27 +14,16 @@ from seedslib.design import (
     synthesize,
 )
 from seedslib.designed import Memory, load, save
-from seedslib.linearization import ExactGaussian, Taylor, Unscented
+from seedslib.linearization import Unscented
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 
 x, v, w = sympy.symbols("x v w", real=True)
 STEPS = np.arange(31.0)
 
 
-def sine(sensor=x, drive=None):
-    noise = Noise([w], cov=[[0.2]]) if drive is None else drive
-    move = StochasticMap([x], [x / 2 + 2 * sympy.sin(x) + w], noise)
-    return DiscreteSystem(move, StochasticMap([x], [sensor + v], Noise([v])), [0.0], [[1.0]])
-
-
-@pytest.fixture(scope="module")
-def flat():
-    """A sensor that is flat where the state often is, and noise with wide tails."""
-
-    def sample(rng, count):
-        return rng.laplace(scale=2**-0.5, size=(1, count))
-
-    return sine(x**2, Noise([w], cov=[[1.0]], sample=sample))
+def sine():
+    move = StochasticMap([x], [x / 2 + 2 * sympy.sin(x) + w], Noise([w], cov=[[0.2]]))
+    return DiscreteSystem(move, StochasticMap([x], [x + v], Noise([v])), [0.0], [[1.0]])
 
 
 def heard(make):
@@ -46,38 +35,27 @@ def heard(make):
     return made, [str(one.message) for one in caught]
 
 
-def doubtful(made, forecasts=None):
-    """Which sentences the numbers of a design are worth: the rules, written out.
+def doubtful(made):
+    """Whether the numbers of a design are worth a warning: the rule, written out.
 
     A difference counts beyond 2 per cent and beyond 4 standard errors, or so many more as there
-    are numbers compared; few design paths are believed as little as the held-out ones.
+    are numbers compared; few design paths are believed as little as the held-out ones. So does an
+    error that rests on few paths.
     """
     held, predicted = made.held_out, made.predicted
     rows = np.isin(predicted.times, held.times)
-    rms, error = predicted.rms[rows], predicted.error[rows]
-    doubt = np.sqrt(16 + 2 * np.log(rms.size))
-    share = np.sqrt(made.design.paths / held.paths)
-    both = np.sqrt(error**2 + np.maximum(held.error, share * error) ** 2)
-
-    def worse(a, b, standard):
-        return (a - b > doubt * standard) & (a - b > 0.02 * b)
-
-    said = {"predicted": worse(held.rms, rms, both) | worse(rms, held.rms, both)}
-    constant = held.deviation / np.sqrt(2 * held.paths)
-    said["constant"] = worse(held.rms, held.deviation, np.hypot(held.error, constant))
+    pairs = [(predicted.rms[rows], predicted.error[rows], held.rms, held.error)]
     if held.mode_rate is not None:
-        apart = np.abs(held.mode_rate - predicted.mode_rate)
-        own = predicted.mode_error
-        both = np.sqrt(own**2 + np.maximum(held.mode_error, share * own) ** 2)
-        said["modes"] = (apart > doubt * both) & (apart > 0.02 * predicted.mode_rate)
-    return {name: bool(bad.any()) for name, bad in said.items()}
-
-
-SENTENCES = {
-    "predicted": "held out: root-mean-square",
-    "constant": "held out: the estimate",
-    "modes": "held out: the part of wrong modes",
-}
+        pairs.append((predicted.mode_rate[:, None], predicted.mode_error[:, None],
+                      held.mode_rate[:, None], held.mode_error[:, None]))  # fmt: skip
+    wanted, wanted_error, found, error = (np.hstack(part) for part in zip(*pairs, strict=True))
+    doubt = np.sqrt(16 + 2 * np.log(wanted.size))
+    share = np.sqrt(made.design.paths / held.paths)
+    both = np.sqrt(wanted_error**2 + np.maximum(error, share * wanted_error) ** 2)
+    few = (found > wanted) & (error > 0.35 * found)
+    few[:, 1 if held.mode_rate is not None else found.shape[1] :] = False  # of the state alone
+    bad = (np.abs(found - wanted) > doubt * both) | few
+    return bool((bad & (np.abs(found - wanted) > 0.02 * wanted)).any()) or held.diverged > 0
 
 
 def affine(paths, seed):
@@ -120,24 +98,8 @@ def test_warnings_are_given_where_the_numbers_are_worth_them_and_nowhere_else(ma
         for seed in range(8):
             made, said = heard(lambda seed=seed, paths=paths: make(paths, seed))
             worth.append(doubtful(made))
-            for name, wanted in worth[-1].items():
-                assert wanted == any(text.startswith(SENTENCES[name]) for text in said)
-            diverged = any("the filter diverged" in text for text in said)
-            assert diverged <= (made.held_out.diverged > 0)
-    assert 0 < sum(row["predicted"] for row in worth) < len(worth)
-    if make is counted:
-        assert 0 < sum(row["modes"] for row in worth) < len(worth)
-
-
-def test_a_useless_linearization_is_worse_than_a_constant_and_than_its_forecasts(flat):
-    made, said = heard(lambda: synthesize(flat, Memory(1), Taylor(), STEPS, paths=5000, seed=0))
-    worse = [text for text in said if text.startswith("held out: the estimate is worse")]
-    forecast = [text for text in said if text.startswith("correction: ")]
-    assert len(worse) == len(forecast) == 1
-    ratio = made.held_out.rms[:, 0] / made.held_out.deviation[:, 0]
-    assert (ratio > 1).mean() > 0.5
-    _, said = heard(lambda: synthesize(flat, Memory(1), ExactGaussian(), STEPS, paths=5000, seed=0))
-    assert not said
+            assert worth[-1] == any(text.startswith("held out: errors") for text in said)
+    assert 0 < sum(worth) < len(worth)
 
 
 def test_a_cubic_forecast_with_a_long_memory_diverges_on_other_paths(tmp_path):
@@ -147,8 +109,7 @@ def test_a_cubic_forecast_with_a_long_memory_diverges_on_other_paths(tmp_path):
     data = system.simulate(times, 2000, 5)
     error = made.run(times, data.measurements).mean - data.states
     assert np.sqrt(np.mean(error**2)) > 3 * made.predicted.rms.mean()
-    assert any("diverged on" in text for text in said)
-    assert made.held_out.diverged > 0
+    assert any(text.startswith("held out: errors") for text in said)
     short, said = heard(lambda: synthesize(system, Memory(1), Unscented(), times, **options))
     assert not said
     assert short.held_out.diverged == 0

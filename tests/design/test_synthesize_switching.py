@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import sympy
 
-from seedslib import zoo
 from seedslib.base import Input
 from seedslib.design import cells_from_moments, synthesize
 from seedslib.designed import Memory
@@ -122,24 +121,3 @@ def test_cells_from_moments_are_conditional_normal_laws():
     bad = np.array([[1.0, 1.5], [1.5, 1.0]])[..., None, None]
     raised = cells_from_moments(np.ones((1, 1)), np.zeros((2, 1, 1)), bad, 1)
     assert 0 < raised.cov[0, 0, 0, 0] < 1e-9
-
-
-def test_a_schedule_of_position_and_indicator_is_claimed_honestly():
-    """A target with a noisy indicator whose position is read every other time."""
-    system, times = zoo.manoeuvring_target("noisy"), np.arange(9.0)
-    mask = np.ones((9, 2), dtype=bool)
-    mask[1::2, 0] = mask[6, 1] = False
-    made = synthesize(system, Memory(1), ExactGaussian(), times, paths=6000, seed=1, measured=mask)
-    np.testing.assert_array_equal(made.measured, mask)
-    data = system.simulate(times, 2000, 3, measured=mask)
-    assert (data.indicators[6] == -1).all()
-    found = made.run(times, data.measurements, indicators=data.indicators, covariances=True)
-    error = np.moveaxis(found.mean - data.states, 1, -1)[..., None]
-    cov = np.moveaxis(found.cov, (1, 2), (-2, -1))
-    nees = (error * np.linalg.solve(cov, error)).sum(axis=(-2, -1)) / 2
-    assert abs(nees[4:].mean() - 1) < 0.06
-    rms = np.sqrt((error[..., 0] ** 2).mean(axis=1))
-    np.testing.assert_allclose(made.predicted.rms, rms, rtol=0.1)
-    # a design that takes the position for read claims far too little where it is not
-    blind = synthesize(system, Memory(1), ExactGaussian(), times, paths=6000, seed=1)
-    assert (made.predicted.rms[3:9:2, 0] > 1.2 * blind.predicted.rms[3:9:2, 0]).all()

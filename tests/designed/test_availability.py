@@ -7,13 +7,9 @@ import pytest
 import scipy.linalg
 import sympy
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.interpolate import RegularGridInterpolator
 
 from oracles.linear import corrected
-from oracles.switching import SwitchingOracle, merged
-from seedslib import zoo
-from seedslib.base import Axis
-from seedslib.design import Polynomial, grid_synthesis, synthesize
+from seedslib.design import Polynomial, synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem
@@ -155,89 +151,6 @@ def modes():
     )  # fmt: skip
 
 
-def bank():
-    spread = [SPREAD, np.diag([4, 1]) @ SPREAD]
-    matrices = [MOVE, np.diag([0.5, 1 / 3])]
-    looks, noises = [LOOK[:2], np.eye(2)], [NOISE[:2, :2], np.diag([4, 1]) @ NOISE[:2, :2]]
-    initial = [(0.6, np.array([0.2, -0.3]), np.eye(2)),
-               (0.4, np.array([-1, 0.5]), np.array([[0.5, 0.1], [0.1, 2]]))]  # fmt: skip
-    return SwitchingOracle(
-        initial, lambda k, i: (matrices[i], np.array([0, float(i)]), spread[i]), lambda k: CHAIN,
-        lambda k, i: (looks[i], np.zeros(2), noises[i]), lambda k: TELLS,
-    )  # fmt: skip
-
-
-@pytest.fixture(scope="module")
-def switching():
-    return synthesize(
-        modes(), Memory(1), Taylor(), TIMES, paths=4000, seed=1, availability=[0.6, 1.0, 0.7]
-    )
-
-
-@pytest.mark.parametrize("form", ["design", "for ever", "two in turn", "some steps"])
-def test_run_of_a_jump_linear_system_is_its_classes_written_out(switching, form):
-    """Cells of a class come after those of the one before; claims are scaled to its errors."""
-    made = switching
-    filter, served = {
-        "design": (made, [0, 1, 2, 3]),
-        "for ever": (replace(made, cycle=1), [0, 1, 2, 3, 3, 3]),
-        "two in turn": (replace(made, cycle=2), [0, 1, 2, 3, 2, 3]),
-        "some steps": (made.taking([0, 1, 3]), [0, 1, 3]),
-    }[form]
-    steps = len(served)
-    times, shown = np.arange(float(steps)), record(8, steps, 2, [0.6, 1.0])
-    rng = np.random.default_rng(5)
-    told = np.where(rng.random((steps, 8)) < 0.7, rng.integers(0, 2, (steps, 8)), -1)
-    joined = form != "design"
-    found = filter.run(times, shown, indicators=told, covariances=not joined)
-    state = filter.initial((8,))
-    for k, now in enumerate(times):
-        state = filter.step(state, now, shown[k], told[k])
-        assert_allclose(state.mean, found.mean[k], rtol=1e-11)
-        if not joined:
-            assert_allclose(filter.report(state).cov, found.cov[k], rtol=1e-11)
-    for path in range(8):
-        group, groups = 0, []
-
-        def recall(k, law, expected, path=path, groups=groups):
-            nonlocal group
-            row, follows = served[k], served[k + 1] if k + 1 < steps else None
-            here = int(not np.isnan(shown[k, 0, path])) + 2 * int(told[k, path] >= 0)
-            group = made.arrivals[row].table[group, here]
-            groups.append((row, group))
-            if follows is None:
-                return None
-            prob = np.array([part[0] for part in law])
-            z = sum(part[0] * part[1] for part in law)
-            if follows != row + 1:
-                one, other = made.arrivals[row].after, made.arrivals[follows].before
-                group = nearest(one, other)[group]
-            cell = int(prob[1] > prob[0]) + 2 * group
-            fit, score = made.fits[follows - 1].fit, []
-            for i in range(2):
-                apart = fit.white[:, :, i, cell] @ (z - fit.centre[:, i, cell])
-                score.append(fit.log_weight[i, cell] - 0.5 * apart @ apart)
-            weight = np.exp(np.array(score) - max(score))
-            return [
-                (weight[i] / weight.sum(), fit.gain[..., i, cell] @ z + fit.offset[:, i, cell],
-                 fit.cov[..., i, cell])
-                for i in range(2)
-            ]  # fmt: skip
-
-        laws, _, logliks = bank().run(shown[..., path], told[:, path], recall)
-        recall(steps - 1, laws[-1], None)
-        assert_allclose(found.loglik[:, path], logliks, rtol=1e-8, atol=1e-9)
-        for k, (law, (row, last)) in enumerate(zip(laws, groups, strict=True)):
-            mean, cov = merged(law)
-            assert_allclose(found.mean[k, :, path], mean, rtol=1e-8, atol=1e-9)
-            if joined:
-                continue
-            arrivals = made.arrivals[row]
-            ratio = np.diagonal(arrivals.after[last]) / arrivals.claimed[last]
-            scaled = np.sqrt(np.outer(ratio, ratio)) * cov
-            assert_allclose(found.cov[k, ..., path], scaled, rtol=1e-8)
-
-
 def test_missing_indicator_is_a_gap_for_a_memory_and_none_for_a_bank():
     shown = np.random.default_rng(3).normal(size=(4, 2, 5))
     told = np.random.default_rng(4).integers(0, 2, (4, 5))
@@ -260,89 +173,3 @@ def test_missing_indicator_is_a_gap_for_a_memory_and_none_for_a_bank():
     plain = SwitchingFilter(modes(), Taylor()).run(TIMES, shown, indicators=told, covariances=True)
     assert np.isfinite(plain.cov).all()
     assert np.isfinite(plain.loglik).all()
-
-
-# Tables
-
-
-def looked_up(table, points):
-    """By SciPy, at one point; (y..., class, memory...)."""
-    axes = [np.linspace(a.low, a.high, a.count) if isinstance(a, Axis) else np.arange(a.count)
-            for a in table.axes]  # fmt: skip
-    point = [np.clip(c, axis[0], axis[-1]) for c, axis in zip(points, axes, strict=True)]
-    return RegularGridInterpolator(axes, table.estimate[0])(point)[0] if axes else table.estimate[0]
-
-
-@pytest.mark.parametrize("form", ["chance", "for ever", "shuffled", "schedule"])
-def test_run_of_tables_is_those_of_its_patterns_and_classes(form):
-    """A scalar state by two sensors: a table for each pattern of what is there."""
-    system = DiscreteSystem(
-        StochasticMap((x,), [0.8 * x + sympy.sin(x) / 2 + v], Noise((v,))),
-        StochasticMap((x,), [x + p, x / 2 + q], Noise((p, q), cov=[[1.0, 0], [0, 0.3]])),
-        [0.3], [[1.0]],
-    )  # fmt: skip
-    mask = np.array([[1, 1], [1, 0], [0, 0], [0, 1]], dtype=bool)
-    known = {"measured": mask} if form == "schedule" else {"availability": [0.6, 0.8]}
-    made = grid_synthesis(
-        system, Memory(1), TIMES, x=(-9, 9, 61), z=(-7, 7, 29), y=[(-12, 12, 37), (-7, 7, 29)],
-        **known,
-    )  # fmt: skip
-    if form == "shuffled":  # the classes of a step in another order, and hardly other covariances
-        part = made.arrivals[2]
-        turned = [name[::-1].copy() for name in (part.table, part.covs, 1.001 * part.before)]
-        part = part._replace(table=turned[0], covs=turned[1], before=turned[2])
-        made = replace(made, arrivals=(*made.arrivals[:2], part, made.arrivals[3]))
-    filter = replace(made, cycle=1) if form == "for ever" else made
-    served = [0, 1, 2, 3, 3, 3] if form == "for ever" else [0, 1, 2, 3]
-    shown = record(10, len(served), 2, [0.6, 0.8])
-    if form == "schedule":
-        shown = np.where(mask[..., None], np.random.default_rng(1).normal(size=(4, 2, 10)), np.nan)
-    times = np.arange(float(len(served)))
-    found = filter.run(times, shown, covariances=True)
-    plane = filter.run(times, shown.reshape(-1, 2, 5, 2), covariances=True)
-    assert_array_equal(plane.mean.reshape(found.mean.shape), found.mean)
-    for path in range(10):
-        group, z, before = 0, None, -1
-        state = filter.initial()
-        for k, row in enumerate(served):
-            step, here = made.steps[row], ~np.isnan(shown[k, :, path])
-            if form != "schedule" and (before != row - 1 or (form == "shuffled" and row == 2)):
-                group = nearest(made.arrivals[before].after, made.arrivals[row].before)[group]
-            past = ([] if form == "schedule" else [group]) + ([] if z is None else [z])
-            number = int(here[0]) + 2 * int(here[1])
-            table = step.shown.tables[number - 1] if number else step.blind
-            z = looked_up(table, [*shown[k, here, path], *past])
-            assert_allclose(found.mean[k, 0, path], z, atol=1e-9)
-            wanted = made.covariances[row]
-            if form != "schedule":
-                wanted = made.arrivals[row].covs[group, number]
-                group = made.arrivals[row].table[group, number]
-            cov = found.cov[k].reshape(1, 1, -1)
-            assert_allclose(np.broadcast_to(cov, (1, 1, 10))[..., path], wanted, rtol=1e-12)
-            before = row
-            state = filter.step(state, times[k], shown[k, :, path])
-            assert_allclose(state.mean, z, atol=1e-9)
-            assert_allclose(state.cov, wanted, rtol=1e-12)
-
-
-def test_tables_with_classes_claim_nothing_between_measurements():
-    filter = grid_synthesis(
-        zoo.flip_process(), Memory(1), [0.0, 0.25, 0.5], x=(-3.5, 3.5, 41), z=(-3, 3, 31),
-        y=(-8, 8, 41), nodes=1, availability=0.7,
-    )  # fmt: skip
-    times = np.array([0.0, 0.1, 0.25, 0.375, 0.5])
-    shown = np.full((5, 1, 3), np.nan)
-    shown[::2] = np.random.default_rng(8).normal(size=(3, 1, 3))
-    shown[2, 0, 1] = np.nan
-    found = filter.run(times, shown, covariances=True)
-    assert np.isnan(found.cov[[1, 3]]).all()
-    assert np.isfinite(found.cov[::2]).all()
-    group = filter.arrivals[0].table[0, 1]
-    group = filter.arrivals[1].table[group, 0]
-    (fit,) = filter.node_fits[1]
-    node = looked_up(fit, [group, found.mean[2, 0, 1]])
-    assert_allclose(found.mean[3, 0, 1], node, atol=1e-9)
-    alone = filter.run(times, shown[..., 1], covariances=True)
-    assert_array_equal(alone.cov, found.cov[..., 1])
-    some = filter.taking([0, 2])
-    assert_array_equal(some.arrivals[1].covs, filter.arrivals[2].covs)

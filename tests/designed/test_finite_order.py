@@ -10,7 +10,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from oracles.finite_order import FiniteOrderOracle, transition
 from seedslib import zoo
-from seedslib.base import Input, assigned
 from seedslib.design import Continuous, Polynomial, synthesize
 from seedslib.designed import Memory
 from seedslib.linearization import Cubature, ExactGaussian, Taylor, Unscented
@@ -18,14 +17,13 @@ from seedslib.models import JumpDiffusion, Noise
 
 x, y, v, w = sympy.symbols("x y v w", real=True)
 t = sympy.Symbol("t")
-u = Input("u")
+u = 1 - t / 3
 
-# A linear system that has everything: time in all its functions, an input, unlike components,
+# A linear system that has everything: time in all its functions, a drive, unlike components,
 # correlated noises with means, a late irregular start, nodes, a schedule with gaps of its own.
 
 TIMES = np.array([1.5, 2.0, 3.1, 3.4, 4.2])
 NODES = [[1.6, 1.9], [], [3.15], [3.5, 4.0]]
-INPUT = np.array([0.7, -1.2, 0.4, 2.0, -0.5])
 MEASURED = np.array([[1, 1], [1, 0], [1, 1], [0, 0], [1, 1]], dtype=bool)
 MEAN0, COV0 = [0.4, -0.3], [[1.0, 0.3], [0.3, 0.8]]
 NOISE_MEAN, NOISE_COV = np.array([0.2, -0.1]), np.array([[0.5, 0.1], [0.1, 0.3]])
@@ -49,29 +47,29 @@ def diffusion(now):
     return np.array([[0.4, 0], [0.1 + now / 10, 0.6]])
 
 
-def sensor(now, held):
+def sensor(now):
     matrix, mix = np.array([[1, 1 / 3], [now / 4, -1]]), np.array([[1 + now / 5, 0], [0.5, 1]])
-    return matrix, np.array([held / 2, now]) + mix @ NOISE_MEAN, mix @ NOISE_COV @ mix.T
+    return matrix, np.array([(1 - now / 3) / 2, now]) + mix @ NOISE_MEAN, mix @ NOISE_COV @ mix.T
 
 
-def oracle(estimates, measurements, components=2, measured=MEASURED, measured_nodes=False):
+def oracle(estimates, measurements, components=2, measured=MEASURED):
     moves = []
-    for k, held in enumerate(INPUT[:-1]):
-        stops = [TIMES[k], *NODES[k], TIMES[k + 1]]
+    for k, nodes in enumerate(NODES):
+        stops = [TIMES[k], *nodes, TIMES[k + 1]]
         moves.append([
-            transition(drift, lambda s, held=held: np.array([held, s / 3]), diffusion, a, b)
+            transition(drift, lambda s: np.array([1 - s / 3, s / 3]), diffusion, a, b)
             for a, b in pairwise(stops)
         ])  # fmt: skip
-    sensors = [sensor(*each) for each in zip(TIMES, INPUT, strict=True)]
+    sensors = [sensor(now) for now in TIMES]
     return FiniteOrderOracle(
-        MEAN0, COV0, moves, sensors, estimates, measurements, components, measured, measured_nodes
+        MEAN0, COV0, moves, sensors, estimates, measurements, components, measured
     )
 
 
 def designed(memory, rule=None, measured=MEASURED, **options):
     return synthesize(
         LINEAR, memory, rule or Taylor(), TIMES, nodes=NODES, exact_moments=True,
-        inputs={u: INPUT}, measured=measured, **options,
+        measured=measured, **options,
     )  # fmt: skip
 
 
@@ -81,7 +79,6 @@ FAMILY = {
     "finite memory": (Memory(measurements=2), {"rule": Unscented()}),
     "mixed memory": (Memory(1, 2), {"rule": Cubature()}),
     "one component": (Memory(2), {"components": 1}),
-    "nodes that see the measurement": (Memory(1), {"components": 1, "measured_nodes": True}),
 }
 GRID = np.sort(np.concatenate([TIMES, *NODES, [1.75, 2.5]]))
 PLACES = np.searchsorted(GRID, TIMES)
@@ -90,8 +87,7 @@ PLACES = np.searchsorted(GRID, TIMES)
 @pytest.fixture(scope="module", params=FAMILY)
 def linear(request):
     memory, options = FAMILY[request.param]
-    rest = {k: options[k] for k in ("components", "measured_nodes") if k in options}
-    expected = oracle(memory.estimates, memory.measurements, **rest)
+    expected = oracle(memory.estimates, memory.measurements, options.get("components", 2))
     return designed(memory, **options), expected
 
 
@@ -101,12 +97,10 @@ def of_paths(part, count):
 
 
 def on_grid(record):
-    """The same at the times of a finer grid, with inputs that matter at measurements only."""
+    """The same at the times of a finer grid."""
     whole = np.full((len(GRID), *record.shape[1:]), np.nan)
     whole[PLACES] = record
-    held = np.full(len(GRID), 99.0)
-    held[PLACES] = INPUT
-    return whole, {u: held}
+    return whole
 
 
 def test_design_of_a_linear_system_has_the_errors_of_regressions_on_its_memory(linear):
@@ -129,10 +123,10 @@ def test_run_of_a_linear_system_equals_the_recursion_of_its_regressions(linear):
     """Means, covariances, likelihoods and forecasts at nodes; alone, in a batch and in a grid."""
     filter, expected = linear
     record, _ = expected.draw(6, seed=3)
-    shown, inputs = on_grid(record)
-    found = filter.run(GRID, shown, inputs=inputs, covariances=True)
-    alone = filter.run(GRID, shown[..., 4], inputs=inputs, covariances=True)
-    plane = filter.run(GRID, shown.reshape(*shown.shape[:2], 3, 2), inputs=inputs)
+    shown = on_grid(record)
+    found = filter.run(GRID, shown, covariances=True)
+    alone = filter.run(GRID, shown[..., 4], covariances=True)
+    plane = filter.run(GRID, shown.reshape(*shown.shape[:2], 3, 2))
     assert_array_equal(plane.mean.reshape(found.mean.shape), found.mean)
     for part in ("mean", "cov", "loglik"):
         assert_allclose(getattr(alone, part), getattr(found, part)[..., 4], rtol=1e-9, atol=1e-11)
@@ -152,11 +146,11 @@ def test_run_of_a_linear_system_equals_the_recursion_of_its_regressions(linear):
 
 
 def test_steps_of_a_linear_system_equal_its_run(linear):
-    """Predict, expect, correct and forecast with the inputs of their times."""
+    """Predict, expect, correct and forecast."""
     filter, expected = linear
     record, _ = expected.draw(4, seed=5)
-    shown, inputs = on_grid(record)
-    found = filter.run(GRID, shown, inputs=inputs, covariances=True)
+    shown = on_grid(record)
+    found = filter.run(GRID, shown, covariances=True)
     for batch in ((), (4,)):
         state = filter.initial(batch)
         for j, now in enumerate(GRID):
@@ -166,11 +160,9 @@ def test_steps_of_a_linear_system_equal_its_run(linear):
                 assert_allclose(mean, found.mean[j][part], rtol=1e-9, atol=1e-11)
                 continue
             k = PLACES.tolist().index(j)
-            with assigned({u: INPUT[max(k - 1, 0)]}):
-                state = filter.predict(state, now)
-            with assigned({u: INPUT[k]}):
-                moments = filter.expect(state)
-                state = filter.correct(state, value)
+            state = filter.predict(state, now)
+            moments = filter.expect(state)
+            state = filter.correct(state, value)
             matrix, _, noise = expected.sensors[k]
             fit = expected.fits[k]
             square = matrix @ fit.cov @ matrix.T + noise
@@ -194,7 +186,7 @@ def test_gaps_that_the_design_does_not_know_are_skipped_and_nothing_is_claimed_a
     record, _ = expected.draw(3, seed=6)
     record[2, 1, 1] = record[0, 0, 2] = record[4, :, 2] = np.nan
     with pytest.warns(UserWarning, match=r"2 of 3 records have gaps, from 1\.5 on"):
-        found = filter.run(TIMES, record, inputs={u: INPUT}, covariances=True)
+        found = filter.run(TIMES, record, covariances=True)
     first = np.array([9, 2, 0])  # of the gap
     for path in range(3):
         wanted = expected.run(record[..., path])
@@ -208,14 +200,12 @@ def test_gaps_that_the_design_does_not_know_are_skipped_and_nothing_is_claimed_a
             assert_allclose(found.loglik[k, path], loglik, rtol=1e-6, atol=1e-6)
     state, single = filter.initial((3,)), filter.initial()
     for k, now in enumerate(TIMES):
-        with assigned({u: INPUT[max(k - 1, 0)]}):
-            state, single = filter.predict(state, now), filter.predict(single, now)
-        with assigned({u: INPUT[k]}):
-            for part in filter.expect(state)[1:]:
-                claims = ~np.isnan(of_paths(part, 3)).any(axis=(0, 1))
-                assert_array_equal(claims, k <= first)
-            state = filter.correct(state, record[k])
-            single = filter.correct(single, record[k, :, 1])
+        state, single = filter.predict(state, now), filter.predict(single, now)
+        for part in filter.expect(state)[1:]:
+            claims = ~np.isnan(of_paths(part, 3)).any(axis=(0, 1))
+            assert_array_equal(claims, k <= first)
+        state = filter.correct(state, record[k])
+        single = filter.correct(single, record[k, :, 1])
         assert_allclose(state.mean, found.mean[k], rtol=1e-9, atol=1e-11)
         assert_allclose(of_paths(state.cov, 3), found.cov[k], rtol=1e-9)
         assert_allclose(state.loglik, found.loglik[k], rtol=1e-9, atol=1e-11)
@@ -375,20 +365,14 @@ def test_polynomial_forecast_is_its_polynomial_written_out(predictor):
     assert_allclose(single.loglik, found.loglik[..., 0], rtol=1e-8)
 
 
-def test_horizon_and_cycle_of_a_filter():
-    """The nodes after the last measurement; the last two steps of a cycle serve in turn."""
+def test_cycle_of_a_filter():
+    """The last two steps of a cycle serve in turn."""
     times, record = np.array([0.0, 1.0, 1.5, 3.0]), np.random.default_rng(3).normal(size=(8, 1, 2))
     made = synthesize(
-        zoo.linear_gaussian(), Memory(1), Taylor(), times, nodes=1, horizon=3.25,
-        exact_moments=True,
-    )  # fmt: skip
-    assert made.horizon == 3.25
+        zoo.linear_gaussian(), Memory(1), Taylor(), times, nodes=1, exact_moments=True
+    )
+    assert made.horizon == 3.0
     assert made.order == 2
-    state = made.initial((2,))
-    for now, shown in zip(times, record, strict=False):
-        state = made.step(state, now, shown)
-    last = made.node_times[3][-1]
-    assert_allclose(made.forecast(state, last).mean, made.node_fits[3][-1].mean(state.mean))
     turning = replace(made, cycle=2)
     assert turning.horizon == np.inf
     grid = np.array([*times, 3.5, 4.25, 5.0, 5.5, 7.0])

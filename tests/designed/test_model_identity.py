@@ -64,11 +64,10 @@ def switching(exact=0, outlier=0, rare=0, told=0, moves=0, start=0, mean0=0, cov
 
 
 def design(build, **given):
-    system = build(**given)
-    if build is switching:
-        return synthesize(system, Memory(1), Taylor(), [0.0, 1.0, 2.0], paths=300, seed=1,
-                          split=False)  # fmt: skip
-    return synthesize(system, Memory(1), Taylor(), [0.0, 1.0, 2.0], paths=200, seed=1, nodes=0)
+    paths = 300 if build is switching else 200
+    return synthesize(
+        build(**given), Memory(1), Taylor(), [0.0, 1.0, 2.0], paths=paths, seed=1, nodes=0
+    )
 
 
 CHANGES = [
@@ -214,20 +213,3 @@ def test_model_without_a_value_somewhere_is_known_again(tmp_path):
     for other in (system(lambda x: x, factor=0.11), system(abs)):
         with pytest.raises(ValueError, match="its diffusion"):
             load(tmp_path / "f.npz", other)
-
-
-def test_model_with_an_input_is_known_by_what_it_does_with_it(tmp_path):
-    def system(gain):
-        return DiscreteSystem(
-            StochasticMap((a,), [0.8 * a + gain * u + v], Noise((v,))),
-            StochasticMap((a,), [a + u / 5 + w], Noise((w,))), [0], [[1]],
-        )  # fmt: skip
-
-    inputs, times = {u: np.array([0.5, -1.0, 2.0])}, [0, 1, 2]
-    made = synthesize(system(1), Memory(1), Taylor(), times, paths=300, seed=1, inputs=inputs)
-    save(made, tmp_path / "f.npz")
-    y = np.array([[0.3], [1.0], [-0.5]])
-    found = load(tmp_path / "f.npz", system(1)).run(times, y, inputs=inputs)
-    np.testing.assert_array_equal(found.mean, made.run(times, y, inputs=inputs).mean)
-    with pytest.raises(ValueError, match="its dynamics differs"):
-        load(tmp_path / "f.npz", system(1.01))

@@ -2,7 +2,6 @@
 
 import pickle
 from contextlib import nullcontext
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from oracles.switching import SwitchingOracle, merged
 from seedslib import zoo
 from seedslib.base import ELAPSED, Input, assigned
-from seedslib.design import grid_risk, synthesize
+from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
 from seedslib.models import Noise, SwitchingSystem
@@ -39,18 +38,22 @@ TELLS = [[1 / (1 + t), t / (2 + 2 * t), t / (2 + 2 * t)], [0.1, 0.3, 0.6]]
 NOISE = {"mean": [0.2, -0.1], "cov": [[0.5, 0.1], [0.1, 0.3]]}
 
 
-def linear(drives="old", indicator=True):
+def linear(drives="old", indicator=True, course=u):
+    moves, sensors = (
+        [[sympy.sympify(entry).subs(u, course) for entry in row] for row in table]
+        for table in (MOVES, SENSORS)
+    )
     return SwitchingSystem(
-        (x, y), MOVES, Noise((v, w), **NOISE), CHAIN, SENSORS, Noise((p, q), **NOISE), INITIAL,
+        (x, y), moves, Noise((v, w), **NOISE), CHAIN, sensors, Noise((p, q), **NOISE), INITIAL,
         drives=drives, indicator=TELLS if indicator else None, time=t,
     )  # fmt: skip
 
 
-def oracle(drives="old", indicator=True):
+def oracle(drives="old", indicator=True, course=INPUT):
     mean, cov = np.array(NOISE["mean"]), np.array(NOISE["cov"])
 
     def moves(k, i):
-        now, held, span = TIMES[k], INPUT[k], TIMES[k + 1] - TIMES[k]
+        now, held, span = TIMES[k], course[k], TIMES[k + 1] - TIMES[k]
         if i == 0:
             matrix, shift, mix = [[now / 8, span / 2], [-0.25, 0.8]], [held, 0], [[1, 0], [0, 1]]
         else:
@@ -60,7 +63,7 @@ def oracle(drives="old", indicator=True):
         return np.array(matrix), np.array(shift) + mix @ mean, mix @ cov @ mix.T
 
     def sensors(k, i):
-        now, held = TIMES[k], INPUT[k]
+        now, held = TIMES[k], course[k]
         if i == 0:
             matrix, offset, mix = [[1, 1 / 3], [0, now / 5]], [0, held / 2], [[1, 0], [0.5, 1]]
         else:
@@ -80,8 +83,8 @@ def oracle(drives="old", indicator=True):
     return SwitchingOracle(initial, moves, chain, sensors, tells if indicator else None, drives)
 
 
-def data(system, paths=6, gaps=True):
-    found = system.simulate(TIMES, paths, 3, inputs={u: INPUT})
+def data(system, paths=6, gaps=True, **inputs):
+    found = system.simulate(TIMES, paths, 3, **inputs)
     record, shown = np.array(found.measurements), found.indicators
     if gaps:
         record[1, 0, 1] = record[3, :, 2] = record[0, 1, 3] = record[4, :, 0] = np.nan
@@ -110,7 +113,7 @@ def assert_laws(found, path, laws, logliks):
 def test_run_of_a_jump_linear_system_equals_a_bank_of_kalman_filters(rule, drives, indicator):
     """Missing components, measurements and indicators are left out exactly."""
     system, expected = linear(drives, indicator), oracle(drives, indicator)
-    record, shown = data(system)
+    record, shown = data(system, inputs={u: INPUT})
     options = {"inputs": {u: INPUT}, "indicators": shown, "covariances": True}
     filter = SwitchingFilter(system, rule)
     found = filter.run(TIMES, record, **options)
@@ -134,7 +137,7 @@ def test_run_of_a_jump_linear_system_equals_a_bank_of_kalman_filters(rule, drive
 def test_steps_of_a_jump_linear_system_equal_its_run(drives):
     """Predict, forecast and correct with the inputs of their times; and each path its own."""
     system, expected = linear(drives), oracle(drives)
-    record, shown = data(system)
+    record, shown = data(system, inputs={u: INPUT})
     filter = SwitchingFilter(system, Taylor())
     course = INPUT[:, None] + 0.3 * np.arange(6) * (np.arange(6) != 4)
     found = filter.run(TIMES, record, indicators=shown, inputs={u: course}, covariances=True)
@@ -207,13 +210,13 @@ def recall_of(filter, shown):
 @pytest.mark.parametrize("memory", MEMORIES)
 def test_run_with_a_memory_equals_the_corrected_steps_of_theorem_3(memory, drives):
     """Correct, decide, remember, take the cell, forecast: with the arrays of the design."""
-    system, expected = linear(drives), oracle(drives)
-    filter = synthesize(system, memory, Taylor(), TIMES, paths=6000, seed=1, inputs={u: INPUT})
+    system, expected = linear(drives, course=1 - t / 3), oracle(drives, course=1 - TIMES / 3)
+    filter = synthesize(system, memory, Taylor(), TIMES, paths=6000, seed=1)
     record, shown = data(system, gaps=False)
     if memory.measurements:
         record[1, 0, 1] = np.nan  # remembered as what was expected
     with pytest.warns(UserWarning, match="1 of 6") if memory.measurements else nullcontext():
-        found = filter.run(TIMES, record, indicators=shown, inputs={u: INPUT}, covariances=True)
+        found = filter.run(TIMES, record, indicators=shown, covariances=True)
     for path in range(6):
         recall, y = recall_of(filter, shown[:, path]), record[..., path]
         laws, _, logliks = expected.run(
@@ -227,14 +230,11 @@ def test_run_with_a_memory_equals_the_corrected_steps_of_theorem_3(memory, drive
         if not gap:
             assert_allclose(found.cov[-1, ..., path], cov, rtol=1e-8, atol=1e-10)
     assert filter.order == memory.order(2, 2, 2) + memory.estimates + memory.indicators
-    single = filter.run(TIMES, record[..., 2], indicators=shown[:, 2], inputs={u: INPUT})
+    single = filter.run(TIMES, record[..., 2], indicators=shown[:, 2])
     assert_allclose(single.mean, found.mean[..., 2], rtol=1e-10)
     state = filter.initial((6,))
     for k, now in enumerate(TIMES):
-        with assigned({u: INPUT[max(k - 1, 0)]}):
-            state = filter.predict(state, now)
-        with assigned({u: INPUT[k]}):
-            state = filter.correct(state, record[k], shown[k])
+        state = filter.correct(filter.predict(state, now), record[k], shown[k])
         assert_allclose(state.mean, found.mean[k], rtol=1e-11)
         assert_allclose(filter.report(state).cov, found.cov[k], rtol=1e-9, atol=1e-12)
         assert_allclose(state.loglik, found.loglik[k], rtol=1e-11, atol=1e-12)
@@ -371,32 +371,3 @@ def test_fits_of_ones_own_forecast():
     assert_array_equal(foreign.run(times, record).mean, made.run(times, record).mean)
     none = made.run(times, record[..., :0])
     assert none.mean.shape == (4, 1, 0)
-
-
-def test_risk_with_an_input_is_that_of_the_input_as_a_function_of_time():
-    """Without random numbers, and on paths; the input of a step acts in the step after it."""
-    times, values = np.array([2.0, 2.5, 3.0, 3.5]), [0.7, -1.5, 1.0, 0.4]
-    course = sympy.Piecewise(*((c, t < s) for c, s in zip(values, times[1:], strict=False)),
-                             (values[-1], True))  # fmt: skip
-
-    def system(u):
-        return SwitchingSystem(
-            (x,), [[x / 2 + u + v], [0.8 * x - u / 2 + v / 2]], Noise((v,)),
-            [[0.8, 0.2], [0.3, 0.7]], [[x + u / 4 + w], [x - u / 3 + w]], Noise((w,)),
-            [(0.6, [0], [[1]]), (0.4, [1], [[1]])], time=t,
-        )  # fmt: skip
-
-    inputs, axes = {u: np.array(values)}, {"x": (-7, 7, 57), "z": (-6, 6, 49), "y": (-10, 10, 81)}
-    filter = synthesize(system(u), Memory(1), Taylor(), times, paths=3000, seed=1, inputs=inputs)
-    told = grid_risk(filter, **axes, inputs=inputs)
-    written = replace(filter, system=system(course), rules=None)
-    wanted = grid_risk(written, **axes)
-    assert_allclose(told.mse, wanted.mse, rtol=1e-9)
-    assert_allclose(told.mode_error, wanted.mode_error, rtol=1e-9)
-    data = system(u).simulate(times, 20_000, 5, inputs=inputs)
-    found = filter.run(times, data.measurements, inputs=inputs)
-    square = (found.mean - data.states)[:, 0] ** 2
-    error = square.std(axis=1) / 20_000**0.5
-    assert (np.abs(square.mean(axis=1) - told.mse) < 4 * error + 0.01 * told.mse).all()
-    wrong = (found.modes != data.modes).mean(axis=1)
-    assert (np.abs(wrong - told.mode_error) < 4 * 0.5 / 20_000**0.5 + 0.005).all()

@@ -325,7 +325,7 @@ def test_forecast_with_dependent_noises_by_quadrature(split):
     rng = np.random.default_rng(9)
     law = random_law(rng, 1, 2, 3)._replace(cov=rng.uniform(0.2, 1.5, (1, 1, 2, 3)))
     rule = GaussHermite(60) if split else ExactGaussian()
-    found = SwitchingRules(DEPENDENT, rule, split=split).predict(0.0, law)
+    found = SwitchingRules(DEPENDENT, rule).predict(0.0, law)
     assert found.prob.shape == (2, 2 if split else 1, 3)
     for l, g, path in np.ndindex(*found.prob.shape):
         total = np.zeros(3)

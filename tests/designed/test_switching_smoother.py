@@ -194,15 +194,13 @@ def test_state_that_moves_its_modes_and_the_indicator_is_near_the_law_on_a_grid(
     laws /= laws.sum(axis=(1, 2), keepdims=True)
     mean, square = (np.einsum("kiap,a->kp", laws, grid**n)[:, None] for n in (1, 2))
     exact = laws.sum(axis=2), mean, (square - mean**2)[:, None]
-    for split in (False,) if blind else (False, True):
-        rule = ExactGaussian() if blind else GaussHermite(9)
-        filter = SwitchingFilter(system, rule, split=split)
-        prob, error = distance(smooth(filter, times, y, indicators=shown), exact)
-        assert prob < (0.01 if blind else 0.0135 if split else 0.016)
-        assert error < 0.09
-        before = distance(filter.run(times, y, indicators=shown), exact)
-        assert before[0] > 4 * prob
-        assert before[1] > 4 * error
+    filter = SwitchingFilter(system, ExactGaussian() if blind else GaussHermite(9))
+    prob, error = distance(smooth(filter, times, y, indicators=shown), exact)
+    assert prob < (0.01 if blind else 0.0135)
+    assert error < 0.09
+    before = distance(filter.run(times, y, indicators=shown), exact)
+    assert before[0] > 4 * prob
+    assert before[1] > 4 * error
 
 
 X, V, W = sympy.symbols("x v w", real=True)

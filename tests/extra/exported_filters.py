@@ -172,9 +172,8 @@ def schedule(columns=2):
 EULER, CONTINUOUS = {"integrator": "euler", "step": 0.03}, {"predictor": Continuous()}
 ENDLESS = {"times": 0.5 * np.arange(13.0), "lasting": {"cycle": 4}}
 SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}}
-PART = {"components": 1, "horizon": 5.1, "between": "piecewise constant"}
+PART = {"components": 1, "between": "piecewise constant"}
 SCHEDULE = {"measured": schedule()}
-WHOLE = {"split": False}
 LASTING_TABLE = {"steps": 8, "lasting": {"tolerance": 1.0}}
 LASTING_MODES = {"times": np.arange(12.0), "lasting": {"cycle": 2}}
 old, new = partial(driven, "old"), partial(driven, "new")
@@ -202,15 +201,14 @@ FILTERS = {
     # designed
     "affine": (design, kicked, Memory(2, 1), ExactGaussian(), {"nodes": 2}),
     "affine, part of the state": (design, kicked, finite_memory(2), Taylor(), PART),
-    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
     "affine, points": (design, kicked, Memory(2), Unscented(), {"between": "constant"}),
     "affine, many points": (design, cart, Memory(1), GaussHermite(9), {}),
     "polynomial": (design, kicked, Memory(1), Taylor(), {"predictor": Polynomial(3, 2)}),
     "polynomial means": (design, kicked, Memory(2, 1), Taylor(), {"predictor": Polynomial(2, 0)}),
-    "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS | {"horizon": 5.1}),
+    "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS),
     "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
     "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
-    "measured nodes": (design, kicked, Memory(2), Taylor(), {"measured_nodes": True}),
+    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
     "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
     "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),
@@ -221,14 +219,13 @@ FILTERS = {
     "IMM, old mode": (SwitchingFilter, jumping, Taylor(), {}),
     "IMM, new mode": (SwitchingFilter, partial(jumping, "new"), Taylor(), {}),
     "IMM, no indicator": (SwitchingFilter, partial(old, told=False), ExactGaussian(), {}),
-    "IMM, old mode, moved by the state": (SwitchingFilter, old, Taylor(), WHOLE),
-    "IMM, new mode, moved by the state": (SwitchingFilter, new, Taylor(), WHOLE),
+    "IMM, old mode, moved by the state": (SwitchingFilter, old, Taylor(), {}),
+    "IMM, new mode, moved by the state": (SwitchingFilter, new, Taylor(), {}),
     "IMM, old mode, split": (SwitchingFilter, shrinking, Taylor(), {}),
-    "modes and measurements": (design, old, Memory(1, 2), Taylor(), WHOLE),
-    "modes and log-odds": (design, new, Memory(2, 0, 2, log_odds=True), Taylor(), WHOLE),
+    "modes and measurements": (design, old, Memory(1, 2), Taylor(), {}),
+    "modes and log-odds": (design, new, Memory(2, 0, 2, log_odds=True), Taylor(), {}),
     "modes of measurements": (design, unmarked, finite_memory(2), Taylor(), {"paths": 2000}),
-    "modes on a schedule": (design, old, Memory(1), Taylor(), WHOLE | {"measured": schedule(3)}),
-    "stationary modes": (design, old, large_order(2), Taylor(), WHOLE | LASTING_MODES),
+    "stationary modes": (design, old, large_order(2), Taylor(), LASTING_MODES),
     "table of modes": (mode_tables, zoo.scalar_switching, large_order(1), {"probabilities": True}),
     "table with indicator": (mode_tables, zoo.manoeuvring_target, large_order(1), {}),
     "table of indicators": (mode_tables, zoo.manoeuvring_target, Memory(1, 0, 1), {}),

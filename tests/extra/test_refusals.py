@@ -72,7 +72,6 @@ EXPORTS = [
     (lambda: to_c(SwitchingFilter(shrinking(), Taylor(), **PRINTED)), ValueError, "normalisation"),
     (lambda: to_c(kalman(cov0=np.zeros((2, 2)), diffuse=(0, 1))), ValueError, "system"),
     (lambda: to_c(kalman(lambda t: np.eye(2), cov0=np.eye(2))), ValueError, "system"),
-    (lambda: to_c(extended_kalman(FLIP, integrator="adaptive")), ValueError, "integrator"),
     (lambda: to_c(design(system=FLIP).forecasting("linear")), ValueError, "between"),
     (lambda: to_c(design(times=[0.0])), TypeError, "predictor"),
     (lambda: to_c(design(memory=Late(1))), TypeError, "memory"),

@@ -71,8 +71,6 @@ ROWS = [
     (lambda: extended_kalman(growth(), integrator="heun"), ValueError, "integrator"),
     (lambda: extended_kalman(growth(), step=0.0), ValueError, "step"),
     (lambda: extended_kalman(growth(), bound=-1), ValueError, "bound"),
-    (lambda: extended_kalman(growth(), rtol=-1), ValueError, "rtol"),
-    (lambda: extended_kalman(growth(), atol=-1), ValueError, "atol"),
     (lambda: KalmanFilter(growth()), TypeError, "system"),
     (lambda: ParticleFilter(object()), TypeError, "system"),
     (lambda: ParticleFilter(SQUARED), ValueError, "system"),

@@ -74,7 +74,7 @@ def test_small_covariances_are_those_of_the_slopes(values):
     """To first order of the variance, which is all there is: cov = J P J'."""
     slope = sympy.Matrix(values).jacobian((x, y)).subs({x: MEAN[0], y: MEAN[1]})
     slope = np.array(slope.evalf(25).tolist(), dtype=float)
-    for size, accuracy in ((1e-10, 1e-8), (1e-17, 1e-14)):
+    for size, accuracy in ((1e-10, 1e-8), (1e-17, 1e-14), (1e-30, 1e-14)):
         exact = slope @ (size * COV) @ slope.T
         scale = np.sqrt(np.outer(exact.diagonal(), exact.diagonal()))
         assert (abs(moments(values, MEAN, size * COV).cov - exact) <= accuracy * scale).all()

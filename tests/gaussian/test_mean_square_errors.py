@@ -86,7 +86,7 @@ def test_errors_of_a_smooth_function_match_nested_quadrature(f):
 def test_errors_match_simulation(f, share):
     rng = np.random.default_rng(12)
     mean, cov, error_cov = random_case(rng, 2, share)
-    draws = 100_000
+    draws = 20_000 if f in SWITCHED else 100_000
     xhat = mean[:, None] + np.linalg.cholesky(cov - error_cov) @ rng.normal(size=(2, draws))
     state = xhat + np.linalg.cholesky(error_cov) @ rng.normal(size=(2, draws))
     found = mean_square_errors(f, [x, y])(mean, cov, error_cov)
@@ -227,7 +227,7 @@ def test_errors_far_from_the_kink_are_those_of_the_polynomial_there(mean):
     law = [mean], [[1.0]], [[0.3]]
     for f, smooth in ((abs(x), x), (x * abs(x), x**2), (sp.Max(x, 0) ** 2, x**2)):
         errors, known = (mean_square_errors(g, [x])(*law) for g in (f, smooth))
-        assert errors == pytest.approx(known, rel=1e-13)
+        assert_allclose(errors, known, rtol=max(1e-13, 1e-15 * mean))  # a rounding of the state
 
 
 def test_errors_of_both_sides_of_a_plane_at_once():

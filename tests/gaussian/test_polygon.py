@@ -12,12 +12,10 @@ from oracles import polygon_reference
 from seedslib.gaussian import interval, pad_regions, polygon
 
 KNOWN = json.loads(Path(polygon_reference.__file__).with_suffix(".json").read_text())
-EXTREME = {
-    name for name in KNOWN
-    if any(part in name for part in ("strip", "needle", "huge", "thin", "1e-10", "1e-12", "1e-14"))
-} | {f"random {k}" for k in (0, 3, 5, 6, 7, 9, 20, 21, 22, 24, 29, 30, 33)}  # fmt: skip
+ABSURD = "strip", "needle", "huge", "thin", "1e-10", "1e-12", "1e-14", "1e8"
+EXTREME = {name for name in KNOWN if any(part in name for part in ABSURD)}
+EXTREME |= {f"random {k}" for k in (0, 3, 5, 6, 7, 9, 20, 21, 22, 24, 29, 30, 33)}
 """A rounding of a vertex or of the law changes the moments in the twelfth digit or before."""
-ROUTES = [{}, {"tolerance": 0.0}]  # by the closed form where it is good enough, by quadrature
 
 UNIT = np.eye(2)
 TILTED = np.array([[1.0, 0.3], [0.3, 1.0]])
@@ -51,10 +49,9 @@ def largest_error(found, case):
 
 
 @pytest.mark.parametrize("name", KNOWN)
-@pytest.mark.parametrize("route", ROUTES)
-def test_polygon_against_fifty_digits(name, route):
+def test_polygon_against_fifty_digits(name):
     case = KNOWN[name]
-    found = polygon(case["mean"], case["cov"], case["vertices"], rays=case["rays"], **route)
+    found = polygon(case["mean"], case["cov"], case["vertices"], rays=case["rays"])
     assert largest_error(found, case) < (1e-6 if name in EXTREME else 1e-13)
 
 
@@ -85,19 +82,21 @@ def star_polygons(kind, size, rng):
 @pytest.mark.parametrize(
     "kind", ["any", "slender", "vertex at the mean", "edge at the mean", "nearly singular"]
 )
-def test_both_routes_agree_and_give_a_law_inside_the_polygon(kind):
+def test_either_component_first_gives_the_same_law_inside_the_polygon(kind):
     rng = np.random.default_rng(sum(map(ord, kind)))
     for _ in range(5):
         mean, cov, vertices = star_polygons(kind, 200, rng)
         found = polygon(mean, cov, vertices)
-        slow = polygon(mean, cov, vertices, tolerance=0.0)
-        likely = slow.log_mass > -1e4
-        sd = np.sqrt(np.array([slow.cov[0, 0], slow.cov[1, 1]]))
-        of_mean = np.abs(found.mean - slow.mean) - 4 * np.spacing(np.abs(slow.mean))
-        of_cov = np.abs(found.cov - slow.cov) / (sd[:, None] * sd)
-        assert (np.abs(found.log_mass - slow.log_mass)[likely] < 2e-12).all()
-        assert ((of_mean / sd)[:, likely] < 2e-12).all()
-        assert (of_cov[..., likely] < 2e-12).all()
+        other = polygon(mean[::-1], cov[::-1, ::-1], vertices[:, ::-1])  # panels across the other
+        swapped = other.mean[::-1], other.cov[::-1, ::-1]
+        likely = other.log_mass > -1e4
+        sd = np.sqrt(np.array([found.cov[0, 0], found.cov[1, 1]]))
+        of_mean = np.abs(found.mean - swapped[0]) - 4 * np.spacing(np.abs(found.mean))
+        of_cov = np.abs(found.cov - swapped[1]) / (sd[:, None] * sd)
+        bound = {"slender": 1e-9, "nearly singular": 1e-8}.get(kind, 2e-12)
+        assert (np.abs(found.log_mass - other.log_mass)[likely] < bound).all()
+        assert ((of_mean / sd)[:, likely] < bound).all()
+        assert (of_cov[..., likely] < bound).all()
         low, high = vertices.min(axis=0), vertices.max(axis=0)
         margin = 1e-12 * (high - low) + 4 * np.spacing(np.abs(vertices).max(axis=0))
         assert (found.mean >= low - margin).all()
@@ -130,30 +129,29 @@ LAWS = {
 
 
 @pytest.mark.parametrize("law", LAWS)
-@pytest.mark.parametrize("route", ROUTES)
-def test_cells_of_a_partition_of_the_plane_sum_to_the_law(law, route):
+def test_cells_of_a_partition_of_the_plane_sum_to_the_law(law):
     rng = np.random.default_rng(11)
     cov = LAWS[law]
     for sectors in (3, 4, 5, 8):
         mean, about = rng.normal(size=2), np.array([0.5, -1.0])
         cells = [
-            polygon(mean, cov, vertices, about, rays=rays, **route)
+            polygon(mean, cov, vertices, about, rays=rays)
             for vertices, rays in partition(rng, sectors)
         ]
-        np.testing.assert_allclose(sum(c.mass for c in cells), 1.0, rtol=1e-13)
-        np.testing.assert_allclose(sum(c.first for c in cells), mean, atol=1e-13)
+        bound = 1e-11 if law == "nearly singular" else 1e-13
+        np.testing.assert_allclose(sum(c.mass for c in cells), 1.0, rtol=bound)
+        np.testing.assert_allclose(sum(c.first for c in cells), mean, atol=bound)
         exact = cov + np.outer(mean - about, mean - about)
-        np.testing.assert_allclose(sum(c.second for c in cells), exact, atol=1e-13)
+        np.testing.assert_allclose(sum(c.second for c in cells), exact, atol=bound)
 
 
-@pytest.mark.parametrize("route", ROUTES)
 @pytest.mark.parametrize("angle", [0.0, 0.4, 2.0, 3.9])
 @pytest.mark.parametrize("offset", [-2.0, 0.0, 3.0, 25.0])
-def test_half_plane_is_an_interval_across_it(angle, offset, route):
+def test_half_plane_is_an_interval_across_it(angle, offset):
     mean, cov = np.array([0.5, -0.3]), np.array([[1.3, 0.4], [0.4, 0.6]])
     normal = np.array([np.cos(angle), np.sin(angle)])
     along = np.array([normal[1], -normal[0]])  # the region, normal . x > offset, on the left
-    found = polygon(mean, cov, [offset * normal], rays=[-3e4 * along, 1e-3 * along], **route)
+    found = polygon(mean, cov, [offset * normal], rays=[-3e4 * along, 1e-3 * along])
     var = normal @ cov @ normal
     line = interval(normal @ mean, var, offset, np.inf)
     gain = cov @ normal / var
@@ -178,14 +176,13 @@ def test_boxes_are_products_of_intervals():
     assert (np.abs(found.cov[0, 1]) < 1e-12 * np.sqrt(sides[0].cov * sides[1].cov)).all()
 
 
-@pytest.mark.parametrize("route", ROUTES)
-def test_first_vertex_orientation_and_padding_do_not_matter(route):
+def test_first_vertex_orientation_and_padding_do_not_matter():
     mean = [0.4, 0.1]
-    one = polygon(mean, TILTED, CHEVRON, **route)
+    one = polygon(mean, TILTED, CHEVRON)
     padded = np.repeat(CHEVRON, [1, 3, 1, 2, 4], axis=0)
     finer = np.insert(CHEVRON, 1, 0.25 * CHEVRON[0] + 0.75 * CHEVRON[1], axis=0)
     for vertices in (np.roll(CHEVRON, 2, axis=0), CHEVRON[::-1], padded, padded[::-1], finer):
-        other = polygon(mean, TILTED, vertices, **route)
+        other = polygon(mean, TILTED, vertices)
         np.testing.assert_allclose(other.log_mass, one.log_mass, atol=3e-15)
         np.testing.assert_allclose(other.mean, one.mean, atol=1e-14)
         np.testing.assert_allclose(other.cov, one.cov, atol=1e-14)
@@ -210,18 +207,17 @@ def test_batches_of_laws_and_padded_regions_equal_single_calls():
         assert polygon([0, 0], UNIT, np.zeros((4, 2, *shape))).cov.shape == (2, 2, *shape)
 
 
-@pytest.mark.parametrize("route", ROUTES)
-def test_large_batches_and_batches_of_unlike_regions(route):
-    size = 2500 if route else 9000
+def test_large_batches_and_batches_of_unlike_regions():
+    size = 9000
     mean = np.stack([np.linspace(-3, 3, size), np.zeros(size)])
-    found = polygon(mean, UNIT, SQUARE, **route)
-    one = polygon(mean[:, -1], UNIT, SQUARE, **route)
+    found = polygon(mean, UNIT, SQUARE)
+    one = polygon(mean[:, -1], UNIT, SQUARE)
     np.testing.assert_allclose(found.cov[..., -1], one.cov, rtol=1e-13)
     # bounded and unbounded ones together
     vertices = np.stack([box(0, 1, 0, 1), np.repeat([[1.0, 0.0]], 4, axis=0)], axis=-1)
     rays = np.zeros((2, 2, 2))
     rays[:, :, 1] = [[0.0, 1.0], [1.0, 0.0]]
-    found = polygon([0, 0], UNIT, vertices, rays=rays, **route)
+    found = polygon([0, 0], UNIT, vertices, rays=rays)
     inside, beyond = interval(0, 1, 0, 1).mass, interval(0, 1, 1, np.inf).mass
     np.testing.assert_allclose(found.mass, [inside**2, beyond / 2], rtol=1e-14)
 
@@ -270,7 +266,7 @@ def test_law_on_a_line_is_a_sum_of_intervals(direction):
 def test_law_on_a_line_over_unbounded_regions():
     cov = np.ones((2, 2))
     found = polygon([0.3, 0.4], cov, [[0.0, 0.0]], rays=[[0, 1], [1, 0]])
-    np.testing.assert_allclose(found.mass, interval(0.3, 1.0, 0.0, np.inf).mass, rtol=1e-14)
+    np.testing.assert_allclose(found.mass, interval(0.3, 1.0, 0.0, np.inf).mass, rtol=1e-13)
     for rays, mass in (([[-1, -1], [1, 1]], 0.0), ([[1, 1], [-1, -1]], 1.0)):
         assert polygon([0.3, 0.4], cov, [[-1.0, 5.0]], rays=rays).mass == mass
 
@@ -293,56 +289,78 @@ def test_points_and_lines_on_an_edge_belong_to_one_cell():
 # Ends of the range, and what is no polygon
 
 
-@pytest.mark.parametrize("route", ROUTES)
-def test_region_beyond_all_exponents_has_no_mass(route):
-    found = polygon([0, 0], 1e-60 * UNIT, [[1, -1], [3, -1], [3, 1]], **route)
+def test_region_beyond_all_exponents_has_no_mass():
+    found = polygon([0, 0], 1e-60 * UNIT, [[1, -1], [3, -1], [3, 1]])
     assert found.log_mass == -np.inf
     assert np.isnan(found.mean).all()
     np.testing.assert_array_equal(found.first, [0.0, 0.0])
-    sure = polygon([0, 0], 1e-60 * UNIT, [[-1, -1], [3, -1], [1, 3]], **route)
+    sure = polygon([0, 0], 1e-60 * UNIT, [[-1, -1], [3, -1], [1, 3]])
     np.testing.assert_allclose(sure.cov, 1e-60 * UNIT, rtol=1e-13, atol=1e-75)
 
 
-def test_distant_vertices_are_like_rays_or_refused():
+def test_distant_vertices_are_like_rays():
     limit = polygon([0, 0], TILTED, [[0.3, 0.7]], rays=[[1, 2], [1, -0.3]])
-    for size in (1e12, 1e15):
+    for size in (1e12, 1e15, 1e30):
         wedge = polygon([0, 0], TILTED, [[0.3, 0.7], [size, -0.3 * size], [size, 2 * size]])
         np.testing.assert_allclose(wedge.log_mass, limit.log_mass, atol=3 / size + 1e-13)
-    with pytest.raises(ValueError, match="vertices"):
-        polygon([0, 0], TILTED, [[0.3, 0.7], [1e30, -3e29], [1e30, 2e30]])
+        np.testing.assert_allclose(wedge.mean, limit.mean, atol=3 / size + 1e-13)
+        np.testing.assert_allclose(wedge.cov, limit.cov, atol=3 / size + 1e-13)
 
 
-REFUSED = {
+CROSSED = {
     "bow tie": [[0, 0], [1, 1], [1, 0], [0, 1]],
-    "touching vertex": [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],
+    "plus": [[0, 1], [3, 1], [3, 3], [2, 3], [2, 0], [0, 0]],
     "pentagram": [[0, 3], [2, -2], [-3, 1], [3, 1], [-2, -2]],
-    "vertex twice": [[0, 0], [1, 1], [2, 0], [2, 3], [1, 1], [0, 3]],
-    "edge twice": [[0, 0], [2, 0], [2, 1], [3, 1], [3, 0], [1, 0], [1, -1]],
+}
+FLAT = {
     "two vertices": [[0, 0], [1, 1]],
     "one vertex": [[1, 1]],
     "repeated": [[0, 0], [1, 1], [1, 1], [0, 0]],
     "no area": [[0, 0], [1, 1], [3, 3]],
-    "spike": [[0, 0], [2, 0], [1, 0], [1, 1]],
-    "slit of width zero": [[0, 0], [3, 0], [3, 3], [1, 1], [2, 2], [0, 3]],
 }
-REFUSED_RAYS = [
-    ([[0, 0]], [[1, 0], [1, 0]]),
+TOUCHING = {  # and the simple parts that an odd number of edges separates from infinity
+    "vertex twice": (
+        [[0, 0], [1, 1], [2, 0], [2, 3], [1, 1], [0, 3]],
+        [[[0, 0], [1, 1], [0, 3]], [[2, 0], [2, 3], [1, 1]]],
+    ),
+    "vertex on an edge": (
+        [[0, 0], [2, 0], [2, 2], [1, 0], [0, 2]],
+        [[[0, 0], [1, 0], [0, 2]], [[1, 0], [2, 0], [2, 2]]],
+    ),
+    "spike": ([[0, 0], [2, 0], [1, 0], [1, 1]], [[[0, 0], [1, 0], [1, 1]]]),
+    "slit of width zero": (
+        [[0, 0], [3, 0], [3, 3], [1, 1], [2, 2], [0, 3]],
+        [[[0, 0], [3, 0], [3, 3], [2, 2], [0, 3]]],
+    ),
+}
+CROSSED_RAYS = [
     ([[0, 0], [0, 1]], [[1, 1], [1, -1]]),
-    ([[0, 0], [0, 1]], [[1, 1e-9], [1, -1e-9]]),
     ([[0, 1], [0, 0], [2, 0]], [[1, 0], [0, 1]]),
-    ([[0, 0], [1, 0], [-1, 0]], [[0, 1], [0, -1]]),
 ]
 
 
-def test_region_whose_boundary_is_no_simple_curve_is_refused():
-    for vertices in REFUSED.values():
+def test_boundary_that_crosses_itself_or_has_no_area_is_refused():
+    for vertices in (*CROSSED.values(), *FLAT.values()):
         for given in (np.array(vertices), np.array(vertices[::-1]) * 1e-9 + 5.0):
             with pytest.raises(ValueError, match="polygon"):
                 polygon([0, 0], UNIT, given)
-    for vertices, rays in REFUSED_RAYS:
+    for vertices in CROSSED.values():
+        with pytest.raises(ValueError, match="cross"):
+            polygon([0, 0], np.ones((2, 2)), vertices)
+    for vertices, rays in [*CROSSED_RAYS, ([[0, 0]], [[1, 0], [1, 0]])]:
         with pytest.raises(ValueError, match="polygon"):
             polygon([0, 0], UNIT, vertices, rays=rays)
     batch = np.repeat(box(0, 1, 0, 1)[:, :, None, None], 3, axis=2)
-    batch[:, :, 2, 0] = REFUSED["bow tie"]
-    with pytest.raises(ValueError, match=r"\(2, 0\)"):
+    batch[:, :, 2, 0] = CROSSED["bow tie"]
+    with pytest.raises(ValueError, match="cross"):
         polygon([0, 0], UNIT, batch)
+
+
+@pytest.mark.parametrize("name", TOUCHING)
+def test_boundary_that_touches_itself_bounds_the_sum_of_its_parts(name):
+    whole, parts = TOUCHING[name]
+    found = polygon([0.3, 0.6], TILTED, whole, about=[0.2, 0.1])
+    pieces = [polygon([0.3, 0.6], TILTED, part, about=[0.2, 0.1]) for part in parts]
+    for moment in ("mass", "first", "second"):
+        total = sum(getattr(piece, moment) for piece in pieces)
+        np.testing.assert_allclose(getattr(found, moment), total, rtol=1e-12)

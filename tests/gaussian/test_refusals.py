@@ -7,7 +7,6 @@ import sympy as sp
 from seedslib.gaussian import (
     abs_errors,
     abs_moments,
-    approximate_errors,
     bivariate_normal_cdf,
     cubature,
     elevation_moments,
@@ -105,8 +104,7 @@ REFUSALS = [
     (lambda: bivariate_normal_cdf(0, 0, 1.1), ValueError, "rho"),
     (lambda: forms.linear_mean(np.ones((2, 3)), ZERO, EYE), ValueError, "A"),
     (lambda: forms.quadratic_errors(np.eye(3), ZERO, EYE, EYE), ValueError, "A"),
-    (lambda: forms.quartic_errors(EYE, EYE, ZERO, EYE, 2 * EYE), ValueError, "error_cov"),
-    (lambda: approximate_errors(sp.log(x), [x])([0.0], [[1.0]], [[0.5]]), ValueError, "f"),
+    (lambda: forms.quadratic_errors(EYE, ZERO, EYE, 2 * EYE), ValueError, "error_cov"),
     (lambda: hermite_expansion(sp.sin(x), [x], [0], [[1]], [[1]], degree=80), ValueError, "degree"),
     # rules
     (lambda: gauss_hermite(True, 3), TypeError, "n"),
@@ -136,7 +134,6 @@ REFUSALS = [
     (lambda: over(rays=[[1.0, 0.0]]), ValueError, "rays"),
     (lambda: over(rays=[[1.0, 0.0], [0.0, 0.0]]), ValueError, "rays"),
     (lambda: over(about=np.zeros(3)), ValueError, "about"),
-    (lambda: over(tolerance=-1.0), ValueError, "tolerance"),
     (lambda: pad_regions([]), ValueError, "regions"),
     (lambda: pad_regions([TRIANGLE, [[1.0, 2.0, 3.0]]]), ValueError, "regions[1]"),
     (lambda: pad_regions([TRIANGLE, np.zeros((0, 2))]), ValueError, "regions[1]"),
@@ -145,7 +142,6 @@ REFUSALS = [
     (lambda: lifted(cov=[[1.0, 2.0], [2.0, 1.0]]), ValueError, "cov"),
     (lambda: lifted(np.zeros((2, 3)), np.zeros((2, 2, 4))), ValueError, "cov"),
     (lambda: lifted(about=[1.0, 2.0, 3.0]), ValueError, "about"),
-    (lambda: lift(lifted(np.zeros(3), np.eye(3)), np.zeros(4), np.eye(4)), ValueError, "moments"),
 ]
 
 

@@ -15,7 +15,6 @@ from seedslib.models import (
     JumpDiffusion,
     Noise,
     PlaneChain,
-    PlaneModes,
     StochasticMap,
     SwitchingChain,
     SwitchingSystem,
@@ -260,7 +259,7 @@ def test_modes_in_the_plane_move_with_the_moments_of_their_maps(drives):
         [[a + w], [b + w]], Noise((w,)), [(0.7, [0, 0], np.eye(2)), (0.3, [1, 0], np.eye(2))],
         drives=drives, time=t,
     )  # fmt: skip
-    chain = PlaneModes(system, [(-5, 5, 31), (-5, 5, 31)])
+    chain = SwitchingChain(system, [(-5, 5, 31), (-5, 5, 31)])
     count = chain.nodes.shape[1]
     start = chain.start().reshape(2, -1)
     np.testing.assert_allclose(start.sum(axis=1), [0.7, 0.3])

@@ -5,7 +5,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.models import DiscreteSystem, Noise, StochasticMap, inputs_of
+from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem, inputs_of
 from systems import INPUTS, TIMES, discrete_system
 
 GRID = np.arange(6.0)
@@ -54,6 +54,21 @@ def test_numbers_depend_neither_on_threads_nor_on_how_many_paths_follow(name):
     blocks = whole.states[..., :300], whole.states[..., 8192:]
     assert not np.isclose(*blocks).any(axis=(0, 1)).all()
     assert not np.array_equal(made(3, seed=8).states, whole.states[..., :3])
+
+
+def test_a_full_initial_covariance_gives_equal_bits_in_runs_of_any_size():
+    x, v, w = (sympy.symbols(f"{name}1:4", real=True) for name in "xvw")
+    root = np.array([[1.1, 0, 0], [0.7, 1.3, 0], [-0.4, 0.9, 0.8]])
+    start = [(0.5, [0.1, 0.2, 0.3], root @ root.T)] * 2
+    system = SwitchingSystem(
+        x, [[a + b for a, b in zip(x, v, strict=True)]] * 2, Noise(v, cov=root @ root.T),
+        [[0.5, 0.5]] * 2, [[a + b for a, b in zip(x, w, strict=True)]] * 2, Noise(w), start,
+    )  # fmt: skip
+    whole = system.simulate(range(2), 1000, 3)
+    for paths in (1, 2, 3, 17, 300):
+        part = system.simulate(range(2), paths, 3)
+        np.testing.assert_array_equal(part.states, whole.states[..., :paths])
+        np.testing.assert_array_equal(part.measurements, whole.measurements[..., :paths])
 
 
 def test_a_seed_may_be_a_number_a_sequence_or_a_generator():

@@ -53,14 +53,9 @@ class FiniteOrderOracle:
     components : int
         How many of the state are estimated.
     measured : array of bool, shape (K + 1, m)
-    measured_nodes : bool
-        Whether the forecasts for the nodes see the last measurement directly.
     """
 
-    def __init__(
-        self, mean0, cov0, moves, sensors, estimates, measurements, components, measured,
-        measured_nodes=False,
-    ):  # fmt: skip
+    def __init__(self, mean0, cov0, moves, sensors, estimates, measurements, components, measured):
         n, m = len(mean0), len(sensors[0][1])
         pieces = [piece for part in moves for piece in part]
         size = 1 + n + n * len(pieces) + m * len(sensors)
@@ -96,8 +91,7 @@ class FiniteOrderOracle:
             self.errors.append(estimate.cov)
             remembered = np.where(seen[:, None], y, expected)
             past = [z, *past[0]][:estimates], [remembered, *past[1]][:measurements]
-            given = [*past[0], *past[1], *([remembered] if measured_nodes else [])]
-            given, row = np.concatenate(given), []
+            given, row = np.concatenate([*past[0], *past[1]]), []
             for piece in moves[k][:-1] if k < len(moves) else []:
                 x = self._moved(x, piece, noise, one)
                 row.append(regress(x[:components], given))
@@ -134,7 +128,7 @@ class FiniteOrderOracle:
             loglik -= 0.5 * np.linalg.slogdet(2 * np.pi * square)[1] if here.any() else 0.0
             remembered = np.where(here, y[k], expected)
             past = [z, *past[0]][: self.keeps[0]], [remembered, *past[1]][: self.keeps[1]]
-            given = np.concatenate([*past[0], *past[1], remembered])
-            nodes = [f.gain @ given[: f.gain.shape[1]] + f.offset for f in self.node_fits[k]]
+            given = np.concatenate([*past[0], *past[1]])
+            nodes = [f.gain @ given + f.offset for f in self.node_fits[k]]
             found.append((z, rest, loglik, nodes))
         return found

@@ -1,90 +1,40 @@
 """Piecewise-linear systems: cells, coefficients, tangents of functions, maps and simulation."""
 
-from dataclasses import replace
-from itertools import combinations
-
 import numpy as np
 import pytest
 import sympy as sp
 from scipy.stats import multivariate_normal
 
 from oracles.piecewise import TIMES, line_parts, plane_system, tent, wave
-from seedslib.models import Noise
-from seedslib.piecewise import PiecewiseLinearFilter, PiecewiseLinearSystem, examples, line_cells
+from seedslib.piecewise import PiecewiseLinearFilter, PiecewiseLinearSystem, line_cells
+from seedslib.zoo import falling_body
 
 INF = np.inf
 X, Z, V, W, T, U = sp.symbols("x z v w t u")
 
 
-def plain(regions, count, size=2):
-    """A system of these cells, of which only the cells matter."""
-    return PiecewiseLinearSystem(
-        regions, (np.zeros(size), np.eye(size)), ([0.0], np.ones((1, size))), [[1.0]],
-        0.1 * np.ones(size), np.eye(size),
-    )  # fmt: skip
-
-
 # ---------------------------------------------------------------- cells
 
 
-def test_intervals_are_half_open_and_may_be_given_as_pairs():
-    pairs = plain([(-INF, -1.0), (-1.0, 2.0), (2.0, INF)], 3, 1).regions
-    edges = plain([-INF, -1.0, 2.0, INF], 3, 1).regions
+def test_intervals_are_half_open():
+    cells = tent(regions=[-INF, -1.0, 2.0, INF]).regions
     points = np.array([[[-5.0, -1.0], [1.999, 2.0], [9.0, 0.0]]])
-    for cells in (pairs, edges):
-        assert cells.locate(points).tolist() == [[0, 1], [1, 2], [2, 1]]
-        assert (cells.count, cells.edges.tolist()) == (3, [-INF, -1.0, 2.0, INF])
-        assert plain(cells, 3, 1).regions is cells
+    assert cells.locate(points).tolist() == [[0, 1], [1, 2], [2, 1]]
+    assert (len(cells), cells.edges.tolist()) == (3, [-INF, -1.0, 2.0, INF])
+    assert tent(regions=cells).regions is cells
 
 
 @pytest.mark.parametrize("length", [1e-3, 1.0, 250.0])
 def test_lines_cut_the_plane_into_the_cells_of_their_sides(length):
-    """In the order of the sides, the first line first; three lines leave out one pattern."""
+    """Numbered by the sides, the first line first; three lines leave out one pattern."""
     normals, offsets = np.array([[1.0, 0.4, 1.0], [0.2, -1.0, 1.0]]), np.array([0.3, 0.7, 1.0])
     cells = line_cells(length * normals, length * offsets)
-    assert (cells.count, line_cells(normals[:, :2], offsets[:2]).count) == (7, 4)
-    assert line_cells([[1.0, 1.0], [0.0, 0.0]], [5.0, -3.0]).count == 3
     points = 2.0 * np.random.default_rng(0).standard_normal((2, 40, 50))
     beyond = np.tensordot(normals.T, points, 1) - offsets[:, None, None]
     binary = np.tensordot([4, 2, 1], beyond > 0.0, 1)
-    present = np.unique(binary)
-    assert present.size == 7
-    np.testing.assert_array_equal(cells.locate(points), np.searchsorted(present, binary))
+    np.testing.assert_array_equal(cells.locate(points), binary)
+    assert (len(cells), np.unique(binary).size) == (8, 7)
     assert line_cells(np.empty((2, 0)), []).locate(np.zeros((2, 3))).tolist() == [0, 0, 0]
-    # the square of the partition reaches four times as far as its crossings and lines, and one
-    crossings = [
-        np.linalg.solve(normals[:, list(pair)].T, offsets[list(pair)])
-        for pair in combinations(range(3), 2)
-    ]
-    reach = max(np.abs(crossings).max(), (np.abs(offsets) / np.hypot(*normals)).max())
-    assert cells.radius == pytest.approx(4.0 * reach + 1.0, rel=1e-9)
-
-
-@pytest.mark.parametrize("size", [1e-3, 1.0, 1e4])
-def test_plane_cells_from_vertices_and_half_planes(size):
-    """A turned square, in either orientation, in a frame; an edge is that of the first cell."""
-    turn = size * np.array([[0.8, -0.6], [0.6, 0.8]])
-    square = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]) @ turn.T
-    half = type(line_cells([[1.0], [0.0]], [0.0]).cells[0])
-    outer = [
-        half(turn @ np.array(normals, float).T, size**2 * np.array(offsets, float))
-        for normals, offsets in (
-            ([[3, 0]], [0]), ([[-1, 0]], [-1]), ([[-1, 0], [1, 0], [0, 1]], [0, 1, 0]),
-            ([[-1, 0], [1, 0], [0, -1]], [0, 1, -1]),
-        )
-    ]  # fmt: skip
-    x, y = points = np.random.default_rng(0).uniform(-2.0, 3.0, (2, 7, 11))
-    wanted = np.select([x < 0, x > 1, y < 0, y > 1], [1, 2, 3, 4], default=0)
-    for first in (square, square[::-1].tolist()):
-        cells = plain([first, *outer], 5).regions
-        np.testing.assert_array_equal(cells.locate(np.tensordot(turn, points, 1)), wanted)
-    middles = np.array([[0.5, -1.0, 2.0, 0.5, 0.5], [0.5, 0.0, 0.0, -1.0, 2.0]])
-    system = PiecewiseLinearSystem.from_functions(
-        state=(X, Z), dynamics=[X * Z, Z], sensor=[Z], breakpoints=[square, *outer],
-        initial=([0.2, 0.7], np.eye(2)), support=turn @ middles,
-    )  # fmt: skip
-    slopes = system.dynamics_at(0.0).matrix[0, :, :, 0]
-    np.testing.assert_allclose(slopes, (turn @ middles)[::-1], atol=1e-15)
     edge = line_cells([[1.0], [0.0]], [0.5]).locate(np.array([[0.4, 0.5, 0.6], [1.0, 1.0, 1.0]]))
     assert edge.tolist() == [0, 0, 1]
 
@@ -101,10 +51,10 @@ def test_prior_probabilities_of_plane_cells_are_those_of_draws():
 
 
 def test_maps_of_the_system_for_other_filters():
-    """Value, mean, covariance and density, against the coefficients of the time and the cell."""
+    """Value and density, against the coefficients of the time and the cell."""
     parts = line_parts()
     system = PiecewiseLinearSystem(**parts)
-    pair, t = system.discrete(times=(2.0, 3.0)), 2.5
+    pair, t = system.discrete(), 2.5
     x = np.array([[-0.5, -0.4, 0.1, 0.7], [3.0, -2.0, 1.0, 0.5], [0.2, 0.1, -0.4, 1.0]])
     rng = np.random.default_rng(1)
     for map_, offset, noise in (
@@ -113,11 +63,8 @@ def test_maps_of_the_system_for_other_filters():
     ):
         v, y = rng.standard_normal((2, 4)), rng.standard_normal((len(noise), 4))
         y[0, 1] = np.nan
-        mean, cov = map_.conditional_moments(t, x)
         for n, i in enumerate([0, 1, 1, 2]):
             center, gain = offset[0][:, i] + offset[1][:, :, i] @ x[:, n], noise[:, :, i]
-            np.testing.assert_allclose(mean[:, n], center, rtol=1e-13)
-            np.testing.assert_allclose(cov[:, :, n], gain @ gain.T, rtol=1e-12)
             value = map_.value(t, x, v)[:, n]
             np.testing.assert_allclose(value, center + gain @ v[:, n], rtol=1e-12)
             if len(noise) == 2:
@@ -134,7 +81,7 @@ def test_coefficients_with_and_without_an_axis_of_cells():
     assert c.offset.tolist() == [[[3.0], [3.0]]]
     assert c.noise.tolist() == [[[[0.5], [0.7]]]]
     np.testing.assert_allclose(d.noise[0, :, 1, 0], [0.2, 0.2])
-    assert (system.state_size, system.measurement_size) == (1, 1)
+    assert system.state_size == 1
 
 
 def test_simulated_paths_have_the_moments_of_their_maps():
@@ -170,53 +117,39 @@ def test_simulated_paths_have_the_moments_of_their_maps():
                 assert (np.abs(sample.mean(axis=1)) < limit * np.sqrt(np.diag(cov))).all()
 
 
-def test_simulation_takes_a_start_masks_workers_and_the_linear_model():
-    system = wave(8, dynamics=[2 * sp.sin(X)], noise=V)
-    runs = system.simulate([0.0, 1.0, 2.0], 4, 1, start=[0.7])
-    np.testing.assert_allclose(
-        runs.states[:, 0, 0], [0.7, 2 * np.sin(0.7), 2 * np.sin(2 * np.sin(0.7))]
-    )
-    linear = system.simulate(2, 4, 1, start=[0.7], linear=True)
-    tangent = 2 * np.sin(0.5) + 2 * np.cos(0.5) * 0.2
-    assert linear.states[1, 0, 0] == pytest.approx(tangent)
-    one, two = (system.simulate(2, 9000, 1, start=[0.7], workers=w) for w in (1, 2))
+def test_simulation_is_that_of_the_functions_and_of_any_number_of_threads():
+    system = wave(8, dynamics=[2 * sp.sin(X)], noise=[V])
+    one, two = (system.simulate(2, 9000, 1, workers=w) for w in (1, 2))
+    np.testing.assert_allclose(one.states[1], 2 * np.sin(one.states[0]))
     np.testing.assert_array_equal(one.measurements, two.measurements)
-    np.testing.assert_array_equal(one.measurements[1:, :, :4], runs.measurements[1:])
-    shown = np.isfinite(tent().simulate(3, 5, 1, measured=[0, 2]).measurements)
-    assert shown.all(axis=(1, 2)).tolist() == [False, False, True, False]
-    some = tent().simulate(200, 5, 1, availability=0.25).measurements
-    assert np.isfinite(some[1:]).mean() == pytest.approx(0.25, abs=0.06)
 
 
 # ---------------------------------------------------------------- tangents
 
 
-SUPPORT = np.array([[-1.0, -2.0, 3.0, 4.0], [-5.0, 6.0, -7.0, 8.0]])
-
-
 def bent(**changes):
     parts = {
-        "state": (X, Z), "dynamics": [X * Z + T * V, X - U * Z**2],
-        "sensor": [sp.cos(X) * Z + 3 * W], "noise": (V, W), "time": T, "parameters": {U: 1.5},
-        "breakpoints": line_cells([[1.0, 0.0], [0.0, 1.0]], [0.0, 0.0]), "support": SUPPORT,
-        "initial": ([0.5, 0.25], np.eye(2)),
+        "state": (X, Z), "dynamics": [X + T * V, X * Z + X**2], "sensor": [sp.cos(X) * Z + 3 * W],
+        "noise": (V, W), "time": T, "breakpoints": [0.0, 1.0, 4.0],
+        "initial": ([1.0, 7.0], np.eye(2)),
     }  # fmt: skip
     return PiecewiseLinearSystem.from_functions(**(parts | changes))
 
 
 @pytest.mark.parametrize("estimate", [None, [[1.5, -2.5, np.nan], [0.5, 0.25, 1.0]]])
-def test_tangents_of_a_plane_agree_with_those_of_sympy(estimate):
+def test_tangents_agree_with_those_of_sympy(estimate):
     """At support points, or at estimates in the cells that hold them, one for each record."""
-    system = bent()
-    where = np.repeat(SUPPORT[:, :, None], 1 if estimate is None else 3, axis=2)
+    system = bent(support="centroid" if estimate is None else "estimate")
+    where = np.array([[0.5, 2.5], [7.0, 7.0]])[:, :, None]
     if estimate is not None:
         estimate = np.array(estimate)
-        system = replace(system, functions=replace(system.functions, adaptive=True))
-        where[:, 3, 0], where[:, 1, 1] = estimate[:, 0], estimate[:, 1]
-    maps = sp.Matrix([X * Z, X - 1.5 * Z**2]), sp.Matrix([sp.cos(X) * Z])
+        where = np.repeat(where, 3, axis=2)
+        where[1, :, :2] = estimate[1, :2]
+        where[0, 1, 0], where[0, 0, 1] = estimate[0, :2]
+    maps = sp.Matrix([X, X * Z + X**2]), sp.Matrix([sp.cos(X) * Z])
     found = system.dynamics_at(2.5, estimate), system.sensor_at(1.0, estimate)
     for map_, c in zip(maps, found, strict=True):
-        for i, n in np.ndindex(4, where.shape[2]):
+        for i, n in np.ndindex(2, where.shape[2]):
             at = dict(zip((X, Z), where[:, i, n].tolist(), strict=True))
             slope = np.array(map_.jacobian([X, Z]).subs(at).tolist(), float)
             value = np.array(map_.subs(at).tolist(), float)[:, 0] - slope @ where[:, i, n]
@@ -228,13 +161,11 @@ def test_tangents_of_a_plane_agree_with_those_of_sympy(estimate):
 
 def test_support_is_the_middle_of_a_cell_and_the_prior_mean_or_the_estimate():
     parts = {
-        "dynamics": [X, X * Z + X**2], "sensor": [Z + V], "noise": V,
-        "breakpoints": [0.0, 1.0, 4.0], "initial": ([1.0, 7.0], np.eye(2)), "support": "centroid",
+        "dynamics": [X, X * Z + X**2], "sensor": [Z + V], "noise": [V], "support": "centroid",
     }  # fmt: skip
     system, follow = bent(**parts), bent(**(parts | {"support": "estimate"}))
     for found, z, points in (
         (system.dynamics_at(1.0), 7.0, [0.5, 2.5]),
-        (system.dynamics_at(1.0, np.array([[1.2], [3.0]])), 7.0, [0.5, 2.5]),
         (follow.dynamics_at(1.0), 7.0, [0.5, 2.5]),
         (follow.dynamics_at(1.0, np.array([[1.2], [3.0]])), 3.0, [0.5, 1.2]),
         (bent(**(parts | {"support": [0.3, 2.0]})).dynamics_at(1.0), 7.0, [0.3, 2.0]),
@@ -245,33 +176,12 @@ def test_support_is_the_middle_of_a_cell_and_the_prior_mean_or_the_estimate():
         np.testing.assert_allclose(found.offset[1, :, 0], -z * points - points**2)
 
 
-def test_correlated_noises_with_means_enter_by_mean_and_covariance():
-    cov = np.array([[0.5, 0.2, 0.0], [0.2, 0.4, 0.0], [0.0, 0.0, 0.09]])
-    system = wave(
-        4, dynamics=[X + W + 2 * X * U], sensor=[X + 3 * V],
-        noise=Noise((W, U, V), mean=[0.1, 0.2, 0.3], cov=cov),
-    )  # fmt: skip
-    c, d = system.dynamics_at(0.0), system.sensor_at(0.0)
-    np.testing.assert_allclose(c.matrix[0, 0, :, 0], 1.4, rtol=1e-14)
-    np.testing.assert_allclose(c.offset[0, :, 0], 0.1, rtol=1e-13)
-    for i, p in enumerate([-3.0, -1.0, 1.0, 3.0]):
-        turn = np.array([1.0, 2 * p])
-        root = c.noise[0, :, i, 0]
-        assert root @ root == pytest.approx(turn @ cov[:2, :2] @ turn, rel=1e-12)
-    np.testing.assert_allclose(d.offset[0, :, 0], 0.9, rtol=1e-13)
-    np.testing.assert_allclose(np.abs(d.noise[0, 0, :, 0]), 0.9, rtol=1e-13)
-    for noise in (V, [V], Noise((V,))):  # and maps without noise
-        silent = wave(4, dynamics=[X], sensor=[X + V], noise=noise)
-        assert silent.dynamics_at(0.0).noise.shape == (1, 0, 4, 1)
-        assert (silent.sensor_at(0.0).noise == 1.0).all()
-
-
 # ---------------------------------------------------------------- the falling body
 
 
 @pytest.mark.parametrize(("partition", "power"), [("gradient", -2.0), ("curvature", -0.5)])
 def test_the_falling_body_is_that_of_the_paper(partition, power):
-    system = examples.falling_body(
+    system = falling_body(
         4, partition=partition, span=(10.0, 40.0), sensor_noise=0.5, deviation=3.0, speed=1.5
     )
     first, last = 10.0**power, 40.0**power
@@ -279,15 +189,16 @@ def test_the_falling_body_is_that_of_the_paper(partition, power):
     np.testing.assert_allclose(system.regions.edges[1:-1], edges[1:-1], rtol=1e-13)
     np.testing.assert_allclose(system.cov0, np.diag([9.0, 1e-12]), rtol=1e-15)
     t, x = 3.0, np.array([[20.0, 30.0], [0.2, 0.3]])
-    moved = system.functions.transition.value(t, x, np.zeros((0, 2)))
+    maps = system.discrete()
+    moved = maps.dynamics.value(t, x, np.zeros((0, 2)))
     np.testing.assert_allclose(moved, [x[0], x[1] - 0.01 * 5.0 / x[0]], rtol=1e-14)
-    seen = system.functions.sensor_map.value(t, x, np.array([[1.0, -2.0]]))
+    seen = maps.sensor.value(t, x, np.array([[1.0, -2.0]]))
     np.testing.assert_allclose(seen, [[0.7, -0.7]], rtol=1e-14)
     middles, c = 0.5 * (np.array(edges[:-1]) + edges[1:]), system.dynamics_at(t)
     np.testing.assert_allclose(c.matrix[1, 0, :, 0], 0.05 / middles**2, rtol=1e-12)
     np.testing.assert_allclose(c.offset[1, :, 0], -0.1 / middles, rtol=1e-12)
-    usual = examples.falling_body()
-    assert (usual.regions.count, usual.mean0.tolist()) == (100, [27.5, 0.1])
+    usual = falling_body()
+    assert (len(usual.regions), usual.mean0.tolist()) == (100, [27.5, 0.1])
     assert usual.regions.edges[50] == pytest.approx(7.035975447, abs=5e-9)
     assert usual.cov0[0, 0] == 11.25**2
     assert (usual.sensor_at(1.0).noise == 1e-3).all()

@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import sympy as sp
 
-from seedslib.base import Axis, correct, interpolate
+from seedslib.base import Axis, interpolate
 from seedslib.design import synthesize
 from seedslib.designed import Memory
 from seedslib.filters import KalmanFilter, assumed_density, extended_kalman
 from seedslib.gaussian import cubature, gauss_hermite, norm_mean
-from seedslib.linearization import Moments, Taylor
+from seedslib.linearization import Taylor
 from seedslib.models import (
     DiscreteSystem,
     JumpDiffusion,
@@ -26,7 +26,6 @@ from seedslib.two_step import LinearDiffusion
 X, V, W = sp.symbols("x v w")
 TIMES, Y = np.array([0.0, 1.0, 2.0]), np.array([[0.5], [1.0], [0.25]])
 PLANE = np.array([[2.0, 0.5], [0.5, 1.0]])
-ONE = Moments(np.zeros(1), np.ones((1, 1)), np.ones((1, 1)))
 
 
 def discrete(drift=X / 2, state=X):
@@ -55,7 +54,6 @@ CALLS = {
     "LinearSystem": (lambda **a: KalmanFilter(LinearSystem(**a)).run(TIMES, Y).mean, LINEAR),
     "Noise": (lambda **a: Noise((V, W), **a).cov, {"mean": [0.0, 1.0], "cov": PLANE}),
     "van_loan": (partial(van_loan, step=0.5), {"drift": PLANE, "diffusion": PLANE}),
-    "correct": (partial(correct, moments=ONE), {"mean": [0.0], "cov": [[1.0]], "y": [0.5]}),
     "norm_mean": (lambda **a: [norm_mean(**a)], {"mean": [0.5, 1.0], "cov": PLANE}),
     "LinearDiffusion": (bucy, FLOW),
     "run": (lambda times: extended_kalman(discrete()).run(times, Y).mean, {"times": TIMES}),
@@ -79,7 +77,7 @@ NUMBERS = {
 @pytest.mark.parametrize(("name", "argument"), ARGUMENTS)
 def test_an_array_that_is_none_is_refused_by_its_name(name, argument):
     call, good = CALLS[name]
-    for bad in [*BAD, *[np.array(good[argument]) * np.nan] * (name != "correct")]:
+    for bad in [*BAD, np.array(good[argument]) * np.nan]:
         with pytest.raises((TypeError, ValueError), match=rf"^{argument}\b"):
             call(**good | {argument: bad})
 

@@ -6,7 +6,6 @@ Each takes the arguments of a case, and returns numbers under the names of the r
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -33,7 +32,6 @@ from seedslib.gaussian import (
     sine_errors,
     sine_moments,
 )
-from seedslib.gaussian.regions.twofold import Twofold
 from seedslib.linearization import ExactGaussian
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
@@ -161,13 +159,6 @@ def quadrant(rho):
             "cov": found.cov[0, 1]}  # fmt: skip
 
 
-def twofold(a, b):
-    one, other = (Twofold(*np.array(part)) for part in (a, b))
-    made = {"sum": one + other, "difference": one - other, "product": one * other,
-            "quotient": one / other, "root": one.sqrt()}  # fmt: skip
-    return {k: Fraction(float(v.hi)) + Fraction(float(v.lo)) for k, v in made.items()}
-
-
 def weights(score):
     logs, total = normalised(np.array(score), 0)
     return {"log sum": total, **{f"log weight {k}": v for k, v in enumerate(logs)}}
@@ -193,7 +184,6 @@ CALLS: dict[str, Callable[..., dict[str, Any]]] = {
     "polygon": lambda **told: region_values(polygon(**told)),
     "bivariate normal": lambda **told: {"probability": bivariate_normal_cdf(**told)},
     "quadrant": quadrant,
-    "twofold": twofold,
     "log weights": weights,
     **library_filters.CALLS,
 }

@@ -84,10 +84,9 @@ def rows(name: str, case: str) -> list[list[str]]:
             changes = dict.fromkeys(values, mp.inf)  # no law any more: singular
         for k in values:
             condition[k] += changes[k] / STEP / values[k][1]
-    digits = 45 if name == "twofold" else 25
     return [
         [
-            name, case, k, mp.nstr(value, digits, min_fixed=0, max_fixed=0),
+            name, case, k, mp.nstr(value, 25, min_fixed=0, max_fixed=0),
             mp.nstr(scale, 6, min_fixed=0, max_fixed=0),
             mp.nstr(condition[k], 2) if made.sensitive else "",
             made.provenance, json.dumps(arguments),

@@ -21,9 +21,8 @@ LEAST = 4 * 2.0**-52
 
 def bound(family: str, error: float) -> float:
     """Two digits, rounded up."""
-    least = LEAST * 2.0**-52 if family == "twofold" else LEAST
     value = f"{2.05 * error:.1e}" if error else "0"
-    return max(least, float(value))
+    return max(LEAST, float(value))
 
 
 def main() -> None:

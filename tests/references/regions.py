@@ -147,17 +147,3 @@ def quadrant(rho: Any) -> dict[str, Any]:
         return {
             "probability": mass, "mean": first, "var": var, "cov": Value(cov, var)
         }  # fmt: skip
-
-
-@family(
-    "twofold", "exact rational arithmetic",
-    sensitive=False,
-    ordinary={"a": [1.5, 2.0**-60], "b": [0.3, -(2.0**-58)]},
-    cancelling={"a": [1.0, 2.0**-55], "b": [1.0 - 2.0**-53, 2.0**-56]},
-    small={"a": [3e-150, 1e-170], "b": [7e-140, -3e-160]},
-    large={"a": [3e120, 1e100], "b": [7e-130, 3e-150]},
-)  # fmt: skip
-def twofold(a: Any, b: Any) -> dict[str, Any]:
-    x, y = a[0] + a[1], b[0] + b[1]
-    return {"sum": x + y, "difference": x - y, "product": x * y, "quotient": x / y,
-            "root": mp.sqrt(x)}  # fmt: skip

@@ -10,9 +10,9 @@ import numpy as np
 
 from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
-from seedslib.models.branches import Branch
 from seedslib.models.kinds import AnySystem, inputs_of
 from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
 
 
 def switch_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:
@@ -29,29 +29,32 @@ def switch_row(system: AnySystem, i: int, linearization: Linearization) -> Calla
     return row
 
 
-def forecast_row(
-    system: AnySystem, i: int, linearization: Linearization, split: bool
-) -> Callable[..., Any]:
-    """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode and part.
+def forecast_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:
+    """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode, of one part."""
+    found = _row_moments(_branches(system, i), linearization)
+    return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
 
-    Where forecasts are split there is a part for each value of the indicator, (6.19). Where the
-    new mode drives the step, the mode has switched before, and stays.
+
+def _branches(system, i):
+    """Branches of a row; where the new mode drives the step, it has switched before, and stays."""
+    if system.drives == "old":
+        return system.branches[i]
+    return [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]
+
+
+def split_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:
+    """As `forecast_row`, with a part for each value of the indicator, (6.19).
+
+    Raises
+    ------
+    ValueError
+        No formulas for a part; an indicator whose probability depends on an input or on time.
     """
-    branches = system.branches[i]
-    if system.drives == "new":
-        branches = [None] * system.modes
-        branches[i] = Branch(system.dynamics[i])
-    if not split:
-        found = _row_moments(branches, linearization)
-        return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
     table = [
         [branch and _seen_branch(system, branch, reading) for reading in system.readings[l]]
-        for l, branch in enumerate(branches)
+        for l, branch in enumerate(_branches(system, i))
     ]
-    try:
-        found = _each_moments([map for row in table for map in row], linearization)
-    except ValueError as error:
-        raise type(error)(f"{error}; or split=False, which asks for less") from None
+    found = _each_moments([map for row in table for map in row], linearization)
     width = len(table[0])
 
     def row(t, mean, cov):
@@ -117,16 +120,10 @@ def _seen_branch(system, branch, reading):
             told = reading.probability_expression
     symbols = inputs_of(shown) if told is None else told.free_symbols
     if any(getattr(symbol, "role", None) == "input" for symbol in symbols):
-        raise ValueError(
-            "split: an indicator whose probability depends on an input cannot split the forecast, "
-            "which is told the input of the time before; use split=False"
-        )
+        raise ValueError("indicator: its probability depends on an input of another time")
     moving = told.has(shown.time) if told is not None else _moves(system, reading)
     if moving:
-        raise ValueError(
-            "split: an indicator whose probability depends on state and time cannot split the "
-            "forecast; use split=False"
-        )
+        raise ValueError("indicator: its probability depends on state and time")
     if told is None:
         return StochasticMap.from_functions(
             move.state_size, move.size, move.value, move.noise,

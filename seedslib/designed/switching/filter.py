@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,28 +13,137 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Course
-from seedslib.designed.arrivals import Arrivals, check_arrivals, number_of, ways
-from seedslib.designed.gaps import law_unclaimed
-from seedslib.designed.guards import freeze, want_corrected, want_forecast, want_next
-from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design, HeldOut, Prediction, switching_page
-from seedslib.designed.runs import DesignedFilter
-from seedslib.designed.shapes import check_verbs
-from seedslib.designed.switching.fits import (
-    CellFit,
-    ClassFit,
-    cell_count,
-    cell_number,
-    require_memory,
+from seedslib.designed.base import (
+    DesignedFilter,
+    freeze,
+    nan_where,
+    want_corrected,
+    want_forecast,
+    want_next,
 )
+from seedslib.designed.checks import check_array, check_covariances, check_fields, check_verbs
+from seedslib.designed.memory import Memory, Past
+from seedslib.designed.prediction import Design, HeldOut, Prediction, page
 from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
 from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.estimates import Estimates, first_step
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import most_probable
-from seedslib.linearization.moments import Linearization
-from seedslib.linearization.units import as_linearization
-from seedslib.models.kinds import as_system, elapsed
+from seedslib.linearization.moments import Linearization, as_linearization
+from seedslib.models.kinds import AnySystem, as_system, elapsed
+
+
+class CellFit(NamedTuple):
+    """Normal law of state and memory in each cell and mode.
+
+    With C cells, L modes and a memory of d numbers:
+
+    Attributes
+    ----------
+    log_weight : ndarray, shape (L, C)
+        Logarithm of the probability of cell and mode, less that of the density's factor.
+    centre : ndarray, shape (d, L, C)
+    white : ndarray, shape (d, d, L, C)
+        The density of the memory falls with half the square of ``white (z - centre)``; rows of
+        zeros where the memory is singular.
+    gain, offset : ndarray, shapes (n, d, L, C) and (n, L, C)
+        Gamma and kappa of (6.34).
+    cov : ndarray, shape (n, n, L, C)
+        T of (6.34).
+    """
+
+    log_weight: np.ndarray
+    centre: np.ndarray
+    white: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
+    cov: np.ndarray
+
+    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
+        """Law of mode and state given the memory: (6.32) to (6.34).
+
+        Parameters
+        ----------
+        cell : ndarray of int, shape (*batch)
+        z : ndarray, shape (d, *batch)
+
+        Returns
+        -------
+        ModeLaw
+            Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
+        """
+        with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
+            return self._forecast(cell, z)
+
+    def _forecast(self, cell, z):
+        weight, centre, white, gain, offset, cov = (self._take(part, cell, z) for part in self)
+        apart = z[:, None] - centre
+        score = np.zeros(np.broadcast_shapes(weight.shape, (len(weight), *z.shape[1:])))
+        score += weight
+        for row in white:
+            residual = row[0] * apart[0]
+            for factor, part in zip(row[1:], apart[1:], strict=True):
+                residual = residual + factor * part
+            score -= 0.5 * residual * residual
+        score -= score.max(axis=0)
+        score -= np.log(np.exp(score).sum(axis=0))
+        mean = np.empty((len(offset), *score.shape))
+        for slot, row, start in zip(mean, gain, offset, strict=True):
+            slot[...] = start
+            for factor, part in zip(row, z, strict=True):
+                slot += factor * part
+        return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
+
+    def check(self, name: str, memory: Memory, system: AnySystem, k: int) -> None:
+        """Refuse arrays that are not those of the memory after measurement k."""
+        n, modes = system.state_size, system.modes
+        d = memory.dimension(k, n, system.measurement_size, modes)
+        tail = modes, cell_count(memory, system, k)
+        check_fields(
+            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail),
+            centre=(d, *tail), white=(d, d, *tail),
+        )  # fmt: skip
+        # a mode that is never met in a cell has the weight zero
+        check_array(f"{name}.log_weight", self.log_weight, *tail, finite=False)
+        check_covariances(name, [np.moveaxis(self.cov, (0, 1), (-2, -1))])
+
+    def _take(self, part, cell, z):
+        if part.shape[-1] == 1:
+            return part.reshape(*part.shape[:-1], *(1,) * (z.ndim - 1))
+        return part[..., cell]
+
+
+def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:
+    """Number of the memory's cell, newest block first; zeros where no mode is remembered."""
+    number = np.zeros(batch, dtype=np.intp)
+    for block in past.modes:
+        number = number * modes + block
+    for block in past.indicators:
+        number = number * indicators + block
+    return number
+
+
+def cell_count(memory: Memory, system: AnySystem, k: int) -> int:
+    """Number of cells of the memory after measurement k."""
+    return system.modes ** min(k + 1, memory.estimates) * system.indicators ** min(
+        k + 1, memory.indicators
+    )
+
+
+def require_memory(memory: Memory, system: AnySystem) -> None:
+    """Refuse a memory of what a switching system does not have.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No memory; one of indicators where there are none, or of log-odds of one mode.
+    """
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    if memory.indicators and not system.indicators:
+        raise ValueError(f"memory: wanted no indicators, the system has none: {memory}")
+    if memory.log_odds and system.modes == 1:
+        raise ValueError("memory: wanted several modes for log-odds, got one")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -63,18 +172,11 @@ class SwitchingFilter(DesignedFilter):
     normalisation : {"consistent", "printed"}
         How the moments of a measurement are formed where the indicator depends on the state: from
         the moments of the mixture, or as (6.21) is printed, which is wrong there.
-    split : bool
-        Whether forecasts have one Gaussian part for each value of such an indicator.
     predicted : Prediction, optional
     design : Design, optional
     cycle : int
         See `DesignedFilter`.
     held_out : HeldOut, optional
-    measured, availability : ndarray, optional
-        See `DesignedFilter`.
-    arrivals : tuple of Arrivals, length K+1 or 0
-        Classes of histories, where something may be missing: cells of the memory are those of the
-        first class, then of the next.
 
     Raises
     ------
@@ -90,15 +192,10 @@ class SwitchingFilter(DesignedFilter):
     times: MaybeArray = None
     fits: Sequence[Any] = ()
     normalisation: str = "consistent"
-    split: bool = True
     predicted: Prediction | None = None
     design: Design | None = None
     cycle: int = 0
     held_out: HeldOut | Any = None
-    measured: MaybeArray = None
-    availability: MaybeArray = None
-    arrivals: tuple[Arrivals, ...] = ()
-    ways: tuple[np.ndarray, ...] = field(init=False)
     rules: SwitchingRules | None = None
 
     def __post_init__(self) -> None:
@@ -107,11 +204,10 @@ class SwitchingFilter(DesignedFilter):
         if self.memory is not None:
             self._check_memory()
         if self.rules is None:
-            rules = compiled_rules(self.system, self.linearization, self.normalisation, self.split)
+            rules = compiled_rules(self.system, self.linearization, self.normalisation)
             object.__setattr__(self, "rules", rules)
         object.__setattr__(self, "fits", tuple(self.fits))
-        object.__setattr__(self, "ways", ways(self.arrivals, self.cycle))
-        freeze((self.held_out, self.measured, self.availability, self.arrivals, *self.fits))
+        freeze((self.predicted, self.held_out, self.fits))
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
@@ -127,15 +223,10 @@ class SwitchingFilter(DesignedFilter):
 
     def check_parts(self) -> None:
         """Laws of mode and state in the cells of the memory."""
-        check_arrivals(self, self.system.state_size)
         check_verbs([(f"fits[{k}]", fit) for k, fit in enumerate(self.fits)], "forecast")
         for k, fit in enumerate(self.fits):
-            if isinstance(fit, ClassFit) != bool(self.arrivals):
-                raise ValueError(f"fits[{k}]: wanted laws of classes for an availability only")
-            classes = len(self.arrivals[k + 1].table) if self.arrivals else 1
-            known = fit.fit if self.arrivals else fit
-            if isinstance(known, CellFit):
-                known.check(f"fits[{k}]", self.memory, self.system, k, classes)
+            if isinstance(fit, CellFit):
+                fit.check(f"fits[{k}]", self.memory, self.system, k)
 
     @property
     def order(self) -> int:
@@ -183,10 +274,7 @@ class SwitchingFilter(DesignedFilter):
             return state.law
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
-        row = self.served(state.index + 1) - 1
-        if self.arrivals:
-            cell = cell + state.group * cell_count(self.memory, system, state.index)
-        return self.fits[row].forecast(cell, past.vector)
+        return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
 
     def correct(
         self, state: SwitchingState, y: ArrayLike, indicator: ArrayLike | None = None
@@ -209,26 +297,15 @@ class SwitchingFilter(DesignedFilter):
         """
         want_forecast(state)
         y, seen, gap = self.admitted(y, indicator, state.law.log_prob.shape[2:], state.index)
-        found = self._regrouped(self.rules.correct(state, y, seen, self.memory), y, seen)
-        return found if self.memory is None else law_unclaimed(found, state, gap)
-
-    def _regrouped(self, state, y, indicator):
-        if not self.arrivals:
-            return state
-        way, number = self.ways[self.served(state.index)], number_of(self, y, indicator)
-        return state._replace(group=way[state.group, number])
-
-    def _claimed(self, state):
-        """Covariance of what is estimated: of its class, where there are classes."""
-        cov = total_covariance(state.law)
-        if not self.arrivals:
-            return cov
-        scale = self.arrivals[self.served(state.index)].scale(state.group)
-        return scale[:, None] * scale * cov
+        found, gap = self.rules.correct(state, y, seen, self.memory), state.gap | gap
+        if self.memory is None or not np.any(gap):
+            return found
+        law = found.law._replace(cov=nan_where(gap, found.law.cov))
+        return found._replace(law=law, loglik=np.where(state.gap, np.nan, found.loglik), gap=gap)
 
     def report(self, state: SwitchingState) -> Estimates:
         """What is estimated after a correction."""
-        cov = self._claimed(state)
+        cov = total_covariance(state.law)
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
     def forecast(self, state: SwitchingState, t: float) -> Estimates:
@@ -237,7 +314,7 @@ class SwitchingFilter(DesignedFilter):
         parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
         mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
         prob = parts[0].sum(axis=1)
-        cov = np.where(state.gap, np.nan, mixed.cov) if np.any(state.gap) else mixed.cov
+        cov = nan_where(state.gap, mixed.cov)
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
     def smoother(self) -> Any:
@@ -255,8 +332,7 @@ class SwitchingFilter(DesignedFilter):
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Fits of the chosen steps."""
-        arrivals = tuple(self.arrivals[k] for k in chosen) if self.arrivals else ()
-        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:]), "arrivals": arrivals}
+        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
 
     def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Number of the measurement at each time: there are none between."""
@@ -274,11 +350,10 @@ class SwitchingFilter(DesignedFilter):
                 state = self.predict(state, t)
             with held.at(k):
                 state = self.rules.correct(state, y[k], shown, self.memory)
-            state = self._regrouped(state, y[k], shown)
             rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
             rows.modes[k], rows.loglik[k] = state.mode, state.loglik
             if rows.cov is not None:
-                rows.cov[k] = self._claimed(state)
+                rows.cov[k] = total_covariance(state.law)
         return state.mended
 
     def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
@@ -290,4 +365,9 @@ class SwitchingFilter(DesignedFilter):
         return f"<SwitchingFilter: {held}; {self.linearization}>"
 
     def __str__(self) -> str:
-        return switching_page(self)
+        held = "carries the laws of all modes" if self.memory is None else f"of {self.memory}"
+        return page(
+            self,
+            f"Filter of {self.system.modes} modes, {held}; {self.linearization}",
+            f"order        {self.order}",
+        )

@@ -15,7 +15,7 @@ from seedslib.base.circle import Periods
 from seedslib.base.correction import correct
 from seedslib.filters.mixture import mix
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
-from seedslib.linearization.moments import Moments
+from seedslib.linearization.moments import Moments, Weighted
 
 FAINT = 1e-200
 """A sum of weights below this part of the largest weight is formed again by itself."""
@@ -144,23 +144,15 @@ def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
     Sensed
     """
     n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[2:]
-    log_prob, joined = np.empty((modes, *batch)), []
+    log_prob, laws = np.empty((modes, *batch)), []
     for i, reading in enumerate(readings):
         mean, cov = law.mean[:, i], law.cov[:, :, i]
         if reading is None:
-            joined.append(None)
+            laws.append(None)
             log_prob[i] = -np.inf
             continue
         w = reading(t, mean, cov)
-        inner, depth = mean.shape[1:], mean.ndim - 1
-        logs, size = law.log_prob[i] + logarithm(w.mass), n + len(w.value.mean)
-        both, spread = np.empty((size, *inner)), np.empty((size, size, *inner))
-        both[:n] = _lifted(w.state.mean, 1, depth)
-        both[n:] = _lifted(w.value.mean, 1, depth)
-        spread[:n, :n] = _lifted(w.state.cov, 2, depth)
-        cross = _lifted(w.value.cross, 2, depth)
-        spread[:n, n:], spread[n:, :n] = cross, np.swapaxes(cross, 0, 1)
-        spread[n:, n:] = _lifted(w.value.cov, 2, depth)
+        logs, (both, spread) = law.log_prob[i] + logarithm(w.mass), joined(w, mean.shape[1:])
         if column is not None:
             part = ModeLaw(law.log_prob[i], mean, cov)
             log_prob[i], *found = _printed(logs, both, spread, part, column)
@@ -168,10 +160,10 @@ def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
             log_prob[i], found = logs[0], (both[:, 0], spread[:, :, 0])
         else:
             log_prob[i], *found = mix_logs(logs, both, spread)
-        joined.append(found)
-    size = next(len(found[0]) for found in joined if found is not None)
+        laws.append(found)
+    size = next(len(found[0]) for found in laws if found is not None)
     mean, cov = np.empty((size, modes, *batch)), np.empty((size, size, modes, *batch))
-    for i, found in enumerate(joined):
+    for i, found in enumerate(laws):
         if found is None:
             mean[:, i] = 0.0
             cov[:, :, i] = np.eye(size).reshape(size, size, *(1,) * len(batch))
@@ -179,6 +171,19 @@ def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
             mean[:, i], cov[:, :, i] = found
     moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
     return Sensed(log_prob, mean[:n], cov[:n, :n], moments)
+
+
+def joined(moments: Weighted, batch: tuple[int, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n + m, *batch) and covariance of the state and, below it, the value."""
+    state, value = moments.state, moments.value
+    n, depth = len(state.mean), len(batch)
+    size = n + len(value.mean)
+    mean, cov = np.empty((size, *batch)), np.empty((size, size, *batch))
+    mean[:n], mean[n:] = _lifted(state.mean, 1, depth), _lifted(value.mean, 1, depth)
+    cross = _lifted(value.cross, 2, depth)
+    cov[:n, :n], cov[:n, n:] = _lifted(state.cov, 2, depth), cross
+    cov[n:, :n], cov[n:, n:] = np.swapaxes(cross, 0, 1), _lifted(value.cov, 2, depth)
+    return mean, cov
 
 
 def mix_logs(log_mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Any:

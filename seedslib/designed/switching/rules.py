@@ -16,6 +16,7 @@ from seedslib.designed.switching.branches import (
     alone_moments,
     forecast_row,
     plain_moments,
+    split_row,
     switch_row,
 )
 from seedslib.designed.switching.lemmas import ModeLaw, Sensed, decide, propagate, sense, weigh
@@ -58,8 +59,6 @@ class SwitchingState(NamedTuple):
         know.
     interval : float or None
         Length of the first step.
-    group : ndarray of int, shape (*batch), or 0
-        Class of what has arrived so far, see `seedslib.designed.arrivals`.
     """
 
     index: int
@@ -73,20 +72,19 @@ class SwitchingState(NamedTuple):
     corrected: bool
     gap: np.ndarray | bool = False
     interval: float | None = None
-    group: np.ndarray | int = 0
 
 
 class SwitchingRules:
     """Moment functions of a system under a linearization.
+
+    A forecast has one Gaussian part for each value of an indicator that depends on the state,
+    (6.19), where the linearization has formulas for them, and one part otherwise.
 
     Parameters
     ----------
     system : SwitchingSystem
     linearization : Linearization
     normalisation : {"consistent", "printed"}
-    split : bool
-        Let a forecast have one Gaussian part for each value of an indicator that depends on the
-        state, as (6.19); one part for each mode otherwise.
 
     Raises
     ------
@@ -95,22 +93,27 @@ class SwitchingRules:
     """
 
     def __init__(
-        self, system: AnySystem, linearization: Any, normalisation: str = "consistent",
-        split: bool = True,
-    ) -> None:  # fmt: skip
+        self, system: AnySystem, linearization: Any, normalisation: str = "consistent"
+    ) -> None:
         if normalisation not in NORMALISATIONS:
             raise ValueError(
                 f"normalisation: wanted one of {', '.join(NORMALISATIONS)}, got {normalisation!r}"
             )
         self.system = system
-        self._made_of = (system, linearization, normalisation, split)
+        self._made_of = (system, linearization, normalisation)
         self.periods: Any = system.sensors[0].period
-        self.split: bool = split and not system.indicator_is_blind
-        self.printed: bool = self.split and normalisation == "printed"
         # rules of points may have negative weights
         self.guarded: bool = isinstance(linearization, PointRule)
         modes = range(system.modes)
-        self.rows: list[Any] = [forecast_row(system, i, linearization, self.split) for i in modes]
+        self.rows, self.split = None, not system.indicator_is_blind
+        if self.split:
+            try:
+                self.rows = [split_row(system, i, linearization) for i in modes]
+            except ValueError:  # no formulas, or an indicator that changes with time
+                self.split = False
+        if not self.split:
+            self.rows = [forecast_row(system, i, linearization) for i in modes]
+        self.printed: bool = self.split and normalisation == "printed"
         self.switch: list[Any] | None = None
         if system.drives == "new":
             self.switch = [switch_row(system, i, linearization) for i in modes]
@@ -265,11 +268,9 @@ class SwitchingRules:
 
 
 @lru_cache(maxsize=16)
-def compiled_rules(
-    system: AnySystem, linearization: Any, normalisation: str, split: bool
-) -> SwitchingRules:
+def compiled_rules(system: AnySystem, linearization: Any, normalisation: str) -> SwitchingRules:
     """Rules of a system and a linearization, the same object for the same arguments."""
-    return SwitchingRules(system, linearization, normalisation, split)
+    return SwitchingRules(system, linearization, normalisation)
 
 
 def _semidefinite(sensed):

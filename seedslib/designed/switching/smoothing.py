@@ -8,8 +8,8 @@ import numpy as np
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.correction import correct
-from seedslib.base.semidefinite import factor, mended
-from seedslib.designed.switching.lemmas import ModeLaw, decide, mix_logs, total_covariance
+from seedslib.base.semidefinite import mended
+from seedslib.designed.switching.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.switching.rules import SwitchingState
 from seedslib.filters.backward import Smoother, gain_of, stepped_back
 from seedslib.filters.estimates import Estimates
@@ -60,109 +60,68 @@ class SwitchingSmoother(Smoother):
         part = self._back(rules.rows, t, rules.switched(t, law), indicator, part)
         return self._back(switch, t, law, None, part)
 
-    def _back(self, rows, t, law, shown, part):
-        """Smoothed law of mode and state before the moves in `rows`, from that after them."""
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            found = [
-                _corrected(*pairs, ModeLaw(*(p[..., l, :] for p in part)))
-                for l, pairs in enumerate(self._pairs(rows, t, law, shown))
-            ]
-            log_prob, mean, cov = (
-                np.stack(p, axis=p[0].ndim - 1) for p in zip(*found, strict=True)
-            )
-            # the pairs of each old mode: its parts and all new modes together
-            modes, n, paths = self.filter.system.modes, len(mean), log_prob.shape[-1]
-            merged = mix_logs(
-                *(p.reshape(*core, modes, -1, paths).swapaxes(-3, -2)
-                  for p, core in ((log_prob, ()), (mean, (n,)), (cov, (n, n))))
-            )  # fmt: skip
-        return ModeLaw(normalised(merged[0], 0)[0], *merged[1:])
-
     def report(self, part: ModeLaw) -> Estimates:
         """Mean, covariance over all modes, and the modes with their probabilities."""
         modes, mean = decide(part)
         return Estimates(mean, total_covariance(part), part.prob, modes=modes)
 
-    def _pairs(self, rows, t, law, shown):
-        """For each new mode, (log_prob, both, spread) of its pairs with old modes and their parts.
-
-        Shapes (P, paths), (2n, P, paths) and (2n, 2n, P, paths): the state before and after.
-        """
-        rules, (n, modes, paths) = self.filter.rules, law.mean.shape
-        rows = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
-        size = len(rows[0][0])
-        for l in range(modes):
-            log_prob = np.full((modes, size, paths), -np.inf)
-            both = np.zeros((2 * n, modes, size, paths))
-            spread = np.zeros((2 * n, 2 * n, modes, size, paths))
-            for i in range(modes):
-                for g, pair in enumerate(rows[i][l]):
-                    if pair is None:
-                        continue
-                    mass, old, new = pair
-                    log_prob[i, g] = law.log_prob[i] + logarithm(np.asarray(mass))
-                    both[:n, i, g], both[n:, i, g] = _wide(old.mean, 1), _wide(new.mean, 1)
-                    spread[:n, :n, i, g] = _wide(old.cov, 2)
-                    spread[n:, n:, i, g] = _wide(new.cov, 2)
-                    cross = _wide(new.cross, 2)
-                    spread[:n, n:, i, g], spread[n:, :n, i, g] = cross, cross.swapaxes(0, 1)
-            if (
-                rules.split and shown is not None
-            ):  # a part is what one value of the indicator goes with
-                told = (shown < 0) | (np.arange(size)[:, None] == shown)
-                possible = (told & (log_prob > -np.inf)).any(axis=(0, 1))
-                log_prob = np.where(told | ~possible, log_prob, -np.inf)
-            if rules.guarded:
-                spread = mended(spread)[0]
-            flat = modes * size
-            yield (
-                log_prob.reshape(flat, paths), both.reshape(2 * n, flat, paths),
-                spread.reshape(2 * n, 2 * n, flat, paths),
-            )  # fmt: skip
+    def _back(self, rows, t, law, indicator, part):
+        """Smoothed law of mode and state before the moves in `rows`, from that after them."""
+        smoothed: list[list] = [[] for _ in rows]
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            made = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+            for l in range(len(rows)):
+                pairs = [
+                    (i, value, moments)
+                    for i, row in enumerate(made)
+                    for value, moments in enumerate(row[l])
+                    if moments is not None
+                ]
+                if not pairs:
+                    continue
+                log_prob = np.stack([law.log_prob[i] + logarithm(w.mass) for i, _, w in pairs])
+                if self.filter.rules.split and indicator is not None:
+                    # a part is what one value of the indicator goes with
+                    fits = np.stack([(indicator < 0) | (indicator == j) for _, j, _ in pairs])
+                    possible = (fits & (log_prob > -np.inf)).any(axis=0)
+                    log_prob = np.where(fits | ~possible, log_prob, -np.inf)
+                both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
+                mean, cov = (np.stack(p, axis=-2) for p in zip(*both, strict=True))
+                if self.filter.rules.guarded:
+                    cov = mended(cov)[0]
+                later = ModeLaw(*(p[..., l, :] for p in part))
+                found = _corrected(log_prob, mean, cov, later)
+                for k, (i, *_) in enumerate(pairs):
+                    smoothed[i].append([p[..., k, :] for p in found])
+            merged = [
+                mix_logs(*(np.stack(p, axis=-2) for p in zip(*each, strict=True)))
+                for each in smoothed
+            ]
+        log_prob, mean, cov = (np.stack(p, axis=-2) for p in zip(*merged, strict=True))
+        return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
 
 
-def _corrected(log_prob, both, spread, later):
+def _corrected(log_prob, both, joint, later):
     """Pairs of one new mode, of which the smoothed law is known: weights and laws before it.
 
-    The later measurements are those of u = Lᵀ S⁻¹ (x - m) + noise, with L Lᵀ = S - P the loss of
-    covariance from the forecast N(m, S) to the smoothed law N(m', P): it has unit covariance,
-    and the value L⁻¹ (m' - m).
+    With D = S - P, the loss of covariance from the forecast N(m, S) to the smoothed law N(m', P),
+    the later measurements are those of D S⁻¹ (x - m) and noise, which together have the
+    covariance D over the forecast, and the value m' - m.
     """
     n = len(later.mean)
-    mean, cov = both[n:], spread[n:, n:]
-    _, middle, whole = mix_logs(log_prob, mean, cov)
-    variances = np.einsum("ii...->i...", whole)
-    loss, _ = mended(whole - later.cov, variances)
-    excess = later.cov - (whole - loss)
-    root = factor(loss, variances)
-    value = _solved(root, later.mean - middle)
-    slope = gain_of(np.swapaxes(root, 0, 1), whole)[:, :, None]
+    mean, cov = both[n:], joint[n:, n:]
+    _, middle, total = mix_logs(log_prob, mean, cov)
+    loss, _ = mended(total - later.cov, np.einsum("ii...->i...", total))
+    slope = gain_of(loss, total)[:, :, None]
     expected = np.einsum("ij...,j...->i...", slope, mean - middle[:, None])
     cross = np.einsum("ij...,kj...->ik...", cov, slope)
-    change = np.einsum("ij...,jk...,lk...->il...", slope, cov - whole[:, :, None], slope)
-    unit = np.eye(n).reshape(n, n, *(1,) * (change.ndim - 2))
-    found, less, loglik = correct(mean, cov, value[:, None], (expected, cross, unit + change))
-    less = less + excess[:, :, None]
+    change = np.einsum("ij...,jk...,lk...->il...", slope, cov - total[:, :, None], slope)
+    moments = expected, cross, loss[:, :, None] + change
+    found, less, loglik = correct(mean, cov, (later.mean - middle)[:, None], moments)
+    less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
     columns, before = stepped_back(
-        both[:n, ..., None], spread[:n, :n], mean[..., None], cov,
-        gain_of(spread[:n, n:], cov), found[..., None], less,
+        both[:n, ..., None], joint[:n, :n], mean[..., None], cov,
+        gain_of(joint[:n, n:], cov), found[..., None], less,
     )  # fmt: skip
     share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
     return later.log_prob + share, columns[..., 0], before
-
-
-def _solved(lower, value):
-    """Forward substitution of L u = v; of a zero column zero."""
-    rest, found = list(value), []
-    for j in range(len(rest)):
-        root = lower[j, j]
-        found.append(np.where(root > 0, rest[j], 0.0) / np.where(root > 0, root, 1.0))
-        for k in range(j + 1, len(rest)):
-            rest[k] = rest[k] - lower[k, j] * found[j]
-    return np.stack(found)
-
-
-def _wide(part, core):
-    """The same with an axis of paths, of length one where it has none."""
-    part = np.asarray(part)
-    return part if part.ndim > core else part[..., None]

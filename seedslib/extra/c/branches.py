@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+from seedslib.designed.finite_order import law_symbols
 from seedslib.designed.switching.rules import SwitchingRules
-from seedslib.designed.traced import law_symbols
 from seedslib.extra.c.source import function
 from seedslib.extra.c.tape import Scalar, Tape
 from seedslib.extra.c.traced import told_of, told_on
 from seedslib.linearization.formulas import BranchFormulas
 from seedslib.linearization.means import Names, mentions
 from seedslib.linearization.moments import TINY
-from seedslib.models.branches import Branch
 from seedslib.models.codegen import compile_components
 from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
 
 
 def check_branches(rules: SwitchingRules, linearization: Any, system: Any) -> None:

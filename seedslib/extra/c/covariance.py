@@ -119,7 +119,7 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     Raises
     ------
     TypeError, ValueError
-        Moments without formulas, adaptive steps.
+        Moments without formulas.
 
     Warns
     -----
@@ -197,11 +197,6 @@ def _motion(filter: CovarianceFilter, told: list[Any]) -> str:
             lines.insert(1, f"    const double *mean = z, *lower = z + {n};")
         head = "void @name_advance_(double t, double *z@ALSO)"
         return text + function(head, [*lines, "    (void)t;@UNUSED", *stores])
-    if filter.integrator not in _STEPS:
-        raise ValueError(
-            f"integrator: wanted rk4 or euler for C, whose steps are fixed, got "
-            f"{filter.integrator!r}"
-        )
     if not system.drift_map.symbolic:
         raise ValueError("system: wanted closed forms of its mean rates, got array functions")
     if isinstance(rule, PointRule):

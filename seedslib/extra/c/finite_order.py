@@ -61,18 +61,12 @@ static inline int @name_nodes(const @name_state *s, double *out)
         for (i = 0; i < @NAME_ESTIMATE; i++) {
             double sum = 0.0;
             for (j = 0; j < @NAME_MEMORY; j++) sum += @name_node_gain[n][i][j] * s->memory[j];
-            @MEASURED*out++ = sum + @name_node_offset[n][i];
+            *out++ = sum + @name_node_offset[n][i];
         }
     }
     return @name_node_start[s->k] - @name_node_start[s->k - 1];
 }
 """
-
-_MEASURED = """\
-for (j = 0; j < @NAME_MEASUREMENT; j++) {
-                sum += @name_node_gain[n][i][@NAME_MEMORY + j] * s->shown[j];
-            }
-            """
 
 COURSE_NODES = """\
 /* Forecasts of the estimated components at the nodes from the last measurement to the next,
@@ -202,12 +196,9 @@ def _stored(found: tuple) -> dict:
 def _nodes(filter: FiniteOrderFilter) -> str:
     """C of the affine forecasts at the nodes."""
     order, rows = filter.order, [(k, fit) for k, row in enumerate(filter.node_fits) for fit in row]
-    measured = filter.measured_nodes and not filter.memory.measurements
-    width = order + filter.system.sensor.size * measured
-    gain = np.zeros((max(1, len(rows)), filter.components, width))
+    gain = np.zeros((max(1, len(rows)), filter.components, order))
     offset = np.zeros(gain.shape[:2])
     for i, (k, fit) in enumerate(rows):
-        places = [*held(filter, k), *range(order, width)]
-        gain[i][:, places], offset[i] = fit.gain, fit.offset
+        gain[i][:, held(filter, k)], offset[i] = fit.gain, fit.offset
     text = constants("@name_node_gain", gain) + constants("@name_node_offset", offset)
-    return text + NODES.replace("@MEASURED", _MEASURED if measured else "")
+    return text + NODES

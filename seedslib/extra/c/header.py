@@ -24,8 +24,7 @@ from typing import Any
 from seedslib.base.atomic import write_whole
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.memory import Memory
-from seedslib.designed.outputs.filter import OutputFilter
-from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Continuous
 from seedslib.designed.switching.filter import SwitchingFilter
 from seedslib.extra.c.source import checked_name, comment, model_lines, named, single, tolerances

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.designed.base import DesignedFilter
 from seedslib.designed.between import BetweenFilter
-from seedslib.designed.runs import DesignedFilter
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import literal
 

@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.clock import ROUNDING, SAME, slack
 from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
+from seedslib.designed.base import DesignedFilter
 from seedslib.designed.identity import model_text
-from seedslib.designed.runs import DesignedFilter
 from seedslib.designed.switching.lemmas import FAINT
 from seedslib.extra.c.tape import CALLS, literal
 from seedslib.models.kinds import switches

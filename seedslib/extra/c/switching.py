@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.switching.fits import CellFit
+from seedslib.designed.switching.filter import CellFit, SwitchingFilter
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
 from seedslib.extra.c.branches import check_branches, moves_source, readings_source, switches_source

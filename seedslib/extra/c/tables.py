@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.tables import Axis, Labels
-from seedslib.designed.outputs.lookup import Table
-from seedslib.designed.outputs.table import TableFilter
+from seedslib.designed.output_filter import TableFilter
+from seedslib.designed.tables import Table
 from seedslib.extra.c.records import STATE, between, frame, going_on, push
 from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import literal

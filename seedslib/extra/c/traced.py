@@ -14,7 +14,7 @@ from seedslib.base.circle import Periods
 from seedslib.base.correction import eliminate
 from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI
 from seedslib.base.values import assigned
-from seedslib.designed.traced import law_symbols
+from seedslib.designed.finite_order import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
 from seedslib.linearization.moments import Linearization, symmetric
 from seedslib.linearization.points import PointRule

@@ -9,19 +9,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property, partial
+from functools import cached_property
 
 import numpy as np
 import sympy as sp
 
 from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
-from seedslib.gaussian.errors.bounds import active, marginal
-from seedslib.gaussian.errors.centred import CentredMoments, switched
 from seedslib.gaussian.errors.functions import MeanSquareErrors
-from seedslib.gaussian.errors.hermite import plugin_excess, polynomial_expansion
+from seedslib.gaussian.errors.hermite import (
+    active,
+    marginal,
+    plugin_excess,
+    polynomial_expansion,
+)
 from seedslib.gaussian.errors.joint import as_joint_law
 from seedslib.gaussian.errors.norms import estimate_errors, norm_variance
-from seedslib.gaussian.errors.piecewise import piecewise_errors
+from seedslib.gaussian.errors.planes import SwitchedMoments
 from seedslib.gaussian.errors.replica import ReplicaErrors
 from seedslib.gaussian.means.classes import NoClosedForm
 from seedslib.gaussian.means.compile import Compiled
@@ -39,9 +42,8 @@ class _ClosedFunction:
     _function: Compiled
 
     @cached_property
-    def _centred(self) -> CentredMoments:
-        function = self._function
-        return CentredMoments(switched(function.groups, function.size), function.dimension)
+    def _switched(self) -> SwitchedMoments:
+        return SwitchedMoments(self._function)
 
 
 class ExactErrors(_ClosedFunction):
@@ -81,7 +83,7 @@ class ExactErrors(_ClosedFunction):
         if self.kind is FunctionClass.POLYNOMIAL:
             return self._polynomial
         if self.kind is FunctionClass.PIECEWISE:
-            return partial(piecewise_errors, self._centred)
+            return self._switched.errors
         if self.kind is FunctionClass.NORM:
             return self._norm
         return ReplicaErrors(self._function).errors
@@ -127,7 +129,7 @@ def mean_square_errors(f: object, variables: Sequence[sp.Symbol]) -> ExactErrors
     Raises
     ------
     NoClosedForm
-        f, or the product f f', is outside the closed class; `approximate_errors` remains.
+        f, or the product f f', is outside the closed class.
     TypeError, ValueError
         As `expectation_function`.
     """
@@ -137,7 +139,7 @@ def mean_square_errors(f: object, variables: Sequence[sp.Symbol]) -> ExactErrors
 def _closed(f: object, variables: Sequence[sp.Symbol]) -> tuple:
     """What a `_ClosedFunction` is made of."""
     size, coordinates, symbols = active(f, variables)
-    advice = "; approximate_errors gives bounds by quadrature"
+    advice = "; a quadrature rule of the estimator gives numbers"
     try:
         function = expectation_function(f, symbols)
     except NoClosedForm as error:
@@ -178,7 +180,7 @@ class PosteriorVariance(_ClosedFunction):
     @cached_property
     def _route(self) -> Callable:
         if self.kind in (FunctionClass.POLYNOMIAL, FunctionClass.PIECEWISE):
-            return lambda mean, cov: self._centred.moments(mean, cov)[0]
+            return lambda mean, cov: self._switched.moments(mean, cov)[0]
         if self.kind is FunctionClass.NORM:
             return self._norm
         return ReplicaErrors(self._function).variance

@@ -1,4 +1,4 @@
-"""Means, variances and exact errors of the functions that filters ask for: modulus, sine.
+"""Modulus, sine and maximum: means, variances and errors; the bivariate normal distribution.
 
 Every formula is arranged as a sum of terms of one sign, so that an error keeps its relative
 accuracy when it is many orders of magnitude smaller than the function.
@@ -10,14 +10,28 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.special import erfcx
+from scipy.special import erfcx, ndtr, owens_t
 
-from seedslib.base.checks import as_real
-from seedslib.gaussian.arguments import variance_argument
-from seedslib.gaussian.errors.bivariate import density, ratio
+from seedslib.base.checks import as_bound, as_real
+from seedslib.gaussian.arguments import gaussian_arguments, variance_argument
+from seedslib.gaussian.errors.joint import as_joint_law
+from seedslib.gaussian.errors.planes import split_rule
 
-REACH = 9.5
-NODES, WEIGHTS = np.polynomial.legendre.leggauss(96)
+ROOT_TWO_PI = np.sqrt(2 * np.pi)
+FAR, TINY = 100.0, 1e-200
+NEAR = 0.99
+"""Correlations beyond this are near one of the ends."""
+
+
+def density(x: ArrayLike) -> np.ndarray:
+    """Standard normal density; an infinite argument gives zero."""
+    return np.exp(-0.5 * np.square(np.clip(x, -40.0, 40.0))) / ROOT_TWO_PI
+
+
+def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
+    """Quotient by a nonnegative number; x/0 is infinite, and 0/0 zero."""
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+        return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
 
 class FunctionMoments(NamedTuple):
@@ -139,44 +153,18 @@ def abs_errors(
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
     mean, var, error_var = _scalar_law(mean, var, error_var)
-    distance = np.abs(mean - as_real("origin", origin))
-    distance, var, error_var = np.broadcast_arrays(distance, var, error_var)
-    root, known = np.sqrt(error_var), np.sqrt(var - error_var)
-    centre, offset, width = ratio(distance, root), ratio(distance, known), ratio(known, root)
-    lost = square = 0.0
-    for side in (1.0, -1.0):
-        point, weight = _half_line(side * np.minimum(offset, 1e100), np.minimum(width, 1e100))
-        gap = 2 * _excess(point)
-        lost = lost + np.sum(weight * gap * (2 * point + gap), axis=0)
-        square = square + np.sum(weight * gap * gap, axis=0)
-    # Without measurements the estimate does not vary and the two means are values at a point.
-    gap = 2 * _excess(centre)
-    lost = np.where(known == 0, gap * (2 * np.minimum(centre, 40.0) + gap), lost)
-    square = np.where(known == 0, gap * gap, square)
-    optimal = error_var * (1.0 - lost)
-    return MeanSquareErrors(optimal, optimal + error_var * square)
+    mean, known = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
+    z, weight = split_rule(mean, known, np.sqrt(error_var))
+    modulus, variance = abs_moments(mean + known * z, error_var)
+    bias = modulus - np.abs(mean + known * z)
+    optimal = (weight * variance).sum(axis=0)
+    return MeanSquareErrors(optimal, optimal + (weight * bias * bias).sum(axis=0))
 
 
 def _excess(scaled: np.ndarray) -> np.ndarray:
     """``φ(α) - α Φ(-α)`` for α >= 0: by how much E(X+α)⁺ exceeds α. Positive to underflow."""
     scaled = np.minimum(scaled, 40.0)
     return density(scaled) * (1.0 - scaled * np.sqrt(np.pi / 2) * erfcx(scaled / np.sqrt(2)))
-
-
-def _half_line(offset: np.ndarray, width: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gauss-Legendre nodes and weights for a mean over N(offset * width, width²), positive side.
-
-    The functions to be averaged vanish beyond `REACH`; the nodes cover the part of (0, REACH)
-    that lies within `REACH` standard deviations of the mean.
-    """
-    safe = np.where(width > 0, width, 1.0)
-    low = np.clip((offset - REACH) * safe, 0.0, REACH)
-    high = np.clip((offset + REACH) * safe, 0.0, REACH)
-    half = 0.5 * (high - low)
-    nodes = NODES.reshape(-1, *[1] * np.ndim(half))
-    weights = WEIGHTS.reshape(nodes.shape)
-    point = low + half * (1.0 + nodes)
-    return point, weights * (half / safe) * density(point / safe - offset)
 
 
 def _scalar_law(
@@ -192,3 +180,130 @@ def _scalar_law(
             f"above {var.flat[where]:.6g}"
         )
     return mean, var, np.minimum(error_var, var)
+
+
+def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
+    """Mean and variance of the larger of two correlated Gaussian variables (Clark's formulas).
+
+    Parameters
+    ----------
+    mean : array_like
+        Shape (2, ...).
+    cov : array_like
+        Shape (2, 2) or (2, 2, ...). Variables with a constant difference are allowed.
+
+    Returns
+    -------
+    FunctionMoments
+        Arrays of shape (...).
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not two components, not real, not finite, or not a covariance.
+    """
+    mean, cov = gaussian_arguments(mean, cov, 2)
+    root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
+    scaled = np.minimum(np.abs(ratio(gap, root)), 40.0)
+    excess = _excess(scaled)
+    shared = excess * (scaled + excess)
+    tail = ndtr(-scaled)
+    shares = 1.0 - tail - shared, np.maximum(tail - shared, 0.0)
+    weights = np.where(gap >= 0, *shares), np.where(gap >= 0, *shares[::-1])
+    # a singular covariance may leave a negative rounding error
+    var = weights[0] * cov[0, 0] + weights[1] * cov[1, 1] + 2 * shared * cov[0, 1]
+    return FunctionMoments(np.maximum(*mean) + root * excess, np.maximum(var, 0.0))
+
+
+def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSquareErrors:
+    """Exact mean-square errors of the estimates of ``max(x₁, x₂)`` (example 2).
+
+    The optimal error is the mean of the conditional variance over the estimate of the difference,
+    integrated on either side of the kink.
+
+    Parameters
+    ----------
+    mean : array_like
+        Unconditional mean μ, shape (2,).
+    cov, error_cov : array_like
+        C and P, shape (2, 2), P not above C.
+
+    Returns
+    -------
+    MeanSquareErrors
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not two components, not real, not finite, not covariances, or P above C.
+    """
+    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, 2)
+    spread, gap = _spread(error_cov), mean[0] - mean[1]
+    known = np.sqrt(np.maximum(_spread(cov) - spread, 0.0))
+    z, weight = split_rule(gap, known, np.sqrt(spread))
+    top, var = max_moments(np.stack([gap + known * z, 0.0 * z]), error_cov)
+    optimal = weight @ var
+    bias = top - np.maximum(gap + known * z, 0.0)
+    return MeanSquareErrors(optimal, optimal + weight @ bias**2)
+
+
+def _spread(cov: np.ndarray) -> np.ndarray:
+    """Variance of the difference."""
+    return np.maximum(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1], 0.0)
+
+
+def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarray:
+    """Probability that X <= h and Y <= k for standard normals with correlation rho.
+
+    By Owen's function T; absolute error below 1e-15. Infinite limits are allowed, and at
+    ``rho = ±1`` the limit is returned.
+
+    Parameters
+    ----------
+    h, k, rho : array_like
+        Broadcast together; ``-1 <= rho <= 1``.
+
+    Returns
+    -------
+    ndarray
+        The broadcast shape; a scalar for scalars.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Not real, NaN, or a correlation outside [-1, 1].
+    """
+    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
+    # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
+    h, k = (
+        np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))
+        for v in (h, k)
+    )
+    root = np.sqrt((1.0 - rho) * (1.0 + rho))
+    below, above = np.minimum(h, k), np.maximum(h, k)
+    edge = np.where(rho > 0, ndtr(below), np.maximum(0.0, ndtr(below) - ndtr(-above)))
+    regular = (root > 0) & np.isfinite(h) & np.isfinite(k)
+    h, k, rho = (np.where(regular, values, 0.0) for values in (h, k, rho))
+    root = np.where(regular, root, 1.0)
+    inner = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho, root) - _owen(k, h, rho, root)
+    inner -= 0.5 * ((h * k < 0) | ((h * k == 0) & (h + k < 0)))
+    inner = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), inner)
+    unbounded = np.where(np.isneginf(below), 0.0, ndtr(below))
+    edge = np.where(np.isinf(below) | np.isposinf(above), unbounded, edge)
+    return np.where(regular, np.clip(inner, 0.0, 1.0), edge)[()]
+
+
+def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray, root: np.ndarray) -> np.ndarray:
+    zero = h == 0
+    # near one of the ends k - rho h cancels, but what it is made of is exact
+    end = np.copysign(1.0, rho)
+    apart = np.where(np.abs(rho) > NEAR, (k - end * h) + (end - rho) * h, k - rho * h)
+    slope = apart / np.where(zero, 1.0, h * root)
+    return owens_t(h, np.where(zero, np.copysign(np.inf, k), slope))
+
+
+def _correlation(rho: ArrayLike) -> np.ndarray:
+    rho = as_real("rho", rho)
+    if (np.abs(rho) > 1).any():
+        raise ValueError(f"rho: wanted a correlation in [-1, 1], got {rho[np.abs(rho) > 1][0]:g}")
+    return rho

@@ -9,12 +9,11 @@ import numpy as np
 import sympy as sp
 
 from seedslib.gaussian.arguments import align
-from seedslib.gaussian.means.classes import Key
+from seedslib.gaussian.means.classes import Key, quadratic_gram
 from seedslib.gaussian.means.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.means.norm import norm_mean
 from seedslib.gaussian.means.parse import Parsed
 from seedslib.gaussian.means.polynomial import Coefficients
-from seedslib.gaussian.means.quadratics import quadratic_gram
 
 Number = Callable[[sp.Expr], complex]
 CONJUGATE = 1e-12  # relative rounding between the two halves of a sine or cosine

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import sympy as sp
 
-from seedslib.base.symbols import as_expression, as_symbols
+from seedslib.base.symbols import as_expression, as_symbols, real_part
 from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
-from seedslib.gaussian.means.normal_cdf import NormalCDF, Spread, TiltedTail
+from seedslib.gaussian.means.normal_cdf import Difference, Divisor, NormalCDF, TiltedCDF
 from seedslib.gaussian.means.parse import components_of, parse
 from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
 
@@ -83,10 +83,54 @@ def mean_expression(
     formulas, means, covs, scalar = _template(
         components_of(f), variables, as_symbols("parameters", parameters)
     )
-    values = dict(zip(means, mean, strict=True))
-    values |= {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
+    values = _values(means, covs, mean, cov)
     results = [formula.xreplace(values) for formula in formulas]
     return results[0] if scalar else sp.Matrix(results)
+
+
+def covariance_expression(
+    f: sp.Expr,
+    g: sp.Expr,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence[Any],
+    cov: sp.MatrixBase,
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr:
+    """Covariance of f(x) and g(x) for x ~ N(mean, cov), as a SymPy expression.
+
+    Its linear part, grad(E f)' P grad(E g) by Stein's identity, and ``E f g - E f E g`` beyond
+    that where it is more than rounding: about eight digits of it are left however small P is.
+
+    Parameters
+    ----------
+    f, g : expressions
+        Real functions of `variables`.
+    variables, mean, cov, parameters
+        As in `expectation`.
+
+    Raises
+    ------
+    NoClosedForm
+        A term of f, of g or of their product is outside the class.
+    """
+    product = sp.expand(f * g, power_exp=False, power_base=False, log=False)
+    components = (sp.sympify(f), sp.sympify(g), product), False
+    (left, right, square), means, covs, _ = _template(
+        components, as_symbols("variables", variables), tuple(parameters)
+    )
+    left, right, square = map(real_part, (left, right, square))
+    slopes = [sp.Matrix([part]).jacobian(means) for part in (left, right)]
+    linear = (slopes[0] * sp.Matrix(covs) * slopes[1].T)[0]
+    formula = linear + Difference(square, left * right, linear)
+    return formula.xreplace(_values(means, covs, mean, cov))
+
+
+def _values(means: Sequence, covs: Sequence, mean: Sequence, cov: Any) -> dict[sp.Symbol, Any]:
+    """What the stand-ins stand for."""
+    n = len(means)
+    values = dict(zip(means, mean, strict=True))
+    return values | {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
 
 
 def _matrix(name: str, value: object) -> sp.Matrix:
@@ -149,11 +193,8 @@ def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Seque
         m = m + p * linear
     oscillating = any(c.has(sp.I) for _, c in key.exponent)
     if key.plane is not None:
-        if exponent != 0 and not oscillating:
-            slope = sp.zeros(n, 1) if any(quadratic) else linear
-            return factor * _tilted_half_space(key, poly, m, p, exponent, slope)
-        value = _half_space(key, poly, m, p)
-    elif any(quadratic):
+        return factor * _half_space(key, poly, m, p, exponent)
+    if any(quadratic):
         means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One)
         value = sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)
     else:
@@ -163,7 +204,7 @@ def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Seque
             sp.S.Zero,
         )
         value = sp.expand(value)
-    if oscillating and key.plane is None and not any(quadratic):
+    if oscillating and not any(quadratic):
         # the conjugate term adds the mirror image: together twice the real part
         modulus, phase = sp.expand(exponent).as_real_imag()
         real, imaginary = value.as_real_imag()
@@ -221,14 +262,23 @@ def _squares(matrix: sp.Matrix) -> list[tuple[sp.Expr, sp.Matrix]]:
     return squares
 
 
-def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
-    """``E p(x) 1{u > 0}`` under N(m, P) by the Stein recursion with its boundary term.
+def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr) -> sp.Expr:
+    """``exp(exponent) E p(x) 1{u > 0}`` under N(m, P), by the Stein recursion with its boundary.
 
-    For a blurred half-space u has one more component, which is independent of x.
+    For a blurred half-space u has one more component, which is independent of x. A real exponent
+    and the logarithm of a probability are added before the exponential can overflow.
     """
-    location, variance, direction = _switching(key, m, p)
-    mass = NormalCDF(location / sp.sqrt(variance))
-    height = sp.exp(-(location**2) / (2 * variance)) / sp.sqrt(2 * sp.pi * variance)
+    normal = sp.Matrix(key.plane.normal)
+    direction = p * normal
+    location = (normal.T * m)[0] + key.plane.offset
+    variance = (normal.T * direction)[0]
+    variance = variance + 1 if key.plane.blurred else Divisor(variance)
+    z = location / sp.sqrt(variance)
+    if exponent == 0 or exponent.has(sp.I):
+        mass = sp.exp(exponent) * NormalCDF(z)
+    else:
+        mass = TiltedCDF(exponent, z, exponent - z**2 / 2)
+    height = sp.exp(exponent - z**2 / 2) / sp.sqrt(2 * sp.pi * variance)
     gain = direction / variance
     indices = tuple(poly.monoms())
     visited = predecessors(indices)
@@ -237,60 +287,3 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     boundary = (list(direction), {a: height * value for a, value in on_plane.items()})
     means = monomial_means(indices, list(m), p.tolist(), zeroth=mass, boundary=boundary)
     return sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)
-
-
-def _switching(key: Key, m: sp.Matrix, p: sp.Matrix) -> tuple[sp.Expr, sp.Expr, sp.Matrix]:
-    """Mean and variance of the switching function u, and its covariance with x."""
-    normal = sp.Matrix(key.plane.normal)
-    direction = p * normal
-    location = (normal.T * m)[0] + key.plane.offset
-    along = (normal.T * direction)[0]
-    blurred = key.plane.blurred
-    variance = along + 1 if blurred else _never_zero(along, normal, p, location)
-    return location, variance, direction
-
-
-def _tilted_half_space(
-    key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr, slope: sp.Matrix
-) -> sp.Expr:
-    """``exp(exponent) E p(x) 1{u > 0}`` under N(m, P), by powers of u.
-
-    The slope is that of the exponential that moved the mean; zero if something else did as well.
-    Both factors can be out of range where the product is not, and so can be the moved mean.
-    """
-    location, variance, direction = _switching(key, m, p)
-    gain = direction / variance
-    at_plane = exponent - location**2 / (2 * variance)
-    centre = m - gain * location
-    k = _multiple(slope, sp.Matrix(key.plane.normal))
-    if k is not None:  # the same two without the move, in which nothing cancels
-        blur, along = int(key.plane.blurred), (sp.Matrix(key.plane.normal).T * direction)[0]
-        before = sp.expand(location - k * along)
-        at_plane = -k * key.plane.offset - before**2 / (2 * variance)
-        at_plane += blur * k * (2 * before + k * along) / (2 * variance)
-        centre = (m - k * direction).applyfunc(sp.expand) - gain * (before - blur * k)
-    law = exponent, location / sp.sqrt(variance), at_plane
-    t = sp.Dummy("t")
-    places = list(centre + t * direction / sp.sqrt(variance))
-    image = heat(dict(poly.terms()), (p - gain * direction.T).tolist())
-    powers = (c * sp.prod([v**e for v, e in zip(places, a, strict=True)]) for a, c in image.items())
-    whole = sp.expand(sum(powers, sp.S.Zero))
-    degrees = range(poly.total_degree() + 1)
-    return sum((whole.coeff(t, e) * TiltedTail(*law, e) for e in degrees), sp.S.Zero)
-
-
-def _multiple(slope: sp.Matrix, normal: sp.Matrix) -> sp.Expr | None:
-    """The k other than zero with ``slope = k normal``; None without one that is always a number."""
-    parts = [(a, c) for a, c in zip(slope, normal, strict=True) if c.is_number and c]
-    k = parts[0][0] / parts[0][1] if parts else sp.S.Zero
-    left = slope - k * normal
-    return None if k == 0 or any(sp.expand(part) for part in left) else k
-
-
-def _never_zero(variance: sp.Expr, normal: sp.Matrix, p: sp.Matrix, location: sp.Expr) -> sp.Expr:
-    """The variance of a switching function as `Spread`: zero is what rounding leaves of it."""
-    squares = sum((c**2 * p[i, i] for i, c in enumerate(normal)), sp.S.Zero)
-    least = sp.Float(1e-96)  # its third power is a number
-    if sp.expand(variance - squares) != 0:
-        least += sp.Float(1e-15) * squares
-    return Spread(variance, least, location**2)

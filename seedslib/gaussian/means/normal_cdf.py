@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-from math import factorial
 from typing import Any
 
 import numpy as np
 import sympy as sp
 from scipy.special import erfc
-
-from seedslib.base.tables import AxesLike
-
-_HEIGHT = 1.0 / np.sqrt(2.0 * np.pi)
 
 
 class NormalCDF(sp.Function):
@@ -25,7 +20,7 @@ class NormalCDF(sp.Function):
     is_real = True
 
     @classmethod
-    def eval(cls, z: AxesLike | None) -> Any:
+    def eval(cls, z: Any) -> Any:
         """Value at zero; nothing else is evaluated by itself."""
         return sp.S.Half if z.is_zero else None
 
@@ -45,97 +40,92 @@ class NormalCDF(sp.Function):
         return f"(0.5*{erfc}({argument}))"
 
 
-def tilted_tail(exponent: Any, z: Any, boundary: Any, power: int) -> Any:
-    """``exp(exponent) E max(z + e, 0)^power`` for a standard normal e; of power 0, ``Phi(z)``.
+def tilted_cdf(exponent: Any, z: Any, boundary: Any) -> Any:
+    """``exp(exponent) Phi(z)``, of which the exponential may overflow and the other be lost.
 
-    The boundary is ``exponent - z^2 / 2`` with its digits. The exponential overflows and the
-    probability is lost long before their product is: beyond z = -16 it is a series in 1/z^2.
+    The boundary is ``exponent - z^2 / 2``. Below z = 0 it scales Mills' ratio, which beyond
+    z = -16 is its asymptotic series.
     """
-    beyond = z < -16.0
-    near = isinstance(beyond, bool | np.bool_ | np.ndarray) and not np.any(beyond)
-    far: Any = 0.0 if near else 1.0 * beyond
-    scale = np.exp(exponent if near else (1.0 - far) * exponent + far * boundary)
-    last, found = 0.0, scale * (0.5 * erfc(-(0.5**0.5) * z))
-    for k in range(power):
-        step = k * last if k else _HEIGHT * np.exp(boundary)
-        last, found = found, z * found + step
-    if near:
-        return found
-    deviations = np.maximum(-z, 16.0)
-    r = 1.0 / (deviations * deviations)
+    inside, far = 1.0 * (z > 0.0), 1.0 * (z < -16.0)
+    near, distance = np.maximum(z, -16.0), np.maximum(-z, 16.0)
+    r = 1.0 / (distance * distance)
     series: Any = 1.0
-    for k in range(12 + 2 * power, 0, -1):
-        series = 1.0 - (power + 2 * k) * (power + 2 * k - 1) / (2 * k) * r * series
-    tail = _HEIGHT * factorial(power) * series / deviations ** (power + 1)
-    return (1.0 - far) * found + far * scale * tail
+    for k in range(12, 0, -1):
+        series = 1.0 - (2 * k - 1) * r * series
+    short = 0.5 * erfc(-(0.5**0.5) * near) * np.exp(0.5 * near * near * (1.0 - inside))
+    share = (1.0 - far) * short + far * (series / (np.sqrt(2.0 * np.pi) * distance))
+    outside = np.maximum(boundary, -1e300)
+    return np.exp(inside * exponent + (1.0 - inside) * outside) * share
 
 
-class TiltedTail(sp.Function):
-    """``exp(u) E max(z + e, 0)^k`` of u, z, the exponent ``u - z^2 / 2`` and a whole k.
+class TiltedCDF(sp.Function):
+    """``exp(u) Phi(z)`` of u, z and the exponent ``u - z^2 / 2``, which is taken at its word."""
 
-    The third argument is taken at its word: it is the one that is not found by subtraction.
-    """
-
-    nargs = 4
+    nargs = 3
     is_real = True
 
     def fdiff(self, argindex: int = 1) -> Any:
-        """Derivatives by the exponent and by z; the third argument is none of its own."""
-        *law, power = self.args
-        slope = power * TiltedTail(*law, power - 1) if power else _height(law[2])
-        return (self, slope, sp.S.Zero)[argindex - 1]
+        """Derivatives by u, itself, and by z; the third argument is none of its own."""
+        height = sp.exp(self.args[2]) / sp.sqrt(2 * sp.pi)
+        return (self, height, sp.S.Zero)[argindex - 1]
 
-    def _eval_rewrite_as_erf(self, exponent, z, boundary, power, **options):
-        last, found = sp.S.Zero, sp.exp(exponent) * sp.erfc(-z / sp.sqrt(2)).rewrite(sp.erf) / 2
-        for k in range(power):
-            last, found = found, z * found + (k * last if k else _height(boundary))
-        return found
+    def _eval_rewrite_as_erf(self, u, z, boundary, **options):
+        return sp.exp(u) * sp.erfc(-z / sp.sqrt(2)).rewrite(sp.erf) / 2
 
     def _eval_evalf(self, prec):
         return self.rewrite(sp.erf).rewrite(sp.erfc)._eval_evalf(prec)
 
     def _numpycode(self, printer):
-        return f"tilted_tail({', '.join(printer._print(part) for part in self.args)})"
+        return f"tilted_cdf({', '.join(printer._print(part) for part in self.args)})"
 
 
-def _height(exponent: Any) -> sp.Expr:
-    return sp.exp(exponent) / sp.sqrt(2 * sp.pi)
+class Divisor(sp.Function):
+    """Variance of a switching function as what is divided by, in code also where it is zero.
 
-
-def spread(variance: Any, least: Any, square: Any) -> Any:
-    """Variance, or where it is no larger than `least` what leaves the side of a plane certain.
-
-    The mean of the switching function, whose square is given, is then a hundred deviations from
-    the plane, or on it.
-    """
-    certain = np.minimum(1e-4 * square, 1e300) + (square <= least)
-    return np.maximum(variance, (variance <= least) * certain)
-
-
-class Spread(sp.Function):
-    """Variance of a switching function by which one may divide where the state is known.
-
-    The second argument is what counts as zero, the third the square of the mean of the function.
-    Terms that have the covariance as a factor vanish where the variance does.
+    What is divided is a covariance with the same function, which is zero there as well.
     """
 
-    nargs = 3
+    nargs = 1
     is_positive = True
-
-    @classmethod
-    def eval(cls, variance: Any, least: Any, square: Any) -> Any:
-        """What is known to be positive is itself."""
-        return variance if variance.is_positive else None
 
     def fdiff(self, argindex: int = 1) -> Any:
         """Derivative: that of the variance."""
-        return sp.S.One if argindex == 1 else sp.S.Zero
+        return sp.S.One
 
-    def _eval_rewrite_as_erf(self, variance, least, square, **options):
+    def _eval_rewrite_as_erf(self, variance, **options):
         return variance
 
     def _eval_evalf(self, prec):
         return self.args[0]._eval_evalf(prec)
 
     def _numpycode(self, printer):
-        return f"spread({', '.join(printer._print(part) for part in self.args)})"
+        return f"(abs({printer._print(self.args[0])}) + 1e-100)"
+
+
+ROUNDING = 2.0**-48
+
+
+def difference(first: Any, second: Any, rest: Any) -> Any:
+    """``first - second - rest``, or zero where it is only the rounding of the first two."""
+    left = first - second - rest
+    return left * (abs(left) > ROUNDING * (abs(first) + abs(second)))
+
+
+class Difference(sp.Function):
+    """``a - b - c``, where c is what is known of ``a - b`` without subtraction."""
+
+    nargs = 3
+    is_real = True
+
+    def fdiff(self, argindex: int = 1) -> Any:
+        """Derivatives of the difference."""
+        return sp.S.One if argindex == 1 else sp.S.NegativeOne
+
+    def _eval_rewrite_as_erf(self, first, second, rest, **options):
+        return first - second - rest
+
+    def _eval_evalf(self, prec):
+        return (self.args[0] - self.args[1] - self.args[2])._eval_evalf(prec)
+
+    def _numpycode(self, printer):
+        return f"difference({', '.join(printer._print(part) for part in self.args)})"

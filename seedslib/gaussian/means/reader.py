@@ -17,11 +17,12 @@ from seedslib.gaussian.means.classes import (
     Terms,
     add_terms,
     clean,
+    is_semidefinite,
     multiply,
     opposite,
+    quadratic_gram,
 )
 from seedslib.gaussian.means.normal_cdf import NormalCDF
-from seedslib.gaussian.means.quadratics import is_semidefinite, quadratic_gram
 
 EXPONENTIALS: dict[type, Callable[..., Any]] = {
     sp.exp: lambda e: [(1, e)],

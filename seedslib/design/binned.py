@@ -1,0 +1,194 @@
+"""Synthesis by plain histograms, as the papers say it: cells, majorities, means, step by step."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.arrays import Count, MaybeArray, Seed
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count
+from seedslib.base.progress import followed
+from seedslib.base.tables import Labels
+from seedslib.design.carriers import prediction_of
+from seedslib.design.held_out import with_held_out
+from seedslib.designed.memory import Memory, Past
+from seedslib.designed.output_filter import OutputFilter
+from seedslib.designed.prediction import Design
+from seedslib.designed.tables import Output, Step, arguments, step_axes
+from seedslib.filters.weights import most_probable
+from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
+
+METHOD = "histogram of cells of equal probability"
+
+
+class BinnedOutput(NamedTuple):
+    """Output function that is constant in each cell of its arguments.
+
+    Attributes
+    ----------
+    labels : tuple of int
+        Number of values of each discrete argument, 0 for a continuous one.
+    edges : tuple of ndarray, shape (groups, bins - 1)
+        Of each continuous argument, for each group of the discrete ones.
+    mean : ndarray, shape (n, cells)
+    mode : ndarray of int, shape (cells,), or None
+    """
+
+    labels: tuple[int, ...]
+    edges: tuple[np.ndarray, ...]
+    mean: np.ndarray
+    mode: MaybeArray
+
+    def __call__(self, points: Any) -> Output:
+        """Values at arguments whose shapes broadcast; without batch axes where there are none."""
+        if not self.labels:
+            return Output(self.mean[:, 0], None if self.mode is None else self.mode[0])
+        cell = cells(self.labels, self.edges, points)
+        return Output(self.mean[:, cell], None if self.mode is None else self.mode[cell])
+
+
+def cells(labels: tuple[int, ...], edges: tuple[np.ndarray, ...], points: Any) -> np.ndarray:
+    """Number of the cell of each point; the first continuous argument runs fastest."""
+    points = np.broadcast_arrays(*points)
+    group = _group(labels, points)
+    cell, given = np.zeros(group.shape, dtype=np.intp), iter(reversed(edges))
+    for count, point in zip(reversed(labels), reversed(points), strict=True):
+        if not count:
+            rows, place = next(given), np.zeros(group.shape, dtype=np.intp)
+            for number, row in enumerate(rows):
+                here = group == number
+                place[here] = np.searchsorted(row, point[here])
+            cell = cell * (rows.shape[1] + 1) + place
+    for rows in edges:
+        group = group * (rows.shape[1] + 1)
+    return group + cell
+
+
+def _group(labels, points) -> np.ndarray:
+    """Number of the combination of the discrete arguments."""
+    group = np.zeros(np.shape(points[0]), dtype=np.intp)
+    for count, point in zip(labels, points, strict=True):
+        if count:
+            group = group * count + point.astype(np.intp)
+    return group
+
+
+def binned_synthesis(
+    system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
+    bins: Count = 40, least: Count = 5, workers: int = 1,
+) -> OutputFilter:  # fmt: skip
+    """Finite-order filter by the histograms of section 5, as the papers describe it.
+
+    State, measurement and memory are simulated. At each step the arguments of the output function
+    are sorted into cells: the estimate of a cell is the mean state of its paths, its mode that of
+    the majority. The function is applied to the same paths, and so on. Nothing is smoothed:
+    `simulated_synthesis` wants far fewer paths.
+
+    Each continuous argument has cells of equal probability for each value of the discrete ones; a
+    cell with few paths takes the mean over all memories with its measurement.
+
+    Parameters
+    ----------
+    system : SwitchingSystem, JumpDiffusion or DiscreteSystem
+        Of one measured component.
+    memory : Memory
+    times : array_like, shape (K+1,)
+    paths : int
+    seed : int, SeedSequence or Generator
+    bins : int
+        Cells of each continuous argument.
+    least : int
+        Paths that a cell must have to be believed.
+    workers : int
+        Threads of the simulation.
+
+    Returns
+    -------
+    OutputFilter
+        Its predicted errors are those on its own paths, which flatter it; those in `held_out` do
+        not.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument that does not fit.
+
+    Warns
+    -----
+    UserWarning
+        Errors on other paths that are not the predicted ones: too many cells for the paths.
+    """
+    as_system("system", system, *KINDS)
+    if system.measurement_size != 1:
+        raise ValueError("system: wanted one measured component for a histogram")
+    paths, bins = as_count("paths", paths), as_count("bins", bins, 2)
+    least, times = as_count("least", least), as_grid("times", times, system)
+    root = as_seed_sequence(seed)
+    data = system.simulate(times, paths, root, workers=workers)
+    modes = data.modes if switches(system) else [None] * len(times)
+    told = data.indicators if system.indicators else [None] * len(times)
+    past, steps, scores, errors, wrong = Past(), [], [], [], []
+    for k in followed(range(len(times)), "design of tables"):
+        lesson = data.states[k], modes[k]
+        n = len(lesson[0])
+        axes = step_axes(system, memory, (None,), (None,) * n, k)
+        kinds = [tuple(a.count if isinstance(a, Labels) else 0 for a in part) for part in axes]
+        shown, blind = (
+            _fitted(system, kind, arguments(system, y, told[k], past), lesson, bins, least)
+            for kind, y in zip(kinds, (data.measurements[k], ()), strict=True)
+        )
+        steps.append(Step(shown, blind))
+        found = shown(arguments(system, data.measurements[k], told[k], past))
+        error = found.mean - lesson[0]
+        scores.append((float(times[k]), error**2))
+        errors.append(error @ error.T / paths)
+        if found.mode is not None:
+            wrong.append(found.mode != lesson[1])
+        past = memory.push(
+            past, estimate=found.mean, measurement=data.measurements[k], mode=found.mode,
+            indicator=told[k],
+        )  # fmt: skip
+    filter = OutputFilter(
+        system=system, memory=memory, times=times, steps=tuple(steps), method=METHOD,
+        predicted=prediction_of(scores, wrong, in_sample=True),
+        design=Design(paths, BLOCK, *seed_record(root)),
+        covariances=np.array(errors),
+    )  # fmt: skip
+    return with_held_out(filter, root, paths, workers)
+
+
+def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:
+    """The function of one step: means and majorities in cells of its arguments."""
+    (states, modes), count = lesson, len(lesson[0][0])
+    group = _group(labels, points) if points else np.zeros(count, dtype=np.intp)
+    groups = int(np.prod([c for c in labels if c], dtype=int))
+    levels = np.arange(1, bins) / bins
+    edges = tuple(
+        np.stack([_levels(point[group == g], point, levels) for g in range(groups)])
+        for c, point in zip(labels, points, strict=True)
+        if not c
+    )
+    cell = cells(labels, edges, points) if points else group
+    size = groups * bins ** len(edges)
+    rows = list(states)
+    if modes is not None:
+        rows += [modes == i for i in range(system.modes)]
+    sums = np.stack([np.bincount(cell, row, size) for row in (np.ones(count), *rows)])
+    # the measurement runs fastest: few paths in a cell take all memories with its measurement
+    apart = sums.reshape(len(sums), groups, -1, bins if edges else 1)
+    wide = np.broadcast_to(apart.sum(axis=2, keepdims=True), apart.shape).reshape(sums.shape)
+    sums = np.where(sums[0] < least, wide, sums)
+    sums = np.where(sums[0] < least, sums.sum(axis=1, keepdims=True), sums)
+    values = sums[1:] / np.maximum(sums[0], 1.0)
+    if modes is None:
+        return BinnedOutput(labels, edges, values, None)
+    mode = most_probable(values[len(states) :])
+    return BinnedOutput(labels, edges, values[: len(states)], mode)
+
+
+def _levels(inside, everywhere, levels) -> np.ndarray:
+    """Quantiles of the values in a group, of all values where it is empty."""
+    return np.quantile(inside if inside.size else everywhere, levels)

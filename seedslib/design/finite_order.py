@@ -1,0 +1,265 @@
+"""Design of finite-order filters: one forward pass over simulated paths, a fit before each step.
+
+The design is a run of the filter on paths of the system itself, by the same lines that will run
+online; before each step the forecast it needs is fitted to the paths. Paths are not stored.
+"""
+
+from __future__ import annotations
+
+import warnings
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.arrays import Count, Seed
+from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
+from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
+from seedslib.base.clock import step_count, when
+from seedslib.base.values import Inputs
+from seedslib.design.forward_pass import ForwardPass
+from seedslib.design.held_out import with_held_out
+from seedslib.design.histories import certain
+from seedslib.design.paths import Walk, crew, require_range
+from seedslib.design.regression import coefficients_of
+from seedslib.designed.finite_order import FiniteOrderFilter, Rules
+from seedslib.designed.memory import Memory
+from seedslib.designed.prediction import Design
+from seedslib.designed.predictors import Affine, Continuous, Polynomial
+from seedslib.linearization.moments import Linearization, as_linearization
+from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
+from seedslib.models.simulation import Schedule
+
+if TYPE_CHECKING:
+    from seedslib.models.kinds import AnySystem
+
+PATHS_PER_COEFFICIENT = 50
+"""Fewer design paths than this for each dimension of the memory are worth a warning."""
+
+
+def check_kinds(memory: Memory, predictor: Any, exact_moments: bool, availability: bool) -> None:
+    """Refuse a memory, a predictor and options that do not go together.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Which, and why.
+    """
+    if memory.indicators or memory.log_odds:
+        raise ValueError(
+            f"memory: wanted estimates and measurements, there are no modes here, got {memory}"
+        )
+    if not isinstance(predictor, Affine | Polynomial | Continuous):
+        raise TypeError(f"predictor: wanted Affine, Polynomial or Continuous, got {predictor!r}")
+    if isinstance(predictor, Continuous) and memory != Memory(1):
+        raise ValueError(f"predictor: Continuous wants the memory of one estimate, got {memory}")
+    if exact_moments and not isinstance(predictor, Affine):
+        raise ValueError(f"exact_moments: wanted with Affine forecasts, got {predictor}")
+    if availability and (exact_moments or isinstance(predictor, Continuous)):
+        raise ValueError("availability: wanted Affine or Polynomial forecasts on simulated paths")
+
+
+def check_paths(paths: int, memory: Memory, predictor: Any, components: int, measured: int) -> None:
+    """Refuse fewer paths than coefficients, and warn of few.
+
+    Raises
+    ------
+    ValueError
+        Too few.
+    """
+    coefficients = coefficients_of(predictor, memory.order(components, measured))
+    if paths <= coefficients + 1:
+        raise ValueError(
+            f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
+            f"got {paths}"
+        )
+    if paths < PATHS_PER_COEFFICIENT * coefficients:
+        warnings.warn(
+            f"paths: {paths} are few for {coefficients} coefficients; "
+            f"{PATHS_PER_COEFFICIENT * coefficients} or more are advised",
+            stacklevel=outside(),
+        )
+
+
+def node_times(times: np.ndarray, nodes: Any, step: float | None) -> tuple[np.ndarray, ...]:
+    """Node times within each interval; every integration step where there is a `step`.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Nodes outside of their intervals.
+    """
+    whole = is_whole(nodes)
+    if whole:
+        as_count("nodes", nodes, 0)
+    elif step is None:
+        nodes = list(nodes)
+        if len(nodes) != len(times) - 1:
+            raise ValueError(f"nodes: wanted {len(times) - 1} lists of times, got {len(nodes)}")
+    grids = []
+    for k, (start, end) in enumerate(pairwise(times)):
+        if step is not None or whole:
+            parts = nodes + 1 if step is None else step_count(start, end, step)
+            grids.append(start + (end - start) * np.arange(1, parts) / parts)
+            continue
+        grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
+        if len(grid) and not (start < grid[0] and grid[-1] < end):
+            raise ValueError(
+                f"nodes: wanted times between {when(start)} and {when(end)}, "
+                f"got {grid[0]:g} to {grid[-1]:g}"
+            )
+        grids.append(grid)
+    return tuple(grids)
+
+
+_AFFINE = Affine()
+
+
+def synthesize(
+    system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
+    predictor: Any = _AFFINE, nodes: Any = 4, components: int | None = None,
+    paths: Count | None = None, seed: Seed | None = None, workers: Any = 1,
+    exact_moments: bool = False, step: float | None = None, scheme: str = "euler",
+    normalisation: str = "consistent", measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None, inputs: Inputs | None = None,
+) -> Any:  # fmt: skip
+    """Design a filter of finite order for a system.
+
+    Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
+    regression, (6.3), and the correction takes Gaussian means, (6.2). With `Taylor` the filter
+    is the paper's linearised one, with `ExactGaussian` its Gaussian one.
+
+    Parameters
+    ----------
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
+        A switching system takes `paths`, `seed`, `workers`, `inputs` and `normalisation` and gives
+        a `SwitchingFilter`; see `seedslib.design.switching.synthesize_switching`.
+    memory : Memory
+    linearization : Linearization
+        How the moments of the sensor are taken.
+    times : array_like, shape (K+1,)
+        Times of the measurements; the first is that of the initial law.
+    predictor : Affine, Polynomial or Continuous
+    nodes : int or sequence of array_like
+        Number of evenly spaced nodes inside each interval between measurements, or the node
+        times of each. `Continuous` has a node at every integration step instead; a system in
+        discrete time has none.
+    components : int, optional
+        n': the first components of the state are estimated (default all).
+    paths : int
+        Design paths. When the design is finished, an eighth of that number, at least 512, of
+        other paths tells what it is worth on paths it has not seen: `held_out`.
+    seed : int, SeedSequence or Generator
+        The design paths are ``system.simulate(stops, paths, seed)`` with all measurement times
+        and nodes as stops; those held out have a stream of their own.
+    workers : int or Crew
+        Threads, or a crew such as `seedslib.extra.cluster` makes; the filter does not depend on
+        it, bit by bit.
+    exact_moments : bool
+        Take exact moments instead of simulated ones, for a linear system with a linear sensor;
+        `paths` and `seed` are then not used, and nothing is held out: the errors are exact.
+    step : float, optional
+        Largest integration step of the simulation; the system's own by default.
+    scheme : {"euler", "heun"}
+    normalisation
+        As `SwitchingFilter`.
+    measured : array_like, optional
+        The schedule of the sensor, where it is known in advance: as `simulate` takes it, a mask
+        (K+1,) of the times that are measured, or (K+1, m) of the components that are read at
+        each. The filter expects just those, and knows its errors with them; a further gap is one
+        that it does not know of.
+    availability : float or array_like, shape (m,), optional
+        Probabilities with which the components that are read arrive. The forecasts are then those
+        of what has arrived, by classes of histories, see `seedslib.design.histories`: errors,
+        likelihoods and what is expected are known after gaps too, likely or not. The work is that
+        of a design for each class, and up to 64 of them.
+    inputs : mapping of Input to array_like, shape (K+1,), optional
+        Values of the inputs that the system mentions, each held until the next measurement. They
+        are in the numbers of the forecasts; a run is given them again, for the correction.
+
+    Returns
+    -------
+    FiniteOrderFilter or SwitchingFilter
+        The second for a switching system. `predicted` are its errors on the design paths,
+        `held_out` those on other paths; printed, they stand side by side.
+
+    Raises
+    ------
+    TypeError, ValueError
+        An argument that does not fit; too few paths; moments that are not finite.
+    RuntimeError
+        A crew elsewhere was lost, or has other versions of the libraries.
+    NoClosedForm
+        The linearization has no formulas for this sensor; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        Few paths for the memory's dimension; an estimate without information; paths left out;
+        errors on the paths held out that are not the predicted ones. Of a switching system also
+        many thin pairs of cell and mode, and mended covariances.
+    """
+    as_system("system", system, *KINDS)
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    as_linearization(linearization, system)
+    require_range(system)
+    if switches(system):
+        from seedslib.design.switching import synthesize_switching
+
+        for name, given in (
+            ("predictor", predictor != _AFFINE), ("components", components is not None),
+            ("exact_moments", exact_moments), ("step", step is not None),
+            ("scheme", scheme != "euler"), ("measured", measured is not None),
+            ("availability", availability is not None),
+        ):  # fmt: skip
+            if given:
+                raise ValueError(f"{name}: wanted none for a switching system")
+        return synthesize_switching(
+            system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
+            normalisation=normalisation, inputs=inputs,
+        )  # fmt: skip
+    if normalisation != "consistent":
+        raise ValueError("normalisation: wanted for a switching system only")
+    times = as_grid("times", times, system)
+    schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
+    mask, availability = certain(schedule)
+    check_kinds(memory, predictor, exact_moments, availability is not None)
+    course = course_of(system, inputs, len(times))
+    n = system.state_size
+    components = n if components is None else as_count("components", components, 1, n)
+    options, size = {}, None
+    if in_steps(system):
+        if exact_moments or isinstance(predictor, Continuous):
+            raise ValueError("system: exact_moments and Continuous want one in continuous time")
+        nodes = 0 * as_count("nodes", nodes, 0)
+    else:
+        size = as_positive("step", system.step if step is None else step)
+        options = {"step": size, "scheme": scheme}
+    grid = node_times(times, nodes, size if isinstance(predictor, Continuous) else None)
+    rules = Rules.of(system, memory, predictor, linearization, components)
+
+    def made(start, fits, node_fits, predicted, design):
+        return FiniteOrderFilter(
+            system=system, memory=memory, predictor=predictor, linearization=linearization,
+            times=times, node_times=grid, components=components, start=start, fits=fits,
+            node_fits=node_fits, predicted=predicted, design=design, rules=rules,
+            measured=None if mask.all() else mask, availability=availability,
+        )  # fmt: skip
+
+    if exact_moments:
+        from seedslib.design.exact_moments import linear_design
+
+        return made(*linear_design(system, rules, times, grid, mask, course))
+    paths = as_count("paths", paths)
+    check_paths(paths, memory, predictor, components, system.sensor.size)
+    root = as_seed_sequence(seed)
+    stops = np.concatenate([times, *grid])
+    with crew(workers) as each:
+        walk = Walk(system, paths, root, len(stops), each, options)
+        forward = ForwardPass(walk, rules, predictor, mask, availability, course)
+        found = forward.design(times, grid)
+        designed = made(*found, Design(paths, BLOCK, *seed_record(root), walk.warn_of_lost()))
+    del walk, forward  # their paths are not wanted any more
+    return with_held_out(designed, root, paths, workers, inputs=course.values, **options)

@@ -1,0 +1,121 @@
+"""What a finished filter is worth on paths that its design has not seen."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import warnings
+from typing import Any
+
+import numpy as np
+
+from seedslib.base.blocks import child
+from seedslib.base.checks import outside
+from seedslib.base.clock import when
+from seedslib.design.paths import LARGEST
+from seedslib.design.regression import DOMINATED
+from seedslib.designed.prediction import HeldOut
+from seedslib.evaluation import evaluate
+
+SHARE, LEAST = 8, 512
+"""There is one held-out path for so many design paths, but at least so many."""
+
+STREAM = 0x48454C44
+"""Key of the held-out paths among the children of the seed: no block of a design has it."""
+
+DOUBT = 4.0
+"""Standard errors that a single difference must have to be one."""
+
+SOME = 0.02
+"""A smaller part of an error than this is not worth a warning."""
+
+ROUNDING = 1e-9
+"""An error that is a smaller part of the first state than this is rounding."""
+
+
+def with_held_out(
+    filter: Any, root: np.random.SeedSequence, paths: int, workers: Any, **options: Any
+) -> Any:
+    """The filter with its errors on held-out paths, by its own `run`.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter, SwitchingFilter or OutputFilter
+        As it was designed, with the errors that it predicts.
+    root : SeedSequence
+        Of the design; the design paths do not depend on what is done here.
+    paths : int
+        Design paths.
+    workers : int or Crew
+        Threads; a crew that works elsewhere is left alone.
+    **options
+        As `seedslib.evaluation.compare` takes them.
+
+    Warns
+    -----
+    UserWarning
+        Errors that differ from the predicted ones, or that rest on few paths.
+    """
+    count, system = max(LEAST, -(-paths // SHARE)), filter.system
+    if filter.availability is not None:
+        options["availability"] = filter.availability
+    nothing = np.full_like(filter.predicted.rms[: len(filter.times)], np.nan)
+    held = HeldOut(filter.times, nothing, nothing, count, count)
+    with warnings.catch_warnings(), np.errstate(all="ignore"):
+        warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
+        try:
+            found = evaluate(
+                filter, system, filter.times, count, child(root, STREAM), bound=LARGEST,
+                measured=filter.measured, workers=workers if isinstance(workers, int) else 1,
+                **options,
+            )  # fmt: skip
+        except ValueError:
+            pass  # on less than two paths it has not diverged
+        else:
+            held = HeldOut(
+                filter.times, found.rms, found.rms_error, count, found.diverged,
+                found.mode_error, found.mode_error_error,
+            )  # fmt: skip
+    size = np.abs(system.mean0) + np.sqrt(np.diagonal(system.cov0))
+    _warn(filter.predicted, held, ROUNDING * size, math.sqrt(paths / count))
+    return dataclasses.replace(filter, held_out=held)
+
+
+def _warn(predicted, held, rounding, share):
+    """Tell of errors that are not the predicted ones.
+
+    `share` is the root of the number of design paths by that of held-out paths.
+    """
+    at = np.searchsorted(predicted.times, held.times)
+    n = held.rms.shape[1]
+    wanted, wanted_error, rms, error = predicted.rms[at], predicted.error[at], held.rms, held.error
+    rounding = rounding[:n]
+    if held.mode_rate is not None:
+        wanted, wanted_error, rms, error = (
+            np.column_stack(pair)
+            for pair in (
+                (wanted, predicted.mode_rate[at]), (wanted_error, predicted.mode_error[at]),
+                (rms, held.mode_rate), (error, held.mode_error),
+            )
+        )  # fmt: skip
+        rounding = np.append(rounding, 0.0)
+    # the same chance of a false alarm whatever the number of comparisons
+    doubt = math.sqrt(DOUBT**2 + 2.0 * math.log(rms.size))
+    # few paths that miss the large errors believe themselves too much
+    both = np.hypot(wanted_error, np.maximum(error, share * wanted_error))
+    difference = np.abs(rms - wanted)
+    bad = difference > doubt * both
+    bad[:, :n] |= ((error > DOMINATED * rms) & (rms > wanted))[:, :n]
+    bad &= (difference > SOME * wanted) & (np.maximum(rms, wanted) > rounding)
+    if bad.any() or held.diverged:
+        ratio = np.where(bad, difference / np.maximum(wanted, np.finfo(float).tiny), -1.0)
+        k, i = np.unravel_index(ratio.argmax(), ratio.shape)
+        diverged = f"; on {held.diverged} of them the filter diverged" * bool(held.diverged)
+        warnings.warn(
+            f"held out: errors on {held.paths} other paths are not the predicted ones at "
+            f"{np.count_nonzero(bad.any(axis=1))} of {len(bad)} times, most at "
+            f"{when(held.times[k])}: {rms[k, i]:.4g} ± {error[k, i]:.2g} for {wanted[k, i]:.4g}"
+            f"{diverged}; take more design paths, or forecasts of a lower degree or a shorter "
+            "memory",
+            stacklevel=outside(),
+        )

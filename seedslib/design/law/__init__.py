@@ -1,1 +1,0 @@
-"""Shelf: designs on the law of memory and state over a grid."""

@@ -1,1 +1,0 @@
-"""Shelf: designs on simulated paths."""

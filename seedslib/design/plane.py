@@ -1,0 +1,137 @@
+"""Joint law of a state in the plane and one remembered estimate: theorems 1 and 2 for n = 2."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import as_times
+from seedslib.base.progress import followed
+from seedslib.base.tables import AxesLike, as_axes, locate, mesh
+from seedslib.design.law import NEGLIGIBLE, posterior_means, seen
+from seedslib.filters.weights import most_probable
+
+FAINT = 1e-7
+"""Share of the probability of a state, a measurement or a cell that is left out."""
+
+
+class PlaneStep(NamedTuple):
+    """What is optimal at one measurement, on a grid of measurements and memories.
+
+    Attributes
+    ----------
+    time : float
+    cells : ndarray of int, shape (C,)
+        Numbers of the cells of the memory that have probability: the decided mode, then the
+        nodes of both axes, the last one fastest. One cell, 0, before the first measurement.
+    law : ndarray, shape (S, C)
+        Joint law of the chain and the memory before the measurement.
+    likelihood : ndarray, shape (Y, S)
+        With quadrature weights; columns sum to one.
+    mean : ndarray, shape (2, Y, C)
+        f_k(y, u), the conditional mean of the state.
+    mode : ndarray of int, shape (Y, C), or None
+        The most probable mode, of a chain with modes.
+    mass : ndarray, shape (Y, C)
+        Probability of measurement and memory.
+    mse : ndarray, shape (2,)
+        M(X - Z_k)² of each component.
+    mode_error : float
+        Probability of a wrong mode.
+    """
+
+    time: float
+    cells: np.ndarray
+    law: np.ndarray
+    likelihood: np.ndarray
+    mean: np.ndarray
+    mode: MaybeArray
+    mass: np.ndarray
+    mse: np.ndarray
+    mode_error: float
+
+
+def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> Iterator[PlaneStep]:
+    """The density recursion (4.4)-(4.10) for a state of two components and a memory of order one.
+
+    The memory is the last estimate of both components, and the decided mode where there are
+    modes. An estimate is remembered on the four nodes about it, in shares that keep its mean; the
+    errors are those of the filter with such rounding, an upper bound of the optimum that falls
+    with the square of the steps of `z`.
+
+    Parameters
+    ----------
+    chain : PlaneChain or SwitchingChain
+    times : array_like, shape (K+1,)
+    z : two of Axis or (low, high, count)
+        Nodes of the remembered estimates.
+    y : sequence of Axis or (low, high, count)
+        Nodes for each component of a measurement; steps of about one deviation of the sensor's
+        noise will do.
+
+    Yields
+    ------
+    PlaneStep
+    """
+    times, z = as_times("times", times), as_axes("z", z, 2)
+    y = as_axes("y", y, chain.system.measurement_size)
+    shown, weights = mesh(y), np.ones(1)
+    for axis in y:
+        weights = np.outer(weights, axis.weights).ravel()
+    law, cells = chain.start()[:, None], np.zeros(1, dtype=np.intp)
+    for k, t in enumerate(followed(times, "density recursion")):
+        if k:
+            law = chain.move(law, float(times[k - 1]), float(t))
+            law /= law.sum()
+        likelihood = seen(chain.log_likelihood(float(t), shown), weights).mass
+        step = _optimal(chain, float(t), cells, law, likelihood)
+        yield step
+        cells, law = _remembered(chain, step, z)
+
+
+def _optimal(chain, t, cells, law, likelihood) -> PlaneStep:
+    """Conditional means and modes, and what they cost."""
+    used = law.sum(axis=1) > FAINT * law.sum()
+    part, sight, x = law[used], likelihood[:, used], chain.values[:, used]
+    mass = sight @ part
+    mean = posterior_means(x, part.T, sight, mass)
+    whole = part.sum(axis=1)
+    mse = (x**2 @ whole - (mean**2 * mass).sum(axis=(1, 2))) / whole.sum()
+    if chain.modes == 1:
+        return PlaneStep(t, cells, law, likelihood, mean, None, mass, mse, 0.0)
+    label = np.repeat(np.arange(chain.modes), len(used) // chain.modes)[used]
+    each = np.stack([sight[:, label == i] @ part[label == i] for i in range(chain.modes)])
+    wrong = 1.0 - each.max(axis=0).sum() / whole.sum()
+    return PlaneStep(t, cells, law, likelihood, mean, most_probable(each), mass, mse, float(wrong))
+
+
+def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:
+    """Cells of the new memory that have probability, and the joint law with them, (4.10)."""
+    from scipy.sparse import csr_array
+
+    size = axes[0].count * axes[1].count
+    found = np.zeros((chain.modes * size, len(step.law)))
+    for cell in np.flatnonzero(step.mass.sum(axis=0) > NEGLIGIBLE):
+        mass, column = step.mass[:, cell], step.law[:, cell]
+        events = np.flatnonzero(mass > FAINT * mass.max())
+        states = np.flatnonzero(column > FAINT * column.max())
+        joint = step.likelihood[np.ix_(events, states)] * column[states]
+        place = locate(axes, step.mean[:, events, cell])
+        a, b = place.shares
+        shares = np.stack([(1 - a) * (1 - b), (1 - a) * b, a * (1 - b), a * b])
+        lowest = place.index
+        if step.mode is not None:
+            lowest = lowest + size * step.mode[events, cell]
+        targets = lowest + np.array(place.offsets)[:, None]
+        into, rows = np.unique(targets, return_inverse=True)
+        columns = np.tile(np.arange(len(events)), 4)
+        scatter = csr_array(
+            (shares.ravel(), (rows.ravel(), columns)), shape=(len(into), len(events))
+        )
+        found[np.ix_(into, states)] += scatter @ joint
+    kept = found.sum(axis=1) > FAINT * 1e-2 * found.sum()
+    return np.flatnonzero(kept), np.ascontiguousarray(found[kept].T)

@@ -1,1 +1,0 @@
-"""Shelf: designs as tables, by regression on paths."""

@@ -1,0 +1,266 @@
+"""The conditionally minimax filter: a chosen prediction and correction, with regressed gains."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from seedslib.base.checks import as_count
+from seedslib.designed.base import freeze
+from seedslib.designed.checks import check_covariances, check_fields
+from seedslib.designed.output_filter import OutputFilter
+from seedslib.designed.predictors import AffineFit, PolynomialFit
+from seedslib.designed.tables import Output, Step, prior
+from seedslib.models.kinds import elapsed
+
+Basic = Callable[..., np.ndarray]
+"""A basic function of the user's."""
+
+
+@dataclass(frozen=True)
+class BoundedPolynomial:
+    """Basic correction by a polynomial that cannot run away.
+
+    What the best affine map of predicted state and measurement leaves of the state is regressed
+    on all products of up to `degree` components of basic prediction and measurement,
+    standardised and clipped to 3.5 deviations. The polynomial is kept within what it has been on
+    the design's paths, and the estimate within the range of their states.
+
+    Parameters
+    ----------
+    degree : int
+        At least 1.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A degree that is not a whole number, or too small.
+    """
+
+    degree: int = 3
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "degree", as_count("degree", self.degree))
+
+    def __str__(self) -> str:
+        return f"bounded polynomials of degree {self.degree}"
+
+
+@dataclass(frozen=True)
+class Minimax:
+    """How a conditionally minimax filter predicts and corrects, see `minimax_synthesis`."""
+
+    prediction: Basic | None
+    correction: Basic | BoundedPolynomial | None
+
+    def __post_init__(self) -> None:
+        first, second = self.prediction, self.correction
+        if not (first is None or callable(first)):
+            raise TypeError(f"prediction: wanted a function or None, got {first!r}")
+        if not (second is None or callable(second) or type(second) is BoundedPolynomial):
+            raise TypeError(
+                f"correction: wanted a function, a BoundedPolynomial or None, got {second!r}"
+            )
+
+    def __str__(self) -> str:
+        first = "the mean of the dynamics" if self.prediction is None else "a given function"
+        second = (
+            "a given function" if callable(self.correction) else self.correction or "the residual"
+        )
+        return f"conditionally minimax regression on {first}, then on {second}"
+
+
+class BoundedFit(NamedTuple):
+    """A fitted `BoundedPolynomial`.
+
+    Attributes
+    ----------
+    powers : PolynomialFit
+    values, states : ndarray, shape (2, n)
+        Least and largest values of the polynomial, and states, on the design's paths.
+    """
+
+    powers: PolynomialFit
+    values: np.ndarray
+    states: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        """Value (n, *batch) at basic prediction and measurement (p + m, *batch)."""
+        return within(self.values, self.powers.mean(points))
+
+
+def within(ends: np.ndarray, x: np.ndarray) -> np.ndarray:
+    """Components (n, *batch) cut to their ranges, (2, n)."""
+    return np.clip(x, *ends.reshape(*ends.shape, *(1,) * (x.ndim - 1)))
+
+
+class MinimaxFit(NamedTuple):
+    """What the regressions of one measurement found.
+
+    Attributes
+    ----------
+    forecast : AffineFit
+        F, f and the predicted error covariance before the measurement.
+    correction : AffineFit
+        H, h and that after it.
+    bounded : BoundedFit, or None
+    """
+
+    forecast: AffineFit
+    correction: AffineFit
+    bounded: BoundedFit | None = None
+
+    def check(self, name: str, n: int, m: int, memory: int, method: Minimax) -> None:
+        """Refuse parts that do not fit together, for so many remembered numbers.
+
+        Raises
+        ------
+        TypeError, ValueError
+            Arrays of another shape or kind, numbers that are not finite.
+        """
+        sizes = [fit.gain.shape[-1] for fit in self[:2]]
+        if method.prediction is None or not memory:
+            sizes[0] = memory
+        bounded = isinstance(method.correction, BoundedPolynomial)
+        if method.correction is None:
+            sizes[1] = m
+        elif bounded:
+            sizes[1] = 2 * n + m
+        for part, size in zip(("forecast", "correction"), sizes, strict=True):
+            getattr(self, part).check(f"{name}.{part}", n, size)
+        if bounded != (self.bounded is not None):
+            raise ValueError(f"{name}.bounded: wanted with bounded polynomials, and only there")
+        if self.bounded is not None:
+            self.bounded.powers.check(f"{name}.bounded.powers", n, sizes[0] + m)
+            check_fields(f"{name}.bounded", self.bounded, values=(2, n), states=(2, n))
+
+
+class Basics(NamedTuple):
+    """The basic functions of one measurement.
+
+    Attributes
+    ----------
+    system : DiscreteSystem
+    method : Minimax
+    estimates : int
+        How many estimates are remembered before it.
+    times : ndarray, shape (estimates + 1,) or more
+        Times up to its own.
+    """
+
+    system: Any
+    method: Minimax
+    estimates: int
+    times: np.ndarray
+
+    def prediction(self, u: np.ndarray) -> np.ndarray:
+        """Basic prediction (p, *batch) from the memory (d, *batch)."""
+        if not len(u):
+            return u
+        if self.method.prediction is not None:
+            return _found("prediction", self.method.prediction(self.times[-2], u), u)
+        n, parts = self.system.state_size, []
+        for age in range(1, self.estimates + 1):
+            x, steps = u[(age - 1) * n : age * n], self.times[-age - 1 :]
+            for start, stop in pairwise(steps):
+                with elapsed(self.system, start, stop):
+                    x = self.system.dynamics.conditional_moments(start, x)[0]
+            parts.append(x)
+        return np.concatenate([*parts, u[self.estimates * n :]])
+
+    def correction(
+        self, forecast: np.ndarray, xi: np.ndarray, y: np.ndarray, bounded: BoundedFit | None
+    ) -> np.ndarray:
+        """Basic correction (q, *batch) from predicted state, basic prediction and measurement."""
+        chosen: Any = self.method.correction
+        t = self.times[-1]
+        if bounded is not None:
+            return np.concatenate([forecast, y, bounded(np.concatenate([xi, y]))])
+        if chosen is None:
+            return y - self.system.sensor.conditional_moments(t, forecast)[0]
+        return _found("correction", chosen(t, forecast, y), y)
+
+
+def _found(name, value, like):
+    value = np.asarray(value, dtype=float)
+    if value.ndim != like.ndim or value.shape[1:] != like.shape[1:]:
+        raise ValueError(
+            f"{name}: wanted (rows, {', '.join(map(str, like.shape[1:]))}) from the function, got "
+            f"{value.shape}"
+        )
+    return value
+
+
+def _blind(basics: Basics, fit: MinimaxFit, points: Any) -> Output:
+    return Output(fit.forecast.mean(basics.prediction(np.stack(np.broadcast_arrays(*points)))))
+
+
+def _shown(basics: Basics, fit: MinimaxFit, points: Any) -> Output:
+    points, m = np.stack(np.broadcast_arrays(*points)), basics.system.measurement_size
+    y, xi = points[:m], basics.prediction(points[m:])
+    forecast = fit.forecast.mean(xi)
+    zeta = basics.correction(forecast, xi, y, fit.bounded)
+    mean = forecast + fit.correction.mean(zeta)
+    return Output(mean if fit.bounded is None else within(fit.bounded.states, mean))
+
+
+def output_functions(basics: Basics, fit: MinimaxFit) -> Step:
+    """The output functions of one measurement."""
+    first = len(basics.times) == 1
+    blind = prior(basics.system, len(fit.forecast.offset))
+    return Step(partial(_shown, basics, fit), blind if first else partial(_blind, basics, fit))
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class MinimaxFilter(OutputFilter):
+    """Conditionally minimax filter; `minimax_synthesis` makes it.
+
+    With functions of one's own it is not written to files, since they are programs; `tabulated`
+    makes a filter of it that is, where there is one component.
+
+    Attributes
+    ----------
+    fits : tuple of MinimaxFit, length K+1
+        What the regressions found; `steps` are made of them.
+    """
+
+    system: Any
+    steps: tuple[Step, ...] = field(init=False)
+    method: Minimax
+    fits: tuple[MinimaxFit, ...] = field(kw_only=True)
+
+    def __post_init__(self) -> None:
+        made = [output_functions(self.basics(k), fit) for k, fit in enumerate(self.fits)]
+        object.__setattr__(self, "steps", tuple(made))
+        freeze(self.fits)
+        super().__post_init__()
+
+    def basics(self, k: int) -> Basics:
+        """The basic functions of measurement k."""
+        return basics_of(self.system, self.memory, self.method, self.times, k)
+
+    def check_parts(self) -> None:
+        """The regressions."""
+        super().check_parts()
+        n, m = self.components, self.system.measurement_size
+        for k, fit in enumerate(self.fits):
+            remembered = self.memory.dimension(k - 1, n, m)
+            fit.check(f"fits[{k}]", n, m, remembered, self.method)
+        check_covariances("fits", [part.cov for fit in self.fits for part in fit[:2]])
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Regressions of the chosen steps."""
+        kept = super().parts(chosen)
+        del kept["steps"]
+        return {**kept, "fits": tuple(self.fits[k] for k in chosen)}
+
+
+def basics_of(system: Any, memory: Any, method: Minimax, times: np.ndarray, k: int) -> Basics:
+    """The basic functions of measurement k."""
+    estimates = min(k, memory.estimates)
+    return Basics(system, method, estimates, times[k - max(estimates, min(k, 1)) : k + 1])

@@ -1,1 +1,0 @@
-"""Shelf: filters of output functions, which tables are one kind of."""

@@ -1,0 +1,639 @@
+"""Systems on a grid: probabilities of its nodes, how they move, and the likelihoods of nodes.
+
+What the exact recursions ask of a model. `GridChain` holds what all of them share; each kind of
+system says how its probabilities start and move.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from seedslib.base.clock import lengths_alike, step_count, when
+from seedslib.base.objects import Shown
+from seedslib.base.semidefinite import factor
+from seedslib.base.tables import (
+    AxesLike,
+    Axis,
+    AxisLike,
+    Grid,
+    Nodes,
+    as_axes,
+    as_grids,
+    locate,
+    mesh,
+)
+from seedslib.base.values import present
+from seedslib.models.discrete import DiscreteSystem
+from seedslib.models.jump_diffusion import JumpDiffusion
+from seedslib.models.kinds import elapsed
+from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch, SwitchingSystem
+
+OUTSIDE = 1e-6
+"""Probability in the outermost cells above which a grid is too short."""
+
+STORED = 64
+"""Transitions that are stored, of times or of values of inputs."""
+
+MARK_NODES = 32
+"""Gauss-Hermite nodes per mark where a jump is not affine in its marks."""
+
+POINTS = 6
+"""Nodes that a narrow law is shared between: its moments up to the fifth are kept."""
+
+NARROW = 0.8
+"""Deviation, in steps of the grid, below which a law has no density to speak of on the nodes."""
+
+SHIFT = 1e-5
+"""Relative shift of a state for the derivative of its drift."""
+
+
+class GridChain(Shown):
+    """A system on the nodes of a grid, a Markov chain that is seen through a likelihood.
+
+    The states of the chain are the nodes in mode 0, then those in mode 1, and so on.
+
+    Attributes
+    ----------
+    axes : tuple of Axis or Nodes
+    nodes : ndarray, shape (n, N)
+        Of the system's state, the last component fastest.
+    values : ndarray, shape (n, S)
+        State of the system at each state of the chain, S = N modes.
+    modes, indicators : int
+        1 and 0 where there are neither.
+    loses : bool
+        Whether columns of the transition need not sum to one.
+    """
+
+    loses: bool = False
+    stored: int = STORED
+    _shown = ("axes",)
+
+    def __init__(self, system: Any, axes: Sequence[Axis | Nodes]) -> None:
+        switching = isinstance(system, SwitchingSystem)
+        self.system: Any = system
+        self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
+        self.nodes: np.ndarray = mesh(self.axes)
+        self.modes: int = system.modes if switching else 1
+        self.indicators: int = system.indicators
+        self.values: np.ndarray = np.tile(self.nodes, self.modes)
+        self._sensors: Any = system.sensors if switching else (system.sensor,)
+        self._readings: Any = system.readings if switching else ((system.sensor,),)
+        self._require_densities("sensor", self._readings)
+        time, formulas = self._formulas()
+        self._steady: bool = formulas is not None and not any(e.has(time) for e in formulas)
+        self._known: dict[Any, Any] = {}
+
+    @staticmethod
+    def _require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
+        if not all(map is None or map.has_log_density for row in table for map in row):
+            raise ValueError(
+                f"{name}: wanted values affine in noise with a density or with a log_density, got "
+                "one whose density has no closed form"
+            )
+
+    @property
+    def axis(self) -> Any:
+        """The nodes of a scalar state."""
+        return self.axes[0]
+
+    def start(self) -> np.ndarray:
+        """Initial probabilities, shape (S,)."""
+        if isinstance(self.system, SwitchingSystem):
+            laws = self.system.initial
+            return np.concatenate([p * self._normal(mean, cov) for p, mean, cov in laws])
+        if not self.system.law.gaussian:
+            raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
+        return self._normal(self.system.mean0, self.system.cov0)
+
+    def _normal(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Probabilities of the nodes for a normal law."""
+        deviation = np.sqrt(cov[0, 0])
+        if len(self.axes) == 1 and deviation < self.axis.step:
+            mass = cell_masses(self.axis, mean[:1], deviation[None])[:, 0]
+        else:  # for a smooth density the values at the nodes are better than masses of cells
+            error = self.nodes - mean[:, None]
+            mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
+        return mass / mass.sum()
+
+    def transition(self, start: float, stop: float) -> np.ndarray:
+        """Transition matrix P, p(stop) = P p(start), computed once for equal steps.
+
+        Formulas are evaluated at the present values of the parameters that they mention.
+
+        Raises
+        ------
+        ValueError
+            A parameter that has a value for each path; noise that does not move the state.
+        """
+        if not stop > start:
+            raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
+        with elapsed(self.system, start, stop):
+            span = (float(lengths_alike(stop - start)),) if self._steady else (start, stop)
+            key = *span, *present(self.system.mentions)
+            if key not in self._known:
+                if len(self._known) >= self.stored:
+                    self._known.clear()
+                self._known[key] = self._transition(float(start), float(stop))
+            return self._known[key]
+
+    def _transition(self, start: float, stop: float) -> np.ndarray:
+        raise NotImplementedError
+
+    def _formulas(self) -> tuple[Any, Any]:
+        """Symbol of the time, and SymPy expressions that say how the system moves, or None."""
+        raise NotImplementedError
+
+    def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
+        """Laws (S, C) at a later time, each a column."""
+        return self.transition(start, stop) @ law
+
+    def law(self, t: float, start: float = 0.0) -> np.ndarray:
+        """Probabilities at a later time, shape (S,)."""
+        mass = self.start()
+        return mass if t == start else self.transition(start, t) @ mass
+
+    def log_likelihood(self, t: float, shown: np.ndarray) -> np.ndarray:
+        """Logarithm of the density of measurements (m, Y) at each state: (Y, S).
+
+        Where there is an indicator, its values are the first row, (1 + m, Y); -1 is a missing one.
+        """
+        present({p for sensor in self._sensors for p in sensor.mentions})  # one number each
+        indicator = shown[0] if self.indicators else np.zeros(shown.shape[1])
+        y = shown[1:] if self.indicators else shown
+        found = np.full((shown.shape[1], self.modes, self.nodes.shape[1]), -np.inf)
+        for j in np.unique(indicator):
+            columns = np.flatnonzero(indicator == j)
+            for i in range(self.modes):
+                reading = self._sensors[i] if j < 0 else self._readings[i][int(j)]
+                if reading is not None:
+                    density = reading.log_density(t, y[:, columns, None], self.nodes[:, None])
+                    found[columns, i] = density
+        return found.reshape(len(found), -1)
+
+    def told(self, t: float) -> np.ndarray:
+        """Probability of each value of the indicator at each state, and one for none: (M+1, S).
+
+        What is known without a measurement; (1, S) where there is no indicator.
+        """
+        found = np.ones((self.indicators + 1, self.modes, self.nodes.shape[1]))
+        for j in range(self.indicators):
+            for i, row in enumerate(self._readings):
+                found[j, i] = 0.0 if row[j] is None else row[j].probability(t, self.nodes)
+        return found.reshape(len(found), -1)
+
+    def reach(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and deviation of the measurement at each state, both (m, S)."""
+        parts = [mean_and_deviation(sensor, t, self.nodes) for sensor in self._sensors]
+        return tuple(np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
+
+    def look_at_ends(self, mass: np.ndarray) -> None:
+        """Warn where the probability reaches the ends of the grid; mass of shape (S,)."""
+        mass = mass.reshape(self.modes, -1).sum(axis=0)
+        outside = max(mass[0], mass[-1])
+        if outside > OUTSIDE:
+            warnings.warn(
+                f"x: probability {outside:.2g} in an outermost cell; the axis is too short",
+                stacklevel=4,
+            )
+
+
+class DiscreteChain(GridChain):
+    """Discrete system of one or two state components as a chain seen through a likelihood.
+
+    Means over the state are quadrature on the nodes, p'(x') = sum of w p(x' | x) p(x). On evenly
+    spaced nodes the trapezoid rule converges faster than any power of the step for smooth
+    densities; a step of half of the noise's deviation leaves rounding. No column is normalised:
+    what leaves the nodes is lost, and likelihoods say so.
+
+    Parameters
+    ----------
+    system : DiscreteSystem
+        Of one or two components, each moved by noise of its own, whose next state and measurement
+        have densities.
+    axes : Axis, (low, high, count) or Nodes, or two of them
+        Nodes of the state.
+
+    Attributes
+    ----------
+    weights : ndarray, shape (S,)
+
+    Raises
+    ------
+    ValueError
+        More components, no density, an initial law that is not Gaussian.
+    """
+
+    loses = True
+    stored = 1
+
+    def __init__(self, system: DiscreteSystem, axes: Grid) -> None:
+        n = system.state_size
+        if n > 2:
+            raise ValueError(
+                f"system: wanted one or two state components, got {n}; see ParticleFilter"
+            )
+        self._require_densities("dynamics", ((system.dynamics,),))
+        if not system.law.gaussian:
+            raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
+        super().__init__(system, as_grids("x", axes, n))
+        self.weights: np.ndarray = np.ones(1)
+        for axis in self.axes:
+            self.weights = np.outer(self.weights, axis.weights).ravel()
+
+    def _normal(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Masses of a normal law; of a known state at a node, or shared between those about it."""
+        if not cov.any():
+            place = locate(self.axes, list(mean))
+            return np.array([place.linear(row) for row in np.eye(len(self.weights))])
+        require_moved("cov0", cov)
+        error = self.values - mean[:, None]
+        square = np.einsum("iS,iS->S", error, np.linalg.solve(cov, error))
+        return self.weights * np.exp(-0.5 * square) / np.sqrt(np.linalg.det(2.0 * np.pi * cov))
+
+    def _formulas(self) -> tuple[Any, Any]:
+        return self.system.dynamics.time, self.system.dynamics.expressions
+
+    def _transition(self, start: float, stop: float) -> np.ndarray:
+        x, map = self.values, self.system.dynamics
+        if map.gaussian_density:
+            mean, cov = map.conditional_moments(start, x)
+            require_moved("dynamics", cov)
+            if len(x) == 1 and not map.period:
+                return self._gaussian(mean[0], np.sqrt(cov[0, 0]))
+        later, now = x[:, :, None], x[:, None, :]
+        return self.weights[:, None] * np.exp(map.log_density(start, later, now))
+
+    def _gaussian(self, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+        # in place: these matrices are large, and made anew at every time
+        found = self.values.T - mean
+        found /= deviation
+        found *= found
+        found *= -0.5
+        np.exp(found, out=found)
+        found *= self.weights[:, None]
+        found /= np.sqrt(2.0 * np.pi) * deviation
+        return found
+
+
+class SwitchingChain(GridChain):
+    """Switching system of one or two state components as a chain seen through a likelihood.
+
+    (1.3) and (1.4) of the switching paper on the nodes.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+        With moves and readings that have densities in closed form.
+    axes : Axis or (low, high, count), or two of them
+        Nodes of the state. Their range should hold all but a millionth of the probability: columns
+        of the transition are normalised, so what would leave it is spread over its nodes. In the
+        plane the steps are below the deviations of the noise, which moves both components.
+
+    Raises
+    ------
+    ValueError
+        More than two state components, or no density.
+    """
+
+    def __init__(self, system: SwitchingSystem, axes: AxesLike) -> None:
+        if system.state_size > 2:
+            raise ValueError(
+                f"system: wanted one or two state components, got {system.state_size}; "
+                "simulated_synthesis takes more"
+            )
+        self._require_densities("dynamics", system.branches)
+        super().__init__(system, as_axes("axes", axes, system.state_size))
+
+    def _formulas(self) -> tuple[Any, Any]:
+        maps = [b.map for row in self.system.branches for b in row if b is not None]
+        if not all(map.symbolic for map in maps):
+            return None, None
+        return maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
+
+    def _transition(self, start: float, stop: float) -> np.ndarray:
+        count, modes = self.nodes.shape[1], range(self.modes)
+        found = np.zeros((self.modes, count, self.modes, count))
+        maps, table = self.system.dynamics, self.system.branches
+        if self.system.drives == "new":  # the switch at each node, and the move of the new mode
+            moves = [self._leaving(start, map, [Branch(map)])[0] for map in maps]
+            for i, l in np.ndindex(self.modes, self.modes):
+                if (branch := table[i][l]) is not None:
+                    found[l, :, i] = moves[l] * branch.probability(start, self.nodes)
+        else:
+            for i in modes:
+                found[:, :, i] = self._leaving(start, maps[i], table[i])
+        return found.reshape(self.modes * count, -1)
+
+    def _leaving(self, t: float, map: StochasticMap, row: Sequence[Branch | None]) -> np.ndarray:
+        """Probabilities (branches, N, N) of the branches of a map and the next node."""
+        x = self.nodes
+        if len(x) == 1:
+            mean, deviation = (part[0] for part in mean_and_deviation(map, t, x))
+            if (deviation < self.axis.step).any():
+                if any(b is not None and b.depends_on_noise for b in row):
+                    raise ValueError(
+                        f"x: wanted a step below the deviation {deviation.min():g} of the noise, "
+                        "which the switching depends on"
+                    )
+                masses = cell_masses(self.axis, mean, deviation)
+                return np.stack([masses * (0.0 if b is None else b.probability(t, x)) for b in row])
+        logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
+        for log, branch in zip(logs, row, strict=True):
+            if branch is not None:
+                log[:] = branch.log_density(t, x[:, :, None], x[:, None, :])
+        # a state that moves far beyond the ends goes to the node that is the least far away
+        masses = np.exp(logs - logs.max(axis=(0, 1)))
+        return masses / masses.sum(axis=(0, 1))
+
+
+class FellerChain(GridChain):
+    """Scalar jump-diffusion and its sensor as a chain that is seen through a likelihood.
+
+    Parameters
+    ----------
+    system : JumpDiffusion
+        With one state component and a sensor that has a log-density.
+    axis : Axis
+        Nodes of the state. Their range should hold all but a millionth of the probability.
+
+    Raises
+    ------
+    ValueError
+        More than one state component, no likelihood, or an initial law that is not Gaussian.
+    """
+
+    def __init__(self, system: JumpDiffusion, axis: AxisLike) -> None:
+        require_scalar(system)
+        super().__init__(system, [Axis.of("axis", axis)])
+
+    def _formulas(self) -> tuple[Any, Any]:
+        system = self.system
+        if not system.symbolic:
+            return None, None
+        jump = (
+            [] if system.jump is None else [system.intensity_expression, *system.jump.expressions]
+        )
+        return system.time, [*jump, *system.drift_expressions, *system.diffusion_expressions.flat]
+
+    def _transition(self, start: float, stop: float) -> np.ndarray:
+        """Matrix exponential of the rates, or of those at the middle of integration steps."""
+        from scipy.linalg import expm
+
+        steps = 1 if self._steady else step_count(start, stop, self.system.step)
+        h, last, found = (stop - start) / steps, None, np.eye(self.axis.count)
+        for k in range(steps):
+            rates = generator(self.system, self.axis, start + (k + 0.5) * h)
+            if last is None or not np.array_equal(rates, last):
+                step, last = expm(rates * h), rates
+            found = step @ found
+        found = np.maximum(found, 0.0)
+        return found / found.sum(axis=0)
+
+
+class PlaneChain(GridChain):
+    """Diffusion in the plane, seen through a likelihood, whose law moves on a grid.
+
+    The Kolmogorov equation between measurements by splitting: half a substep of the second
+    component with the first held, a substep of the first with the second held, and again half a
+    substep of the second. Each is the transition law of a scalar diffusion, Gaussian with the
+    exact moments of its linear part, so a component that moves linearly when the other is held
+    moves without error. Narrow laws are shared between six nodes with their moments up to the
+    fifth kept, hence there is no artificial diffusion, and densities may be slightly negative
+    where they are small.
+
+    Parameters
+    ----------
+    system : JumpDiffusion
+        Of two components, without jumps, driven by noises that are not correlated with each
+        other, and with a sensor that has a density. Its functions do not depend on time.
+    axes : two of Axis or (low, high, count)
+    substep : float
+        Largest substep.
+
+    Raises
+    ------
+    ValueError
+        A system of another kind.
+    """
+
+    def __init__(
+        self, system: JumpDiffusion, axes: Sequence[AxisLike], substep: float = 0.1
+    ) -> None:
+        if system.state_size != 2 or system.jump is not None:
+            raise ValueError("system: wanted two state components and no jumps")
+        super().__init__(system, as_axes("axes", axes, 2))
+        self.substep: float = float(substep)
+        root = np.broadcast_to(
+            system.diffusion(0.0, self.values), (2, system.wiener_size, self.values.shape[1])
+        )
+        self._diffusion: np.ndarray = np.einsum("iwN,jwN->ijN", root, root)
+        if np.abs(self._diffusion[0, 1]).max() > 0:
+            raise ValueError("system: wanted components driven by noises of their own")
+
+    def _formulas(self) -> tuple[Any, Any]:
+        return None, None
+
+    def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
+        """Laws (S, C) of the state at a later time, each a column."""
+        steps, first, half = self._kernels(start, stop)
+        whole = half @ half
+        grid = law.reshape(*(axis.count for axis in self.axes), -1)
+        for k in range(steps):
+            grid = (whole if k else half) @ grid
+            grid = (first @ grid.swapaxes(0, 1)).swapaxes(0, 1)
+        return np.maximum((half @ grid).reshape(law.shape), 0.0)
+
+    def back(self, values: np.ndarray, start: float, stop: float) -> np.ndarray:
+        """Means of functions (p, S) of the later state, given the state at `start`: (p, S)."""
+        steps, first, half = self._kernels(start, stop)
+        first, half = first.swapaxes(1, 2), half.swapaxes(1, 2)
+        grid = values.T.reshape(*(axis.count for axis in self.axes), -1)
+        for _ in range(steps):  # the moves of a substep, in the same order, turned over
+            grid = (first @ (half @ grid).swapaxes(0, 1)).swapaxes(0, 1)
+            grid = half @ grid
+        return grid.reshape(values.shape[1], -1).T
+
+    def _kernels(self, start: float, stop: float) -> tuple[int, np.ndarray, np.ndarray]:
+        """Substeps, and matrices of the first component (n2, n1, n1), half the second (n1, n2, n2).
+
+        The other component numbers the matrices.
+        """
+        steps = step_count(start, stop, self.substep)
+        length = float(lengths_alike((stop - start) / steps))
+        if length not in self._known:
+            rows = zip(*(part.T for part in self._one(0, length)), strict=True)
+            first = np.stack([shared(self.axes[0], *row) for row in rows])
+            rows = zip(*self._one(1, 0.5 * length), strict=True)
+            self._known[length] = first, np.stack([shared(self.axes[1], *row) for row in rows])
+        return steps, *self._known[length]
+
+    def _one(self, i: int, time: float) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and deviation (n1, n2) of component i after a time, the other one held."""
+        x, shift = self.values, np.zeros((2, 1))
+        shift[i] = SHIFT
+        speed, up, down = (
+            np.broadcast_to(self.system.drift(0.0, at)[i], x.shape[1:])
+            for at in (x, x + shift, x - shift)
+        )
+        slope = (up - down) / (2.0 * SHIFT)
+        mean = x[i] + speed * _grown(slope, time)
+        deviation = np.sqrt(self._diffusion[i, i] * _grown(2.0 * slope, time))
+        shape = tuple(axis.count for axis in self.axes)
+        return mean.reshape(shape), deviation.reshape(shape)
+
+
+def chain_of(system: object, axis: Any) -> GridChain:
+    """The chain of a scalar system of any kind; only that of a `DiscreteSystem` takes `Nodes`."""
+    require_scalar(system)
+    kinds = {SwitchingSystem: SwitchingChain, DiscreteSystem: DiscreteChain}
+    made = next((chain for kind, chain in kinds.items() if isinstance(system, kind)), FellerChain)
+    return made(system, axis)
+
+
+def generator(system: JumpDiffusion, axis: Axis, t: float = 0.0) -> np.ndarray:
+    """Rates Q (S, S) of the chain, dp/dt = Q p: columns sum to zero, the rest is nonnegative.
+
+    Diffusion and drift: conservative finite volumes around the nodes with the exponentially
+    fitted flux of Scharfetter and Gummel, which keeps p positive for every step of the grid, and
+    no flux through the ends. Jumps: the probability that x + s falls into each cell, the outer
+    cells reaching to infinity. (4.8) of the jump-diffusion paper, with the loss term.
+
+    Raises
+    ------
+    ValueError
+        A negative intensity, marks that are not Gaussian.
+    """
+    nodes, h = axis.nodes, axis.step
+    faces = 0.5 * (nodes[1:] + nodes[:-1])
+    at_nodes, at_faces = (
+        0.5 * np.einsum("jN,jN->N", *[system.diffusion(t, x[None])[0]] * 2) for x in (nodes, faces)
+    )
+    # the flux (a p) - (D p)' written as (a - D') p - D p'
+    speed = system.drift(t, faces[None])[0] - np.diff(at_nodes) / h
+    exchange = at_faces / h**2 * _bernoulli(np.abs(speed) * h, at_faces)
+    up = np.maximum(speed, 0.0) / h + exchange
+    down = np.maximum(-speed, 0.0) / h + exchange
+    rates = np.diag(up, -1) + np.diag(down, 1)
+    if system.jump is not None:
+        intensity = np.asarray(system.intensity(t, nodes[None]), dtype=float)
+        if not (intensity >= 0).all() or not np.isfinite(intensity).all():
+            raise ValueError(
+                f"intensity: wanted finite nonnegative numbers, got {intensity.min():g}"
+            )
+        rates += _landing(system.jump, axis, t) * intensity
+    np.fill_diagonal(rates, 0.0)
+    np.fill_diagonal(rates, -rates.sum(axis=0))
+    return rates
+
+
+def mean_and_deviation(
+    map: StochasticMap, t: float, x: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and deviation (m, S) of what a map gives at states x (n, S)."""
+    mean, cov = map.conditional_moments(float(t), x)
+    shape = (map.size, x.shape[1])
+    square = [np.broadcast_to(cov[i, i], shape[1:]) for i in range(map.size)]
+    return np.broadcast_to(mean, shape), np.sqrt(square)
+
+
+def require_scalar(system: Any) -> None:
+    """Refuse a system of several components."""
+    if system.state_size != 1:
+        raise ValueError(
+            f"system: wanted one state component for a grid, got {system.state_size}; "
+            "simulated_synthesis takes more"
+        )
+
+
+def require_moved(name: str, cov: np.ndarray) -> None:
+    """Refuse covariances (n, n, *batch) in which a direction has no variance."""
+    if not (np.einsum("ii...->i...", factor(cov)) > 0).all():
+        raise ValueError(
+            f"{name}: wanted noise of its own in every state component for a grid, got none in "
+            "some direction"
+        )
+
+
+def _bernoulli(product: np.ndarray, diffusion: np.ndarray) -> np.ndarray:
+    """Bernoulli function q / (exp q - 1) of q = product / diffusion >= 0, zero without any."""
+    with np.errstate(over="ignore"):
+        q = np.divide(product, diffusion, out=np.full_like(product, 700.0), where=diffusion > 0)
+    q = np.minimum(q, 700.0)
+    return np.divide(q, np.expm1(q), out=np.ones_like(q), where=q > 1e-12)
+
+
+def cell_masses(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Probability (S, N) of each cell for normal laws; a point goes to its two neighbours."""
+    from scipy.special import ndtr
+
+    nodes = axis.nodes
+    edges = np.concatenate([[-np.inf], 0.5 * (nodes[1:] + nodes[:-1]), [np.inf]])
+    wide = deviation > 0
+    masses = np.empty((axis.count, len(mean)))
+    masses[:, wide] = np.diff(ndtr((edges[:, None] - mean[wide]) / deviation[wide]), axis=0)
+    masses[:, ~wide] = _split(axis, mean[~wide])
+    return masses
+
+
+def _split(axis: Axis, values: np.ndarray) -> np.ndarray:
+    """Unit masses at `values` on their two neighbours, with the mean kept: (S, N)."""
+    index, share = axis.place(values)
+    masses = np.zeros((axis.count, len(values)))
+    columns = np.arange(len(values))
+    masses[index, columns] = 1.0 - share
+    masses[index + 1, columns] += share
+    return masses
+
+
+def _landing(jump: StochasticMap, axis: Axis, t: float) -> np.ndarray:
+    """Probability of each cell (rows) after a jump from each node (columns)."""
+    x = axis.nodes[None]
+    if not jump.noise.gaussian:
+        raise ValueError("jump: wanted Gaussian marks for a grid, got others")
+    if jump.symbolic and jump.has_log_density:
+        mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x))
+        return cell_masses(axis, x[0] + mean, deviation)
+    marks, weights = jump.noise.rule(MARK_NODES)
+    landing = np.zeros((axis.count, axis.count))
+    for mark, weight in zip(marks.T, weights, strict=True):
+        kick = jump.value(t, x, np.broadcast_to(mark[:, None], (len(mark), axis.count)))
+        landing += weight * _split(axis, x[0] + kick[0])
+    return landing
+
+
+def shared(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """Masses (nodes, N) of normal laws: the density where it is wide, else kept moments.
+
+    What a law has beyond the ends of the axis stays in them.
+    """
+    nodes, size = axis.nodes, axis.count
+    mean = np.clip(mean, axis.low, axis.high)
+    found = np.zeros((size, len(mean)))
+    wide = deviation >= NARROW * axis.step
+    found[:, wide] = np.exp(-0.5 * ((nodes[:, None] - mean[wide]) / deviation[wide]) ** 2)
+    found[:, wide] /= found[:, wide].sum(axis=0)
+    mean, deviation = mean[~wide], deviation[~wide]
+    first = np.floor((mean - axis.low) / axis.step).astype(int) - POINTS // 2 + 1
+    first = np.clip(first, 0, size - POINTS)
+    # three Gauss-Hermite points integrate a polynomial of the fifth degree
+    place, weights = np.array([-np.sqrt(3.0), 0.0, np.sqrt(3.0)]), np.array([1.0, 4.0, 1.0]) / 6.0
+    at = (mean + deviation * place[:, None] - axis.low) / axis.step - first
+    columns = np.flatnonzero(~wide)
+    for a in range(POINTS):
+        others = [b for b in range(POINTS) if b != a]
+        share = np.prod([(at - b) / (a - b) for b in others], axis=0)
+        found[first + a, columns] = weights @ share
+    return found
+
+
+def _grown(rate: np.ndarray, time: float) -> np.ndarray:
+    """Integral of exp(rate s) over a time."""
+    product = rate * time
+    safe = np.where(np.abs(product) > 1e-9, product, 1.0)
+    return time * np.where(np.abs(product) > 1e-9, np.expm1(product) / safe, 1.0)

@@ -1,1 +1,0 @@
-"""Chains on a grid in the place of a system: what the exact recursions move laws along with."""
