@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -54,14 +55,14 @@ class DelaySystem:
         No or a negative delay, a wrong shape, a covariance that is none, a singular R.
     """
 
-    dynamics: Mapping[int, np.ndarray]
-    sensor: np.ndarray
-    noise_cov: np.ndarray
-    sensor_cov: np.ndarray
-    cov0: np.ndarray
-    history_cov: np.ndarray | float = 0.0
-    mean0: np.ndarray | float = 0.0
-    noise_input: np.ndarray | float = 1.0
+    dynamics: Mapping[int, Any]
+    sensor: Any
+    noise_cov: Any
+    sensor_cov: Any
+    cov0: Any
+    history_cov: Any = 0.0
+    mean0: Any = 0.0
+    noise_input: Any = 1.0
 
     def __post_init__(self) -> None:
         delays = sorted(self.dynamics) if isinstance(self.dynamics, Mapping) else []

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -96,13 +96,13 @@ class LinearDiffusion:
         A wrong shape, a covariance or intensity that is none, a singular R.
     """
 
-    drift: np.ndarray
-    noise_intensity: np.ndarray
-    sensor: np.ndarray
-    sensor_intensity: np.ndarray
-    mean0: np.ndarray
-    cov0: np.ndarray
-    noise_input: np.ndarray | None = None
+    drift: Any
+    noise_intensity: Any
+    sensor: Any
+    sensor_intensity: Any
+    mean0: Any
+    cov0: Any
+    noise_input: Any = None
 
     def __post_init__(self) -> None:
         fields = "drift", "noise_intensity", "sensor", "sensor_intensity", "cov0"
