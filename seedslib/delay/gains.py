@@ -22,7 +22,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import cho_factor, cho_solve
 from scipy.linalg.blas import dsyr2k
 
 from seedslib.base.checks import as_count, as_shape
@@ -97,10 +96,13 @@ def optimal_gains(system: DelaySystem, steps: int) -> OptimalGains:
     for j, block in enumerate(system.start_blocks()):
         at = (-j % blocks) * n
         ring[at : at + n, at : at + n] = block
-    for k in range(1, steps + 1):
-        ring, *entries = _advance(system, k, ring)
-        for table, entry in zip(tables, entries, strict=True):
-            table[k] = entry
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(1, steps + 1):
+            ring, *entries = _advance(system, k, ring)
+            for table, entry in zip(tables, entries, strict=True):
+                table[k] = entry
+    if not all(np.isfinite(table).all() for table in tables):
+        raise ValueError("steps: the covariances overflow: unstable system")
     return tables
 
 
@@ -332,15 +334,14 @@ def _advance(system: DelaySystem, k: int, cov: np.ndarray) -> tuple[np.ndarray, 
 
     cross_cov = row.T @ sensor.T
     innovation_cov = symmetrized(sensor @ cross_cov[new] + sensor_cov)
-    root = cho_factor(innovation_cov, lower=True)
     # rows without a gap between them, as the update of the triangle wants them
-    gains = np.ascontiguousarray(cho_solve(root, cross_cov.T, check_finite=False).T)
+    gains = np.ascontiguousarray(np.linalg.solve(innovation_cov, cross_cov.T).T)
     gain = gains[new]
     reduction = np.eye(n) - gain @ sensor
     column = row.T - gains @ (sensor @ predicted)  # block column 0 of T = Π - K (C Π_0)
     column[new] = reduction @ predicted
     rest = column @ sensor.T - gains @ sensor_cov  # V
-    cov[new, :start], cov[start:, new] = row[:, :start], row[:, start:].T
+    # also over the blocks of the oldest instant, which those of the newest replace then
     cov = dsyr2k(-1.0, gains, 0.5 * (cross_cov + rest), beta=1.0, c=cov, lower=1, overwrite_c=1)
 
     border = reduction @ row - rest[new] @ gains.T
@@ -354,9 +355,10 @@ def _advance(system: DelaySystem, k: int, cov: np.ndarray) -> tuple[np.ndarray, 
 
 def _rows(cov: np.ndarray, at: int, n: int) -> np.ndarray:
     """Full block row (n, D) of a symmetric matrix of which the lower triangle is valid."""
-    end = at + n
-    low = np.tril(cov[at:end, at:end])
-    return np.hstack([cov[at:end, :at], low + np.tril(low, -1).T, cov[end:, at:end].T])
+    row = np.hstack([cov[at : at + n, :at], cov[at:, at : at + n].T])
+    corner = row[:, at : at + n]
+    corner[...] = np.where(np.tri(n, dtype=bool), corner.T, corner)
+    return row
 
 
 def _errors(

@@ -26,6 +26,7 @@ GIVEN = {
 NAN = np.nan
 PLANT = zoo.delayed_oscillator(0.7, 3)
 GAINS = greedy_gains(PLANT, 5).gains
+EXPLODING = DelaySystem({0: 1e3}, 0.0, 1.0, 1.0, 1.0)
 THREE = DelaySystem({0: 0.5, 1: 0.1, 2: 0.1}, 1.0, 1.0, 1.0, 1.0)
 
 
@@ -51,6 +52,7 @@ REFUSALS = [
     (lambda: PLANT.simulate(0, 1, 1), ValueError, "steps"),
     (lambda: PLANT.simulate(2, 0, 1), ValueError, "paths"),
     (lambda: optimal_gains(PLANT, 0), ValueError, "steps"),
+    (lambda: optimal_gains(EXPLODING, 200), ValueError, "steps"),
     (lambda: printed_gains(PLANT, 0), ValueError, "steps"),
     (lambda: printed_gains(THREE, 5), ValueError, "system"),
     (lambda: greedy_gains(PLANT, 0), ValueError, "steps"),
