@@ -8,7 +8,7 @@ from typing import Any
 
 import sympy
 
-from seedslib.gaussian.means.classes import NoClosedForm
+from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization import means
 from seedslib.linearization.formulas import BranchFormulas, Formulas, Parts
 from seedslib.models.codegen import fold

@@ -136,8 +136,8 @@ class AugmentedDiffusion:
         NoClosedForm
             They have no closed form.
         """
-        from seedslib.gaussian.errors.exact import posterior_variance_function
-        from seedslib.gaussian.means.symbolic import expectation_function
+        from seedslib.gaussian.errors import posterior_variance_function
+        from seedslib.gaussian.means import expectation_function
 
         mean0, cov0 = self.system.mean0, self.system.cov0
         products = [self.f, *(self.f * s for s in self.variables)]

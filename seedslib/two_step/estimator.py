@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real, as_times, as_vectors
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
-from seedslib.gaussian.errors.functions import MeanSquareErrors
+from seedslib.gaussian.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule
 from seedslib.two_step.kalman_bucy import KalmanBucyFilter
 from seedslib.two_step.kalman_bucy_design import LinearMoments

@@ -9,9 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.arguments import in_range
-from seedslib.gaussian.errors.functions import MeanSquareErrors
-from seedslib.gaussian.errors.joint import as_joint_law
+from seedslib.gaussian.arguments import as_joint_law, in_range
+from seedslib.gaussian.functions import MeanSquareErrors
 from seedslib.gaussian.quadrature import Rule, points_of
 
 BLOCK_POINTS = 1_000_000
@@ -106,7 +105,7 @@ def used_symbols(f: object, symbols: tuple | None, size: int) -> np.ndarray:
     """Which components of the state a function contains, (size,) bool; all where it is Python's."""
     if symbols is None:
         return np.ones(size, bool)
-    from seedslib.gaussian.means.parse import components_of
+    from seedslib.gaussian.reader import components_of
 
     free = set().union(*(e.free_symbols for e in components_of(f)[0]))
     return np.array([s in free for s in symbols]).reshape(-1, size).any(axis=0)
@@ -131,8 +130,8 @@ def closed_law(f: object, variables: Sequence) -> FunctionLaw:
     TypeError, ValueError
         Unknown symbols in f, repeated variables, complex or infinite values.
     """
-    from seedslib.gaussian.errors.exact import mean_square_errors, posterior_variance_function
-    from seedslib.gaussian.means.symbolic import FunctionClass, expectation_function
+    from seedslib.gaussian.errors import mean_square_errors, posterior_variance_function
+    from seedslib.gaussian.means import FunctionClass, expectation_function
 
     mean = expectation_function(f, variables)
     compiled = mean.compiled()
@@ -253,7 +252,7 @@ def _numeric(f: object, variables: Sequence) -> Callable:
     """NumPy function of points (n, N), values (N,) or (p, N)."""
     import sympy
 
-    from seedslib.gaussian.means.parse import check_symbols, components_of
+    from seedslib.gaussian.reader import check_symbols, components_of
 
     (expressions, scalar), variables = components_of(f), tuple(variables)
     check_symbols(expressions, variables, ())

@@ -13,7 +13,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count, as_shape, as_vectors
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import in_range
-from seedslib.gaussian.means.polynomial import Coefficients, derivative, heat
+from seedslib.gaussian.polynomial import Coefficients, derivative, heat
 from seedslib.two_step.kalman_bucy_design import KalmanBucyDesign
 from seedslib.two_step.laws import FunctionLaw
 

@@ -10,10 +10,10 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.symbols import as_expression, as_symbols, real_part
-from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
-from seedslib.gaussian.means.normal_cdf import Difference, Divisor, NormalCDF, TiltedCDF
-from seedslib.gaussian.means.parse import components_of, parse
-from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
+from seedslib.gaussian.algebra import Key, NoClosedForm, Terms
+from seedslib.gaussian.polynomial import heat, monomial_means, predecessors
+from seedslib.gaussian.reader import components_of, parse
+from seedslib.gaussian.special import Difference, Divisor, NormalCDF, TiltedCDF
 
 
 def expectation(

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_shape
 from seedslib.gaussian.arguments import gaussian_arguments
-from seedslib.gaussian.errors.functions import MeanSquareErrors
-from seedslib.gaussian.errors.joint import as_joint_law
-from seedslib.gaussian.means.kernels import inner_product, times
+from seedslib.gaussian.functions import MeanSquareErrors
+from seedslib.gaussian.hermite import as_joint_law
+from seedslib.gaussian.kernels import inner_product, times
 
 
 def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:

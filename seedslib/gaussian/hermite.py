@@ -19,15 +19,57 @@ import numpy as np
 import sympy as sp
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.semidefinite import square_root
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.errors.joint import as_joint_law, joint_factor, symmetric_part
-from seedslib.gaussian.means.parse import check_symbols, components_of
-from seedslib.gaussian.means.polynomial import Index, heat, monomial_means
-from seedslib.gaussian.means.symbolic import FunctionClass, classify, expectation_function
+from seedslib.gaussian.arguments import as_joint_law, symmetric_part
+from seedslib.gaussian.means import FunctionClass, classify, expectation_function
+from seedslib.gaussian.polynomial import Index, heat, monomial_means
 from seedslib.gaussian.quadrature import rule_of_rank
+from seedslib.gaussian.reader import check_symbols, components_of
 
 LARGEST_TENSOR = 3_000_000
 RULE_ERROR = 1e-4
+RANK = 1e-13
+UNINFORMED = 1e-14
+
+REPEATED = 1e-12
+"""Shares this near to each other, relatively, count as one share."""
+
+
+def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (n, rank) and shares (rank,) with ``C = T T'`` and ``P = T diag(shares) T'``.
+
+    The eigenvalues of the correlation matrix of C above 1e-13 of its largest are kept; shares
+    are clipped to [0, 1], those within 1e-14 of one (no information, up to rounding) set to one.
+    Small P keep their relative accuracy. T is unique: see `_unique`.
+    """
+    scale = np.sqrt(np.diag(cov))
+    scale = np.where(scale > 0, scale, 1.0)
+    # free in sign and among equal eigenvalues; `_unique` takes that out again below
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    keep = values > RANK * max(values[-1], 0.0)
+    root = np.sqrt(values[keep])
+    whiten = vectors[:, keep] / (scale[:, None] * root)
+    shares, rotation = np.linalg.eigh(symmetric_part(whiten.T @ error_cov @ whiten))
+    # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
+    factor = _unique((scale[:, None] * vectors[:, keep] * root) @ rotation, shares)
+    return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
+
+
+def _unique(factor: np.ndarray, shares: np.ndarray) -> np.ndarray:
+    """The columns of equal shares by the triangular factor of their sum of squares.
+
+    Eigenvectors are free in sign, and by a rotation where shares repeat; what is cut off or
+    integrated along them would depend on that. `shares` ascend.
+    """
+    apart = np.diff(shares) > REPEATED * np.abs(shares[1:])
+    for group in np.split(np.arange(shares.size), np.flatnonzero(apart) + 1):
+        columns = factor[:, group]
+        lower = square_root(columns @ columns.T)
+        full = np.flatnonzero(np.diag(lower))
+        if full.size == group.size:
+            factor[:, group] = lower[:, full]
+    return factor
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from scipy.special import erfcx, log_ndtr, ndtr
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.gaussian.arguments import align
-from seedslib.gaussian.means.polynomial import (
+from seedslib.gaussian.polynomial import (
     Coefficients,
     monomial_means,
     polynomial_mean,

@@ -1,8 +1,8 @@
-"""Classes of functions of a Gaussian vector, and vectorised NumPy functions for their means."""
+"""Gaussian means as NumPy functions for batches, and the classes of functions."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -12,10 +12,151 @@ import sympy as sp
 
 from seedslib.base.checks import as_real
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.arguments import gaussian_arguments, in_range
-from seedslib.gaussian.means.classes import Key, NoClosedForm
-from seedslib.gaussian.means.compile import Compiled, compile_terms
-from seedslib.gaussian.means.parse import Parsed, components_of, parse
+from seedslib.gaussian.algebra import Key, NoClosedForm, quadratic_gram
+from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
+from seedslib.gaussian.functions import norm_mean
+from seedslib.gaussian.kernels import Group, HalfSpace, group_mean, group_value
+from seedslib.gaussian.polynomial import Coefficients, polynomial_value
+from seedslib.gaussian.reader import Parsed, components_of, parse
+
+Number = Callable[[sp.Expr], complex]
+
+
+@dataclass(frozen=True, eq=False)
+class Norm:
+    """``coefficient |factor [1; x]|`` with coefficient (p,) and factor (rows, n + 1)."""
+
+    coefficient: np.ndarray
+    factor: np.ndarray
+
+    def law(self, mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and covariance of the affine map under the norm."""
+        slope = self.factor[:, 1:]
+        origin = self.factor[:, 0].reshape(-1, *(1,) * (mean.ndim - 1))
+        if cov.ndim == 2:
+            spread = slope @ cov @ slope.T
+        else:
+            spread = np.einsum("ia,ab...,jb->ij...", slope, cov, slope)
+        return origin + np.tensordot(slope, mean, axes=1), 0.5 * (spread + spread.swapaxes(0, 1))
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """A function of p values as groups and norms of numbers."""
+
+    size: int
+    dimension: int
+    groups: tuple[Group, ...]
+    norms: tuple[Norm, ...]
+
+    def mean(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Gaussian mean (p, *batch); arguments are not checked."""
+        batch = np.broadcast_shapes(mean.shape[1:], cov.shape[2:])
+        if cov.ndim > 2:
+            # both get all batch axes, so that components broadcast against one another
+            mean = np.broadcast_to(align(mean, 1, len(batch)), (self.dimension, *batch))
+            cov = align(cov, 2, len(batch))
+        total = np.zeros((self.size, *batch))
+        for group in self.groups:
+            total += group_mean(group, mean, cov, batch)
+        for norm in self.norms:
+            length = norm_mean(*norm.law(mean, cov))
+            total += norm.coefficient.reshape(-1, *(1,) * len(batch)) * length
+        return total
+
+    def polynomial(self) -> Coefficients:
+        """Coefficients of a function without exponentials, planes and norms."""
+        if not self.groups:
+            return {(0,) * self.dimension: np.zeros(self.size)}
+        (group,) = self.groups
+        return group.polynomial
+
+    def value(self, point: np.ndarray) -> np.ndarray:
+        """Function itself, (p, *batch), at points (n, *batch)."""
+        total = np.zeros((self.size, *point.shape[1:]))
+        for group in self.groups:
+            total += group_value(group, point, self.size)
+        for norm in self.norms:
+            affine, _ = norm.law(point, np.zeros((len(point),) * 2))
+            length = np.linalg.norm(affine, axis=0)
+            total += norm.coefficient.reshape(-1, *(1,) * length.ndim) * length
+        return total
+
+
+def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
+    """Numeric form of a parsed function; `number` evaluates its coefficients.
+
+    Of two conjugate exponentials one is kept, with twice its coefficient: the function is real.
+
+    Raises
+    ------
+    ValueError
+        A coefficient that is no number or out of range, or a function that is not real.
+    """
+
+    def numbers(expressions: object) -> np.ndarray:
+        return np.array([_finite(number, c) for c in expressions])
+
+    n, p = len(parsed.symbols), len(parsed.components)
+    tables: dict[Key, dict] = {}
+    for row, terms in enumerate(parsed.components):
+        for key, poly in terms.items():
+            table = tables.setdefault(key, {})
+            for monomial, coefficient in poly.terms():
+                column = table.setdefault(monomial, np.zeros(p, dtype=complex))
+                column[row] = _finite(number, coefficient)
+    groups, norms, values = [], [], []
+    generic = 0.37 + 0.19 * np.arange(n)  # a point where nothing vanishes by chance
+    for key, table in tables.items():
+        if key.norm is not None:
+            gram = quadratic_gram(key.norm)
+            rows = _rows(numbers(gram).real.reshape(gram.shape))
+            norms.append(Norm(table[(0,) * n].real, rows))
+            continue
+        quadratic, linear = np.zeros((n, n), dtype=complex), np.zeros(n, dtype=complex)
+        key.put(quadratic, linear, lambda c: _finite(number, c))
+        exponent = linear @ generic - 0.5 * generic @ quadratic @ generic
+        values.append(np.exp(1j * exponent.imag) * polynomial_value(table, generic, p))
+        phase = next((turn for turn in [*linear.imag, *quadratic.imag.ravel()] if turn), 0.0)
+        if phase < 0:
+            continue
+        plane = None
+        if key.plane is not None:
+            *normal, offset, edge = numbers((*key.plane.normal, key.plane.offset, key.plane.edge))
+            plane = HalfSpace(np.real(normal), offset.real, edge.real, float(key.plane.blurred))
+        table = {alpha: 2 * c if phase else c.real for alpha, c in table.items()}
+        groups.append(Group(table, narrow(quadratic), narrow(linear), plane))
+    if (np.abs(np.imag(sum(values))) > 1e-12 * sum(map(np.abs, values))).any():
+        raise ValueError("f: wanted real values, got complex coefficients or exponents")
+    return Compiled(p, n, tuple(groups), tuple(norms))
+
+
+def _finite(number: Number, expression: sp.Expr) -> complex:
+    """Value of a coefficient."""
+    try:
+        value = number(expression)
+    except TypeError as error:
+        raise ValueError(f"f: wanted numbers as coefficients, got {expression}") from error
+    except OverflowError:
+        value = complex(np.inf)
+    if not np.isfinite(value):
+        raise ValueError(f"f: wanted coefficients in the range of float64, got {expression}")
+    return value
+
+
+def _rows(gram: np.ndarray) -> np.ndarray:
+    """Rows R with ``R' R = gram``, those of rounding size left out."""
+    # any rows will do: only RᵀR is used
+    values, vectors = np.linalg.eigh(gram)
+    keep = values > 1e-14 * values[-1]
+    return (vectors[:, keep] * np.sqrt(values[keep])).T
+
+
+def narrow(array: np.ndarray) -> np.ndarray | None:
+    """None for zeros, real numbers for complex ones without imaginary parts."""
+    if not array.any():
+        return None
+    return array if array.imag.any() else array.real
 
 
 class FunctionClass(StrEnum):
