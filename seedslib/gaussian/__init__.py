@@ -1,7 +1,8 @@
 """Means of functions of a Gaussian vector.
 
-Three shelves and a file: `means` (closed forms of E f(x), from symbols to numbers), `errors`
-(exact mean-square errors of estimates of f), `regions` (moments over intervals and polygons) and
+Closed forms of E f(x) from symbols (`algebra`, `reader`, `formulas`) to numbers (`means`,
+`kernels`, `polynomial`, `functions`), exact mean-square errors of estimates of f (`errors`,
+`hermite`, `forms`), moments over intervals and polygons (`intervals`, `polygons`, `regions`) and
 `quadrature`. No system and no time; what a filter does with a mean is decided elsewhere.
 
 May import: base.

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, reduce, wraps
+from functools import lru_cache, reduce
 from itertools import combinations, product
 from typing import Any
 
@@ -47,21 +47,7 @@ class Rule:
             array.flags.writeable = False
 
 
-def _kept(rule: Callable[..., Rule]) -> Callable[..., Rule]:
-    """The rule, made once for equal arguments; 1, 1.0 and True are not equal here."""
-    once = lru_cache(maxsize=None, typed=True)(rule)
-
-    @wraps(rule)
-    def kept(*given, **named):
-        try:
-            return once(*given, **named)
-        except TypeError:  # what cannot be a key is none of its arguments: it says so itself
-            return rule(*given, **named)
-
-    return kept
-
-
-@_kept
+@lru_cache(maxsize=None, typed=True)
 def gauss_hermite(n: int, order: int) -> Rule:
     """Tensor product of Gauss-Hermite rules with `order` points on each of n axes.
 
@@ -90,7 +76,7 @@ def rule_of_rank(rank: int, order: int) -> tuple[np.ndarray, np.ndarray]:
     return rule.points, rule.weights
 
 
-@_kept
+@lru_cache(maxsize=None, typed=True)
 def cubature(n: int) -> Rule:
     """Third-degree rule of 2n equally weighted points at distance √n on the axes.
 
@@ -104,7 +90,7 @@ def cubature(n: int) -> Rule:
     return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n), 3)
 
 
-@_kept
+@lru_cache(maxsize=None, typed=True)
 def unscented(n: int, kappa: float) -> Rule:
     """Third-degree rule of 2n+1 points: the centre and points at distance √(n+kappa).
 
@@ -129,7 +115,7 @@ def unscented(n: int, kappa: float) -> Rule:
     return Rule(np.hstack([np.zeros((n, 1)), eye, -eye]), weights, 3)
 
 
-@_kept
+@lru_cache(maxsize=None, typed=True)
 def fifth_degree(n: int) -> Rule:
     """Fifth-degree rule of 2n²+1 points; some weights are negative for n above 4.
 
