@@ -121,7 +121,7 @@ class _ClosedFunction:
             raise NoClosedForm(
                 f"no exact errors for {f}: it mixes switching planes, norms or exponentials{advice}"
             )
-        self.kind, self.scalar, compiled = function.kind, function.scalar, function.compiled()
+        self.kind, self.scalar, compiled = function.kind, function.scalar, function.compiled
         ways = {
             FunctionClass.POLYNOMIAL: Polynomial,
             FunctionClass.PIECEWISE: Switched,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from functools import lru_cache
@@ -10,7 +10,6 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
-from seedslib.base.checks import as_real
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.algebra import Key, NoClosedForm, quadratic_gram
 from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
@@ -18,8 +17,6 @@ from seedslib.gaussian.functions import norm_mean
 from seedslib.gaussian.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.polynomial import Coefficients, polynomial_value
 from seedslib.gaussian.reader import Parsed, components_of, parse
-
-Number = Callable[[sp.Expr], complex]
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +80,8 @@ class Compiled:
         return total
 
 
-def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
-    """Numeric form of a parsed function; `number` evaluates its coefficients.
+def compile_terms(parsed: Parsed) -> Compiled:
+    """Numeric form of a parsed function.
 
     Of two conjugate exponentials one is kept, with twice its coefficient: the function is real.
 
@@ -93,10 +90,6 @@ def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
     ValueError
         A coefficient that is no number or out of range, or a function that is not real.
     """
-
-    def numbers(expressions: object) -> np.ndarray:
-        return np.array([_finite(number, c) for c in expressions])
-
     n, p = len(parsed.symbols), len(parsed.components)
     tables: dict[Key, dict] = {}
     for row, terms in enumerate(parsed.components):
@@ -104,17 +97,17 @@ def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
             table = tables.setdefault(key, {})
             for monomial, coefficient in poly.terms():
                 column = table.setdefault(monomial, np.zeros(p, dtype=complex))
-                column[row] = _finite(number, coefficient)
+                column[row] = _number(coefficient)
     groups, norms, values = [], [], []
     generic = 0.37 + 0.19 * np.arange(n)  # a point where nothing vanishes by chance
     for key, table in tables.items():
         if key.norm is not None:
             gram = quadratic_gram(key.norm)
-            rows = _rows(numbers(gram).real.reshape(gram.shape))
+            rows = _rows(np.real([_number(c) for c in gram]).reshape(gram.shape))
             norms.append(Norm(table[(0,) * n].real, rows))
             continue
         quadratic, linear = np.zeros((n, n), dtype=complex), np.zeros(n, dtype=complex)
-        key.put(quadratic, linear, lambda c: _finite(number, c))
+        key.put(quadratic, linear, _number)
         exponent = linear @ generic - 0.5 * generic @ quadratic @ generic
         values.append(np.exp(1j * exponent.imag) * polynomial_value(table, generic, p))
         phase = next((turn for turn in [*linear.imag, *quadratic.imag.ravel()] if turn), 0.0)
@@ -122,8 +115,9 @@ def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
             continue
         plane = None
         if key.plane is not None:
-            *normal, offset, edge = numbers((*key.plane.normal, key.plane.offset, key.plane.edge))
-            plane = HalfSpace(np.real(normal), offset.real, edge.real, float(key.plane.blurred))
+            place = *key.plane.normal, key.plane.offset, key.plane.edge
+            *normal, offset, edge = np.real([_number(c) for c in place])
+            plane = HalfSpace(np.array(normal), offset, edge, float(key.plane.blurred))
         table = {alpha: 2 * c if phase else c.real for alpha, c in table.items()}
         groups.append(Group(table, narrow(quadratic), narrow(linear), plane))
     if (np.abs(np.imag(sum(values))) > 1e-12 * sum(map(np.abs, values))).any():
@@ -131,10 +125,10 @@ def compile_terms(parsed: Parsed, number: Number = complex) -> Compiled:
     return Compiled(p, n, tuple(groups), tuple(norms))
 
 
-def _finite(number: Number, expression: sp.Expr) -> complex:
+def _number(expression: sp.Expr) -> complex:
     """Value of a coefficient."""
     try:
-        value = number(expression)
+        value = complex(expression)
     except TypeError as error:
         raise ValueError(f"f: wanted numbers as coefficients, got {expression}") from error
     except OverflowError:
@@ -233,18 +227,16 @@ class GaussianMean:
         n.
     scalar : bool
         Whether f is scalar: the result then has no component axis.
-    parameters : tuple of Symbols
-        Order of the further arguments of a call.
+    compiled : Compiled
+        Its terms in numbers.
     """
 
     kind: FunctionClass
     dimension: int
     scalar: bool
-    parameters: tuple[sp.Symbol, ...]
-    _parsed: Parsed
-    _compiled: Compiled | None
+    compiled: Compiled
 
-    def __call__(self, mean: object, cov: object, *values: float) -> np.ndarray:
+    def __call__(self, mean: object, cov: object) -> np.ndarray:
         """Mean of f under N(mean, cov).
 
         Parameters
@@ -253,36 +245,17 @@ class GaussianMean:
             Batch axes last.
         cov : array_like (n, n) or (n, n, ...)
             Positive semidefinite, one for all or one for each member of the batch.
-        *values : float
-            The parameters, if any.
 
         Returns
         -------
         ndarray (...) for a scalar f, (p, ...) for a vector
         """
         mean, cov = gaussian_arguments(mean, cov, self.dimension)
-        return self.evaluate(mean, cov, *values)
-
-    def evaluate(self, mean: np.ndarray, cov: np.ndarray, *values: float) -> np.ndarray:
-        """As a call, without the checks of the mean and covariance."""
-        function = self.compiled(*values)
-        result = in_range("mean, cov", lambda: function.mean(mean, cov))
+        result = in_range("mean, cov", lambda: self.compiled.mean(mean, cov))
         return result[0][()] if self.scalar else result
 
-    def compiled(self, *values: float) -> Compiled:
-        """Numeric terms at given values of the parameters."""
-        if len(values) != len(self.parameters):
-            raise TypeError(f"wanted values of the parameters {self.parameters}, got {values}")
-        if self._compiled is not None:
-            return self._compiled
-        named = zip(self.parameters, self._parsed.parameters, values, strict=True)
-        table = {own: float(as_real(str(name), value, ndim=0)) for name, own, value in named}
-        return compile_terms(self._parsed, lambda c: complex(sp.sympify(c).xreplace(table)))
 
-
-def expectation_function(
-    f: object, variables: Sequence[sp.Symbol], *, parameters: Sequence[sp.Symbol] = ()
-) -> GaussianMean:
+def expectation_function(f: object, variables: Sequence[sp.Symbol]) -> GaussianMean:
     """NumPy function ``(mean, cov) -> E f(x)``, x ~ N(mean, cov), for batches.
 
     Polynomials by the Stein-Isserlis recursion; the other terms of the closed class after
@@ -295,8 +268,6 @@ def expectation_function(
         Real function of `variables`.
     variables : sequence of n Symbols
         Components of x.
-    parameters : sequence of Symbols
-        Further symbols of f; their values follow the covariance in each call.
 
     Returns
     -------
@@ -311,14 +282,10 @@ def expectation_function(
         Unknown symbols in f, repeated variables, complex or infinite values. When called: bad
         means or covariances, or an infinite mean (`ValueError`).
     """
-    variables, parameters = as_symbols("variables", variables), as_symbols("parameters", parameters)
-    return _function(*components_of(f), variables, parameters)
+    return _function(*components_of(f), as_symbols("variables", variables))
 
 
 @lru_cache(maxsize=256)
-def _function(
-    expressions: tuple, scalar: bool, variables: tuple, parameters: tuple
-) -> GaussianMean:
-    parsed = parse(list(expressions), variables, parameters)
-    compiled = None if parameters else compile_terms(parsed)
-    return GaussianMean(class_of(parsed), len(variables), scalar, parameters, parsed, compiled)
+def _function(expressions: tuple, scalar: bool, variables: tuple) -> GaussianMean:
+    parsed = parse(list(expressions), variables)
+    return GaussianMean(class_of(parsed), len(variables), scalar, compile_terms(parsed))

@@ -134,7 +134,7 @@ def closed_law(f: object, variables: Sequence) -> FunctionLaw:
     from seedslib.gaussian.means import FunctionClass, expectation_function
 
     mean = expectation_function(f, variables)
-    compiled = mean.compiled()
+    compiled = mean.compiled
 
     def plugin(point: np.ndarray) -> np.ndarray:
         value = compiled.value(point)
