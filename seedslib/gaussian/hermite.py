@@ -18,7 +18,6 @@ import numpy as np
 import sympy as sp
 from scipy.special import roots_hermitenorm
 
-from seedslib.base.semidefinite import square_root
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.arguments import as_joint_law, symmetric_part
 from seedslib.gaussian.means import FunctionClass, expectation_function
@@ -30,44 +29,25 @@ LARGEST_TENSOR = 3_000_000
 RANK = 1e-13
 UNINFORMED = 1e-14
 
-REPEATED = 1e-12
-"""Shares this near to each other, relatively, count as one share."""
-
 
 def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T (n, rank) and shares (rank,) with ``C = T T'`` and ``P = T diag(shares) T'``.
 
     The eigenvalues of the correlation matrix of C above 1e-13 of its largest are kept; shares
     are clipped to [0, 1], those within 1e-14 of one (no information, up to rounding) set to one.
-    Small P keep their relative accuracy. T is unique: see `_unique`.
+    Small P keep their relative accuracy.
     """
     scale = np.sqrt(np.diag(cov))
     scale = np.where(scale > 0, scale, 1.0)
-    # free in sign and among equal eigenvalues; `_unique` takes that out again below
+    # any eigenvectors will do: every error is the same in all of them
     values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
     keep = values > RANK * max(values[-1], 0.0)
     root = np.sqrt(values[keep])
     whiten = vectors[:, keep] / (scale[:, None] * root)
     shares, rotation = np.linalg.eigh(symmetric_part(whiten.T @ error_cov @ whiten))
     # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
-    factor = _unique((scale[:, None] * vectors[:, keep] * root) @ rotation, shares)
+    factor = (scale[:, None] * vectors[:, keep] * root) @ rotation
     return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
-
-
-def _unique(factor: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """The columns of equal shares by the triangular factor of their sum of squares.
-
-    Eigenvectors are free in sign, and by a rotation where shares repeat; what is cut off or
-    integrated along them would depend on that. `shares` ascend.
-    """
-    apart = np.diff(shares) > REPEATED * np.abs(shares[1:])
-    for group in np.split(np.arange(shares.size), np.flatnonzero(apart) + 1):
-        columns = factor[:, group]
-        lower = square_root(columns @ columns.T)
-        full = np.flatnonzero(np.diag(lower))
-        if full.size == group.size:
-            factor[:, group] = lower[:, full]
-    return factor
 
 
 @dataclass(frozen=True, eq=False)

@@ -100,8 +100,7 @@ REFUSALS = [
     (lambda: bivariate_normal_cdf(0, 1j, 0), TypeError, "k"),
     (lambda: bivariate_normal_cdf(0, 0, 1.1), ValueError, "rho"),
     (lambda: forms.linear_mean(np.ones((2, 3)), ZERO, EYE), ValueError, "A"),
-    (lambda: forms.quadratic_errors(np.eye(3), ZERO, EYE, EYE), ValueError, "A"),
-    (lambda: forms.quadratic_errors(EYE, ZERO, EYE, 2 * EYE), ValueError, "error_cov"),
+    (lambda: forms.quadratic_mean(np.eye(3), ZERO, EYE), ValueError, "A"),
     (lambda: hermite_expansion(sp.sin(x), [x], [0], [[1]], [[1]], degree=80), ValueError, "degree"),
     # rules
     (lambda: gauss_hermite(True, 3), TypeError, "n"),
