@@ -1,7 +1,8 @@
 """Means of functions of a Gaussian vector.
 
-Three shelves and a file: `means` (closed forms of E f(x), from symbols to numbers), `errors`
-(exact mean-square errors of estimates of f), `regions` (moments over intervals and polygons) and
+Closed forms of E f(x) from symbols (`algebra`, `reader`, `formulas`) to numbers (`means`,
+`kernels`, `polynomial`, `functions`), exact mean-square errors of estimates of f (`errors`,
+`hermite`, `forms`), moments over intervals and polygons (`intervals`, `polygons`, `regions`) and
 `quadrature`. No system and no time; what a filter does with a mean is decided elsewhere.
 
 May import: base.
@@ -11,28 +12,28 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.gaussian.errors import forms as forms
-    from seedslib.gaussian.errors.elevation import elevation_moments as elevation_moments
-    from seedslib.gaussian.errors.exact import mean_square_errors as mean_square_errors
-    from seedslib.gaussian.errors.exact import (
+    from seedslib.gaussian import forms as forms
+    from seedslib.gaussian.algebra import NoClosedForm as NoClosedForm
+    from seedslib.gaussian.errors import mean_square_errors as mean_square_errors
+    from seedslib.gaussian.errors import (
         posterior_variance_function as posterior_variance_function,
     )
-    from seedslib.gaussian.errors.functions import abs_errors as abs_errors
-    from seedslib.gaussian.errors.functions import abs_moments as abs_moments
-    from seedslib.gaussian.errors.functions import bivariate_normal_cdf as bivariate_normal_cdf
-    from seedslib.gaussian.errors.functions import max_errors as max_errors
-    from seedslib.gaussian.errors.functions import max_moments as max_moments
-    from seedslib.gaussian.errors.functions import sine_errors as sine_errors
-    from seedslib.gaussian.errors.functions import sine_moments as sine_moments
-    from seedslib.gaussian.errors.hermite import hermite_expansion as hermite_expansion
-    from seedslib.gaussian.errors.norms import norm_errors as norm_errors
+    from seedslib.gaussian.formulas import expectation as expectation
+    from seedslib.gaussian.functions import abs_errors as abs_errors
+    from seedslib.gaussian.functions import abs_moments as abs_moments
+    from seedslib.gaussian.functions import bivariate_normal_cdf as bivariate_normal_cdf
+    from seedslib.gaussian.functions import elevation_moments as elevation_moments
+    from seedslib.gaussian.functions import max_errors as max_errors
+    from seedslib.gaussian.functions import max_moments as max_moments
+    from seedslib.gaussian.functions import norm_errors as norm_errors
+    from seedslib.gaussian.functions import norm_mean as norm_mean
+    from seedslib.gaussian.functions import sine_errors as sine_errors
+    from seedslib.gaussian.functions import sine_moments as sine_moments
+    from seedslib.gaussian.hermite import hermite_expansion as hermite_expansion
     from seedslib.gaussian.intervals import interval as interval
-    from seedslib.gaussian.means.classes import NoClosedForm as NoClosedForm
-    from seedslib.gaussian.means.formulas import expectation as expectation
-    from seedslib.gaussian.means.norm import norm_mean as norm_mean
-    from seedslib.gaussian.means.symbolic import FunctionClass as FunctionClass
-    from seedslib.gaussian.means.symbolic import classify as classify
-    from seedslib.gaussian.means.symbolic import expectation_function as expectation_function
+    from seedslib.gaussian.means import FunctionClass as FunctionClass
+    from seedslib.gaussian.means import classify as classify
+    from seedslib.gaussian.means import expectation_function as expectation_function
     from seedslib.gaussian.polygons import pad_regions as pad_regions
     from seedslib.gaussian.polygons import polygon as polygon
     from seedslib.gaussian.quadrature import cubature as cubature

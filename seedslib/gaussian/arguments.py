@@ -11,6 +11,7 @@ from seedslib.base.checks import (
     ASYMMETRY,
     as_covariance,
     as_real,
+    as_shape,
     require_one_size,
     require_semidefinite,
 )
@@ -69,6 +70,47 @@ def variance_argument(name: str, value: object) -> np.ndarray:
     if (array < 0).any():
         raise ValueError(f"{name}: wanted nonnegative variances, got {array.min():.6g}")
     return array
+
+
+def as_joint_law(
+    mean: object, cov: object, error_cov: object, size: int | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Checked mean (n,), covariance C (n, n) and error covariance P (n, n) with P <= C.
+
+    The comparison P <= C is made in units of each component's own standard deviation
+    (components below 1e-6 of the largest variance in units of that), so that metres and radians
+    may stand side by side; eigenvalues of the scaled C - P down to -1e-8 count as rounding.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_covariance`; `ValueError` also "error_cov exceeds cov".
+    """
+    mean = as_shape("mean", mean, (-1 if size is None else size,))
+    cov = as_covariance("cov", cov, mean.size)
+    error_cov = as_covariance("error_cov", error_cov, mean.size)
+    variances = np.diag(cov)
+    largest = variances.max(initial=0.0)
+    if largest == 0.0:
+        smallest = -np.abs(error_cov).max(initial=0.0)
+    else:
+        scale = np.sqrt(np.maximum(variances, 1e-6 * largest))
+        smallest = np.linalg.eigvalsh((cov - error_cov) / np.outer(scale, scale))[0]
+    if smallest < -1e-8:
+        raise ValueError(
+            f"error_cov exceeds cov: wanted cov - error_cov positive semidefinite, "
+            f"got the scaled eigenvalue {smallest:.3g}"
+        )
+    return mean, cov, error_cov
+
+
+def symmetric_part(matrix: np.ndarray) -> np.ndarray:
+    """``(M + M') / 2``."""
+    return 0.5 * (matrix + matrix.T)
+
+
+LARGEST_TENSOR = 3_000_000
+RULE_ERROR = 1e-4
 
 
 def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:

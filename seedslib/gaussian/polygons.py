@@ -24,7 +24,7 @@ from seedslib.gaussian.intervals import flat_interval, peak_rule, reach_of, unit
 from seedslib.gaussian.regions import SINGULAR, RegionMoments, difference_of_products
 
 BLOCK, PAIRS = 512, 100_000  # laws at a time, and pairs of their edges
-ORDER = 16  # nodes of a panel
+ORDER = 18  # nodes of a panel
 RESOLVED = 1e-8  # last Legendre coefficients beside the integral of a panel
 SMOOTH = 3.0  # nats by which the integrand of a panel varies where only rounding is left
 NATS = 46.0  # what is bounded this far below the largest integrand is left out

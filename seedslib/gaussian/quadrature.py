@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import lru_cache, reduce, wraps
+from functools import cache, reduce
 from itertools import combinations, product
 from typing import Any
 
@@ -47,21 +47,6 @@ class Rule:
             array.flags.writeable = False
 
 
-def _kept(rule: Callable[..., Rule]) -> Callable[..., Rule]:
-    """The rule, made once for equal arguments; 1, 1.0 and True are not equal here."""
-    once = lru_cache(maxsize=None, typed=True)(rule)
-
-    @wraps(rule)
-    def kept(*given, **named):
-        try:
-            return once(*given, **named)
-        except TypeError:  # what cannot be a key is none of its arguments: it says so itself
-            return rule(*given, **named)
-
-    return kept
-
-
-@_kept
 def gauss_hermite(n: int, order: int) -> Rule:
     """Tensor product of Gauss-Hermite rules with `order` points on each of n axes.
 
@@ -71,26 +56,25 @@ def gauss_hermite(n: int, order: int) -> Rule:
         Not positive integers, or more than two million points.
     """
     n, order = as_count("n", n), as_count("order", order)
-    if order**n > MOST_POINTS:
-        raise ValueError(
-            f"order: wanted at most {MOST_POINTS} points, got {order}**{n}; "
-            "use fifth_degree or cubature"
-        )
-    nodes, weights = roots_hermitenorm(order)
-    grid = np.meshgrid(*[nodes] * n, indexing="ij")
-    mass = reduce(np.multiply.outer, [weights / weights.sum()] * n)
-    return Rule(np.stack([g.ravel() for g in grid]), mass.ravel(), 2 * order - 1)
+    return Rule(*rule_of_rank(n, order), 2 * order - 1)
 
 
+@cache
 def rule_of_rank(rank: int, order: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Hermite points (rank, L) and weights (L,); one point for rank zero."""
     if rank == 0:
         return np.empty((0, 1)), np.ones(1)
-    rule = gauss_hermite(rank, order)
-    return rule.points, rule.weights
+    if order**rank > MOST_POINTS:
+        raise ValueError(
+            f"order: wanted at most {MOST_POINTS} points, got {order}**{rank}; "
+            "use fifth_degree or cubature"
+        )
+    nodes, weights = roots_hermitenorm(order)
+    grid = np.meshgrid(*[nodes] * rank, indexing="ij")
+    mass = reduce(np.multiply.outer, [weights / weights.sum()] * rank)
+    return np.stack([g.ravel() for g in grid]), mass.ravel()
 
 
-@_kept
 def cubature(n: int) -> Rule:
     """Third-degree rule of 2n equally weighted points at distance √n on the axes.
 
@@ -104,7 +88,6 @@ def cubature(n: int) -> Rule:
     return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n), 3)
 
 
-@_kept
 def unscented(n: int, kappa: float) -> Rule:
     """Third-degree rule of 2n+1 points: the centre and points at distance √(n+kappa).
 
@@ -129,7 +112,6 @@ def unscented(n: int, kappa: float) -> Rule:
     return Rule(np.hstack([np.zeros((n, 1)), eye, -eye]), weights, 3)
 
 
-@_kept
 def fifth_degree(n: int) -> Rule:
     """Fifth-degree rule of 2n²+1 points; some weights are negative for n above 4.
 

@@ -11,7 +11,7 @@ import numpy as np
 import sympy
 
 from seedslib.base.semidefinite import lower_triangle
-from seedslib.gaussian.means.classes import NoClosedForm
+from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
     TINY,
     Gaussian,

@@ -10,8 +10,8 @@ import numpy as np
 import sympy
 
 from seedslib.base.symbols import real_part
-from seedslib.gaussian.means.classes import NoClosedForm
-from seedslib.gaussian.means.formulas import covariance_expression, mean_expression
+from seedslib.gaussian.algebra import NoClosedForm
+from seedslib.gaussian.formulas import covariance_expression, mean_expression
 from seedslib.linearization.formulas import BranchFormulas, Formulas, Parts, mentions
 from seedslib.models.codegen import fold
 from seedslib.models.maps import StochasticMap

@@ -23,7 +23,7 @@ from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.base.values import current
-from seedslib.gaussian.means.normal_cdf import difference, tilted_cdf
+from seedslib.gaussian.special import difference, tilted_cdf
 
 LARGEST_POWER = 40
 TERMS = 14

@@ -332,7 +332,7 @@ def rate_map(system: JumpDiffusion, part: int, chosen: object, size: int) -> Sto
     The closed form where there is one, array functions otherwise.
     """
     if system.symbolic:
-        from seedslib.gaussian.means.classes import NoClosedForm
+        from seedslib.gaussian.algebra import NoClosedForm
 
         try:
             value = system.moment_expressions[part][chosen]

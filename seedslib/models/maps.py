@@ -198,7 +198,7 @@ class StochasticMap(Travelling, Shown):
             The means over the noise have no closed form, or the map is not symbolic.
         """
         if not self.symbolic:
-            from seedslib.gaussian.means.classes import NoClosedForm
+            from seedslib.gaussian.algebra import NoClosedForm
 
             raise NoClosedForm("map: array functions have no closed form; use a rule with points")
         return Conditional(*conditional_formulas(self))

@@ -141,8 +141,8 @@ class Noise:
         if polynomial is not None and polynomial.total_degree() <= 2:
             return self._quadratic_mean(polynomial)
         from seedslib.base.symbols import real_part
-        from seedslib.gaussian.means.classes import NoClosedForm
-        from seedslib.gaussian.means.formulas import mean_expression
+        from seedslib.gaussian.algebra import NoClosedForm
+        from seedslib.gaussian.formulas import mean_expression
 
         if not self.gaussian:
             raise NoClosedForm(

@@ -94,7 +94,7 @@ class Branch:
             The mean over the noise has no closed form, or the map is not symbolic.
         """
         if not self.map.symbolic:
-            from seedslib.gaussian.means.classes import NoClosedForm
+            from seedslib.gaussian.algebra import NoClosedForm
 
             raise NoClosedForm("probability: array functions have no closed form")
         if not self.depends_on_noise:

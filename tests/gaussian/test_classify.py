@@ -125,9 +125,7 @@ def test_norm_has_numbers_and_no_formula():
 
 
 def test_square_that_is_semidefinite_for_some_parameters_only():
-    a = sp.Symbol("a")
-    with pytest.raises(NoClosedForm):
-        expectation_function(sp.sqrt(a * x**2 + y**2), [x, y], parameters=[a])
-    b = sp.Symbol("b", positive=True)
-    with pytest.raises(NoClosedForm):
-        expectation_function(sp.sqrt(x**2 - b * y**2), [x, y], parameters=[b])
+    a, b = sp.Symbol("a"), sp.Symbol("b", positive=True)
+    for square, parameter in ((a * x**2 + y**2, a), (x**2 - b * y**2, b)):
+        with pytest.raises(NoClosedForm):
+            expectation(sp.sqrt(square), [x, y], [0, 0], sp.eye(2), parameters=[parameter])

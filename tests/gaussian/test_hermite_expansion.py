@@ -50,22 +50,18 @@ def test_linear_estimator_is_the_regression_and_ends_are_exact():
     assert_allclose(known.lower(), 0, atol=1e-15)
 
 
-@pytest.mark.parametrize("f", [sp.sin(x), sp.atan(x), [sp.atan(x), y]], ids=str)
+@pytest.mark.parametrize("f", [sp.sin(x), sp.exp(-(x**2) / 2), [sp.erf(x), y]], ids=str)
 def test_bounds_of_smooth_functions_hold_the_error_of_nested_quadrature(f):
     law = [0.3, 0.1], np.eye(2), 0.2 * np.eye(2)
     expansion = hermite_expansion(f, [x, y], *law, degree=24, nodes=50)
     grid, weights = np.polynomial.hermite_e.hermegauss(120)
     weights = weights / weights.sum()
     xhat = 0.3 + np.sqrt(0.8) * grid
-    values = sp.lambdify(x, f[0] if isinstance(f, list) else f)(xhat[:, None] + np.sqrt(0.2) * grid)
+    values = sp.lambdify(x, f[0] if isinstance(f, list) else f, ["scipy", "numpy"])(
+        xhat[:, None] + np.sqrt(0.2) * grid
+    )
     exact = weights @ ((values**2) @ weights - (values @ weights) ** 2)
     assert expansion.lower()[0, 0] <= exact * (1 + 1e-4)
     assert exact <= expansion.upper()[0, 0] * (1 + 1e-4)
     if isinstance(f, list):
         assert_allclose(expansion.lower()[1, 1], 0.2, rtol=1e-12)
-
-
-@pytest.mark.parametrize("f", [abs(x), sp.exp(-8 * x**2), sp.sin(9 * x)], ids=str)
-def test_rule_that_misses_its_errors_warns(f):
-    with pytest.warns(UserWarning, match="quadrature rule"):
-        hermite_expansion(f, [x], [0.3], [[2.0]], [[0.5]])

@@ -71,7 +71,6 @@ def test_points_of_the_rules():
 
 @pytest.mark.parametrize("make", [lambda: gauss_hermite(2, 3), lambda: cubature(n=3)])
 def test_rules_cannot_be_changed(make):
-    assert make() is make()
     for array in (make().points, make().weights):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0.0

@@ -9,15 +9,25 @@ import sympy as sp
 from scipy.special import erfc
 
 
-class NormalCDF(sp.Function):
+class Coded(sp.Function):
+    """A function with a `plain` form in SymPy's own, which stays as it is until it is printed."""
+
+    is_real = True
+
+    def _eval_rewrite_as_erf(self, *args: Any, **options: Any) -> Any:
+        return self.plain(*args)
+
+    def _eval_evalf(self, prec: int) -> Any:
+        return self.plain(*self.args)._eval_evalf(prec)
+
+
+class NormalCDF(Coded):
     """``Phi(z)``, the probability that a standard normal number is below z.
 
-    SymPy rewrites ``erfc(-z)`` as ``2 - erfc(z)`` at will, which loses the tail; this function
-    stays as it is until it is printed.
+    SymPy rewrites ``erfc(-z)`` as ``2 - erfc(z)`` at will, which loses the tail.
     """
 
     nargs = 1
-    is_real = True
 
     @classmethod
     def eval(cls, z: Any) -> Any:
@@ -28,13 +38,15 @@ class NormalCDF(sp.Function):
         """Derivative: the normal density."""
         return sp.exp(-(self.args[0] ** 2) / 2) / sp.sqrt(2 * sp.pi)
 
-    def _eval_rewrite_as_erf(self, z, **options):
+    @staticmethod
+    def plain(z: Any) -> Any:
+        """In terms of the error function."""
         return (1 + sp.erf(z / sp.sqrt(2))) / 2
 
-    def _eval_evalf(self, prec):
+    def _eval_evalf(self, prec: int) -> Any:
         return (sp.erfc(-self.args[0] / sp.sqrt(2)) / 2)._eval_evalf(prec)
 
-    def _numpycode(self, printer):
+    def _numpycode(self, printer: Any) -> str:
         erfc = printer._module_format("scipy.special.erfc")
         argument = printer._print(sp.Float(-(0.5**0.5)) * self.args[0])
         return f"(0.5*{erfc}({argument}))"
@@ -58,28 +70,26 @@ def tilted_cdf(exponent: Any, z: Any, boundary: Any) -> Any:
     return np.exp(inside * exponent + (1.0 - inside) * outside) * share
 
 
-class TiltedCDF(sp.Function):
+class TiltedCDF(Coded):
     """``exp(u) Phi(z)`` of u, z and the exponent ``u - z^2 / 2``, which is taken at its word."""
 
     nargs = 3
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> Any:
         """Derivatives by u, itself, and by z; the third argument is none of its own."""
         height = sp.exp(self.args[2]) / sp.sqrt(2 * sp.pi)
         return (self, height, sp.S.Zero)[argindex - 1]
 
-    def _eval_rewrite_as_erf(self, u, z, boundary, **options):
-        return sp.exp(u) * sp.erfc(-z / sp.sqrt(2)).rewrite(sp.erf) / 2
+    @staticmethod
+    def plain(u: Any, z: Any, boundary: Any) -> Any:
+        """In terms of the error function."""
+        return sp.exp(u) * NormalCDF.plain(z)
 
-    def _eval_evalf(self, prec):
-        return self.rewrite(sp.erf).rewrite(sp.erfc)._eval_evalf(prec)
-
-    def _numpycode(self, printer):
-        return f"tilted_cdf({', '.join(printer._print(part) for part in self.args)})"
+    def _numpycode(self, printer: Any) -> str:
+        return f"tilted_cdf({', '.join(map(printer._print, self.args))})"
 
 
-class Divisor(sp.Function):
+class Divisor(Coded):
     """Variance of a switching function as what is divided by, in code also where it is zero.
 
     What is divided is a covariance with the same function, which is zero there as well.
@@ -92,40 +102,34 @@ class Divisor(sp.Function):
         """Derivative: that of the variance."""
         return sp.S.One
 
-    def _eval_rewrite_as_erf(self, variance, **options):
+    @staticmethod
+    def plain(variance: Any) -> Any:
+        """The variance itself."""
         return variance
 
-    def _eval_evalf(self, prec):
-        return self.args[0]._eval_evalf(prec)
-
-    def _numpycode(self, printer):
+    def _numpycode(self, printer: Any) -> str:
         return f"(abs({printer._print(self.args[0])}) + 1e-100)"
-
-
-ROUNDING = 2.0**-48
 
 
 def difference(first: Any, second: Any, rest: Any) -> Any:
     """``first - second - rest``, or zero where it is only the rounding of the first two."""
     left = first - second - rest
-    return left * (abs(left) > ROUNDING * (abs(first) + abs(second)))
+    return left * (abs(left) > 2.0**-48 * (abs(first) + abs(second)))
 
 
-class Difference(sp.Function):
+class Difference(Coded):
     """``a - b - c``, where c is what is known of ``a - b`` without subtraction."""
 
     nargs = 3
-    is_real = True
 
     def fdiff(self, argindex: int = 1) -> Any:
         """Derivatives of the difference."""
         return sp.S.One if argindex == 1 else sp.S.NegativeOne
 
-    def _eval_rewrite_as_erf(self, first, second, rest, **options):
+    @staticmethod
+    def plain(first: Any, second: Any, rest: Any) -> Any:
+        """The difference itself."""
         return first - second - rest
 
-    def _eval_evalf(self, prec):
-        return (self.args[0] - self.args[1] - self.args[2])._eval_evalf(prec)
-
-    def _numpycode(self, printer):
-        return f"difference({', '.join(printer._print(part) for part in self.args)})"
+    def _numpycode(self, printer: Any) -> str:
+        return f"difference({', '.join(map(printer._print, self.args))})"

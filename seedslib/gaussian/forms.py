@@ -1,6 +1,6 @@
-"""Linear to quartic forms: optimal estimates by matrices, and the errors of quadratic ones.
+"""Linear to quartic forms: optimal estimates by matrices.
 
-Equations (3.1), (3.2), (3.8), (3.9) and theorem 2 of Choi, Song, Shin (2019). Matrices of
+Equations (3.1), (3.2) and theorem 2 of Choi, Song, Shin (2019). Matrices of
 quadratic forms are replaced by their symmetric parts, which the printed cubic and quartic rows
 need. Means may carry batch axes, last.
 """
@@ -12,9 +12,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_shape
 from seedslib.gaussian.arguments import gaussian_arguments
-from seedslib.gaussian.errors.functions import MeanSquareErrors
-from seedslib.gaussian.errors.joint import as_joint_law
-from seedslib.gaussian.means.kernels import inner_product, times
+from seedslib.gaussian.kernels import inner_product, times
 
 
 def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
@@ -100,39 +98,6 @@ def quartic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) ->
     crossed = np.einsum("ij,jk...,kl,li...->...", A, cov, B, cov)
     ends = (_trace(A, cov) + inner_product(mean, am)) * (_trace(B, cov) + inner_product(mean, bm))
     return 2 * crossed + 4 * inner_product(am, times(cov, bm)) + ends
-
-
-def quadratic_errors(
-    A: ArrayLike, mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike
-) -> MeanSquareErrors:
-    """Exact errors of the estimates of ``x'Ax``, equations (3.8) and (3.9).
-
-    The optimal error is evaluated as ``2 tr APAP + 4 tr APA(C - P) + 4 m'APAm``, a sum of
-    nonnegative terms; the plug-in loses ``tr^2 AP`` more.
-
-    Parameters
-    ----------
-    A : array_like (n, n)
-        Its symmetric part counts.
-    mean, cov, error_cov : array_like (n,), (n, n), (n, n)
-        Mean and covariance C of the state, error covariance P <= C.
-
-    Returns
-    -------
-    MeanSquareErrors
-        Two numbers.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Bad matrix, mean or covariances, ``error_cov exceeds cov``.
-    """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov)
-    A = _symmetric("A", A, mean.size)
-    known, am = cov - error_cov, A @ mean
-    inner = A @ error_cov @ A
-    optimal = 2 * np.sum(inner * error_cov) + 4 * np.sum(inner * known) + 4 * am @ error_cov @ am
-    return MeanSquareErrors(float(optimal), float(optimal + np.sum(A * error_cov) ** 2))
 
 
 def _trace(A: np.ndarray, cov: np.ndarray) -> np.ndarray:

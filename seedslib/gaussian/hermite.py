@@ -9,8 +9,7 @@ nothing is subtracted and relative accuracy is kept however small P is.
 
 from __future__ import annotations
 
-import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
 from math import factorial, prod, sqrt
@@ -20,14 +19,35 @@ import sympy as sp
 from scipy.special import roots_hermitenorm
 
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.errors.joint import as_joint_law, joint_factor, symmetric_part
-from seedslib.gaussian.means.parse import check_symbols, components_of
-from seedslib.gaussian.means.polynomial import Index, heat, monomial_means
-from seedslib.gaussian.means.symbolic import FunctionClass, classify, expectation_function
+from seedslib.gaussian.arguments import as_joint_law, symmetric_part
+from seedslib.gaussian.means import FunctionClass, expectation_function
+from seedslib.gaussian.polynomial import Index, heat, monomial_means
 from seedslib.gaussian.quadrature import rule_of_rank
+from seedslib.gaussian.reader import check_symbols, components_of
 
 LARGEST_TENSOR = 3_000_000
-RULE_ERROR = 1e-4
+RANK = 1e-13
+UNINFORMED = 1e-14
+
+
+def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """T (n, rank) and shares (rank,) with ``C = T T'`` and ``P = T diag(shares) T'``.
+
+    The eigenvalues of the correlation matrix of C above 1e-13 of its largest are kept; shares
+    are clipped to [0, 1], those within 1e-14 of one (no information, up to rounding) set to one.
+    Small P keep their relative accuracy.
+    """
+    scale = np.sqrt(np.diag(cov))
+    scale = np.where(scale > 0, scale, 1.0)
+    # any eigenvectors will do: every error is the same in all of them
+    values, vectors = np.linalg.eigh(cov / np.outer(scale, scale))
+    keep = values > RANK * max(values[-1], 0.0)
+    root = np.sqrt(values[keep])
+    whiten = vectors[:, keep] / (scale[:, None] * root)
+    shares, rotation = np.linalg.eigh(symmetric_part(whiten.T @ error_cov @ whiten))
+    # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
+    factor = (scale[:, None] * vectors[:, keep] * root) @ rotation
+    return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,20 +127,21 @@ def hermite_expansion(
 ) -> HermiteExpansion:
     """Hermite expansion of f under the prior: the hierarchy of polynomial estimators.
 
-    Exact for polynomials; for any other function by Gauss-Hermite quadrature with the largest
-    exponent `degree` per coordinate (see `quadrature_expansion`). The rule is slow to converge
-    where f has a kink or a jump, and a coarser rule then tells: a warning.
+    Exact for polynomials; for any other function of the closed class by Gauss-Hermite quadrature,
+    which converges slowly where f has kinks or jumps.
 
     Parameters
     ----------
     f : expression, list or column Matrix of p expressions
-        Any real function of `variables` that NumPy and SciPy can evaluate.
+        Real function of `variables`.
     variables : sequence of n Symbols
         Components of the state.
     mean, cov, error_cov : array_like (n,), (n, n), (n, n)
         Prior mean, prior covariance C, error covariance P <= C.
-    degree, nodes : int
-        Of the quadrature.
+    degree : int
+        Largest exponent of one coordinate that the quadrature keeps.
+    nodes : int
+        Nodes of the rule along each of the `rank` directions of the prior.
 
     Returns
     -------
@@ -128,28 +149,46 @@ def hermite_expansion(
 
     Raises
     ------
+    NoClosedForm
+        f is outside the closed class.
     TypeError, ValueError
-        Unknown symbols, bad mean or covariances, too large a rule.
-
+        Unknown symbols, bad mean or covariances, `degree` not below `nodes`, too large a rule.
     """
     size, coordinates, symbols = active(f, variables)
     law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, size))
-    if classify(f, symbols) is FunctionClass.POLYNOMIAL:
-        polynomial = expectation_function(f, symbols).compiled().polynomial()
-        return polynomial_expansion(polynomial, *law)
-    function = _numeric(f, symbols)
-    expansion = quadrature_expansion(function, *law, degree=degree, nodes=nodes)
-    # at a kink the error falls as 1 / nodes: the coarser rule is off by a third of it more
-    fewer = max(3 * nodes // 4 - 1, 1)
-    coarse = quadrature_expansion(function, *law, degree=min(degree, fewer - 1), nodes=fewer)
-    gap = 3.0 * np.abs(np.trace(expansion.upper() - coarse.upper()))
-    if gap > RULE_ERROR * np.trace(expansion.upper()):
-        warnings.warn(
-            f"f: the quadrature rule of {nodes} nodes may miss its errors by {gap:.1g}; wanted a "
-            "smoother function or more nodes",
-            stacklevel=2,
-        )
-    return expansion
+    function = expectation_function(f, symbols)
+    if function.kind is FunctionClass.POLYNOMIAL:
+        return polynomial_expansion(function.compiled.polynomial(), *law)
+    mean, cov, error_cov = law
+    factor, shares = joint_factor(cov, error_cov)
+    rank = factor.shape[1]
+    if not 0 <= degree < nodes:
+        raise ValueError(f"degree: wanted 0 <= degree < nodes = {nodes}, got {degree}")
+    grid, density = rule_of_rank(rank, nodes)
+    values = function.compiled.value(mean[:, None] + factor @ grid)
+    points, weights = roots_hermitenorm(nodes)
+    table = [np.ones(nodes), points]
+    for k in range(1, degree):
+        table.append((points * table[k] - sqrt(k) * table[k - 1]) / sqrt(k + 1))
+    table = np.array(table[: degree + 1]) * (weights / weights.sum())
+    average = values @ density
+    spread = ((values - average[:, None]) * density) @ (values - average[:, None]).T
+    # expanding the centred values keeps a large mean out of the remainder
+    tensor = (values - average[:, None]).reshape(len(values), *(nodes,) * rank)
+    for _ in range(rank):
+        tensor = np.tensordot(tensor, table, axes=(1, 1))
+    coefficients = tensor.reshape(len(values), -1)
+    coefficients[:, 0] = average
+    indices = np.array(list(product(range(degree + 1), repeat=rank)), dtype=int)
+    rest = coefficients[:, 1:]
+    return HermiteExpansion(
+        mean,
+        factor,
+        shares,
+        indices.reshape(coefficients.shape[1], rank),
+        coefficients,
+        spread - rest @ rest.T,
+    )
 
 
 def active(
@@ -170,27 +209,6 @@ def marginal(
     """Mean and covariances of some components."""
     pick = list(coordinates)
     return (mean[pick], *(cov[pick][:, pick] for cov in covs))
-
-
-def _numeric(f: object, variables: Sequence[sp.Symbol]) -> Callable[[np.ndarray], np.ndarray]:
-    """Vectorised values (p, N) of f at points (n, N)."""
-    expressions, _ = components_of(f)
-    unknown = set().union(*(e.free_symbols for e in expressions)) - set(variables)
-    if unknown:
-        raise ValueError(f"f: wanted known symbols, got {', '.join(sorted(map(str, unknown)))}")
-    try:
-        function = sp.lambdify(variables, expressions, modules=["scipy", "numpy"], cse=True)
-        with np.errstate(all="ignore"):  # zero may be a pole
-            function(*np.zeros((len(variables), 2)))
-    except (NameError, NotImplementedError, ValueError):
-        raise ValueError(f"f: wanted functions with NumPy code, got {f}") from None
-
-    def values(point: np.ndarray) -> np.ndarray:
-        with np.errstate(all="ignore"):  # a pole is found by its value
-            rows = np.broadcast_arrays(*function(*point), point[0])[:-1]
-        return np.array(rows, dtype=float)
-
-    return values
 
 
 def plugin_excess(
@@ -249,71 +267,6 @@ def polynomial_expansion(
         np.array(indices, dtype=int).reshape(len(indices), rank),
         coefficients,
         np.zeros((len(coefficients),) * 2),
-    )
-
-
-def quadrature_expansion(
-    function: Callable[[np.ndarray], np.ndarray],
-    mean: np.ndarray,
-    cov: np.ndarray,
-    error_cov: np.ndarray,
-    *,
-    degree: int = 20,
-    nodes: int = 80,
-) -> HermiteExpansion:
-    """Hermite expansion of any square-integrable function by Gauss-Hermite quadrature.
-
-    Approximate: the coefficients carry the error of the rule, which converges slowly where f
-    has kinks or jumps.
-
-    Parameters
-    ----------
-    function : callable
-        Vectorised f: points (n, N) to values (N,) or (p, N).
-    mean, cov, error_cov : ndarray (n,), (n, n), (n, n)
-        Prior mean, prior covariance and error covariance, checked.
-    degree : int
-        Largest exponent of one coordinate that is kept.
-    nodes : int
-        Nodes of the rule along each of the `rank` directions of the prior.
-
-    Raises
-    ------
-    ValueError
-        `degree` not below `nodes`, values of f that are not finite, or a
-        rule of more than two million points.
-    """
-    factor, shares = joint_factor(cov, error_cov)
-    rank = factor.shape[1]
-    if not 0 <= degree < nodes:
-        raise ValueError(f"degree: wanted 0 <= degree < nodes = {nodes}, got {degree}")
-    grid, density = rule_of_rank(rank, nodes)
-    values = np.atleast_2d(np.asarray(function(mean[:, None] + factor @ grid), dtype=float))
-    values = np.broadcast_to(values, (len(values), grid.shape[1]))
-    if not np.isfinite(values).all():
-        raise ValueError("function: wanted finite values at the quadrature nodes")
-    points, weights = roots_hermitenorm(nodes)
-    table = [np.ones(nodes), points]
-    for k in range(1, degree):
-        table.append((points * table[k] - sqrt(k) * table[k - 1]) / sqrt(k + 1))
-    table = np.array(table[: degree + 1]) * (weights / weights.sum())
-    average = values @ density
-    spread = ((values - average[:, None]) * density) @ (values - average[:, None]).T
-    # expanding the centred values keeps a large mean out of the remainder
-    tensor = (values - average[:, None]).reshape(len(values), *(nodes,) * rank)
-    for _ in range(rank):
-        tensor = np.tensordot(tensor, table, axes=(1, 1))
-    coefficients = tensor.reshape(len(values), -1)
-    coefficients[:, 0] = average
-    indices = np.array(list(product(range(degree + 1), repeat=rank)), dtype=int)
-    rest = coefficients[:, 1:]
-    return HermiteExpansion(
-        mean,
-        factor,
-        shares,
-        indices.reshape(coefficients.shape[1], rank),
-        coefficients,
-        spread - rest @ rest.T,
     )
 
 

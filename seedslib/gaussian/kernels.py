@@ -12,7 +12,7 @@ from scipy.special import erfcx, log_ndtr, ndtr
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.gaussian.arguments import align
-from seedslib.gaussian.means.polynomial import (
+from seedslib.gaussian.polynomial import (
     Coefficients,
     monomial_means,
     polynomial_mean,
@@ -103,58 +103,37 @@ def tilted(
     """Mean, covariance and log-mass of ``exp(-x'Mx/2 + a'x) N(x; mean, cov)``.
 
     With ``K = I + P M``: covariance ``K^-1 P``, mean ``K^-1 (m + P a)`` and log-mass
-    ``-m' M K^-1 m / 2 + a' K^-1 m + a' K^-1 P a / 2 - log|K| / 2``, each computed on the
-    coordinates that M touches only.
+    ``-m' M K^-1 m / 2 + a' K^-1 m + a' K^-1 P a / 2 - log|K| / 2``.
     """
-    support = np.flatnonzero(quadratic.any(axis=0))
-    inner = quadratic[np.ix_(support, support)]
-    block = np.moveaxis(cov[np.ix_(support, support)], (0, 1), (-2, -1))
-    identity = np.eye(support.size)
+    block, identity = np.moveaxis(cov, (0, 1), (-2, -1)), np.eye(len(quadratic))
     # eigenvalues alone: nothing about them is free
-    convergent = np.linalg.eigvals(identity + block @ inner.real).real
+    convergent = np.linalg.eigvals(identity + block @ quadratic.real).real
     if not (convergent > 0).all():
         raise ValueError(
             "the mean of the exponential is infinite: wanted positive eigenvalues of I + P M, "
             f"got {convergent.min():.6g}"
         )
-    kernel = identity + block @ inner
-    # W = M K^-1 solves K' W' = M' ; then K^-1 v = v - P W v
-    weight = np.swapaxes(
-        np.linalg.solve(np.swapaxes(kernel, -1, -2), np.broadcast_to(inner.T, kernel.shape)), -1, -2
-    )
-    weight = np.moveaxis(weight, (-2, -1), (0, 1))
-    columns = cov[:, support]
-
-    def reduced(vector: np.ndarray) -> np.ndarray:
-        inside = times(columns, times(weight, vector[support]))
-        return vector - align(inside, 1, vector.ndim - 1)
-
-    if weight.ndim == 2:
-        new_cov = cov - np.tensordot(np.tensordot(columns, weight, 1), columns.T, 1)
-    else:
-        new_cov = cov - np.einsum("ia...,ab...,jb...->ij...", columns, weight, columns)
-    short = mean[support]
-    log_mass = -0.5 * inner_product(short, times(weight, short)) - 0.5 * _log_det(kernel, inner)
-    new_mean = mean
+    kernel = identity + block @ quadratic
+    inverse = np.moveaxis(np.linalg.inv(kernel), (-2, -1), (0, 1))
+    new_cov = np.einsum("ij...,jk...->ik...", inverse, cov)
+    new_mean = times(inverse, mean)
+    log_mass = -0.5 * inner_product(mean, times(quadratic, new_mean)) - 0.5 * _log_det(kernel)
     if linear is not None:
-        shift = times(cov, linear)
-        new_mean = mean + align(shift, 1, mean.ndim - 1)
-        spread = shift - times(columns, times(weight, shift[support]))
-        log_mass = (
-            log_mass + inner_product(linear, reduced(mean)) + 0.5 * inner_product(linear, spread)
-        )
-    return reduced(new_mean), new_cov, log_mass
+        shift = times(new_cov, linear)
+        log_mass = log_mass + inner_product(linear, new_mean) + 0.5 * inner_product(linear, shift)
+        new_mean = new_mean + align(shift, 1, mean.ndim - 1)
+    return new_mean, new_cov, log_mass
 
 
-def _log_det(kernel: np.ndarray, inner: np.ndarray) -> np.ndarray:
+def _log_det(kernel: np.ndarray) -> np.ndarray:
     """Logarithm of the determinant on the branch that is continuous from the identity.
 
     For complex M the eigenvalues of K have positive real part where the mean is finite, so the
     arguments of the eigenvalues choose the branch and the LU factors give the digits.
     """
-    if not np.iscomplexobj(inner):
-        return np.linalg.slogdet(kernel)[1]
     sign, log_modulus = np.linalg.slogdet(kernel)
+    if not np.iscomplexobj(kernel):
+        return log_modulus
     turns = np.angle(np.linalg.eigvals(kernel)).sum(axis=-1) - np.angle(sign)
     return log_modulus + 1j * (np.angle(sign) + 2 * np.pi * np.round(turns / (2 * np.pi)))
 

@@ -10,10 +10,10 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.symbols import as_expression, as_symbols, real_part
-from seedslib.gaussian.means.classes import Key, NoClosedForm, Terms
-from seedslib.gaussian.means.normal_cdf import Difference, Divisor, NormalCDF, TiltedCDF
-from seedslib.gaussian.means.parse import components_of, parse
-from seedslib.gaussian.means.polynomial import heat, monomial_means, predecessors
+from seedslib.gaussian.algebra import Key, NoClosedForm
+from seedslib.gaussian.polynomial import monomial_means, predecessors
+from seedslib.gaussian.reader import components_of, parse
+from seedslib.gaussian.special import Difference, Divisor, NormalCDF, TiltedCDF
 
 
 def expectation(
@@ -80,10 +80,10 @@ def mean_expression(
         raise ValueError(f"cov: wanted shape ({n}, {n}), got {cov.shape}")
     if any(sp.expand(entry) != 0 for entry in cov - cov.T):
         raise ValueError("cov: wanted a symmetric matrix")
-    formulas, means, covs, scalar = _template(
+    formulas, symbols, scalar = _template(
         components_of(f), variables, as_symbols("parameters", parameters)
     )
-    values = _values(means, covs, mean, cov)
+    values = dict(zip(symbols, [*mean, *cov], strict=True))
     results = [formula.xreplace(values) for formula in formulas]
     return results[0] if scalar else sp.Matrix(results)
 
@@ -116,21 +116,14 @@ def covariance_expression(
     """
     product = sp.expand(f * g, power_exp=False, power_base=False, log=False)
     components = (sp.sympify(f), sp.sympify(g), product), False
-    (left, right, square), means, covs, _ = _template(
-        components, as_symbols("variables", variables), tuple(parameters)
-    )
+    variables = as_symbols("variables", variables)
+    (left, right, square), symbols, _ = _template(components, variables, tuple(parameters))
+    n = len(variables)
     left, right, square = map(real_part, (left, right, square))
-    slopes = [sp.Matrix([part]).jacobian(means) for part in (left, right)]
-    linear = (slopes[0] * sp.Matrix(covs) * slopes[1].T)[0]
+    slopes = [sp.Matrix([part]).jacobian(symbols[:n]) for part in (left, right)]
+    linear = (slopes[0] * sp.Matrix(n, n, symbols[n:]) * slopes[1].T)[0]
     formula = linear + Difference(square, left * right, linear)
-    return formula.xreplace(_values(means, covs, mean, cov))
-
-
-def _values(means: Sequence, covs: Sequence, mean: Sequence, cov: Any) -> dict[sp.Symbol, Any]:
-    """What the stand-ins stand for."""
-    n = len(means)
-    values = dict(zip(means, mean, strict=True))
-    return values | {covs[i][j]: cov[i, j] for i in range(n) for j in range(i, n)}
+    return formula.xreplace(dict(zip(symbols, [*mean, *cov], strict=True)))
 
 
 def _matrix(name: str, value: object) -> sp.Matrix:
@@ -153,63 +146,44 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
                 f"no closed form in symbols for {expression}: the mean of a norm is an integral; "
                 "expectation_function gives its numbers"
             )
-    means, covs = stand_ins(len(variables))
-    back = dict(zip(parsed.parameters, parameters, strict=True))
-    formulas = tuple(
-        mean_formula(terms, parsed.symbols, means, covs).xreplace(back)
-        for terms in parsed.components
-    )
-    return formulas, means, covs, scalar
-
-
-def stand_ins(n: int) -> tuple[tuple[sp.Symbol, ...], tuple[tuple[sp.Symbol, ...], ...]]:
-    """Symbols for a mean (n,) and a covariance (n, n)."""
-    means = tuple(sp.Dummy(f"m{i}", real=True) for i in range(n))
+    n = len(variables)
+    mean = sp.Matrix([sp.Dummy(f"m{i}", real=True) for i in range(n)])
     upper = {
         (i, j): sp.Dummy(f"P{i}{j}", real=True, nonnegative=True if i == j else None)
         for i in range(n)
         for j in range(i, n)
     }
-    return means, tuple(tuple(upper[min(i, j), max(i, j)] for j in range(n)) for i in range(n))
+    cov = sp.Matrix(n, n, lambda i, j: upper[min(i, j), max(i, j)])
+    back = dict(zip(parsed.parameters, parameters, strict=True))
+    formulas = [
+        sum((_term(*term, mean, cov) for term in terms.items()), sp.S.Zero).xreplace(back)
+        for terms in parsed.components
+    ]
+    return formulas, (*mean, *cov), scalar
 
 
-def mean_formula(
-    terms: Terms, symbols: Sequence[sp.Symbol], mean: Sequence[Any], cov: Sequence[Any]
-) -> sp.Expr:
-    """Mean of a sum of terms under N(mean, cov), in the components of both."""
-    return sum((_term(*term, symbols, mean, cov) for term in terms.items()), sp.S.Zero)
-
-
-def _term(key: Key, poly: sp.Poly, symbols: Sequence, mean: Sequence, cov: Sequence) -> sp.Expr:
-    n = len(symbols)
+def _term(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
+    """Mean of a term under N(m, P)."""
+    n = m.rows
     quadratic, linear = sp.zeros(n, n), sp.zeros(n, 1)
     key.put(quadratic, linear)
-    m, p = sp.Matrix(list(mean)), sp.Matrix(n, n, lambda i, j: cov[i][j])
+    tilts = any(quadratic)
     factor, exponent = sp.S.One, sp.S.Zero
-    if any(quadratic):
+    if tilts:
         m, p, factor, exponent = _tilted(quadratic, linear, m, p)
     elif any(linear):
         exponent = (linear.T * m)[0] + (linear.T * p * linear)[0] / 2
         m = m + p * linear
-    oscillating = any(c.has(sp.I) for _, c in key.exponent)
     if key.plane is not None:
         return factor * _half_space(key, poly, m, p, exponent)
-    if any(quadratic):
-        means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One)
-        value = sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)
-    else:
-        image = heat(dict(poly.terms()), p.tolist())
-        value = sum(
-            (c * sp.prod([v**k for v, k in zip(m, a, strict=True)]) for a, c in image.items()),
-            sp.S.Zero,
-        )
-        value = sp.expand(value)
-    if oscillating and not any(quadratic):
+    tidy = (lambda value: value) if tilts else sp.expand
+    means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One, tidy=tidy)
+    value = tidy(sum((c * means[a] for a, c in poly.terms()), sp.S.Zero))
+    if not tilts and any(c.has(sp.I) for _, c in key.exponent):
         # the conjugate term adds the mirror image: together twice the real part
         modulus, phase = sp.expand(exponent).as_real_imag()
         real, imaginary = value.as_real_imag()
-        wave = real * sp.cos(phase) - imaginary * sp.sin(phase)
-        return factor * sp.exp(modulus) * wave
+        return sp.exp(modulus) * (real * sp.cos(phase) - imaginary * sp.sin(phase))
     return factor * sp.exp(exponent) * value
 
 
@@ -217,19 +191,20 @@ def _tilted(quadratic: sp.Matrix, linear: sp.Matrix, m: sp.Matrix, p: sp.Matrix)
     """Mean, covariance, root factor and exponent of ``exp(-x'Mx/2 + a'x) N(x; m, P)``.
 
     The root of ``|I + P M|`` follows M from its real part, whose determinant is positive, through
-    the squares of its imaginary part: each ratio of successive determinants has the form
-    ``1 + i d l'Ql`` with ``Re Q >= 0``, so it stays off the negative half-line and its principal
-    root is the continuous one.
+    the leading blocks of its imaginary part. Each of these adds at most two squares of opposite
+    signs, whose factors turn the determinant by less than half a turn each, in opposite directions:
+    the principal root of the ratio is the continuous one.
     """
-    identity = sp.eye(m.rows)
+    identity, imaginary = sp.eye(m.rows), quadratic.applyfunc(sp.im)
     partial = quadratic.applyfunc(sp.re)
     last = (identity + p * partial).det()
     factor = 1 / sp.sqrt(last)
-    for weight, row in _squares(quadratic.applyfunc(sp.im)):
-        partial = partial + sp.I * weight * row * row.T
-        determinant = (identity + p * partial).det()
-        factor /= sp.sqrt(determinant / last)
-        last = determinant
+    for k in range(m.rows):
+        if any(imaginary[k, : k + 1]):
+            partial[: k + 1, : k + 1] = quadratic[: k + 1, : k + 1]
+            determinant = (identity + p * partial).det()
+            factor /= sp.sqrt(determinant / last)
+            last = determinant
     kernel = identity + p * quadratic
     reduced = kernel.adjugate() / last  # K^-1
     new_p = reduced * p
@@ -239,27 +214,6 @@ def _tilted(quadratic: sp.Matrix, linear: sp.Matrix, m: sp.Matrix, p: sp.Matrix)
         + (linear.T * new_p * linear)[0] / 2
     )
     return reduced * m + new_p * linear, new_p, factor, exponent
-
-
-def _squares(matrix: sp.Matrix) -> list[tuple[sp.Expr, sp.Matrix]]:
-    """Lagrange's reduction ``matrix = sum_k weight_k row_k row_k'`` of a symmetric matrix."""
-    rest, squares = matrix.copy(), []
-    n = rest.rows
-    while any(sp.expand(entry) != 0 for entry in rest):
-        pivot = next((i for i in range(n) if sp.expand(rest[i, i]) != 0), None)
-        if pivot is None:
-            # only products x_i x_j are left: (x_i + x_j)^2 / 4 - (x_i - x_j)^2 / 4
-            i, j = next((i, j) for i in range(n) for j in range(n) if sp.expand(rest[i, j]) != 0)
-            unit = sp.eye(n)
-            plus, minus = unit[:, i] + unit[:, j], unit[:, i] - unit[:, j]
-            value = rest[i, j] / 2
-            found = [(value, plus), (-value, minus)]
-        else:
-            found = [(1 / rest[pivot, pivot], rest[:, pivot])]
-        for weight, row in found:
-            rest = (rest - weight * row * row.T).applyfunc(sp.expand)
-        squares += found
-    return squares
 
 
 def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr) -> sp.Expr:

@@ -1,1 +1,0 @@
-"""Shelf: exact mean-square errors of estimates of functions."""

@@ -1,1 +1,0 @@
-"""Shelf: closed forms of E f(x), from symbols to numbers."""
