@@ -25,7 +25,14 @@ from seedslib.gaussian.arguments import (
     gaussian_arguments,
     in_range,
 )
-from seedslib.gaussian.functions import MeanSquareErrors, norm_mean, sinh_rule, split_rule
+from seedslib.gaussian.functions import (
+    MeanSquareErrors,
+    norm_mean,
+    positive_part,
+    ratio,
+    sinh_rule,
+    split_rule,
+)
 from seedslib.gaussian.hermite import (
     active,
     joint_factor,
@@ -33,7 +40,7 @@ from seedslib.gaussian.hermite import (
     plugin_excess,
     polynomial_expansion,
 )
-from seedslib.gaussian.kernels import Group, HalfSpace, inner_product
+from seedslib.gaussian.kernels import Group, HalfSpace, inner_product, times
 from seedslib.gaussian.means import Compiled, FunctionClass, expectation_function, narrow
 from seedslib.gaussian.polynomial import derivative
 from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
@@ -45,6 +52,7 @@ REACH = 9.5  # deviations
 POINTS = 250_000  # evaluations at a time
 SMALL = 1e-12  # deviations along the plane beside the largest one that are rounding
 NEGLIGIBLE = 4e-16
+KINK = 1e-14  # of the coefficients: a smaller jump across a plane is rounding
 
 
 def mean_square_errors(f: object, variables: Sequence[sp.Symbol]) -> ExactErrors:
@@ -312,10 +320,61 @@ class Polynomial(_Way):
 class Switched(Polynomial):
     """Polynomials with one switching plane, by nested quadrature.
 
-    The conditional variance and the bias of the plug-in estimate are a rule over ``x - xhat``,
-    their means one over ``xhat``. Across the plane both rules are Gauss-Legendre panels split at
-    the kink, along it Gauss-Hermite rules that are exact.
+    The conditional variance and the bias of the plug-in estimate are a rule over ``x - xhat``, or
+    closed where f is continuous and linear on both sides; their means are a rule over ``xhat``.
+    Across the plane the rules are Gauss-Legendre panels split at the kink, along it Gauss-Hermite
+    rules that are exact.
     """
+
+    @cached_property
+    def bent(self) -> tuple[np.ndarray, np.ndarray, np.ndarray] | None:
+        """Slopes (p, n) below and above the plane, and their step per unit of the switching
+        function (p,), of a continuous function that is linear on both sides, such as a maximum.
+        """
+        if self.order > 2 or self.plane.blur:
+            return None
+        n, normal = self.function.dimension, self.plane.normal
+        below, above = (np.zeros((self.function.size, n + 1)) for _ in range(2))
+        for group in self.function.groups:
+            plane = group.plane
+            for side, sign in ((below, -1.0), (above, 1.0)):
+                if plane is None or sign * (plane.normal @ normal) > 0:
+                    for alpha, value in group.polynomial.items():
+                        side[:, alpha.index(1) if any(alpha) else n] += value
+        step = above - below
+        level = np.append(normal, self.plane.offset)
+        bend = step @ level / (level @ level)
+        size = np.abs(above) + np.abs(below)
+        if (np.abs(step - np.outer(bend, level)) > KINK * size.max()).any():
+            return None
+        return below[:, :n], above[:, :n], bend
+
+    def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Conditional variance (p, p, K) for means (n, K) and covariances (n, n) or (n, n, K)."""
+        return super().variance(mean, cov) if self.bent is None else self.moments(mean, cov)[0]
+
+    def moments(self, xhat: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Variance (p, p, K) and bias ``E f - f(xhat)`` (p, K).
+
+        A bent function is the linear one of the side where xhat lies, and a multiple of the
+        positive part of the switching function towards the other side.
+        """
+        if self.bent is None:
+            return super().moments(xhat, cov)
+        below, above, bend = self.bent
+        normal, n = self.plane.normal, len(xhat)
+        cov = np.broadcast_to(cov.reshape(n, n, -1), (n, n, xhat.shape[1]))
+        direction = times(cov, normal[:, None] * np.ones(xhat.shape[1]))
+        root = np.sqrt(np.maximum(inner_product(normal, direction), 0.0))
+        level = inner_product(normal, xhat) + self.plane.offset
+        excess, square, mass = positive_part(ratio(np.abs(level), root))
+        slope = np.where(level < 0, below[..., None], above[..., None])
+        towards = np.where(level < 0, mass, -mass) * np.einsum("pik,ik->pk", slope, direction)
+        both = towards[:, None] * bend[:, None]
+        variance = np.einsum("pik,qik->pqk", np.einsum("pjk,jik->pik", slope, cov), slope)
+        variance += both + both.swapaxes(0, 1)
+        variance += np.multiply.outer(np.outer(bend, bend), root**2 * (square - excess**2))
+        return variance, np.multiply.outer(bend, root * excess)
 
     def errors(
         self, mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray

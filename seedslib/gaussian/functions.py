@@ -191,6 +191,14 @@ def _excess(scaled: np.ndarray) -> np.ndarray:
     return density(scaled) * (1.0 - scaled * np.sqrt(np.pi / 2) * erfcx(scaled / np.sqrt(2)))
 
 
+def positive_part(distance: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Mean of ``u⁺``, of its square, and ``P(u > 0)`` for ``u ~ N(-distance, 1)``, far out too."""
+    distance = np.minimum(distance, 40.0)
+    mills = np.sqrt(np.pi / 2) * erfcx(distance / np.sqrt(2))
+    square = (1.0 + distance * distance) * mills - distance
+    return tuple(density(distance) * part for part in (1.0 - distance * mills, square, mills))
+
+
 def _scalar_law(
     mean: ArrayLike, var: ArrayLike, error_var: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

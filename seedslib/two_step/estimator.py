@@ -108,7 +108,7 @@ class TwoStepEstimator:
         """Plug-in estimate: f at the estimate of the state, (n, ...) to (...) or (p, ...)."""
         n = self.system.state_size
         point, _ = self._joint_law(mean, np.zeros((n, n)))
-        value = in_range("mean", lambda: self._mean.compiled().value(point))
+        value = in_range("mean", lambda: self._mean.compiled.value(point))
         return value[0] if self._mean.scalar else value
 
     def errors(self, times: ArrayLike) -> Any:
