@@ -6,6 +6,7 @@ accuracy when it is many orders of magnitude smaller than the function.
 
 from __future__ import annotations
 
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -44,6 +45,7 @@ class MeanSquareErrors(NamedTuple):
     plugin: np.ndarray
 
 
+@cache
 def sinh_rule(step: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes s^2 and weights for ``2 / sqrt(pi) int_0^inf g(s^2) ds``, trapezoidal in arsinh s."""
     v = step * np.arange(round(19.0 / step) + 1)
@@ -95,7 +97,7 @@ def norm_mean(mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     (lengths,) = blockwise(
         lambda block: (_norm_mean(spread[:, block], centre[:, block]),),
         spread.shape[1],
-        256,
+        64,  # arrays that stay in the cache
     )
     return lengths.reshape(batch)[()]
 
