@@ -182,19 +182,16 @@ def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> Functio
     var = variance_argument("var", var)
     root = np.sqrt(var)
     scaled = ratio(distance, root)
-    gap = 2 * _excess(scaled)
+    gap = 2 * positive_part(scaled)[0]
     shrunk = 1.0 - gap * (2 * np.minimum(scaled, 40.0) + gap)
     return FunctionMoments(distance + root * gap, var * shrunk)
 
 
-def _excess(scaled: np.ndarray) -> np.ndarray:
-    """``φ(α) - α Φ(-α)`` for α >= 0: by how much E(X+α)⁺ exceeds α. Positive to underflow."""
-    scaled = np.minimum(scaled, 40.0)
-    return density(scaled) * (1.0 - scaled * np.sqrt(np.pi / 2) * erfcx(scaled / np.sqrt(2)))
-
-
 def positive_part(distance: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Mean of ``u⁺``, of its square, and ``P(u > 0)`` for ``u ~ N(-distance, 1)``, far out too."""
+    """Mean of ``u⁺``, of its square, and ``P(u > 0)`` for ``u ~ N(-distance, 1)``, distance >= 0.
+
+    All are positive to underflow.
+    """
     distance = np.minimum(distance, 40.0)
     mills = np.sqrt(np.pi / 2) * erfcx(distance / np.sqrt(2))
     square = (1.0 + distance * distance) * mills - distance
@@ -323,7 +320,7 @@ def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     mean, cov = gaussian_arguments(mean, cov, 2)
     root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
     scaled = np.minimum(np.abs(ratio(gap, root)), 40.0)
-    excess = _excess(scaled)
+    excess = positive_part(scaled)[0]
     shared = excess * (scaled + excess)
     tail = ndtr(-scaled)
     shares = 1.0 - tail - shared, np.maximum(tail - shared, 0.0)
