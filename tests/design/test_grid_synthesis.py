@@ -17,6 +17,7 @@ from seedslib.design import (
     synthesize,
 )
 from seedslib.designed import Memory, finite_memory, large_order
+from seedslib.filters import extended_kalman
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import (
     DiscreteSystem,
@@ -151,6 +152,19 @@ def test_filter_of_theorem_2_on_the_grid_has_the_parameters_of_simulated_ones(fl
     np.testing.assert_allclose(grid_risk(made, **GRID).mse, risk.mse, rtol=1e-9)
     linearised = affine_synthesis(flip, large_order(1), Taylor(), TIMES[:3], **GRID)[1]
     np.testing.assert_allclose(linearised.mse, [0.14796, 0.20319, 0.20266], rtol=2e-3)
+
+
+def test_affine_design_of_a_sensor_that_changes_with_time_is_the_kalman_filter():
+    """With one estimate remembered, and to the error of the grid."""
+    dynamics = StochasticMap([x], [0.9 * x + v], Noise((v,), cov=[[0.4]]), time=t)
+    sensor = StochasticMap([x], [(1 + t) * x + w], Noise((w,), cov=[[0.5]]), time=t)
+    system, times = DiscreteSystem(dynamics, sensor, [0.3], [[1.0]]), np.arange(4.0)
+    axes = {"x": (-7.0, 7.0, 113), "z": (-6.0, 6.0, 97), "y": (-26.0, 26.0, 209)}
+    made, _ = affine_synthesis(system, large_order(1), ExactGaussian(), times, **axes)
+    y = system.simulate(times, 50, 3).measurements
+    wanted, found = extended_kalman(system).run(times, y), made.run(times, y)
+    np.testing.assert_allclose(made.predicted.rms[:, 0] ** 2, wanted.cov[:, 0, 0], rtol=1e-2)
+    np.testing.assert_allclose(found.mean, wanted.mean, atol=2e-2)
 
 
 @pytest.mark.parametrize(
