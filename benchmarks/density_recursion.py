@@ -27,11 +27,22 @@ from seedslib.models import PlaneChain
 
 TIMES = 0.5 * np.arange(7)
 SHOWN = [(-5, 25, 31), (-10, 10, 21)]
-GRIDS = ((41, 0.1, 21, 16), (41, 0.1, 41, 31), (61, 0.05, 21, 16), (61, 0.05, 41, 31),
-         (81, 0.05, 41, 31), (61, 0.05, 81, 61))  # fmt: skip
+GRIDS = (
+    (41, 0.1, 21, 16),
+    (41, 0.1, 41, 31),
+    (61, 0.05, 21, 16),
+    (61, 0.05, 41, 31),
+    (81, 0.05, 41, 31),
+    (61, 0.05, 81, 61),
+)
 PATHS, NEIGHBOURS, SEEDS = 40_000, 400, (1, 2, 3)
-NAMES = ("kind", "detail", "seconds", *(f"rms_{t:g}" for t in TIMES[1:]),
-         *(f"error_{t:g}" for t in TIMES[1:]))  # fmt: skip
+NAMES = (
+    "kind",
+    "detail",
+    "seconds",
+    *(f"rms_{t:g}" for t in TIMES[1:]),
+    *(f"error_{t:g}" for t in TIMES[1:]),
+)
 
 
 def by_grid(nodes: int, substep: float, first: int, second: int) -> list[float]:

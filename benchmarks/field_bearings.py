@@ -66,8 +66,9 @@ def tracked(variance):
         StochasticMap(
             STATE, see, Noise(e, cov=0.05**2 * np.eye(2)), period=dict.fromkeys((0, 1), 2 * np.pi)
         ),
-        np.zeros(4), np.diag([0.1, 0.1, variance, variance]),
-    )  # fmt: skip
+        np.zeros(4),
+        np.diag([0.1, 0.1, variance, variance]),
+    )
 
 
 def target(runs, seed):
@@ -113,10 +114,14 @@ def main() -> None:
     place, bearing = target(RUNS, 1)
     y = late(bearing)
     rules = {
-        "EKF1": Taylor(), "EKF2": SecondOrder(), "EKF2 misprinted": Misprinted(),
-        "UKF alpha 1": Unscented(1.0, 0.0, -1.0), "UKF alpha .5": Unscented(0.5, 2.0, -1.0),
-        "CKF": Cubature(), "Gauss-Hermite 3": GaussHermite(3),
-    }  # fmt: skip
+        "EKF1": Taylor(),
+        "EKF2": SecondOrder(),
+        "EKF2 misprinted": Misprinted(),
+        "UKF alpha 1": Unscented(1.0, 0.0, -1.0),
+        "UKF alpha .5": Unscented(0.5, 2.0, -1.0),
+        "CKF": Cubature(),
+        "Gauss-Hermite 3": GaussHermite(3),
+    }
     base = errors(CovarianceFilter(system, Taylor()).run(TIMES, y).mean, place)
     for name, rule in rules.items():
         filter = CovarianceFilter(system, rule)

@@ -61,8 +61,10 @@ def growth(mean, cov):
     step = X / 2 + 25 * X / (1 + X**2) + 8 * sympy.cos(sympy.Rational(6, 5) * T) + U
     return DiscreteSystem(
         StochasticMap([X], [step], Noise([U]), time=T),
-        StochasticMap([X], [X**2 / 20 + V], Noise([V])), mean, cov,
-    )  # fmt: skip
+        StochasticMap([X], [X**2 / 20 + V], Noise([V])),
+        mean,
+        cov,
+    )
 
 
 def dense(count, reach):
@@ -191,9 +193,10 @@ def main() -> None:
         paths = others.states[:, 0], others.measurements[:, 0]
         put(f"minimax {name}", minimax(paths, shown[:, 0], name != "residual"), begin)
     for several, order, z, y in (
-        ("", 1, Z, Y), (" coarse", 1, (-30, 30, 121), (-6, 58, 161)),
+        ("", 1, Z, Y),
+        (" coarse", 1, (-30, 30, 121), (-6, 58, 161)),
         (" order 2", 2, (-27, 27, 61), (-6, 50, 97)),
-    ):  # fmt: skip
+    ):
         for name, count in (("one table a step", STEPS), ("tables by phase", TRANSIENT + TURN)):
             if order == 2 and count == STEPS:
                 continue

@@ -47,9 +47,17 @@ CLIMATE = 2.35, 3.63
 """Mean and deviation of a component in the long run."""
 
 COLUMNS = (
-    "filter", "setting", "design_paths", "design_seconds", "numbers", "runs", "rmse", "error",
-    "largest", "microseconds",
-)  # fmt: skip
+    "filter",
+    "setting",
+    "design_paths",
+    "design_seconds",
+    "numbers",
+    "runs",
+    "rmse",
+    "error",
+    "largest",
+    "microseconds",
+)
 
 
 def slope(x):
@@ -74,10 +82,14 @@ def fixed(value):
 
 
 SENSOR = StochasticMap.from_functions(
-    SIZE, 5, lambda t, x, v: x[SEEN] + v, Noise(5, cov=VARIANCE * np.eye(5)),
-    mean=lambda t, x: x[SEEN], cov=fixed(VARIANCE * np.eye(5)),
+    SIZE,
+    5,
+    lambda t, x, v: x[SEEN] + v,
+    Noise(5, cov=VARIANCE * np.eye(5)),
+    mean=lambda t, x: x[SEEN],
+    cov=fixed(VARIANCE * np.eye(5)),
     log_density=lambda t, y, x: -0.5 / VARIANCE * ((y - x[SEEN]) ** 2).sum(axis=0),
-)  # fmt: skip
+)
 
 
 def lorenz96(noise=0.0, **law):
@@ -100,9 +112,7 @@ def attractor(rng, count):
 def settled():
     """The system from its law in the long run: that is where a filter for ever is designed."""
     mean, deviation = CLIMATE
-    return lorenz96(
-        mean0=np.full(SIZE, mean), cov0=deviation**2 * np.eye(SIZE), initial=attractor
-    )  # fmt: skip
+    return lorenz96(mean0=np.full(SIZE, mean), cov0=deviation**2 * np.eye(SIZE), initial=attractor)
 
 
 class Differences(PointRule):
@@ -202,18 +212,27 @@ def scheduled(degree, near=SIZE // 2):
 def frozen(correction, remembered, paths, steps, seed=1):
     """A minimax filter with its last step frozen."""
     made = minimax_synthesis(
-        settled(), Memory(remembered), STEP * np.arange(steps), paths=paths, seed=seed,
+        settled(),
+        Memory(remembered),
+        STEP * np.arange(steps),
+        paths=paths,
+        seed=seed,
         correction=correction,
-    )  # fmt: skip
+    )
     return replace(made, cycle=1)
 
 
 def forecasts(mean_degree, cov_degree, paths, steps, seed=1):
     """A filter of polynomial forecasts of its last estimate, with its last step frozen."""
     made = synthesize(
-        settled(), Memory(1), Cubature(), STEP * np.arange(steps), paths=paths, seed=seed,
+        settled(),
+        Memory(1),
+        Cubature(),
+        STEP * np.arange(steps),
+        paths=paths,
+        seed=seed,
         predictor=Polynomial(mean_degree, cov_degree),
-    )  # fmt: skip
+    )
     return replace(made, cycle=1)
 
 
@@ -287,71 +306,111 @@ def main(only=()) -> None:
             cost = (time.process_time() - begin) / runs / MEASUREMENTS
         found = errors(np.where(np.isfinite(mean), mean, 1e3), data)
         each = found.mean(axis=0)
-        table.writerow((
-            name, setting, paths, spent, numbers, runs, f"{each.mean():.4f}",
-            f"{each.std(ddof=1) / np.sqrt(runs):.4f}", f"{found.max():.2f}", f"{1e6 * cost:.2f}",
-        ))  # fmt: skip
+        table.writerow(
+            (
+                name,
+                setting,
+                paths,
+                spent,
+                numbers,
+                runs,
+                f"{each.mean():.4f}",
+                f"{each.std(ddof=1) / np.sqrt(runs):.4f}",
+                f"{found.max():.2f}",
+                f"{1e6 * cost:.2f}",
+            )
+        )
         file.flush()
 
     mean, _ = CLIMATE
     put("climate", "", lambda y: np.full((len(y), SIZE, y.shape[2]), mean), numbers=0)
     for members, inflation in ((8, 1.05), (8, 1.1), (12, 1.04), (20, 1.03)):
         put(
-            f"ensemble {members}", f"inflation {inflation}",
-            lambda y, a=members, b=inflation: ensemble(y, a, b), numbers=members * SIZE,
-        )  # fmt: skip
+            f"ensemble {members}",
+            f"inflation {inflation}",
+            lambda y, a=members, b=inflation: ensemble(y, a, b),
+            numbers=members * SIZE,
+        )
     rules = {
-        "extended": Differences(), "cubature": Cubature(), "unscented": Unscented(1.0, 2.0, 0.0),
-    }  # fmt: skip
+        "extended": Differences(),
+        "cubature": Cubature(),
+        "unscented": Unscented(1.0, 2.0, 0.0),
+    }
     for name, rule in rules.items():
         filter = CovarianceFilter(lorenz96(), rule)
         for inflation in (1.0, 1.02) if name == "unscented" else (1.0, 1.02, 1.05):
             put(
-                name, f"inflation {inflation}",
-                lambda y, f=filter, a=inflation: inflated(f, y, a), numbers=65,
-            )  # fmt: skip
+                name,
+                f"inflation {inflation}",
+                lambda y, f=filter, a=inflation: inflated(f, y, a),
+                numbers=65,
+            )
         if name == "unscented":
             continue
         filter = CovarianceFilter(lorenz96(0.01), rule)
         put(name, "q 0.01", lambda y, f=filter: f.run(TIMES, y).mean, numbers=65)
     for members, share, width in ((50, 0.3, 1.7), (100, 0.2, 1.3), (800, 0.2, 0.8)):
         put(
-            f"jittered {members}", f"share {share} width {width}",
-            lambda y, a=members, b=share, c=width: jittered(y, a, b, c), SOME, members * SIZE,
-        )  # fmt: skip
+            f"jittered {members}",
+            f"share {share} width {width}",
+            lambda y, a=members, b=share, c=width: jittered(y, a, b, c),
+            SOME,
+            members * SIZE,
+        )
     for members, noise in ((50, 0.3), (100, 0.1)):
         filter = ParticleFilter(lorenz96(noise), members)
         put(
-            f"bootstrap {members}", f"q {noise}",
-            lambda y, f=filter: f.run(TIMES, y, seed=1).mean, SOME, members * SIZE,
-        )  # fmt: skip
+            f"bootstrap {members}",
+            f"q {noise}",
+            lambda y, f=filter: f.run(TIMES, y, seed=1).mean,
+            SOME,
+            members * SIZE,
+        )
     for first, second, paths in ((2, 0, 8192), (2, 1, 8192), (2, 2, 8192)):
         put(
-            "forecasts", f"degrees {first} {second}", None, numbers=SIZE, paths=paths,
+            "forecasts",
+            f"degrees {first} {second}",
+            None,
+            numbers=SIZE,
+            paths=paths,
             design=lambda a=first, b=second, c=paths: forecasts(a, b, c, 60),
-        )  # fmt: skip
+        )
     for degree, remembered, paths in ((2, 1, 8192),):
         put(
-            f"polynomial {degree}", f"remembers {remembered}", None, numbers=SIZE * remembered,
+            f"polynomial {degree}",
+            f"remembers {remembered}",
+            None,
+            numbers=SIZE * remembered,
             paths=paths,
             design=lambda a=degree, b=remembered, c=paths: frozen(BoundedPolynomial(a), b, c, 60),
-        )  # fmt: skip
+        )
     for degree, near, paths, steps, runs in (
-        (0, 5, 4096, 60, RUNS), (0, 5, 16384, 60, RUNS), (1, 5, 4096, 60, RUNS),
-        (1, 5, 16384, 60, RUNS), (2, 2, 16384, 60, RUNS), (3, 2, 32768, 80, 100),
-    ):  # fmt: skip
+        (0, 5, 4096, 60, RUNS),
+        (0, 5, 16384, 60, RUNS),
+        (1, 5, 4096, 60, RUNS),
+        (1, 5, 16384, 60, RUNS),
+        (2, 2, 16384, 60, RUNS),
+        (3, 2, 32768, 80, 100),
+    ):
         put(
-            f"gain {degree}", f"within {near} of {paths}", None, runs=runs, numbers=SIZE,
+            f"gain {degree}",
+            f"within {near} of {paths}",
+            None,
+            runs=runs,
+            numbers=SIZE,
             paths=paths,
             design=lambda a=degree, b=near, c=paths, d=steps: frozen(scheduled(a, b), 1, c, d),
-        )  # fmt: skip
+        )
     if not only or any(part.startswith("span") for part in only):
         before, after = (average_covariance(y[..., :40], after) for after in (False, True))
         for span in (0, 1, 2, 4, 8):
             put(
-                f"span {span}", "", lambda y, a=span: forgetful(y, a, after if a else before), 40,
+                f"span {span}",
+                "",
+                lambda y, a=span: forgetful(y, a, after if a else before),
+                40,
                 SIZE * span,
-            )  # fmt: skip
+            )
     if not only:
         file.close()
 

@@ -69,9 +69,14 @@ def noisy(value, spread):
         return np.log(bell(value(x)[0], spread(x)[0], y[0]))
 
     return StochasticMap.from_functions(
-        1, 1, lambda t, x, v: value(x) + spread(x) * v, Noise([W]),
-        mean=lambda t, x: value(x), cov=lambda t, x: (spread(x) ** 2)[None], log_density=density,
-    )  # fmt: skip
+        1,
+        1,
+        lambda t, x, v: value(x) + spread(x) * v,
+        Noise([W]),
+        mean=lambda t, x: value(x),
+        cov=lambda t, x: (spread(x) ** 2)[None],
+        log_density=density,
+    )
 
 
 # The state is thrown back by one over its cube root
@@ -92,12 +97,14 @@ def inverse() -> Problem:
         DiscreteSystem(noisy(thrown, np.ones_like), plain, [3.01], [[1.0]]),
         DiscreteSystem(StochasticMap([X], [root + W], Noise([W])), plain, [3.01], [[1.0]]),
         Nodes(0.02 * np.sinh(u), 0.02 * (u[1] - u[0]) * np.cosh(u)),
-        (-7, 7, 281), (-12, 12, 193), ((-6, 6, 61), (-11, 11, 89)),
+        (-7, 7, 281),
+        (-12, 12, 193),
+        ((-6, 6, 61), (-11, 11, 89)),
         chosen=(
             lambda t, z: np.concatenate([thrown(z), np.tanh(z), np.tanh(3 * z), z]),
             lambda t, ahead, y: np.concatenate([y - ahead, np.tanh(y), np.tanh(y - ahead)]),
         ),
-    )  # fmt: skip
+    )
 
 
 # A regression with another line in each of three ranges of the state
@@ -127,7 +134,10 @@ def regression() -> Problem:
     return Problem(
         DiscreteSystem(moved, plain, [0.0], [[1.0]]),
         DiscreteSystem(StochasticMap([X], [formula], Noise([W])), plain, [0.0], [[1.0]]),
-        (-8.05, 31.95, 401), (-6, 29, 281), (-11, 35, 185), ((-5, 28, 67), (-10, 34, 89)),
+        (-8.05, 31.95, 401),
+        (-6, 29, 281),
+        (-11, 35, 185),
+        ((-5, 28, 67), (-10, 34, 89)),
         program=(averaged, None),
         chosen=(
             lambda t, z: np.concatenate([averaged(t, z), line(z, 0) * z + line(z, 1), z]),
@@ -135,7 +145,7 @@ def regression() -> Problem:
                 [y - ahead, np.abs(y - 3), np.abs(y - 7), np.abs(ahead - 3), np.abs(ahead - 7)]
             ),
         ),
-    )  # fmt: skip
+    )
 
 
 # A line seen through one of three channels, and which one is not told
@@ -177,16 +187,24 @@ def switching() -> Problem:
     first, second = SHARES @ GAINS, SHARES @ GAINS**2
     wander, loud = second - first**2, SHARES @ LOUD**2
     sensor = StochasticMap.from_functions(
-        1, 1, through, Noise([V, U]), mean=lambda t, x: first * x,
-        cov=lambda t, x: (wander * x**2 + loud)[None], log_density=mixed,
-    )  # fmt: skip
+        1,
+        1,
+        through,
+        Noise([V, U]),
+        mean=lambda t, x: first * x,
+        cov=lambda t, x: (wander * x**2 + loud)[None],
+        log_density=mixed,
+    )
     moved = StochasticMap([X], [0.8 * X + 0.2 + 6 * W], Noise([W]))
     alike = StochasticMap([X], [first * X + sympy.sqrt(wander * X**2 + loud) * V], Noise([V]))
     variance = 36 + 0.64 * 6.0
     return Problem(
         DiscreteSystem(moved, sensor, [0.0], [[1.0]]),
         DiscreteSystem(moved, alike, [0.0], [[1.0]]),
-        (-64, 66, 417), (-60, 62, 245), (-240, 248, 977), ((-58, 60, 60), (-240, 248, 245)),
+        (-64, 66, 417),
+        (-60, 62, 245),
+        (-240, 248, 977),
+        ((-58, 60, 60), (-240, 248, 245)),
         program=(None, weighed(variance)),
         chosen=(
             None,
@@ -194,11 +212,14 @@ def switching() -> Problem:
                 [weighed(variance)(t, ahead, y), y - first * ahead, ahead]
             ),
         ),
-    )  # fmt: skip
+    )
 
 
-PROBLEMS = {"inverse proportion": inverse, "sampled regression": regression,
-            "switching observations": switching}  # fmt: skip
+PROBLEMS = {
+    "inverse proportion": inverse,
+    "sampled regression": regression,
+    "switching observations": switching,
+}
 
 
 def kalman_filters(problem: Problem) -> dict:
@@ -213,17 +234,26 @@ def kalman_filters(problem: Problem) -> dict:
 
 def minimax_filters(problem: Problem, paths: int = PATHS, times=TIMES) -> dict:
     """Conditionally minimax filters by name, and the seconds of their design."""
-    choices = {"residual": (None, None), "program": problem.program, "chosen": problem.chosen,
-               "polynomial": (None, BoundedPolynomial(5))}  # fmt: skip
+    choices = {
+        "residual": (None, None),
+        "program": problem.program,
+        "chosen": problem.chosen,
+        "polynomial": (None, BoundedPolynomial(5)),
+    }
     found = {}
     for name, (prediction, correction) in choices.items():
         if name == "program" and problem.program == (None, None):
             continue
         begin = time.process_time()
         filter = minimax_synthesis(
-            problem.system, Memory(1), times, paths=paths, seed=3,
-            prediction=prediction, correction=correction,
-        )  # fmt: skip
+            problem.system,
+            Memory(1),
+            times,
+            paths=paths,
+            seed=3,
+            prediction=prediction,
+            correction=correction,
+        )
         found[f"minimax {name}"] = filter, time.process_time() - begin
     return found
 
@@ -248,8 +278,11 @@ def rows_of(name: str):
     spent = time.process_time() - begin
 
     def told(row, mean, spent, design=None, predicted=None):
-        square = [(mean - states) ** 2, (mean - states) ** 2 - (best - states) ** 2,
-                  (mean - best) ** 2]  # fmt: skip
+        square = [
+            (mean - states) ** 2,
+            (mean - states) ** 2 - (best - states) ** 2,
+            (mean - best) ** 2,
+        ]
         square = [part.mean(axis=0) for part in square]
         values = [v for part in square for v in (part.mean(), part.std() / RUNS**0.5)]
         cost = 1e6 * spent / RUNS / len(TIMES)

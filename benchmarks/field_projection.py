@@ -58,10 +58,15 @@ def mixture(rng, count):
 def oscillator(noise):
     """The system, its sensor's noise of so large a deviation."""
     return JumpDiffusion(
-        (X1, X2), [X2, PUSH * (1 - X1**2) * X2 - X1], [[0], [1]],
-        [sympy.sin(X1) + V1, sympy.sin(X2) + V2], Noise((V1, V2), cov=noise**2 * np.eye(2)),
-        [0.0, 0.0], np.eye(2) + np.outer(PEAK, PEAK), initial=mixture,
-    )  # fmt: skip
+        (X1, X2),
+        [X2, PUSH * (1 - X1**2) * X2 - X1],
+        [[0], [1]],
+        [sympy.sin(X1) + V1, sympy.sin(X2) + V2],
+        Noise((V1, V2), cov=noise**2 * np.eye(2)),
+        [0.0, 0.0],
+        np.eye(2) + np.outer(PEAK, PEAK),
+        initial=mixture,
+    )
 
 
 def first_law(values):
@@ -120,10 +125,11 @@ class Projection:
         powers = [a**i * b**j for n in range(1, 5) for i in range(n, -1, -1) for j in [n - i]]
         known = [*powers, sympy.sin(a), sympy.sin(b), sympy.sin(a) ** 2, sympy.sin(b) ** 2]
         moved = [
-            b * sympy.diff(c, a) + (PUSH * (1 - a**2) * b - a) * sympy.diff(c, b)
+            b * sympy.diff(c, a)
+            + (PUSH * (1 - a**2) * b - a) * sympy.diff(c, b)
             + sympy.diff(c, b, 2) / 2
             for c in known
-        ]  # fmt: skip
+        ]
         grid = np.meshgrid(*(np.linspace(*axis) for axis in axes), indexing="ij")
         self.values = np.stack([part.ravel() for part in grid])
         first, second = (
@@ -243,10 +249,15 @@ def seen_first(noise):
 
     system = oscillator(noise)
     return JumpDiffusion(
-        system.state, system.drift_expressions, system.diffusion_expressions,
-        [sympy.sin(X1) + V1, sympy.sin(X2) + V2], Noise((V1, V2), cov=noise**2 * np.eye(2)),
-        mean[0, :, 0], cov[0, :, :, 0], initial=at_first,
-    )  # fmt: skip
+        system.state,
+        system.drift_expressions,
+        system.diffusion_expressions,
+        [sympy.sin(X1) + V1, sympy.sin(X2) + V2],
+        Noise((V1, V2), cov=noise**2 * np.eye(2)),
+        mean[0, :, 0],
+        cov[0, :, :, 0],
+        initial=at_first,
+    )
 
 
 def designed_filters(noise, paths=100_000):
@@ -264,9 +275,15 @@ def designed_filters(noise, paths=100_000):
     reach = 1 + 2.5 * noise
     begin = time.process_time()
     filter = simulated_synthesis(
-        system, Memory(1), TIMES[1:], paths=paths // 5, seed=5, nodes=0,
-        z=[(-2.4, 2.4, 17), (-2.4, 2.4, 17)], y=[(-reach, reach, 17), (-reach, reach, 17)],
-    )  # fmt: skip
+        system,
+        Memory(1),
+        TIMES[1:],
+        paths=paths // 5,
+        seed=5,
+        nodes=0,
+        z=[(-2.4, 2.4, 17), (-2.4, 2.4, 17)],
+        y=[(-reach, reach, 17), (-reach, reach, 17)],
+    )
     found["table of order 1"] = filter, time.process_time() - begin
     return found
 

@@ -45,9 +45,18 @@ RADAR = 1e-3, 0.17e-3
 
 X, W, V = (sp.symbols(f"{name}1:{n + 1}", real=True) for name, n in (("x", 5), ("w", 3), ("v", 2)))
 COLUMNS = (
-    "row", "setting", "runs", "rmse", "error", "above", "above_error", "drag", "own",
-    "microseconds", "design_seconds",
-)  # fmt: skip
+    "row",
+    "setting",
+    "runs",
+    "rmse",
+    "error",
+    "above",
+    "above_error",
+    "drag",
+    "own",
+    "microseconds",
+    "design_seconds",
+)
 
 
 def move(wander):
@@ -67,8 +76,9 @@ SENSOR = StochasticMap(
         sp.sqrt((X[0] - RADIUS) ** 2 + X[1] ** 2) + V[0],
         sp.atan2(X[1], X[0] - RADIUS) + V[1],
     ],
-    Noise(V, cov=np.diag(np.square(RADAR))), period={1: 2 * np.pi},
-)  # fmt: skip
+    Noise(V, cov=np.diag(np.square(RADAR))),
+    period={1: 2 * np.pi},
+)
 
 
 def reentry(mean=0.0, deviation=1.0, wander=WANDER):
@@ -156,11 +166,22 @@ def main(only=()) -> None:
         above = found - least[:runs]
         drag = np.sqrt(((mean - states[..., :runs])[STEPS // 2 :, 4] ** 2).mean())
         told = "" if own is None else f"{np.sqrt((own[1:, 0, 0] + own[1:, 1, 1]).mean()):.6f}"
-        table.writerow((
-            name, setting, runs,
-            *(f"{v:.7f}" for a in (found, above) for v in (a.mean(), a.std(ddof=1) / runs**0.5)),
-            f"{drag:.5f}", told, f"{1e6 * cost:.2f}", design,
-        ))  # fmt: skip
+        table.writerow(
+            (
+                name,
+                setting,
+                runs,
+                *(
+                    f"{v:.7f}"
+                    for a in (found, above)
+                    for v in (a.mean(), a.std(ddof=1) / runs**0.5)
+                ),
+                f"{drag:.5f}",
+                told,
+                f"{1e6 * cost:.2f}",
+                design,
+            )
+        )
         file.flush()
 
     rules = {
@@ -187,8 +208,10 @@ def main(only=()) -> None:
         kept = smooth(filter, TIMES, y[..., :20] if "Hermite" in name else y)
         put(f"{name} smoother", setting, kept.mean[1:], begin, kept.cov)
     for kind, deviations in (
-        ("forecasts", (1,)), ("minimax residual", (1, 0.1)), ("minimax turned", (1,)),
-    ):  # fmt: skip
+        ("forecasts", (1,)),
+        ("minimax residual", (1, 0.1)),
+        ("minimax turned", (1,)),
+    ):
         for deviation in deviations if wanted(kind) else ():
             begin = time.process_time()
             filter = designed(kind, deviation)

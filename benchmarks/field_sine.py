@@ -79,8 +79,10 @@ def sine(cov):
     step = [angle + sympy.Rational(1, 100) * frequency + e[0], frequency + e[1], amplitude + e[2]]
     return DiscreteSystem(
         StochasticMap(state, step, Noise(e, cov=PUSH)),
-        StochasticMap(state, [amplitude * sympy.sin(angle) + r], Noise([r])), START, cov,
-    )  # fmt: skip
+        StochasticMap(state, [amplitude * sympy.sin(angle) + r], Noise([r])),
+        START,
+        cov,
+    )
 
 
 def late(y):
@@ -192,10 +194,14 @@ def main() -> None:
     data = sine(np.zeros((3, 3))).simulate(TIMES[1:], RUNS, 1)
     truth, y = with_signal(data.states), late(data.measurements)
     rules = {
-        "EKF1": Taylor(), "EKF2": SecondOrder(), "exact Gaussian": ExactGaussian(),
-        "UKF alpha .5": Unscented(0.5, 2.0, 0.0), "UKF alpha 1": Unscented(1.0, 0.0, 0.0),
-        "CKF": Cubature(), "Gauss-Hermite 3": GaussHermite(3),
-    }  # fmt: skip
+        "EKF1": Taylor(),
+        "EKF2": SecondOrder(),
+        "exact Gaussian": ExactGaussian(),
+        "UKF alpha .5": Unscented(0.5, 2.0, 0.0),
+        "UKF alpha 1": Unscented(1.0, 0.0, 0.0),
+        "CKF": Cubature(),
+        "Gauss-Hermite 3": GaussHermite(3),
+    }
     base = None
     for name, rule in rules.items():
         filter = CovarianceFilter(system, rule)

@@ -58,8 +58,10 @@ def volatility():
     noise = Noise([V], -np.euler_gamma - np.log(2), [[np.pi**2 / 2]], chi, log_chi)
     return DiscreteSystem(
         StochasticMap([X], [ALPHA * X + W], Noise([W])),
-        StochasticMap([X], [X + 2 * sympy.log(BETA) + V], noise), 0, 1 / (1 - ALPHA**2),
-    )  # fmt: skip
+        StochasticMap([X], [X + 2 * sympy.log(BETA) + V], noise),
+        0,
+        1 / (1 - ALPHA**2),
+    )
 
 
 def predictive(system, order):

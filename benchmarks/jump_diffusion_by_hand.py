@@ -219,9 +219,11 @@ def main() -> None:
     for name, value, error in forecast_kinds(60_000, 60_000, 1):
         rows.append(("JD-X4", name, value, error))
     for rule, l, sizes in (
-        ("exact", 1, (281, 601, 241)), ("gaussian", 1, (281, 601, 241)),
-        ("linearised", 1, (281, 601, 241)), ("exact", 2, (141, 121, 97)),
-    ):  # fmt: skip
+        ("exact", 1, (281, 601, 241)),
+        ("gaussian", 1, (281, 601, 241)),
+        ("linearised", 1, (281, 601, 241)),
+        ("exact", 2, (141, 121, 97)),
+    ):
         errors = flip_errors(rule, l, sizes)
         rows += [("JD-X2", f"{rule} {l}, k = {k}", errors[k], 0.0) for k in SHOWN]
     with Path(__file__).with_suffix(".csv").open("w", newline="") as file:

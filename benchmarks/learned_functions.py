@@ -30,21 +30,28 @@ from seedslib.filters import Filter, ParticleFilter, assumed_density
 DESIGN, TEST, PARTICLE_PATHS, SEED = 10_000, 12_288, 1024, 1
 EXAMPLES = {
     "Van der Pol": (
-        zoo.van_der_pol(), 0.5 * np.arange(7), 1,
+        zoo.van_der_pol(),
+        0.5 * np.arange(7),
+        1,
         {"z": [(-4, 4, 25), (-6, 6, 25)], "y": [(-3, 14, 17), (-8, 8, 17)]},
     ),
     "Duffing": (
-        zoo.kicked_duffing(), 0.5 * np.arange(13), 4,
+        zoo.kicked_duffing(),
+        0.5 * np.arange(13),
+        4,
         {"z": [(-3, 3, 41), (-5, 5, 41)], "y": (-8, 8, 65)},
     ),
-}  # fmt: skip
+}
 
 
 def network() -> MLPRegressor:
     return MLPRegressor(
-        hidden_layer_sizes=(32, 32), early_stopping=True, n_iter_no_change=3,
-        learning_rate_init=1e-2, max_iter=200,
-    ).set_params(batch_size=1000)  # fmt: skip
+        hidden_layer_sizes=(32, 32),
+        early_stopping=True,
+        n_iter_no_change=3,
+        learning_rate_init=1e-2,
+        max_iter=200,
+    ).set_params(batch_size=1000)
 
 
 def rows_of(example: str, run: str, found, times, others: list[str]) -> list[list]:
@@ -73,10 +80,8 @@ def main() -> None:
         filters: dict[str, Filter] = {
             "assumed density": assumed_density(system, step=0.02),
             "table": simulated_synthesis(system, one, times, **own, **axes),
-            "network": learn(
-                system, one, times, regressor=network(), joint=True, sets=2, **own
-            ),
-        }  # fmt: skip
+            "network": learn(system, one, times, regressor=network(), joint=True, sets=2, **own),
+        }
         if example == "Van der Pol":
             trees = HistGradientBoostingRegressor(
                 max_iter=60, max_leaf_nodes=16, learning_rate=0.15

@@ -32,18 +32,32 @@ INTERVAL, INNER, SPIN = 0.25, 25, 64
 DESIGN = 48
 START = [1.509, -1.531, 25.46]
 DESIGNED = (
-    (1, 1, 20_000), (2, 1, 20_000), (3, 1, 40_000), (4, 1, 60_000), (3, 2, 40_000),
-    (5, 1, 60_000), (4, 2, 40_000),
-)  # fmt: skip
+    (1, 1, 20_000),
+    (2, 1, 20_000),
+    (3, 1, 40_000),
+    (4, 1, 60_000),
+    (3, 2, 40_000),
+    (5, 1, 60_000),
+    (4, 2, 40_000),
+)
 """Degree, remembered estimates, paths that a function is fitted to."""
 
 FROZEN = 4, 1, 60_000, 1000, 10_000
 """The same, paths and measurements of the long run."""
 
 COLUMNS = (
-    "filter", "setting", "design_paths", "design_seconds", "paths", "measurements", "rmse",
-    "error", "last_tenth", "largest", "microseconds",
-)  # fmt: skip
+    "filter",
+    "setting",
+    "design_paths",
+    "design_seconds",
+    "paths",
+    "measurements",
+    "rmse",
+    "error",
+    "last_tenth",
+    "largest",
+    "microseconds",
+)
 
 
 def slope(x):
@@ -65,9 +79,7 @@ def flow(t, x, v=None):
 
 
 X, R = sympy.symbols("x:3", real=True), sympy.symbols("r:3", real=True)
-SENSOR = StochasticMap(
-    X, [x + r for x, r in zip(X, R, strict=True)], Noise(R, cov=2 * np.eye(3))
-)  # fmt: skip
+SENSOR = StochasticMap(X, [x + r for x, r in zip(X, R, strict=True)], Noise(R, cov=2 * np.eye(3)))
 
 
 def lorenz():
@@ -93,9 +105,13 @@ def designed(degree, remembered, paths, steps=DESIGN, seed=1):
     """A filter of bounded polynomials with its last step frozen, and seconds of the design."""
     begin = time.perf_counter()
     made = minimax_synthesis(
-        lorenz(), Memory(remembered), INTERVAL * np.arange(steps), paths=paths, seed=seed,
+        lorenz(),
+        Memory(remembered),
+        INTERVAL * np.arange(steps),
+        paths=paths,
+        seed=seed,
         correction=BoundedPolynomial(degree),
-    )  # fmt: skip
+    )
     return replace(made, cycle=1), time.perf_counter() - begin
 
 
@@ -105,10 +121,14 @@ def summary(errors, seconds):
     each = kept.mean(axis=0)
     last = kept[-max(1, len(kept) // 10) :].mean()
     return (
-        errors.shape[1], len(errors), f"{each.mean():.4f}",
-        f"{each.std(ddof=1) / np.sqrt(len(each)):.4f}", f"{last:.4f}", f"{kept.max():.2f}",
+        errors.shape[1],
+        len(errors),
+        f"{each.mean():.4f}",
+        f"{each.std(ddof=1) / np.sqrt(len(each)):.4f}",
+        f"{last:.4f}",
+        f"{kept.max():.2f}",
         f"{1e6 * seconds / errors.size:.2f}",
-    )  # fmt: skip
+    )
 
 
 def held(filter, paths, measurements, seed=9, part=500):

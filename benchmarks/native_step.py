@@ -133,7 +133,12 @@ def filters() -> dict:
             system, one, rule, TIMES, predictor=Polynomial(3, 2), **design
         ),
         "table of two numbers": grid_synthesis(
-            zoo.flip_process(), one, TIMES, x=(-3.5, 3.5, 101), z=(-3, 3, 61), y=(-9, 9, 101),
+            zoo.flip_process(),
+            one,
+            TIMES,
+            x=(-3.5, 3.5, 101),
+            z=(-3, 3, 61),
+            y=(-9, 9, 101),
             nodes=0,
         ),
         "EKF, Runge-Kutta": extended_kalman(system, step=0.02),
@@ -142,7 +147,7 @@ def filters() -> dict:
         "extended, n = 4": extended_kalman(target()),
         "unscented, n = 4": unscented_kalman(target()),
         "IMM, three modes, n = 4": SwitchingFilter(target(3), Taylor()),
-    }  # fmt: skip
+    }
 
 
 def in_c(made, folder) -> dict:

@@ -30,14 +30,18 @@ from seedslib.linearization import ExactGaussian
 BATCH = 4096
 EXAMPLES = {
     "Van der Pol": (
-        zoo.van_der_pol, 0.5 * np.arange(7),
-        {"z": [(-4, 4, 25), (-6, 6, 25)], "y": [(-3, 14, 17), (-8, 8, 17)]}, 4,
+        zoo.van_der_pol,
+        0.5 * np.arange(7),
+        {"z": [(-4, 4, 25), (-6, 6, 25)], "y": [(-3, 14, 17), (-8, 8, 17)]},
+        4,
     ),
     "Duffing": (
-        zoo.kicked_duffing, 0.5 * np.arange(13),
-        {"z": [(-3, 3, 41), (-5, 5, 41)], "y": (-8, 8, 65)}, 2,
+        zoo.kicked_duffing,
+        0.5 * np.arange(13),
+        {"z": [(-3, 3, 41), (-5, 5, 41)], "y": (-8, 8, 65)},
+        2,
     ),
-}  # fmt: skip
+}
 
 
 def filters(system, times, axes, degree) -> dict:

@@ -41,9 +41,13 @@ def kalman(model):
 
 def nonlinear(model):
     return bends.ParamsNLGSSM(
-        jnp.array(model.mean), jnp.array(model.cov), lambda x: model.move(x, jnp.sin),
-        jnp.array(model.Q), lambda x: model.see(x, jnp.sin), jnp.array(model.R),
-    )  # fmt: skip
+        jnp.array(model.mean),
+        jnp.array(model.cov),
+        lambda x: model.move(x, jnp.sin),
+        jnp.array(model.Q),
+        lambda x: model.see(x, jnp.sin),
+        jnp.array(model.R),
+    )
 
 
 def extended(model):
@@ -61,9 +65,13 @@ def cubature(model):
 
 def hermite(model):
     params = general.ParamsGGSSM(
-        jnp.array(model.mean), jnp.array(model.cov), lambda x: model.move(x, jnp.sin),
-        jnp.array(model.Q), lambda x: model.see(x, jnp.sin), lambda x: jnp.array(model.R),
-    )  # fmt: skip
+        jnp.array(model.mean),
+        jnp.array(model.cov),
+        lambda x: model.move(x, jnp.sin),
+        jnp.array(model.Q),
+        lambda x: model.see(x, jnp.sin),
+        lambda x: jnp.array(model.R),
+    )
     rule = general.GHKFIntegrals(4)
     return general.conditional_moments_gaussian_smoother(params, rule, jnp.array(model.y))
 

@@ -41,9 +41,19 @@ FINE = "exact table, 241 nodes"
 WANTED = {"IMM of extended Kalman filters": 5.0, "particles, 1000": 500.0}
 SHOWN = {"A1H": (-16, 18, 137), "A1L": (-11, 13, 241), "A2": (-8, 26, 545)}
 NAMES = (
-    "sensor", "filter", "microseconds", "ratio", "mode_error", "mode_error_error", "rmse",
-    "rmse_error", "difference", "difference_error", "mode_difference", "mode_difference_error",
-)  # fmt: skip
+    "sensor",
+    "filter",
+    "microseconds",
+    "ratio",
+    "mode_error",
+    "mode_error_error",
+    "rmse",
+    "rmse_error",
+    "difference",
+    "difference_error",
+    "mode_difference",
+    "mode_difference_error",
+)
 
 
 def filters(sensor: str) -> dict:
@@ -94,12 +104,20 @@ def main() -> None:
             apart = scores.difference(name, FINE)
             rows.append(
                 (
-                    sensor, name, best[name], best[name] / best[TABLE], score.average_mode_error,
-                    score.average_mode_error_error, score.average[0], score.average_error[0],
-                    apart.average_square, apart.average_square_error, apart.average_mode,
+                    sensor,
+                    name,
+                    best[name],
+                    best[name] / best[TABLE],
+                    score.average_mode_error,
+                    score.average_mode_error_error,
+                    score.average[0],
+                    score.average_error[0],
+                    apart.average_square,
+                    apart.average_square_error,
+                    apart.average_mode,
                     apart.average_mode_error,
                 )
-            )  # fmt: skip
+            )
             print(sensor, f"{name:32s}", *(f"{value:9.4f}" for value in rows[-1][2:]), flush=True)
         for name, least in WANTED.items():
             ratio = best[name] / best[TABLE]

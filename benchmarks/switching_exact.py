@@ -25,9 +25,18 @@ SHOWN = {"A1H": (-16, 18, 0.25), "A1L": (-11, 13, 0.1), "A2": (-8, 26, 0.0625)}
 STATE_STEP = 0.2
 STEPS = 31
 COLUMNS = (
-    "sensor", "memory", "order", "memory_step", "measurement_step", "steps", "mode_error", "rmse",
-    "rmse_first", "rmse_second", "seconds",
-)  # fmt: skip
+    "sensor",
+    "memory",
+    "order",
+    "memory_step",
+    "measurement_step",
+    "steps",
+    "mode_error",
+    "rmse",
+    "rmse_first",
+    "rmse_second",
+    "seconds",
+)
 
 
 def axis(low, high, step):
@@ -41,17 +50,29 @@ def row(sensor, kind, order, memory_step, measurement_step):
     memory = large_order(order) if kind == "estimates" else finite_memory(order)
     begin = time.process_time()
     risk = optimal_risk(
-        zoo.scalar_switching(sensor), memory, np.arange(STEPS), x=axis(-8, 8, STATE_STEP),
+        zoo.scalar_switching(sensor),
+        memory,
+        np.arange(STEPS),
+        x=axis(-8, 8, STATE_STEP),
         z=axis(-6, 6, memory_step) if memory_step else None,
         y=axis(low, high, measurement_step),
-    )  # fmt: skip
+    )
     seconds = time.process_time() - begin
     wrong, rmse = risk.mode_error[10:].mean(), np.sqrt(risk.mse[10:].mean())
     first, second = np.sqrt(risk.mse[:2])
     return (
-        sensor, kind, order, memory_step or "", measurement_step, STEPS, f"{wrong:.6f}",
-        f"{rmse:.6f}", f"{first:.6f}", f"{second:.6f}", f"{seconds:.1f}",
-    )  # fmt: skip
+        sensor,
+        kind,
+        order,
+        memory_step or "",
+        measurement_step,
+        STEPS,
+        f"{wrong:.6f}",
+        f"{rmse:.6f}",
+        f"{first:.6f}",
+        f"{second:.6f}",
+        f"{seconds:.1f}",
+    )
 
 
 def main() -> None:

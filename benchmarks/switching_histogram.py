@@ -21,13 +21,25 @@ TIMES = np.arange(31.0)
 FIRST = 10
 TEST_PATHS, TEST_SEED = 20_000, 202
 CASES = (
-    ("A1H", 20, 30_000), ("A1H", 40, 30_000), ("A1H", 20, 300_000), ("A1H", 40, 300_000),
-    ("A1L", 40, 300_000), ("A2", 40, 300_000),
-)  # fmt: skip
+    ("A1H", 20, 30_000),
+    ("A1H", 40, 30_000),
+    ("A1H", 20, 300_000),
+    ("A1H", 40, 300_000),
+    ("A1L", 40, 300_000),
+    ("A2", 40, 300_000),
+)
 NAMES = (
-    "sensor", "bins", "paths", "seed", "mode_error", "mode_error_error", "rmse", "rmse_error",
-    "own_mode_error", "own_rmse",
-)  # fmt: skip
+    "sensor",
+    "bins",
+    "paths",
+    "seed",
+    "mode_error",
+    "mode_error_error",
+    "rmse",
+    "rmse_error",
+    "own_mode_error",
+    "own_rmse",
+)
 
 
 def accuracy(filter, data) -> list[float]:
@@ -52,9 +64,10 @@ def main() -> None:
             )
             own = filter.predicted
             figures = [
-                *accuracy(filter, data), own.mode_rate[FIRST:].mean(),
+                *accuracy(filter, data),
+                own.mode_rate[FIRST:].mean(),
                 np.sqrt((own.rms[FIRST:] ** 2).mean()),
-            ]  # fmt: skip
+            ]
             table.writerow((sensor, bins, paths, seed, *(f"{value:.5g}" for value in figures)))
             file.flush()
 

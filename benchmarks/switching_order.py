@@ -105,9 +105,11 @@ def scored(name, system, times, seed, found, pairs) -> list[dict]:
     for first, second in pairs:
         apart = table.difference(first, second)
         numbers = (
-            apart.average_mode, apart.average_mode_error, apart.average_square,
+            apart.average_mode,
+            apart.average_mode_error,
+            apart.average_square,
             apart.average_square_error,
-        )  # fmt: skip
+        )
         rows.append(row("difference", name, first, second, *numbers))
     return rows
 

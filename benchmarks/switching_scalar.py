@@ -42,8 +42,15 @@ SENSORS = {  # axes of the measurement for exact filters of orders 1 and 2
     "A2": ((-8, 26, 545), (-8, 26, 273)),
 }
 COLUMNS = (
-    "part", "sensor", "filter", "at", "wrong_mode", "wrong_mode_error", "rms", "rms_error",
-)  # fmt: skip
+    "part",
+    "sensor",
+    "filter",
+    "at",
+    "wrong_mode",
+    "wrong_mode_error",
+    "rms",
+    "rms_error",
+)
 
 
 def designed(system, memory, linearization, paths=DESIGN_PATHS):

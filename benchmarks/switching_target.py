@@ -34,9 +34,19 @@ TIMES = np.arange(41.0)
 WINDOW = (10, 40)
 COURSE = ["indicator", "name", "step", "total", "total_error", "mode", "mode_error"]
 FIELDS = [
-    "indicator", "kind", "name", "paths", "mode", "mode_error", "position", "position_error",
-    "velocity", "velocity_error", "square", "square_error",
-]  # fmt: skip
+    "indicator",
+    "kind",
+    "name",
+    "paths",
+    "mode",
+    "mode_error",
+    "position",
+    "position_error",
+    "velocity",
+    "velocity_error",
+    "square",
+    "square_error",
+]
 
 
 def memories(indicator: str) -> dict[str, Memory]:
@@ -111,8 +121,9 @@ def scored(indicator: str) -> tuple[list[dict], list[dict]]:
     table = compare(filters, system, TIMES, TEST, SEED + 11, window=WINDOW)
     rows = [filter_row(indicator, name, found) for name, found in table.items()]
     few = {
-        f"RBPF {PARTICLES}": RaoBlackwellFilter(system, PARTICLES), "IMM again": filters["IMM"],
-    }  # fmt: skip
+        f"RBPF {PARTICLES}": RaoBlackwellFilter(system, PARTICLES),
+        "IMM again": filters["IMM"],
+    }
     drawn = compare(few, system, TIMES, DRAWN, SEED + 22, window=WINDOW)
     rows += [filter_row(indicator, name, found) for name, found in drawn.items()]
     rows += [difference_row(indicator, table, *pair) for pair in pairs(indicator)]

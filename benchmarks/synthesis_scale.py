@@ -57,16 +57,24 @@ def rows_of(name, ways, rounds):
         measured(500, client, **where)  # the first run compiles
     for paths in PATHS:
         runs = np.array(
-            [[measured(paths, client, **where) for client, where in ways.values()]
-             for _ in range(rounds)]
-        )  # fmt: skip
+            [
+                [measured(paths, client, **where) for client, where in ways.values()]
+                for _ in range(rounds)
+            ]
+        )
         gains = runs[:, :1, 0] / runs[:, :, 0]
         for k, workers in enumerate(ways):
             seconds, cpu, load = np.median(runs[:, k], axis=0)
             gain = np.median(gains[:, k])
             yield [
-                paths, name, workers, f"{seconds:.3f}", f"{cpu:.3f}", f"{gain:.2f}", f"{load:.1f}"
-            ]  # fmt: skip
+                paths,
+                name,
+                workers,
+                f"{seconds:.3f}",
+                f"{cpu:.3f}",
+                f"{gain:.2f}",
+                f"{load:.1f}",
+            ]
 
 
 def main() -> None:
@@ -75,9 +83,12 @@ def main() -> None:
         ways = {}
         for workers in (1, 2):
             local = LocalCluster(
-                n_workers=workers, threads_per_worker=1, dashboard_address=None,
-                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"}, silence_logs=50,
-            )  # fmt: skip
+                n_workers=workers,
+                threads_per_worker=1,
+                dashboard_address=None,
+                scheduler_kwargs={"dashboard_address": "127.0.0.1:0"},
+                silence_logs=50,
+            )
             stack.enter_context(local)
             client = stack.enter_context(Client(local))
             crew = stack.enter_context(cluster(client))

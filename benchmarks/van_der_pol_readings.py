@@ -42,9 +42,15 @@ def main() -> None:
         }
         for name, (memory, predictor) in RECIPES.items():
             filters[name] = synthesize(
-                system, memory, Taylor(), TACTS, predictor=predictor, nodes=0, paths=DESIGN,
+                system,
+                memory,
+                Taylor(),
+                TACTS,
+                predictor=predictor,
+                nodes=0,
+                paths=DESIGN,
                 seed=SEED,
-            )  # fmt: skip
+            )
         table = compare(filters, system, TACTS, TEST, SEED + 1, components=1)
         for name in filters:
             one = [table[name].rms[-1, 0], table[name].rms_error[-1, 0]]

@@ -224,9 +224,18 @@ def continuous_numbers(*, jumps=True):
 
     mu = at("mu") if jumps else lambda time: 0.0
     return Continuous(
-        *map(at, "AaBG"), mu, at("C"), at("k"), MARK_MEAN, MARK_COV, *map(at, "HD"),
-        SENSOR_MEAN, SENSOR_COV, MEAN0[:2], COV0[:2, :2],
-    )  # fmt: skip
+        *map(at, "AaBG"),
+        mu,
+        at("C"),
+        at("k"),
+        MARK_MEAN,
+        MARK_COV,
+        *map(at, "HD"),
+        SENSOR_MEAN,
+        SENSOR_COV,
+        MEAN0[:2],
+        COV0[:2, :2],
+    )
 
 
 def continuous_system(*, jumps=True, inputs=True, step=0.02):
@@ -236,9 +245,17 @@ def continuous_system(*, jumps=True, inputs=True, step=0.02):
     more = {"intensity": p["mu"][()], "jump": list(p["C"] @ x + p["k"] * z)} if jumps else {}
     marks = Noise((z,), MARK_MEAN, [[MARK_COV]]) if jumps else None
     return JumpDiffusion(
-        x, p["A"] @ x + p["a"] + p["B"] * u, p["G"], p["H"] @ x + p["D"] * u + SENSOR_NOISE,
-        noises()[1], MEAN0[:2], COV0[:2, :2], marks=marks, step=step, **more,
-    )  # fmt: skip
+        x,
+        p["A"] @ x + p["a"] + p["B"] * u,
+        p["G"],
+        p["H"] @ x + p["D"] * u + SENSOR_NOISE,
+        noises()[1],
+        MEAN0[:2],
+        COV0[:2, :2],
+        marks=marks,
+        step=step,
+        **more,
+    )
 
 
 # Small nonlinear standards.
@@ -251,8 +268,9 @@ def growth(variance=10.0, sensor_variance=1.0):
     return DiscreteSystem(
         StochasticMap([x], [move], Noise([v], cov=[[variance]])),
         StochasticMap([x], [x**2 / 20 + w], Noise([w], cov=[[sensor_variance]])),
-        [0.5], [[2.0]],
-    )  # fmt: skip
+        [0.5],
+        [[2.0]],
+    )
 
 
 def pendulum(step=0.1):
@@ -269,9 +287,15 @@ def oscillator(step=0.01):
     """A Van der Pol oscillator with noise on its velocity, its place measured."""
     x, y, w = sympy.symbols("x y w", real=True)
     return JumpDiffusion(
-        [x, y], [y, (1 - x**2) * y - x], [[0], [0.5]], [x + w], Noise([w], cov=[[0.2]]),
-        [1.0, 0.0], np.diag([0.3, 0.2]), step=step,
-    )  # fmt: skip
+        [x, y],
+        [y, (1 - x**2) * y - x],
+        [[0], [0.5]],
+        [x + w],
+        Noise([w], cov=[[0.2]]),
+        [1.0, 0.0],
+        np.diag([0.3, 0.2]),
+        step=step,
+    )
 
 
 class Recorded:

@@ -12,9 +12,17 @@ import seedslib
 
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
-    "base", "gaussian", "models", "linearization", "filters", "designed", "evaluation", "design",
-    "zoo", "commands",
-)  # fmt: skip
+    "base",
+    "gaussian",
+    "models",
+    "linearization",
+    "filters",
+    "designed",
+    "evaluation",
+    "design",
+    "zoo",
+    "commands",
+)
 """Each uses only packages before it."""
 
 

@@ -54,8 +54,11 @@ def test_no_cell_is_left_out_of_the_re_run(cells):
 
 
 def test_claims_and_figures_are_on_the_page(cells):
-    removed = [output["data"] for cell, output in outputs(cells)
-               if "data" in output and "remove-cell" in tags(cell)]  # fmt: skip
+    removed = [
+        output["data"]
+        for cell, output in outputs(cells)
+        if "data" in output and "remove-cell" in tags(cell)
+    ]
     assert [data for data in removed if data.get(MIME, {}).get("claims")] == []
     assert [data for data in removed if "image/png" in data] == []
 

@@ -31,8 +31,11 @@ def test_a_wrong_digit_in_a_formula_fails_the_re_run_and_names_the_number(tmp_pa
     paths = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "notebooks"],
-        cwd=tmp_path, env=os.environ | {"PYTHONPATH": paths}, capture_output=True,
-        text=True, timeout=300,
-    )  # fmt: skip
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": paths},
+        capture_output=True,
+        text=True,
+        timeout=300,
+    )
     assert done.returncode == 1, done.stdout
     assert f"{NUMBER}: stored 0.1029" in done.stdout

@@ -26,8 +26,12 @@ def test_a_set_up_that_cannot_go_on_says_why(tmp_path):
     for python, message in ((old, "3.11"), (sys.executable, "package index reachable")):
         done = subprocess.run(
             ["sh", "setup.sh", str(python), ".venv"],
-            cwd=tmp_path, env=environment, capture_output=True, text=True, timeout=120,
-        )  # fmt: skip
+            cwd=tmp_path,
+            env=environment,
+            capture_output=True,
+            text=True,
+            timeout=120,
+        )
         assert done.returncode == 2
         assert message in done.stderr
         assert not (tmp_path / ".venv" / ".installed").exists()

@@ -50,8 +50,9 @@ def plot_design(designed, *, measurement: int | None = None) -> Figure:
     drawn = _drawable(designed)
     if measurement is not None and measurement not in drawn:
         can = ", ".join(map(str, drawn)) or "none"
-        raise ValueError(f"measurement: wanted one whose function can be drawn ({can}), got "
-                         f"{measurement!r}")  # fmt: skip
+        raise ValueError(
+            f"measurement: wanted one whose function can be drawn ({can}), got {measurement!r}"
+        )
     if not drawn:
         figure, ax = axes()
         _errors(ax, designed)
@@ -87,9 +88,15 @@ def _errors(ax, designed):
         band(ax, predicted.times, predicted.rms[:, i], predicted.error[:, i], label=label)
     ax.set_ylim(bottom=0.0)
     ax.plot(
-        designed.times, np.zeros(len(designed.times)), "|", color="black", markersize=14,
-        linestyle="none", clip_on=False, label="measurements",
-    )  # fmt: skip
+        designed.times,
+        np.zeros(len(designed.times)),
+        "|",
+        color="black",
+        markersize=14,
+        linestyle="none",
+        clip_on=False,
+        label="measurements",
+    )
     finish(ax, x="time", y="root-mean-square error", title="Predicted accuracy")
 
 
@@ -114,6 +121,8 @@ def _output(ax, designed, k):
         points = [y] if u is None else [y, np.array([u])]
         curve(ax, y, table(points).mean[0], label=None if u is None else f"memory u = {u:g}")
     finish(
-        ax, x="measurement y", y="estimate f(y, u)" if len(table.axes) == 2 else "estimate f(y)",
+        ax,
+        x="measurement y",
+        y="estimate f(y, u)" if len(table.axes) == 2 else "estimate f(y)",
         title=f"Output function at t = {designed.times[k]:g}",
-    )  # fmt: skip
+    )

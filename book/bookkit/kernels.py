@@ -22,10 +22,19 @@ from functools import cache
 from typing import Any
 
 _IMPORTED = (
-    "ipykernel_launcher", "ipykernel.kernelapp", "IPython.core.completerlib",
-    "IPython.extensions.storemagic", "matplotlib.pyplot", "numpy.random", "pydantic",
-    "scipy.integrate", "scipy.optimize", "scipy.stats", "sympy", "yaml",
-)  # fmt: skip
+    "ipykernel_launcher",
+    "ipykernel.kernelapp",
+    "IPython.core.completerlib",
+    "IPython.extensions.storemagic",
+    "matplotlib.pyplot",
+    "numpy.random",
+    "pydantic",
+    "scipy.integrate",
+    "scipy.optimize",
+    "scipy.stats",
+    "sympy",
+    "yaml",
+)
 _INLINE = "module://matplotlib_inline.backend_inline"  # what a kernel sets before it imports
 
 
@@ -87,10 +96,14 @@ def launch(cmd: Sequence[str], *, env: Mapping[str, str], cwd: str = ".", **_: A
 def _parent(environment: tuple[tuple[str, str], ...]) -> subprocess.Popen[str]:
     """The process to fork from; it ends when this one does, with its input."""
     made = subprocess.Popen(
-        [sys.executable, __file__], env={"MPLBACKEND": _INLINE} | dict(environment), text=True,
-        stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL,
+        [sys.executable, __file__],
+        env={"MPLBACKEND": _INLINE} | dict(environment),
+        text=True,
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
         start_new_session=True,
-    )  # fmt: skip
+    )
     atexit.register(_end, made)
     return made
 

@@ -20,8 +20,18 @@ import numpy as np
 NEEDED = {"Prescott": "", "Nehalem": "", "Haswell": "X86_V3", "SkylakeX": "X86_V4"}
 """Kernels of OpenBLAS, and the group of instructions that each wants beyond the common ones."""
 
-ROOMS = ("models", "two_step", "delay", "piecewise", "filters", "designed", "design", "evaluation",
-         "zoo", "base")  # fmt: skip
+ROOMS = (
+    "models",
+    "two_step",
+    "delay",
+    "piecewise",
+    "filters",
+    "designed",
+    "design",
+    "evaluation",
+    "zoo",
+    "base",
+)
 """Tests of what draws random numbers."""
 
 
@@ -78,10 +88,21 @@ def try_all(root: Path, names: Sequence[str], tests: bool) -> tuple[list[list[st
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "deviations"
             done = subprocess.run(
-                [sys.executable, "-m", "pytest", "-q", "-n", "3", "--dist=loadscope",
-                 "--deviations", log, *where],
-                cwd=root, env={**os.environ, **environment(name)},
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-m",
+                    "pytest",
+                    "-q",
+                    "-n",
+                    "3",
+                    "--dist=loadscope",
+                    "--deviations",
+                    log,
+                    *where,
+                ],
+                cwd=root,
+                env={**os.environ, **environment(name)},
+            )
             passed &= done.returncode == 0
             rows += [[name, *row] for row in _worst(log.read_text().splitlines())]
     return rows, passed

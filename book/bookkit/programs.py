@@ -47,8 +47,10 @@ def faults(root: Path, pages: list[Path]) -> list[str]:
         (Path(folder) / "pyrightconfig.json").write_text(json.dumps(config))
         done = subprocess.run(
             [sys.executable, "-m", "basedpyright", "--outputjson", "--pythonpath", sys.executable],
-            cwd=folder, capture_output=True, text=True,
-        )  # fmt: skip
+            cwd=folder,
+            capture_output=True,
+            text=True,
+        )
     found = json.loads(done.stdout)
     assert found["summary"]["filesAnalyzed"] >= len(files), done.stdout
     return [

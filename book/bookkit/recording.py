@@ -151,9 +151,10 @@ def claim(
     if entry.source:
         evidence["source"] = entry.source
     missed = [
-        fault for fault, value in (wrong or {}).items()
+        fault
+        for fault, value in (wrong or {}).items()
         if (_boolean(name, fault, value) if _is_truth(value) else _agrees(entry, value))
-    ]  # fmt: skip
+    ]
     if missed:
         evidence["missed"] = missed
     verdict = "open" if undecided else _verdict(holds, corrected, bool(evidence["paper"]))

@@ -159,9 +159,14 @@ def _make_folder(out: Path) -> None:
 
 
 def _run(
-    client: Any, text: str, inputs: dict[str, str], todo: Mapping[str, dict], out: Path,
-    quiet: bool, limits: Limits | None = None,
-) -> None:  # fmt: skip
+    client: Any,
+    text: str,
+    inputs: dict[str, str],
+    todo: Mapping[str, dict],
+    out: Path,
+    quiet: bool,
+    limits: Limits | None = None,
+) -> None:
     from dask.distributed import as_completed
     from tqdm import tqdm
 

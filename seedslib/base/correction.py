@@ -28,9 +28,15 @@ UNEXPLAINED = 1e-13
 
 
 def correct(
-    mean: np.ndarray, cov: np.ndarray, y: np.ndarray, moments: Any, rows: Any = None,
-    noise: Any = None, periods: Periods = (), exact: bool = False,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:  # fmt: skip
+    mean: np.ndarray,
+    cov: np.ndarray,
+    y: np.ndarray,
+    moments: Any,
+    rows: Any = None,
+    noise: Any = None,
+    periods: Periods = (),
+    exact: bool = False,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Correct a predicted mean and covariance by one measurement.
 
     With e = y - E y, C = cov(x, y) and S = cov y the result is m + C S⁺ e and P - C S⁺ Cᵀ: the
@@ -183,9 +189,13 @@ def _without_missing(present, error, cross, spread):
 
 
 def eliminate(
-    mean: np.ndarray, cov: np.ndarray, error: np.ndarray, cross: np.ndarray, spread: np.ndarray,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    error: np.ndarray,
+    cross: np.ndarray,
+    spread: np.ndarray,
     reciprocal: bool,
-) -> tuple[np.ndarray, ...]:  # fmt: skip
+) -> tuple[np.ndarray, ...]:
     """Eliminate y component by component; the lists are updated in place.
 
     `cov` and `spread` are read and written on and below the diagonal only. `reciprocal(pivot,
@@ -285,9 +295,13 @@ def _correct_numbers(mean, cov, error, cross, spread, missing, size):
 
 
 def _correct_wide(
-    cov: np.ndarray, cross: np.ndarray, spread: np.ndarray, noise: Any, wide: Any,
+    cov: np.ndarray,
+    cross: np.ndarray,
+    spread: np.ndarray,
+    noise: Any,
+    wide: Any,
     new_cov: np.ndarray,
-) -> None:  # fmt: skip
+) -> None:
     """Write corrected covariances of priors that are so wide that P - C S⁻¹ Cᵀ has no digits.
 
     There the noise R is rounded off in S, and is needed apart. With P = L Lᵀ and C = L Gᵀ the

@@ -16,8 +16,13 @@ from seedslib.base.parameters import Parameter
 
 # without `doit()` these are names of a value, which generated code cannot compute
 UNFINISHED = (
-    sympy.Sum, sympy.Product, sympy.Integral, sympy.Derivative, sympy.Subs, sympy.Limit,
-)  # fmt: skip
+    sympy.Sum,
+    sympy.Product,
+    sympy.Integral,
+    sympy.Derivative,
+    sympy.Subs,
+    sympy.Limit,
+)
 LARGEST = sympy.Float(sys.float_info.max)
 
 

@@ -77,9 +77,16 @@ def _group(labels, points) -> np.ndarray:
 
 
 def binned_synthesis(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
-    bins: Count = 40, least: Count = 5, workers: int = 1,
-) -> OutputFilter:  # fmt: skip
+    system: AnySystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    paths: Count,
+    seed: Seed,
+    bins: Count = 40,
+    least: Count = 5,
+    workers: int = 1,
+) -> OutputFilter:
     """Finite-order filter by the histograms of section 5, as the papers describe it.
 
     State, measurement and memory are simulated. At each step the arguments of the output function
@@ -148,15 +155,22 @@ def binned_synthesis(
         if found.mode is not None:
             wrong.append(found.mode != lesson[1])
         past = memory.push(
-            past, estimate=found.mean, measurement=data.measurements[k], mode=found.mode,
+            past,
+            estimate=found.mean,
+            measurement=data.measurements[k],
+            mode=found.mode,
             indicator=told[k],
-        )  # fmt: skip
+        )
     filter = OutputFilter(
-        system=system, memory=memory, times=times, steps=tuple(steps), method=METHOD,
+        system=system,
+        memory=memory,
+        times=times,
+        steps=tuple(steps),
+        method=METHOD,
         predicted=prediction_of(scores, wrong, in_sample=True),
         design=Design(paths, BLOCK, *seed_record(root)),
         covariances=np.array(errors),
-    )  # fmt: skip
+    )
     return with_held_out(filter, root, paths, workers)
 
 

@@ -108,9 +108,17 @@ class Carriers:
     """
 
     def __init__(
-        self, system: AnySystem, memory: Memory, times: ArrayLike, components: int | None,
-        paths: Count, sets: int, nodes: Any, seed: Seed, workers: int,
-    ) -> None:  # fmt: skip
+        self,
+        system: AnySystem,
+        memory: Memory,
+        times: ArrayLike,
+        components: int | None,
+        paths: Count,
+        sets: int,
+        nodes: Any,
+        seed: Seed,
+        workers: int,
+    ) -> None:
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         if switches(system):
@@ -191,9 +199,12 @@ class Carriers:
                 if found.mode is not None:
                     self.wrong.append(found.mode != lesson.modes)
             self.pasts[which] = self.memory.push(
-                self.pasts[which], estimate=found.mean, measurement=lesson.measurements,
-                mode=found.mode, indicator=lesson.indicators,
-            )  # fmt: skip
+                self.pasts[which],
+                estimate=found.mean,
+                measurement=lesson.measurements,
+                mode=found.mode,
+                indicator=lesson.indicators,
+            )
         self.reached = k
 
     def score(self, t: float, forecast: Any) -> None:

@@ -22,9 +22,13 @@ from seedslib.models.propagation import integrated, stepped
 
 
 def linear_design(
-    system: AnySystem, rules: Any, times: ArrayLike, grid: Any, measured: np.ndarray,
+    system: AnySystem,
+    rules: Any,
+    times: ArrayLike,
+    grid: Any,
+    measured: np.ndarray,
     inputs: Course,
-) -> Any:  # fmt: skip
+) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
     The state and the memory are jointly linear in the noises, so their mean and covariance

@@ -117,13 +117,25 @@ _AFFINE = Affine()
 
 
 def synthesize(
-    system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
-    predictor: Any = _AFFINE, nodes: Any = 4, components: int | None = None,
-    paths: Count | None = None, seed: Seed | None = None, workers: Any = 1,
-    exact_moments: bool = False, step: float | None = None, scheme: str = "euler",
-    normalisation: str = "consistent", measured: ArrayLike | None = None,
-    availability: ArrayLike | None = None, inputs: Inputs | None = None,
-) -> Any:  # fmt: skip
+    system: AnySystem,
+    memory: Memory,
+    linearization: Linearization,
+    times: ArrayLike,
+    *,
+    predictor: Any = _AFFINE,
+    nodes: Any = 4,
+    components: int | None = None,
+    paths: Count | None = None,
+    seed: Seed | None = None,
+    workers: Any = 1,
+    exact_moments: bool = False,
+    step: float | None = None,
+    scheme: str = "euler",
+    normalisation: str = "consistent",
+    measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
+    inputs: Inputs | None = None,
+) -> Any:
     """Design a filter of finite order for a system.
 
     Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
@@ -209,17 +221,27 @@ def synthesize(
         from seedslib.design.switching import synthesize_switching
 
         for name, given in (
-            ("predictor", predictor != _AFFINE), ("components", components is not None),
-            ("exact_moments", exact_moments), ("step", step is not None),
-            ("scheme", scheme != "euler"), ("measured", measured is not None),
+            ("predictor", predictor != _AFFINE),
+            ("components", components is not None),
+            ("exact_moments", exact_moments),
+            ("step", step is not None),
+            ("scheme", scheme != "euler"),
+            ("measured", measured is not None),
             ("availability", availability is not None),
-        ):  # fmt: skip
+        ):
             if given:
                 raise ValueError(f"{name}: wanted none for a switching system")
         return synthesize_switching(
-            system, memory, linearization, times, paths=paths, seed=seed, workers=workers,
-            normalisation=normalisation, inputs=inputs,
-        )  # fmt: skip
+            system,
+            memory,
+            linearization,
+            times,
+            paths=paths,
+            seed=seed,
+            workers=workers,
+            normalisation=normalisation,
+            inputs=inputs,
+        )
     if normalisation != "consistent":
         raise ValueError("normalisation: wanted for a switching system only")
     times = as_grid("times", times, system)
@@ -242,11 +264,22 @@ def synthesize(
 
     def made(start, fits, node_fits, predicted, design):
         return FiniteOrderFilter(
-            system=system, memory=memory, predictor=predictor, linearization=linearization,
-            times=times, node_times=grid, components=components, start=start, fits=fits,
-            node_fits=node_fits, predicted=predicted, design=design, rules=rules,
-            measured=None if mask.all() else mask, availability=availability,
-        )  # fmt: skip
+            system=system,
+            memory=memory,
+            predictor=predictor,
+            linearization=linearization,
+            times=times,
+            node_times=grid,
+            components=components,
+            start=start,
+            fits=fits,
+            node_fits=node_fits,
+            predicted=predicted,
+            design=design,
+            rules=rules,
+            measured=None if mask.all() else mask,
+            availability=availability,
+        )
 
     if exact_moments:
         from seedslib.design.exact_moments import linear_design

@@ -50,9 +50,14 @@ class ForwardPass:
     """
 
     def __init__(
-        self, walk: Any, rules: Any, predictor: Any, measured: np.ndarray,
-        availability: np.ndarray | None, inputs: Course,
-    ) -> None:  # fmt: skip
+        self,
+        walk: Any,
+        rules: Any,
+        predictor: Any,
+        measured: np.ndarray,
+        availability: np.ndarray | None,
+        inputs: Course,
+    ) -> None:
         self.walk, self.predictor, self.measured, self.inputs = walk, predictor, measured, inputs
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
@@ -113,9 +118,11 @@ class ForwardPass:
     def _fit(self, predictor, u, targets, size):
         """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
         return fit_forecast(
-            predictor, lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u),
-            targets, size,
-        )  # fmt: skip
+            predictor,
+            lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u),
+            targets,
+            size,
+        )
 
     def _of_classes(self, fits, table, covs_before):
         """One fit of those of the classes."""

@@ -28,9 +28,16 @@ METHOD = "density recursion"
 
 
 def grid_synthesis(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
-    y: AxesLike | None = None, nodes: Count = 4, probabilities: bool = False,
-) -> TableFilter:  # fmt: skip
+    system: AnySystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    x: NodesLike,
+    z: AxesLike | None = None,
+    y: AxesLike | None = None,
+    nodes: Count = 4,
+    probabilities: bool = False,
+) -> TableFilter:
     """Optimal filter of finite order by the density recursion of theorem 1.
 
     (4.4)-(4.10) of the jump-diffusion paper: the joint law of the state and the memory moves by
@@ -97,10 +104,18 @@ def grid_synthesis(
         before = found
     stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
     return TableFilter(
-        system=law.system, memory=law.memory, times=law.times, steps=tuple(steps), method=METHOD,
-        predicted=law.prediction(), covariances=law.errors(), design=BY_GRID,
-        node_times=tuple(stops), node_fits=tuple(between[1:]), changes=np.array(changes).T,
-    )  # fmt: skip
+        system=law.system,
+        memory=law.memory,
+        times=law.times,
+        steps=tuple(steps),
+        method=METHOD,
+        predicted=law.prediction(),
+        covariances=law.errors(),
+        design=BY_GRID,
+        node_times=tuple(stops),
+        node_fits=tuple(between[1:]),
+        changes=np.array(changes).T,
+    )
 
 
 class Optimal(NamedTuple):
@@ -180,9 +195,14 @@ def _tables(law, k, optimal, probabilities) -> Step:
 
 
 def optimal_risk(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, x: NodesLike, z: AxesLike | None = None,
+    system: AnySystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    x: NodesLike,
+    z: AxesLike | None = None,
     y: AxesLike | None = None,
-) -> GridRisk:  # fmt: skip
+) -> GridRisk:
     """Least mean-square errors that a memory allows: the risk of `grid_synthesis` without tables.
 
     Parameters
@@ -206,9 +226,15 @@ def optimal_risk(
 
 
 def affine_synthesis(
-    system: AnySystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
-    x: AxisLike, z: AxesLike | None = None, y: AxesLike | None = None,
-) -> tuple[FiniteOrderFilter, GridRisk]:  # fmt: skip
+    system: AnySystem,
+    memory: Memory,
+    linearization: Linearization,
+    times: ArrayLike,
+    *,
+    x: AxisLike,
+    z: AxesLike | None = None,
+    y: AxesLike | None = None,
+) -> tuple[FiniteOrderFilter, GridRisk]:
     """Filter of theorem 2 with moments from the grid instead of simulated ones.
 
     Parameters
@@ -245,10 +271,19 @@ def affine_synthesis(
         law.take(k, corrected(law, mean, cov, moments), sight)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
-        system=system, memory=memory, predictor=Affine(), linearization=linearization,
-        times=law.times, node_times=none, components=1, start=start, fits=tuple(fits),
-        node_fits=tuple(() for _ in fits), predicted=law.prediction(), design=BY_GRID,
-    )  # fmt: skip
+        system=system,
+        memory=memory,
+        predictor=Affine(),
+        linearization=linearization,
+        times=law.times,
+        node_times=none,
+        components=1,
+        start=start,
+        fits=tuple(fits),
+        node_fits=tuple(() for _ in fits),
+        predicted=law.prediction(),
+        design=BY_GRID,
+    )
     return designed, law.risk()
 
 
@@ -291,9 +326,12 @@ def _apart(array):
 
 
 def grid_risk(
-    filter: FiniteOrderFilter | SwitchingFilter | OutputFilter, *, x: AxisLike,
-    z: AxesLike | None = None, y: AxesLike | None = None,
-) -> GridRisk:  # fmt: skip
+    filter: FiniteOrderFilter | SwitchingFilter | OutputFilter,
+    *,
+    x: AxisLike,
+    z: AxesLike | None = None,
+    y: AxesLike | None = None,
+) -> GridRisk:
     """Mean-square errors of any designed filter of finite order, without random numbers.
 
     Parameters

@@ -65,17 +65,28 @@ def with_held_out(
         warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
         try:
             found = evaluate(
-                filter, system, filter.times, count, child(root, STREAM), bound=LARGEST,
-                measured=filter.measured, workers=workers if isinstance(workers, int) else 1,
+                filter,
+                system,
+                filter.times,
+                count,
+                child(root, STREAM),
+                bound=LARGEST,
+                measured=filter.measured,
+                workers=workers if isinstance(workers, int) else 1,
                 **options,
-            )  # fmt: skip
+            )
         except ValueError:
             pass  # on less than two paths it has not diverged
         else:
             held = HeldOut(
-                filter.times, found.rms, found.rms_error, count, found.diverged,
-                found.mode_error, found.mode_error_error,
-            )  # fmt: skip
+                filter.times,
+                found.rms,
+                found.rms_error,
+                count,
+                found.diverged,
+                found.mode_error,
+                found.mode_error_error,
+            )
     size = np.abs(system.mean0) + np.sqrt(np.diagonal(system.cov0))
     _warn(filter.predicted, held, ROUNDING * size, math.sqrt(paths / count))
     return dataclasses.replace(filter, held_out=held)
@@ -94,10 +105,12 @@ def _warn(predicted, held, rounding, share):
         wanted, wanted_error, rms, error = (
             np.column_stack(pair)
             for pair in (
-                (wanted, predicted.mode_rate[at]), (wanted_error, predicted.mode_error[at]),
-                (rms, held.mode_rate), (error, held.mode_error),
+                (wanted, predicted.mode_rate[at]),
+                (wanted_error, predicted.mode_error[at]),
+                (rms, held.mode_rate),
+                (error, held.mode_error),
             )
-        )  # fmt: skip
+        )
         rounding = np.append(rounding, 0.0)
     # the same chance of a false alarm whatever the number of comparisons
     doubt = math.sqrt(DOUBT**2 + 2.0 * math.log(rms.size))

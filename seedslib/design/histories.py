@@ -138,9 +138,12 @@ def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, 
 
 
 def classes_of(
-    old: Classes | None, moments: dict[Any, np.ndarray], prob: dict[Any, float], before: int,
+    old: Classes | None,
+    moments: dict[Any, np.ndarray],
+    prob: dict[Any, float],
+    before: int,
     patterns: int,
-) -> Classes:  # fmt: skip
+) -> Classes:
     """Classes of the cells (class before, pattern), the most probable first.
 
     A net over the covariances: one cell after another goes into the nearest class that is near
@@ -182,9 +185,13 @@ def classes_of(
     chosen = [kept[j] for j in order]
     members = tuple(tuple(x for x in cells if place[x] == j) for j in order)
     return Classes(
-        np.argsort(order)[table], members, chance[order],
-        several[chosen], label[chosen] // patterns, tolerance / 1.25,
-    )  # fmt: skip
+        np.argsort(order)[table],
+        members,
+        chance[order],
+        several[chosen],
+        label[chosen] // patterns,
+        tolerance / 1.25,
+    )
 
 
 def shares(members: Any, prob: dict[Any, float]) -> np.ndarray:

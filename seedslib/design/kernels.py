@@ -26,9 +26,13 @@ NOTHING = 1e-290
 
 
 def likelihood_table(
-    log_density: Callable[..., Any] | None, targets: Any, points: Any, measured: Any, axes: Any,
+    log_density: Callable[..., Any] | None,
+    targets: Any,
+    points: Any,
+    measured: Any,
+    axes: Any,
     kernel: float,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """M[X | y, u] with the known likelihood of y: the Rao-Blackwellised estimate of section 5.
 
     f(y, u) = sum_j w_j(u) X_j beta(y | X_j) / sum_j w_j(u) beta(y | X_j), with a kernel w in the

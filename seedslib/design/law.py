@@ -185,9 +185,16 @@ def remember(joint: np.ndarray, likelihood: np.ndarray, dropped: int) -> np.ndar
 
 
 def push_forward(
-    joint: np.ndarray, likelihood: np.ndarray, lower: np.ndarray, share: np.ndarray,
-    blocks: int, dropped: int, *, least: float = 0.0, mass: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+    joint: np.ndarray,
+    likelihood: np.ndarray,
+    lower: np.ndarray,
+    share: np.ndarray,
+    blocks: int,
+    dropped: int,
+    *,
+    least: float = 0.0,
+    mass: np.ndarray | None = None,
+) -> np.ndarray:
     """Joint law of the state and the new memory: (4.10).
 
     The probability of a measurement y in a cell of the old memory goes to the block `lower`
@@ -286,9 +293,14 @@ class JointLaw:
     """
 
     def __init__(
-        self, system: AnySystem, memory: Memory, times: ArrayLike, x: NodesLike, z: AxesLike | None,
+        self,
+        system: AnySystem,
+        memory: Memory,
+        times: ArrayLike,
+        x: NodesLike,
+        z: AxesLike | None,
         y: AxesLike | None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         if not isinstance(memory, Memory):
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
@@ -423,9 +435,15 @@ class JointLaw:
                     label = label * self.chain.indicators + self.shown[0].astype(np.intp)[:, None]
                 lower = lower + label * axis.count
             self.joint = push_forward(
-                joint, sight.mass, lower, share, self.blocks, dropped,
-                least=UNSEEN if self.switching else 0.0, mass=mass,
-            )  # fmt: skip
+                joint,
+                sight.mass,
+                lower,
+                share,
+                self.blocks,
+                dropped,
+                least=UNSEEN if self.switching else 0.0,
+                mass=mass,
+            )
         else:
             likelihood = sight.mass.reshape(-1, self.blocks, sight.mass.shape[1]).sum(axis=0)
             self.joint = remember(joint, likelihood, dropped)

@@ -31,11 +31,17 @@ from seedslib.models.kinds import as_system
 
 
 def minimax_synthesis(
-    system: DiscreteSystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
+    system: DiscreteSystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    paths: Count,
+    seed: Seed,
     prediction: Basic | None = None,
-    correction: Basic | BoundedPolynomial | None = None, sets: int = 2,
+    correction: Basic | BoundedPolynomial | None = None,
+    sets: int = 2,
     workers: int = 1,
-) -> MinimaxFilter:  # fmt: skip
+) -> MinimaxFilter:
     """Conditionally minimax filter, with chosen functions of the memory and of the measurement.
 
     Step by step, on simulated paths that carry the memory: the state is regressed on a basic
@@ -89,11 +95,18 @@ def minimax_synthesis(
         basics = basics_of(system, memory, method, carriers.times, k)
         fits.append(_fitted(basics, carriers.lesson()))
         carriers.take(output_functions(basics, fits[-1]).shown)
-    return carriers.examined(MinimaxFilter(
-        system=system, memory=memory, times=carriers.times, fits=tuple(fits), method=method,
-        predicted=carriers.prediction(), covariances=carriers.covariances,
-        design=carriers.design(),
-    ))  # fmt: skip
+    return carriers.examined(
+        MinimaxFilter(
+            system=system,
+            memory=memory,
+            times=carriers.times,
+            fits=tuple(fits),
+            method=method,
+            predicted=carriers.prediction(),
+            covariances=carriers.covariances,
+            design=carriers.design(),
+        )
+    )
 
 
 def _fitted(basics: Basics, lesson: Lesson) -> MinimaxFit:

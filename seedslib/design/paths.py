@@ -133,9 +133,14 @@ class Walk:
     """
 
     def __init__(
-        self, system: AnySystem, paths: int, root: Any, stops: Any, each: Any,
+        self,
+        system: AnySystem,
+        paths: int,
+        root: Any,
+        stops: Any,
+        each: Any,
         options: Any,
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.system, self.each, self.options = system, each, options
         self.n: int = system.state_size
         self.counts: list[Any] = bundles(paths)
@@ -229,9 +234,15 @@ class Walk:
             return work(system, _generator(streams, counts), *parts)
 
         self.states = self._guarded(
-            lambda x: (np.abs(x) <= LARGEST).all(axis=0), spare, None, moved,
-            self._shared, self._streams(0), self.counts, *lists,
-        )  # fmt: skip
+            lambda x: (np.abs(x) <= LARGEST).all(axis=0),
+            spare,
+            None,
+            moved,
+            self._shared,
+            self._streams(0),
+            self.counts,
+            *lists,
+        )
 
     def _guarded(self, good, spare, array, work, *lists):
         # the functions hold nothing of the walk, so that a cluster can be given them

@@ -21,9 +21,15 @@ SURE = 4.0
 
 
 def stationary(
-    filter: Any, tolerance: float = 0.02, *, cycle: Count = 1, transient: Count | None = None,
-    paths: Count = 2048, seed: Seed = 0, **options: Any,
-) -> Any:  # fmt: skip
+    filter: Any,
+    tolerance: float = 0.02,
+    *,
+    cycle: Count = 1,
+    transient: Count | None = None,
+    paths: Count = 2048,
+    seed: Seed = 0,
+    **options: Any,
+) -> Any:
     """The same filter without an end: its last step, or its last few in turn, serve all later ones.
 
     That is right where the recursion of the design has come to its fixed point, and the filter

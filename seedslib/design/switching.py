@@ -167,10 +167,17 @@ OFTEN = 0.05
 
 
 def synthesize_switching(
-    system: SwitchingSystem, memory: Memory, linearization: Linearization, times: ArrayLike, *,
-    paths: int, seed: object, workers: int | Crew = 1, normalisation: str = "consistent",
+    system: SwitchingSystem,
+    memory: Memory,
+    linearization: Linearization,
+    times: ArrayLike,
+    *,
+    paths: int,
+    seed: object,
+    workers: int | Crew = 1,
+    normalisation: str = "consistent",
     inputs: Inputs | None = None,
-) -> SwitchingFilter:  # fmt: skip
+) -> SwitchingFilter:
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
     One pass over simulated paths. At each step the filter corrects on all paths and puts its
@@ -234,13 +241,18 @@ def synthesize_switching(
         warn_of_mended(mended)
         rms, error, rate, rate_error = (np.array(part) for part in zip(*scores, strict=True))
         designed = SwitchingFilter(
-            system, linearization, memory, times, tuple(fits), normalisation,
+            system,
+            linearization,
+            memory,
+            times,
+            tuple(fits),
+            normalisation,
             Prediction(times, rms, error, True, rate, rate_error),
             Design(
                 paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, mended
             ),
             rules=rules,
-        )  # fmt: skip
+        )
     del walk  # its paths are not wanted any more
     return with_held_out(designed, root, paths, workers, inputs=course.values)
 
@@ -293,8 +305,10 @@ def _moments_of_cells(walk: Any, system: Any, states: Any, cells: int) -> tuple[
     """
     groups = walk.each(
         lambda x, alive, state: _groups(system, x, alive, state, cells),
-        walk.states, walk.alive, states,
-    )  # fmt: skip
+        walk.states,
+        walk.alive,
+        states,
+    )
     scatters = [
         [combine([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
         for c in range(cells)

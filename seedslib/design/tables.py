@@ -26,11 +26,22 @@ PILOT = 2000
 
 
 def simulated_synthesis(
-    system: AnySystem, memory: Memory, times: ArrayLike, *, paths: Count, seed: Seed,
-    z: AxesLike | None = None, y: AxesLike | None = None, method: str = "likelihood",
-    components: int | None = None, sets: int = 2, kernel: float = 0.5, nodes: Count = 4,
-    workers: int = 1, probabilities: bool = False,
-) -> TableFilter:  # fmt: skip
+    system: AnySystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    paths: Count,
+    seed: Seed,
+    z: AxesLike | None = None,
+    y: AxesLike | None = None,
+    method: str = "likelihood",
+    components: int | None = None,
+    sets: int = 2,
+    kernel: float = 0.5,
+    nodes: Count = 4,
+    workers: int = 1,
+    probabilities: bool = False,
+) -> TableFilter:
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
     Section 5 of the jump-diffusion paper: at each measurement the optimal function
@@ -119,12 +130,20 @@ def simulated_synthesis(
             between.append(tuple(fits))
     if not probabilities:
         steps = [Step(*(table._replace(prob=None) for table in step)) for step in steps]
-    return carriers.examined(TableFilter(
-        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
-        method=METHODS[method], predicted=carriers.prediction(),
-        covariances=carriers.covariances, design=carriers.design(),
-        node_times=tuple(stops[:-1] for stops in carriers.stops), node_fits=tuple(between),
-    ))  # fmt: skip
+    return carriers.examined(
+        TableFilter(
+            system=system,
+            memory=memory,
+            times=carriers.times,
+            steps=tuple(steps),
+            method=METHODS[method],
+            predicted=carriers.prediction(),
+            covariances=carriers.covariances,
+            design=carriers.design(),
+            node_times=tuple(stops[:-1] for stops in carriers.stops),
+            node_fits=tuple(between),
+        )
+    )
 
 
 def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
@@ -201,11 +220,18 @@ def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> Tab
         for fits, (_, blind) in zip(filter.node_fits, axes[1:], strict=False)
     ]
     return TableFilter(
-        system=system, memory=memory, times=filter.times, steps=tuple(steps),
-        method=f"read off {filter.method}", predicted=filter.predicted,
-        covariances=filter.covariances, design=filter.design, node_times=filter.node_times,
-        node_fits=tuple(between), between=filter.between,
-    )  # fmt: skip
+        system=system,
+        memory=memory,
+        times=filter.times,
+        steps=tuple(steps),
+        method=f"read off {filter.method}",
+        predicted=filter.predicted,
+        covariances=filter.covariances,
+        design=filter.design,
+        node_times=filter.node_times,
+        node_fits=tuple(between),
+        between=filter.between,
+    )
 
 
 def _read(function, axes) -> Table:

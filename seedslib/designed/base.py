@@ -95,9 +95,11 @@ def expected(filter: Any, index: np.ndarray) -> MaybeArray:
 
 
 def dropouts(
-    y: np.ndarray, measured: np.ndarray, indicators: np.ndarray | None,
+    y: np.ndarray,
+    measured: np.ndarray,
+    indicators: np.ndarray | None,
     expected: np.ndarray | None = None,
-) -> np.ndarray | None:  # fmt: skip
+) -> np.ndarray | None:
     """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
 
     None where nothing was.
@@ -277,7 +279,7 @@ class DesignedFilter(Filter):
             kept["node_fits"] = tuple(self.node_fits[row] for row, _ in led)
         return replace(
             self, times=times[chosen] + shift, held_out=None, cycle=0, **kept, **self.parts(chosen)
-        )  # fmt: skip
+        )
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Fields of this kind of filter for `taking`."""
@@ -316,9 +318,14 @@ class DesignedFilter(Filter):
         raise NotImplementedError
 
     def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, held: Course,
-    ) -> int:  # fmt: skip
+        self,
+        rows: Estimates,
+        times: np.ndarray,
+        index: np.ndarray,
+        y: np.ndarray,
+        indicators: np.ndarray | None,
+        held: Course,
+    ) -> int:
         """Run over a block of records, and write what is found.
 
         Parameters
@@ -423,9 +430,15 @@ class DesignedFilter(Filter):
         return y, None if indicator is None else indicator[0], gap
 
     def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        inputs: Inputs | None = None, covariances: bool = False, workers: int = 1,
-    ) -> Estimates:  # fmt: skip
+        self,
+        times: ArrayLike,
+        measurements: ArrayLike,
+        *,
+        indicators: ArrayLike | None = None,
+        inputs: Inputs | None = None,
+        covariances: bool = False,
+        workers: int = 1,
+    ) -> Estimates:
         """Filter a record, or many at once.
 
         Parameters
@@ -482,10 +495,12 @@ class DesignedFilter(Filter):
         tail = (y[0, 0].size,) if batch or not self.alone else ()
         y = y.reshape(*y.shape[:2], *tail)
         told = None if told is None else told.reshape(len(times), *tail)
-        whole = Estimates(*[
-            None if size is None else np.empty((len(times), *size, *tail), kind)
-            for size, kind in zip(self.sizes(covariances), DTYPES, strict=True)
-        ])  # fmt: skip
+        whole = Estimates(
+            *[
+                None if size is None else np.empty((len(times), *size, *tail), kind)
+                for size, kind in zip(self.sizes(covariances), DTYPES, strict=True)
+            ]
+        )
 
         def work(a, b, _):
             parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))

@@ -91,9 +91,14 @@ class BetweenFilter(DesignedFilter):
         raise NotImplementedError
 
     def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, inputs: Course,
-    ) -> int:  # fmt: skip
+        self,
+        rows: Estimates,
+        times: np.ndarray,
+        index: np.ndarray,
+        y: np.ndarray,
+        indicators: np.ndarray | None,
+        inputs: Course,
+    ) -> int:
         """Run over a block of records; covariances are formed where they are wanted."""
         state, interval, covariance = self.initial(y.shape[2:]), None, rows.cov is not None
         last = 0  # row of the last measurement: its inputs hold until the next

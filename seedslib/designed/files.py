@@ -56,11 +56,31 @@ FILTERS = (FiniteOrderFilter, TableFilter, SwitchingFilter, MinimaxFilter)
 KNOWN = {
     kind.__name__: kind
     for kind in (
-        *FILTERS, Affine, Polynomial, Continuous, Axis, Labels, Memory, Start, Moments, AffineFit,
-        PolynomialFit, PatternFit, CellFit, Step, Table, Prediction, HeldOut, Design,
-        UnknownModel, Minimax, MinimaxFit, BoundedFit, BoundedPolynomial,
+        *FILTERS,
+        Affine,
+        Polynomial,
+        Continuous,
+        Axis,
+        Labels,
+        Memory,
+        Start,
+        Moments,
+        AffineFit,
+        PolynomialFit,
+        PatternFit,
+        CellFit,
+        Step,
+        Table,
+        Prediction,
+        HeldOut,
+        Design,
+        UnknownModel,
+        Minimax,
+        MinimaxFit,
+        BoundedFit,
+        BoundedPolynomial,
     )
-}  # fmt: skip
+}
 
 FAULTS = KeyError, TypeError, IndexError, ValueError, OverflowError, AttributeError, RecursionError
 """What the parts of a file raise that do not fit together."""
@@ -97,11 +117,13 @@ def save(filter: Any, path: str | PathLike[str]) -> None:
     points = probe_points(filter.system, *filter.reach)
     arrays = {**probe_arrays(points, probe(filter.system, points, rule)), **arrays}
     header = {
-        "format": FORMAT, "version": VERSION,
+        "format": FORMAT,
+        "version": VERSION,
         "versions": {"seedslib": seedslib.__version__, "numpy": np.__version__},
-        "filter": tree, "model": model_text(filter.system),
+        "filter": tree,
+        "model": model_text(filter.system),
         "sizes": _packed(UnknownModel.of(filter.system), "", {}),
-    }  # fmt: skip
+    }
     text = json.dumps(header, sort_keys=True).encode()
     with replacing(path) as file:  # NumPy dates no member: equal contents give equal bytes
         np.savez(file, header=np.frombuffer(text, dtype=np.uint8), **arrays)

@@ -92,9 +92,13 @@ class Rules:
 
     @classmethod
     def of(
-        cls, system: AnySystem, memory: Memory, predictor: Any, linearization: Linearization,
+        cls,
+        system: AnySystem,
+        memory: Memory,
+        predictor: Any,
+        linearization: Linearization,
         components: int,
-    ) -> Rules:  # fmt: skip
+    ) -> Rules:
         """Rules of a filter; the moment functions are compiled here."""
         velocity = None
         if isinstance(predictor, Continuous):
@@ -103,9 +107,13 @@ class Rules:
         return cls(memory, components, sensor, velocity, system.sensor.period)
 
     def first(
-        self, state: FiniteOrderState, t: float, y: np.ndarray, start: Start,
+        self,
+        state: FiniteOrderState,
+        t: float,
+        y: np.ndarray,
+        start: Start,
         spread: bool = True,
-    ) -> FiniteOrderState:  # fmt: skip
+    ) -> FiniteOrderState:
         """State after the first measurement, whose moments are fixed."""
         moments = _first_moments(start, state.mean.ndim - 1)
         return self._corrected(state, t, y, moments, spread, start.mean)
@@ -123,9 +131,13 @@ class Rules:
     def _corrected(self, state, t, y, moments, spread, place):
         y = nearest(y, moments.mean, self.periods)
         mean, cov, loglik = correct(
-            state.mean, state.cov if spread else None, y, moments, rows=self.components,
+            state.mean,
+            state.cov if spread else None,
+            y,
+            moments,
+            rows=self.components,
             noise=lambda: self.sensor(t, place, np.zeros_like(state.cov)).cov,
-        )  # fmt: skip
+        )
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
         remembered = np.where(missing, moments.mean, y) if missing.any() else y

@@ -108,10 +108,15 @@ class Memory:
         return self.dimension(self.depth, estimate, measurement, modes)
 
     def push(
-        self, past: Past, *, estimate: ArrayLike | None = None,
-        measurement: ArrayLike | None = None, mode: ArrayLike | None = None,
-        indicator: ArrayLike | None = None, log_odds: ArrayLike | None = None,
-    ) -> Past:  # fmt: skip
+        self,
+        past: Past,
+        *,
+        estimate: ArrayLike | None = None,
+        measurement: ArrayLike | None = None,
+        mode: ArrayLike | None = None,
+        indicator: ArrayLike | None = None,
+        log_odds: ArrayLike | None = None,
+    ) -> Past:
         """Memory after one more step; blocks beyond the memory's length drop out.
 
         Parameters

@@ -239,9 +239,13 @@ class OutputFilter(BetweenFilter):
         return function(points).filling(state.mean.shape[1:])
 
     def corrected(
-        self, state: OutputState, y: np.ndarray, indicator: MaybeArray, covariance: bool,
+        self,
+        state: OutputState,
+        y: np.ndarray,
+        indicator: MaybeArray,
+        covariance: bool,
         gap: np.ndarray | bool = False,
-    ) -> OutputState:  # fmt: skip
+    ) -> OutputState:
         """The state after a measurement; `gap` is where something is missing, shape (*batch)."""
         missing = np.isnan(y)
         if missing.any():

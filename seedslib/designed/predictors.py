@@ -171,10 +171,16 @@ class PolynomialFit(NamedTuple):
         powers, others = (math.comb(dimension + degree, degree) - 1 for degree in degrees)
         entries = targets * (targets + 1) // 2
         check_fields(
-            name, self, centre=(dimension,), scale=(dimension,), gain=(targets, powers),
-            offset=(targets,), residual=(targets, targets), cov_gain=(entries, others),
+            name,
+            self,
+            centre=(dimension,),
+            scale=(dimension,),
+            gain=(targets, powers),
+            offset=(targets,),
+            residual=(targets, targets),
+            cov_gain=(entries, others),
             cov_offset=(entries,),
-        )  # fmt: skip
+        )
 
 
 def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.ndarray:

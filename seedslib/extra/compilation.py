@@ -107,8 +107,11 @@ class CompiledFilter(CompiledRecords):
         # a step holds the interpreter, which is quicker; whole records let others run
         self._c, self._whole = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path)).api_fill
         self._whole.argtypes = [
-            ctypes.c_int, ctypes.c_longlong, ctypes.c_int, *[ctypes.c_void_p] * 10
-        ]  # fmt: skip
+            ctypes.c_int,
+            ctypes.c_longlong,
+            ctypes.c_int,
+            *[ctypes.c_void_p] * 10,
+        ]
         # without declared arguments, which would cost more than C
         self._one, self._alone = self._c.api_step, getattr(self._c, "api_alone", None)
         self._form = self._layout()
@@ -134,9 +137,7 @@ class CompiledFilter(CompiledRecords):
         kinds = [("f8", n), ("f8", (n, n)), "f8", ("f8", modes), "i4", "f8", "i4", "i4"]
         known = [(f, k, p) for f, k, p in zip(FIELDS, kinds, places, strict=True) if p >= 0]
         names, formats, offsets = map(list, zip(*known, strict=True))
-        return np.dtype(
-            {"names": names, "formats": formats, "offsets": offsets, "itemsize": size}
-        )  # fmt: skip
+        return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": size})
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> CompiledState:
         """State before any measurement; nothing is drawn from `seed`."""

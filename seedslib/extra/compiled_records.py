@@ -30,15 +30,25 @@ class CompiledRecords(Filter):
     _inputs: list[Any]
 
     def run(
-        self, times: ArrayLike, measurements: ArrayLike, *, indicators: ArrayLike | None = None,
-        inputs: Inputs | None = None, covariances: bool = False, workers: int = 1,
-    ) -> Estimates:  # fmt: skip
+        self,
+        times: ArrayLike,
+        measurements: ArrayLike,
+        *,
+        indicators: ArrayLike | None = None,
+        inputs: Inputs | None = None,
+        covariances: bool = False,
+        workers: int = 1,
+    ) -> Estimates:
         """Filter a record, or many at once; arguments, results and errors as of the filter."""
         if isinstance(self.filter, DesignedFilter):
             return self._twin.run(
-                times, measurements, indicators=indicators, inputs=inputs,
-                covariances=covariances, workers=workers,
-            )  # fmt: skip
+                times,
+                measurements,
+                indicators=indicators,
+                inputs=inputs,
+                covariances=covariances,
+                workers=workers,
+            )
         times, y = self.filter.record(times, measurements)
         as_indicators(indicators, self.system, (len(times), *y.shape[2:]))
         batch, n = y.shape[2:], self.filter.n
@@ -76,9 +86,15 @@ class CompiledRecords(Filter):
         return np.stack(rows, axis=1)
 
     def _fill(
-        self, rows: Estimates, times: Any, index: Any, y: Any, indicators: Any,
-        held: object = None, given: Any = None,
-    ) -> int:  # fmt: skip
+        self,
+        rows: Estimates,
+        times: Any,
+        index: Any,
+        y: Any,
+        indicators: Any,
+        held: object = None,
+        given: Any = None,
+    ) -> int:
         """Run over a block of records, see `DesignedFilter.fill`."""
         alone = y.ndim == 2
         count, wide = (1, 1) if alone else (y.shape[2], rows.mean.strides[1] // 8)
@@ -89,9 +105,17 @@ class CompiledRecords(Filter):
         times, index = np.ascontiguousarray(times), np.ascontiguousarray(index, dtype=np.int64)
         given = None if given is None else side_by_side(given, wide, alone)
         parts = (
-            times, index, y, told, rows.mean, rows.cov, rows.loglik, rows.mode_prob, rows.modes,
+            times,
+            index,
+            y,
+            told,
+            rows.mean,
+            rows.cov,
+            rows.loglik,
+            rows.mode_prob,
+            rows.modes,
             given,
-        )  # fmt: skip
+        )
         if rows.modes is not None and rows.modes.dtype != np.int64:
             raise TypeError("modes: wanted 64-bit integers")
         places = [None if part is None else part.ctypes.data for part in parts]

@@ -112,11 +112,20 @@ class LearnedFilter(OutputFilter):
 
 
 def learn(
-    system: JumpDiffusion | DiscreteSystem, memory: Memory, times: ArrayLike, *, paths: int,
-    seed: int | np.random.SeedSequence | np.random.Generator, regressor: Any = None,
-    components: int | None = None, draws: int = 1, sets: int = 4, joint: bool = False,
-    nodes: int = 4, workers: int = 1,
-) -> LearnedFilter:  # fmt: skip
+    system: JumpDiffusion | DiscreteSystem,
+    memory: Memory,
+    times: ArrayLike,
+    *,
+    paths: int,
+    seed: int | np.random.SeedSequence | np.random.Generator,
+    regressor: Any = None,
+    components: int | None = None,
+    draws: int = 1,
+    sets: int = 4,
+    joint: bool = False,
+    nodes: int = 4,
+    workers: int = 1,
+) -> LearnedFilter:
     """Learn the optimal output functions from simulated paths, one measurement after another.
 
     The optimal f_k(y, u) = M[X | y, u] of theorem 1 is the best regression of the state on
@@ -188,18 +197,33 @@ def learn(
                     carriers.score(stop, found[-1])
             *found, blind = found
             between.append(tuple(found))
-    return carriers.examined(LearnedFilter(
-        system=system, memory=memory, times=carriers.times, steps=tuple(steps),
-        method=Learned(type(regressor).__name__, draws), predicted=carriers.prediction(),
-        covariances=carriers.covariances, design=carriers.design(),
-        node_times=tuple(s[:-1] for s in carriers.stops), node_fits=tuple(between),
-    ))  # fmt: skip
+    return carriers.examined(
+        LearnedFilter(
+            system=system,
+            memory=memory,
+            times=carriers.times,
+            steps=tuple(steps),
+            method=Learned(type(regressor).__name__, draws),
+            predicted=carriers.prediction(),
+            covariances=carriers.covariances,
+            design=carriers.design(),
+            node_times=tuple(s[:-1] for s in carriers.stops),
+            node_fits=tuple(between),
+        )
+    )
 
 
 def _output(
-    regressor: Any, sensor: StochasticMap, t: float, lesson: Lesson, components: int,
-    draws: int, joint: bool, rng: np.random.Generator, fitting: np.random.Generator,
-) -> LearnedOutput:  # fmt: skip
+    regressor: Any,
+    sensor: StochasticMap,
+    t: float,
+    lesson: Lesson,
+    components: int,
+    draws: int,
+    joint: bool,
+    rng: np.random.Generator,
+    fitting: np.random.Generator,
+) -> LearnedOutput:
     """The function of one measurement, fitted to `draws` measurements of each path."""
     x, shown, u = lesson.states, lesson.measurements, lesson.memory
     more = [sensor.sample(float(t), x, rng) for _ in range(draws - 1)]

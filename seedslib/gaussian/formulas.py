@@ -17,9 +17,13 @@ from seedslib.gaussian.special import Difference, Divisor, NormalCDF, TiltedCDF
 
 
 def expectation(
-    f: object, variables: Sequence[sp.Symbol], mean: Sequence[Any],
-    cov: sp.MatrixBase | Sequence[Any], *, parameters: Sequence[sp.Symbol] = (),
-) -> Any:  # fmt: skip
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence[Any],
+    cov: sp.MatrixBase | Sequence[Any],
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> Any:
     """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
 
     Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
@@ -64,9 +68,13 @@ def expectation(
 
 
 def mean_expression(
-    f: object, variables: Sequence[sp.Symbol], mean: Sequence[Any],
-    cov: sp.MatrixBase | Sequence[Any], *, parameters: Sequence[sp.Symbol] = (),
-) -> sp.Expr | sp.Matrix:  # fmt: skip
+    f: object,
+    variables: Sequence[sp.Symbol],
+    mean: Sequence[Any],
+    cov: sp.MatrixBase | Sequence[Any],
+    *,
+    parameters: Sequence[sp.Symbol] = (),
+) -> sp.Expr | sp.Matrix:
     """As `expectation`, with probabilities of half-spaces as `NormalCDF`.
 
     Code made of it keeps the relative accuracy of small probabilities.

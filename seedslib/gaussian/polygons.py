@@ -179,9 +179,9 @@ def _moments(
             continue
         region = (part[..., chosen] for part in (mean, vertices, rays, deviation))
         if chosen is plane:
-            parts = _in_the_plane(*region, law._replace(
-                correlation=law.correlation[chosen], rest=law.rest[chosen]
-            ))  # fmt: skip
+            parts = _in_the_plane(
+                *region, law._replace(correlation=law.correlation[chosen], rest=law.rest[chosen])
+            )
         else:
             parts = _on_a_line(*region, np.where(cov[0, 1] < 0, -1.0, 1.0)[chosen])
         for whole, part in zip(found, parts, strict=True):

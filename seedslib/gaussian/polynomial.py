@@ -53,10 +53,14 @@ def _plan(indices: tuple[Index, ...]) -> tuple[_Step, ...]:
 
 
 def monomial_means(
-    indices: Iterable[Index], mean: Sequence[Any], cov: Sequence[Any], *, zeroth: object = 1.0,
+    indices: Iterable[Index],
+    mean: Sequence[Any],
+    cov: Sequence[Any],
+    *,
+    zeroth: object = 1.0,
     boundary: tuple[Sequence[Any], Mapping[Index, object]] | None = None,
     tidy: Callable[..., Any] = lambda value: value,
-) -> dict[Index, object]:  # fmt: skip
+) -> dict[Index, object]:
     """E x^alpha for the wanted multi-indices by the Stein-Isserlis recursion.
 
     ``M_{beta + e_i} = m_i M_beta + sum_j P_ij beta_j M_{beta - e_j}``, ``M_0 = 1``.

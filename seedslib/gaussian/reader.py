@@ -70,9 +70,10 @@ def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence[Any] =
 
 
 def check_symbols(
-    expressions: Sequence[sp.Expr], variables: tuple[sp.Symbol, ...],
+    expressions: Sequence[sp.Expr],
+    variables: tuple[sp.Symbol, ...],
     parameters: tuple[Any, ...] = (),
-) -> None:  # fmt: skip
+) -> None:
     """Refuse repeated or missing variables, unknown symbols and values that are not real."""
     known = (*variables, *parameters)
     if not variables or len(set(known)) < len(known):

@@ -175,9 +175,10 @@ def known_expressions(
 
 
 def compile_components(
-    arguments: Sequence[object], expressions: Sequence[sympy.Expr],
+    arguments: Sequence[object],
+    expressions: Sequence[sympy.Expr],
     named: Sequence[tuple[Any, ...]] = (),
-) -> Callable[..., list[Any]]:  # fmt: skip
+) -> Callable[..., list[Any]]:
     """Function of the arguments that returns the list of the expressions' values.
 
     Parameters

@@ -88,11 +88,24 @@ class JumpDiffusion(Travelling, Shown):
     measurement_size: int
 
     def __init__(
-        self, state: Any, drift: Any, diffusion: Any, sensor: Any, noise: Any, mean0: ArrayLike,
-        cov0: ArrayLike, *, intensity: Any = 0, jump: Any = None, marks: Any = None,
-        parameters: Any = None, initial: Any = None, step: float = 0.01, time: Any = None,
+        self,
+        state: Any,
+        drift: Any,
+        diffusion: Any,
+        sensor: Any,
+        noise: Any,
+        mean0: ArrayLike,
+        cov0: ArrayLike,
+        *,
+        intensity: Any = 0,
+        jump: Any = None,
+        marks: Any = None,
+        parameters: Any = None,
+        initial: Any = None,
+        step: float = 0.01,
+        time: Any = None,
         period: Mapping[int, float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         from seedslib.base.parameters import parameters_of
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
@@ -124,10 +137,20 @@ class JumpDiffusion(Travelling, Shown):
 
     @classmethod
     def from_functions(
-        cls, drift: Rate, diffusion: Rate, sensor: StochasticMap, mean0: ArrayLike, cov0: ArrayLike,
-        *, intensity: Rate | None = None, jump: StochasticMap | None = None, initial: Any = None,
-        step: float = 0.01, wiener_size: int | None = None, parameters: Sequence[Any] = (),
-    ) -> JumpDiffusion:  # fmt: skip
+        cls,
+        drift: Rate,
+        diffusion: Rate,
+        sensor: StochasticMap,
+        mean0: ArrayLike,
+        cov0: ArrayLike,
+        *,
+        intensity: Rate | None = None,
+        jump: StochasticMap | None = None,
+        initial: Any = None,
+        step: float = 0.01,
+        wiener_size: int | None = None,
+        parameters: Sequence[Any] = (),
+    ) -> JumpDiffusion:
         """Make a system of array functions.
 
         It takes the sigma-point and quadrature approximations, and the Euler scheme.
@@ -266,9 +289,15 @@ class JumpDiffusion(Travelling, Shown):
         return self.law.draw(rng, count)
 
     def advance(
-        self, x: np.ndarray, start: float, stop: float, rng: Source, *, step: float | None = None,
+        self,
+        x: np.ndarray,
+        start: float,
+        stop: float,
+        rng: Source,
+        *,
+        step: float | None = None,
         scheme: str = "euler",
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Move states of shape (n, *batch) from one time to a later one; see `advance`.
 
         Parameters
@@ -353,9 +382,14 @@ LARGEST_LOSS = 0.05
 
 
 def advance(
-    system: JumpDiffusion, x: np.ndarray, start: float, stop: float, rng: Source, step: float,
+    system: JumpDiffusion,
+    x: np.ndarray,
+    start: float,
+    stop: float,
+    rng: Source,
+    step: float,
     scheme: str,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Move states from one time to a later one.
 
     A jump comes in a step with probability 1 - exp(-mu(t, X) h) and is drawn at the state before

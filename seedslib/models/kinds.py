@@ -206,9 +206,11 @@ MOST = 128
 """Modes, values of an indicator and components of a model that is known from a file only."""
 
 SIZES = {
-    "modes": "modes", "state_size": "state components", "measurement_size": "measured components",
+    "modes": "modes",
+    "state_size": "state components",
+    "measurement_size": "measured components",
     "indicators": "values of an indicator",
-}  # fmt: skip
+}
 """Sizes of a model and their names, for messages."""
 
 

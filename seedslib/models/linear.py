@@ -43,15 +43,19 @@ class LinearMap(StochasticMap):
     """
 
     def __init__(
-        self, slope: Matrix, cov: Matrix, shape: tuple[int, int], push: Matrix = None,
+        self,
+        slope: Matrix,
+        cov: Matrix,
+        shape: tuple[int, int],
+        push: Matrix = None,
         inputs: tuple[Any, ...] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         m, n = shape
         self._slope, self._cov, self._push, self._inputs = slope, cov, push, inputs
         if callable(slope) or callable(cov) or callable(push):
             made = StochasticMap.from_functions(
                 n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread
-            )  # fmt: skip
+            )
             vars(self).update(vars(made))
             told = (getattr(M, "mentions", ()) for M in (slope, cov, push))
             self._parameters = (*inputs, *(p for part in told for p in part))
@@ -150,10 +154,19 @@ class LinearSystem(DiscreteSystem):
     """
 
     def __init__(
-        self, F: Matrix, Q: Matrix, H: Matrix, R: Matrix, mean0: ArrayLike, cov0: ArrayLike, *,
-        diffuse: tuple[int, ...] = (), B: Matrix = None, D: Matrix = None,
+        self,
+        F: Matrix,
+        Q: Matrix,
+        H: Matrix,
+        R: Matrix,
+        mean0: ArrayLike,
+        cov0: ArrayLike,
+        *,
+        diffuse: tuple[int, ...] = (),
+        B: Matrix = None,
+        D: Matrix = None,
         inputs: Sequence[Any] = (),
-    ) -> None:  # fmt: skip
+    ) -> None:
         inputs = tuple(inputs)
         if not all(hasattr(u, "role") for u in inputs):
             raise TypeError(f"inputs: wanted a sequence of Input, got {inputs!r}")
@@ -202,10 +215,20 @@ class LinearSystem(DiscreteSystem):
 
     @classmethod
     def from_continuous(
-        cls, drift: ArrayLike, diffusion: ArrayLike, H: Matrix, R: Matrix, mean0: ArrayLike,
-        cov0: ArrayLike, *, step: float | None, diffuse: tuple[int, ...] = (),
-        B: ArrayLike | None = None, D: Matrix = None, inputs: Sequence[Any] = (),
-    ) -> LinearSystem:  # fmt: skip
+        cls,
+        drift: ArrayLike,
+        diffusion: ArrayLike,
+        H: Matrix,
+        R: Matrix,
+        mean0: ArrayLike,
+        cov0: ArrayLike,
+        *,
+        step: float | None,
+        diffuse: tuple[int, ...] = (),
+        B: ArrayLike | None = None,
+        D: Matrix = None,
+        inputs: Sequence[Any] = (),
+    ) -> LinearSystem:
         """The system dX = (drift X + B u) dt + dW seen at some times, by exact discretisation.
 
         Parameters

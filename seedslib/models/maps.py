@@ -60,9 +60,15 @@ class StochasticMap(Travelling, Shown):
     size: int
 
     def __init__(
-        self, state: Any, value: Any, noise: Any = None, weight: Any = 1, *, time: Any = None,
+        self,
+        state: Any,
+        value: Any,
+        noise: Any = None,
+        weight: Any = 1,
+        *,
+        time: Any = None,
         period: Mapping[int, float] | None = None,
-    ) -> None:  # fmt: skip
+    ) -> None:
         from seedslib.base.symbols import as_expression, named_model, require_number
         from seedslib.models.codegen import as_expressions
 
@@ -82,11 +88,19 @@ class StochasticMap(Travelling, Shown):
 
     @classmethod
     def from_functions(
-        cls, state_size: int, size: int, value: Callable[..., Any], noise: Noise | None = None, *,
-        weight: Callable[..., Any] | None = None, mean: Callable[..., Any] | None = None,
-        cov: Callable[..., Any] | None = None, log_density: Callable[..., Any] | None = None,
-        period: Mapping[int, float] | None = None, parameters: Sequence[Any] = (),
-    ) -> StochasticMap:  # fmt: skip
+        cls,
+        state_size: int,
+        size: int,
+        value: Callable[..., Any],
+        noise: Noise | None = None,
+        *,
+        weight: Callable[..., Any] | None = None,
+        mean: Callable[..., Any] | None = None,
+        cov: Callable[..., Any] | None = None,
+        log_density: Callable[..., Any] | None = None,
+        period: Mapping[int, float] | None = None,
+        parameters: Sequence[Any] = (),
+    ) -> StochasticMap:
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
 
         It is pickled where its functions can be: those of a module by their names, lambdas not.
@@ -167,9 +181,15 @@ class StochasticMap(Travelling, Shown):
             )
         given = self.__dict__.get("conditional")
         made = StochasticMap.from_functions(
-            self.state_size, self.size, self._value, self.noise, mean=given and given.mean,
-            cov=given and given.cov, log_density=self._log_density, period=dict(self.period),
-        )  # fmt: skip
+            self.state_size,
+            self.size,
+            self._value,
+            self.noise,
+            mean=given and given.mean,
+            cov=given and given.cov,
+            log_density=self._log_density,
+            period=dict(self.period),
+        )
         made._parameters = self._parameters
         return made
 

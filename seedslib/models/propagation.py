@@ -218,9 +218,12 @@ def integrated(coefficients: Callable[[float], Pair], start: float, stop: float)
 
 
 def solve(
-    slope: Callable[..., Any], start: float, stop: float, y0: np.ndarray,
+    slope: Callable[..., Any],
+    start: float,
+    stop: float,
+    y0: np.ndarray,
     times: np.ndarray | None = None,
-) -> np.ndarray:  # fmt: skip
+) -> np.ndarray:
     """Solution of a differential equation at `times` (at `stop` by default), shape (y, K).
 
     Raises

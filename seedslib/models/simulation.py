@@ -117,10 +117,18 @@ class Schedule(NamedTuple):
 
 
 def simulate(
-    system: AnySystem, times: ArrayLike, paths: Count, seed: Seed, *,
-    measured: ArrayLike | None = None, availability: ArrayLike | None = None,
-    inputs: Inputs | None = None, told: MaybeArray = None, workers: int = 1, **options: Any,
-) -> Simulation:  # fmt: skip
+    system: AnySystem,
+    times: ArrayLike,
+    paths: Count,
+    seed: Seed,
+    *,
+    measured: ArrayLike | None = None,
+    availability: ArrayLike | None = None,
+    inputs: Inputs | None = None,
+    told: MaybeArray = None,
+    workers: int = 1,
+    **options: Any,
+) -> Simulation:
     """Simulate paths of any system that can be sampled, and what its sensor shows.
 
     Parameters

@@ -343,10 +343,21 @@ class SwitchingSystem(Shown):
     sensor_noise: Noise
 
     def __init__(
-        self, state: Any, dynamics: Any, noise: Any, switching: Any, sensor: Any, sensor_noise: Any,
-        initial: Any, *, indicator: Any = None, parameters: Mapping[Any, Any] | None = None,
-        time: Any = None, drives: str = "old", period: Mapping[int, float] | None = None,
-    ) -> None:  # fmt: skip
+        self,
+        state: Any,
+        dynamics: Any,
+        noise: Any,
+        switching: Any,
+        sensor: Any,
+        sensor_noise: Any,
+        initial: Any,
+        *,
+        indicator: Any = None,
+        parameters: Mapping[Any, Any] | None = None,
+        time: Any = None,
+        drives: str = "old",
+        period: Mapping[int, float] | None = None,
+    ) -> None:
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
@@ -387,9 +398,14 @@ class SwitchingSystem(Shown):
 
     @classmethod
     def from_maps(
-        cls, moves: Any, readings: Any, initial: Any, *, indicator: bool = False,
+        cls,
+        moves: Any,
+        readings: Any,
+        initial: Any,
+        *,
+        indicator: bool = False,
         drives: str = "old",
-    ) -> SwitchingSystem:  # fmt: skip
+    ) -> SwitchingSystem:
         """Make a system of maps with probabilities, such as those of array functions.
 
         Parameters
@@ -421,7 +437,7 @@ class SwitchingSystem(Shown):
 
     def _set_up(
         self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool, drives: str
-    ) -> None:  # fmt: skip
+    ) -> None:
         if drives not in ("old", "new"):
             raise ValueError(f"drives: wanted 'old' or 'new', got {drives!r}")
         self.drives: str = drives
@@ -574,9 +590,7 @@ class Hybrid:
         )
         self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
 
-    def initial_sample(
-        self, rng: Source, count: int, told: np.ndarray | None = None
-    ) -> np.ndarray:  # fmt: skip
+    def initial_sample(self, rng: Source, count: int, told: np.ndarray | None = None) -> np.ndarray:
         """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""
         bounds = np.cumsum(self.system.initial_probabilities)
         moving, choosing = rng.spawn(2)
@@ -592,7 +606,7 @@ class Hybrid:
 
     def advance(
         self, x: np.ndarray, start: float, stop: float, rng: Source, told: np.ndarray | None = None
-    ) -> np.ndarray:  # fmt: skip
+    ) -> np.ndarray:
         """Mixed states (n + 1, *batch) one step later; the noises are those of the old time.
 
         The new modes are drawn, unless they are `told`, (*batch).

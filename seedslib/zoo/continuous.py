@@ -52,9 +52,12 @@ def van_der_pol(reading: str = "A") -> JumpDiffusion:
 
 
 def kicked_duffing(
-    damping: float = 0.5, diffusion: float = 0.2, rate: Pair = (0.2, 0.2), kick: Pair = (0.5, 3.0),
+    damping: float = 0.5,
+    diffusion: float = 0.2,
+    rate: Pair = (0.2, 0.2),
+    kick: Pair = (0.5, 3.0),
     sensor_noise: Pair = (0.2, 1.0),
-) -> JumpDiffusion:  # fmt: skip
+) -> JumpDiffusion:
     """Duffing oscillator kicked at random times, more often where it is far out.
 
     dX1 = X2 dt, dX2 = (X1 - X1³ - damping X2) dt + diffusion dW + kicks; kicks come with
@@ -78,9 +81,12 @@ def kicked_duffing(
 
 
 def flip_process(
-    diffusion: float = 0.5, rate: Pair = (0.3, 0.2), flip: float = 2.0, flip_noise: float = 0.3,
+    diffusion: float = 0.5,
+    rate: Pair = (0.3, 0.2),
+    flip: float = 2.0,
+    flip_noise: float = 0.3,
     sensor_noise: Pair = (0.3, 0.5),
-) -> JumpDiffusion:  # fmt: skip
+) -> JumpDiffusion:
     """Bistable scalar process whose jumps throw it to the other side.
 
     dX = (X - X³) dt + diffusion dW + jumps with intensity rate[0] + rate[1] X² and size

@@ -262,10 +262,14 @@ CASES = {  # and the components that are not known exactly afterwards
     "an exact sensor": (SMALL, np.array([[2.0, -1, 3], [0, 1, 0], [3, 1, 5]]), without(1), [0, 2]),
     "an exact sensor first": (SMALL, ONE, without(0), [0, 1]),
     "unrelated components": (np.diag([5.0, 7.0, 11.0]), ONE, without(0), [0, 1]),
-    "four sensors of two": (SMALL[:2, :2], np.array([[2.0, -1], [1, 4], [3, 1], [1, -2]]),
-                            np.diag([3.0, 5.0, 7.0, 2.0]) + 1.0, [0, 1]),
+    "four sensors of two": (
+        SMALL[:2, :2],
+        np.array([[2.0, -1], [1, 4], [3, 1], [1, -2]]),
+        np.diag([3.0, 5.0, 7.0, 2.0]) + 1.0,
+        [0, 1],
+    ),
     "a known component": (SMALL * np.outer([1, 0, 1], [1, 0, 1]), SLOPE, NOISE, ALL),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("wide", [2.0**34, 2.0**44])

@@ -47,8 +47,11 @@ ROWS = [
     (lambda: interpolate(np.zeros((1, 3)), [AXIS], []), ValueError, "points"),
     (lambda: FellerChain(flow(), [AXIS]), TypeError, "axis"),
     (lambda: Noise([V, K], cov=[[1, 0.5], [0.4, 1]]), ValueError, "cov"),
-    (lambda: LinearDiffusion(-np.eye(2), np.eye(2), np.eye(2), np.eye(3), [0, 0], np.eye(2)),
-     ValueError, "sensor"),
+    (
+        lambda: LinearDiffusion(-np.eye(2), np.eye(2), np.eye(2), np.eye(3), [0, 0], np.eye(2)),
+        ValueError,
+        "sensor",
+    ),
     (lambda: flow(K * X), ValueError, "drift"),
     (lambda: flow(sp.Symbol("t", real=True)), ValueError, "drift"),
     (lambda: flow(sp.I * X), ValueError, "drift"),
@@ -62,7 +65,7 @@ ROWS = [
     (lambda: LINEAR.simulate([-1.0, 0.0], 1, 1), ValueError, "times"),
     (lambda: LINEAR.simulate([0.0, 1e12], 1, 1), ValueError, "times"),
     (lambda: extended_kalman(LINEAR).run([0.0, 1e12], np.zeros((2, 1))), ValueError, "times"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), ROWS)

@@ -111,8 +111,10 @@ def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebo
     command = [sys.executable, "-m", "bookkit", "sweep", notebook, project / "grid.yaml"]
     first = subprocess.Popen(
         [*map(str, command), "--out", str(project / "out"), "--workers", "1"],
-        cwd=project, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+        cwd=project,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     deadline = time.monotonic() + 90
     while not list((project / "out").glob("*.json")):
         assert time.monotonic() < deadline, "no point was finished in time"

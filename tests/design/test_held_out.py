@@ -46,8 +46,14 @@ def doubtful(made):
     rows = np.isin(predicted.times, held.times)
     pairs = [(predicted.rms[rows], predicted.error[rows], held.rms, held.error)]
     if held.mode_rate is not None:
-        pairs.append((predicted.mode_rate[:, None], predicted.mode_error[:, None],
-                      held.mode_rate[:, None], held.mode_error[:, None]))  # fmt: skip
+        pairs.append(
+            (
+                predicted.mode_rate[:, None],
+                predicted.mode_error[:, None],
+                held.mode_rate[:, None],
+                held.mode_error[:, None],
+            )
+        )
     wanted, wanted_error, found, error = (np.hstack(part) for part in zip(*pairs, strict=True))
     doubt = np.sqrt(16 + 2 * np.log(wanted.size))
     share = np.sqrt(made.design.paths / held.paths)

@@ -37,8 +37,10 @@ def walk(sensors=1):
     names = sympy.symbols(f"r1:{sensors + 1}", real=True)
     return DiscreteSystem(
         StochasticMap([x], [x + w], Noise([w])),
-        StochasticMap([x], [x + r for r in names], Noise(names)), [0.0], [[1.0]],
-    )  # fmt: skip
+        StochasticMap([x], [x + r for r in names], Noise(names)),
+        [0.0],
+        [[1.0]],
+    )
 
 
 FLIP, SCALAR, LINEAR, WALK = zoo.flip_process(), zoo.scalar_switching("A1H"), linear(), walk()
@@ -108,8 +110,11 @@ REFUSALS = [
     # exact moments
     (lambda: exact(sensor=x**2 + v), ValueError, "exact_moments"),
     (lambda: exact(sensor=x + x * v), ValueError, "exact_moments"),
-    (lambda: made(CUBIC, linearization=Cubature(), exact_moments=True),
-     ValueError, "exact_moments"),
+    (
+        lambda: made(CUBIC, linearization=Cubature(), exact_moments=True),
+        ValueError,
+        "exact_moments",
+    ),
     # grids
     (lambda: grid(memory=Memory(1, 1)), ValueError, "memory"),
     (lambda: grid(SCALAR, memory=Memory(1, log_odds=True), times=range(3)), ValueError, "memory"),
@@ -120,8 +125,11 @@ REFUSALS = [
     (lambda: grid(times=[0.0, 0.0]), ValueError, "times"),
     (lambda: grid(nodes=-1), ValueError, "nodes"),
     (lambda: grid(probabilities=True), ValueError, "probabilities"),
-    (lambda: affine_synthesis(FLIP, Memory(1), None, TIMES, x=(-3.5, 3.5, 31)),
-     TypeError, "linearization"),
+    (
+        lambda: affine_synthesis(FLIP, Memory(1), None, TIMES, x=(-3.5, 3.5, 31)),
+        TypeError,
+        "linearization",
+    ),
     (lambda: grid_risk(made(measured=[0, 2]), x=(-3.5, 3.5, 31)), ValueError, "filter"),
     # tables on paths
     (lambda: tables(method="neural"), ValueError, "method"),
@@ -135,10 +143,16 @@ REFUSALS = [
     (lambda: tables(memory=large_order(4), z=(-2, 2, 99)), ValueError, "memory"),
     (lambda: tables(y=(-8, 8)), TypeError, "y"),
     (lambda: tables(probabilities=True), ValueError, "probabilities"),
-    (lambda: binned_synthesis(zoo.van_der_pol(), Memory(1), [0, 1], paths=10, seed=1),
-     ValueError, "system"),
-    (lambda: binned_synthesis(FLIP, Memory(1), [0, 1], paths=10, seed=1, bins=1),
-     ValueError, "bins"),
+    (
+        lambda: binned_synthesis(zoo.van_der_pol(), Memory(1), [0, 1], paths=10, seed=1),
+        ValueError,
+        "system",
+    ),
+    (
+        lambda: binned_synthesis(FLIP, Memory(1), [0, 1], paths=10, seed=1, bins=1),
+        ValueError,
+        "bins",
+    ),
     # tables of other designs
     (lambda: tabulated(3, y=(-8, 8, 5)), TypeError, "filter"),
     (lambda: tabulated(made(), y=(-8, 8, 5), z=(-8, 8, 5)), TypeError, "filter"),
@@ -154,7 +168,7 @@ REFUSALS = [
     (lambda: stationary(made(times=TIMES[:2])), ValueError, "times"),
     (lambda: stationary(made(WALK, times=range(4)), 0), ValueError, "tolerance"),
     (lambda: stationary(made(WALK, times=range(4)), 5.0, transient=7), ValueError, "transient"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), REFUSALS)

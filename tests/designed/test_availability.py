@@ -36,9 +36,10 @@ def pair():
     shown = [x + p, y + 0.5 * x + q, 2 * y + r]
     return DiscreteSystem(
         StochasticMap([x, y], moved, Noise((v, w), cov=SPREAD)),
-        StochasticMap([x, y], shown, Noise((p, q, r), cov=NOISE)), [0.2, -0.3],
+        StochasticMap([x, y], shown, Noise((p, q, r), cov=NOISE)),
+        [0.2, -0.3],
         [[1.0, 0.2], [0.2, 0.7]],
-    )  # fmt: skip
+    )
 
 
 def record(paths, steps, size=3, rates=RATES, seed=2):
@@ -97,9 +98,15 @@ def test_run_of_a_linear_system_is_its_classes_written_out(linear, form):
 def test_classes_of_polynomial_forecasts_and_their_mean_covariance():
     """Covariances depend on the memory and on the class."""
     filter = synthesize(
-        pair(), Memory(1), ExactGaussian(), TIMES, predictor=Polynomial(2, 1), paths=600, seed=1,
+        pair(),
+        Memory(1),
+        ExactGaussian(),
+        TIMES,
+        predictor=Polynomial(2, 1),
+        paths=600,
+        seed=1,
         availability=RATES,
-    )  # fmt: skip
+    )
     shown = record(6, 4)
     state, group = filter.initial((6,)), np.zeros(6, dtype=int)
     for k in range(3):
@@ -143,12 +150,15 @@ CHAIN, TELLS = np.array([[0.9, 0.1], [0.3, 0.7]]), np.array([[0.8, 0.2], [0.3, 0
 def modes():
     moved = [[0.9 * x + 0.3 * y + v, -0.2 * x + 0.8 * y + w], [x / 2 + 2 * v, y / 3 + 1 + w]]
     return SwitchingSystem(
-        (x, y), moved, Noise((v, w), cov=SPREAD), CHAIN.tolist(),
+        (x, y),
+        moved,
+        Noise((v, w), cov=SPREAD),
+        CHAIN.tolist(),
         [[x + p, x / 2 + y + q], [x + 2 * p, y + q]],
-        Noise((p, q), cov=NOISE[:2, :2]), [(0.6, [0.2, -0.3], np.eye(2)),
-                                           (0.4, [-1, 0.5], [[0.5, 0.1], [0.1, 2]])],
+        Noise((p, q), cov=NOISE[:2, :2]),
+        [(0.6, [0.2, -0.3], np.eye(2)), (0.4, [-1, 0.5], [[0.5, 0.1], [0.1, 2]])],
         indicator=TELLS.tolist(),
-    )  # fmt: skip
+    )
 
 
 def test_missing_indicator_is_a_gap_for_a_memory_and_none_for_a_bank():

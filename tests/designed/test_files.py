@@ -44,13 +44,21 @@ def finite_order(memory, rule, **options):
 
 
 def linear(**options):
-    return synthesize(zoo.linear_gaussian(), Memory(2), Taylor(), TIMES, exact_moments=True,
-                      **options)  # fmt: skip
+    return synthesize(
+        zoo.linear_gaussian(), Memory(2), Taylor(), TIMES, exact_moments=True, **options
+    )
 
 
 def modes(memory, **options):
-    return synthesize(zoo.manoeuvring_target("noisy"), memory, ExactGaussian(), TIMES * 2,
-                      paths=3000, seed=1, **options)  # fmt: skip
+    return synthesize(
+        zoo.manoeuvring_target("noisy"),
+        memory,
+        ExactGaussian(),
+        TIMES * 2,
+        paths=3000,
+        seed=1,
+        **options,
+    )
 
 
 def tables(system, memory, **options):
@@ -62,8 +70,10 @@ def cubic():
     a, b, c = sympy.symbols("a b c", real=True)
     return DiscreteSystem(
         StochasticMap((a,), [a / (1 + a**2) + b], Noise((b,))),
-        StochasticMap((a,), [a**3 + a + c], Noise((c,))), [0.1], [[1.16]],
-    )  # fmt: skip
+        StochasticMap((a,), [a**3 + a + c], Noise((c,))),
+        [0.1],
+        [[1.16]],
+    )
 
 
 SEED = np.random.SeedSequence([2**100, 7], spawn_key=(3,))
@@ -86,13 +96,19 @@ KINDS = {
         zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True
     ),
     "table from paths": lambda: simulated_synthesis(
-        zoo.flip_process(), Memory(1), [0.0, 0.25], paths=300, seed=1, nodes=1,
-        y=(-6, 6, 21), z=(-3, 3, 17),
+        zoo.flip_process(),
+        Memory(1),
+        [0.0, 0.25],
+        paths=300,
+        seed=1,
+        nodes=1,
+        y=(-6, 6, 21),
+        z=(-3, 3, 17),
     ),
     "minimax": lambda: minimax_synthesis(
         cubic(), Memory(1), TIMES, paths=600, seed=1, correction=BoundedPolynomial(2)
     ),
-}  # fmt: skip
+}
 
 
 def run(filter, system, seed=2):
@@ -190,9 +206,11 @@ def test_only_designed_filters_of_descriptions_are_saved(tmp_path):
     )
     bank = SwitchingFilter(zoo.manoeuvring_target(), GaussHermite(3))
     for filter, name in (
-        ({}, "filter"), (bank, "filter"), (replace(made, predictor=object()), "predictor"),
+        ({}, "filter"),
+        (bank, "filter"),
+        (replace(made, predictor=object()), "predictor"),
         (own, "correction"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(TypeError, match=name):
             save(filter, tmp_path / "x.npz")
     assert not list(tmp_path.iterdir())
@@ -242,68 +260,92 @@ def test_damaged_file_is_refused_or_does_no_harm(contents, tmp_path, kind):
 INFINITE, NODES = float("inf"), {"class": "GaussHermite"}
 HOSTILE = [
     # kind, part of the header or None for arrays, what is changed
-    *[("affine", None, change) for change in (
-        {"times": None},
-        {"times": np.array([0.0, 0.5, 0.5, 1.0])},
-        {"times": np.array([0.0, 0.5, 1.0])},
-        {"fits/0/gain": np.zeros((2, 3))},
-        {"fits/1/cov": np.full((2, 2), np.nan)},
-        {"fits/1/cov": -np.eye(2)},
-        {"start/mean": np.zeros(2, dtype=np.float32)},
-        {"node_fits/1/2/offset": None},
-        {"node_times/0": np.array([0.1, 0.3, 0.2, 0.4])},
-        {"node_times/1": np.array([0.1, 0.2, 0.3, 0.4])},
-        {"predicted/rms": np.ones((3, 2))},
-        {"predicted/times": np.linspace(0.01, 1.4, 16)},
-        {"probe_x": None},
-        {"probe_x": np.empty((3, 0))},
-        {"probe_x": np.full((3, 12), np.nan)},
-        {"probe_x": np.ones((2, 12))},
-        {"probe_x": np.ones((3, 12), dtype=np.float32)},
-        {"probe_values/drift": np.ones((12, 2), dtype=int)},
-        {"header": np.frombuffer(b"[" * 100_000, dtype=np.uint8)},
-        {"header": np.frombuffer(b"[1]", dtype=np.uint8)},
-        {"header": np.frombuffer(b"\xff\xfe", dtype=np.uint8)},
-    )],
-    *[("affine", "", change) for change in (
-        {"format": "another"}, {"version": 1}, {"version": 10**6}, {"version": "new"},
-        {"filter": None}, {"sizes": None}, {"filter": "FiniteOrderFilter"},
-    )],
-    *[("affine", "filter", change) for change in (
-        {"class": "Memory"},
-        {"class": "os.system"},
-        {"linearization": {"class": "Magic"}},
-        {"linearization": {"class": "Taylor", "power": 9}},
-        {"linearization": "Taylor"},
-        {"linearization": NODES | {"order": INFINITE}},
-        {"memory": None},
-        {"memory": {"class": "Memory", "estimates": -1}},
-        {"memory": {"class": "Memory", "estimates": 3}},
-        {"memory": {"class": "Memory", "estimates": 10**30}},
-        {"memory": {"class": "Memory", "estimates": INFINITE}},
-        {"memory": {"class": "Affine"}},
-        {"predictor": {"class": "os.system"}},
-        {"predictor": {"class": "Continuous"}},
-        {"predictor": {"class": "Polynomial", "mean_degree": INFINITE, "cov_degree": 1}},
-        {"components": 1},
-        {"components": "two"},
-        {"components": INFINITE},
-        {"components": 10**30},
-        {"between": "cubic"},
-        {"node_times": []},
-        {"cycle": 9},
-    )],
+    *[
+        ("affine", None, change)
+        for change in (
+            {"times": None},
+            {"times": np.array([0.0, 0.5, 0.5, 1.0])},
+            {"times": np.array([0.0, 0.5, 1.0])},
+            {"fits/0/gain": np.zeros((2, 3))},
+            {"fits/1/cov": np.full((2, 2), np.nan)},
+            {"fits/1/cov": -np.eye(2)},
+            {"start/mean": np.zeros(2, dtype=np.float32)},
+            {"node_fits/1/2/offset": None},
+            {"node_times/0": np.array([0.1, 0.3, 0.2, 0.4])},
+            {"node_times/1": np.array([0.1, 0.2, 0.3, 0.4])},
+            {"predicted/rms": np.ones((3, 2))},
+            {"predicted/times": np.linspace(0.01, 1.4, 16)},
+            {"probe_x": None},
+            {"probe_x": np.empty((3, 0))},
+            {"probe_x": np.full((3, 12), np.nan)},
+            {"probe_x": np.ones((2, 12))},
+            {"probe_x": np.ones((3, 12), dtype=np.float32)},
+            {"probe_values/drift": np.ones((12, 2), dtype=int)},
+            {"header": np.frombuffer(b"[" * 100_000, dtype=np.uint8)},
+            {"header": np.frombuffer(b"[1]", dtype=np.uint8)},
+            {"header": np.frombuffer(b"\xff\xfe", dtype=np.uint8)},
+        )
+    ],
+    *[
+        ("affine", "", change)
+        for change in (
+            {"format": "another"},
+            {"version": 1},
+            {"version": 10**6},
+            {"version": "new"},
+            {"filter": None},
+            {"sizes": None},
+            {"filter": "FiniteOrderFilter"},
+        )
+    ],
+    *[
+        ("affine", "filter", change)
+        for change in (
+            {"class": "Memory"},
+            {"class": "os.system"},
+            {"linearization": {"class": "Magic"}},
+            {"linearization": {"class": "Taylor", "power": 9}},
+            {"linearization": "Taylor"},
+            {"linearization": NODES | {"order": INFINITE}},
+            {"memory": None},
+            {"memory": {"class": "Memory", "estimates": -1}},
+            {"memory": {"class": "Memory", "estimates": 3}},
+            {"memory": {"class": "Memory", "estimates": 10**30}},
+            {"memory": {"class": "Memory", "estimates": INFINITE}},
+            {"memory": {"class": "Affine"}},
+            {"predictor": {"class": "os.system"}},
+            {"predictor": {"class": "Continuous"}},
+            {"predictor": {"class": "Polynomial", "mean_degree": INFINITE, "cov_degree": 1}},
+            {"components": 1},
+            {"components": "two"},
+            {"components": INFINITE},
+            {"components": 10**30},
+            {"between": "cubic"},
+            {"node_times": []},
+            {"cycle": 9},
+        )
+    ],
     ("table of modes", "filter", {"memory": {"class": "Memory", "estimates": 2, "indicators": 2}}),
     ("table of modes", "filter", {"memory": {"class": "Memory", "measurements": 1}}),
-    *[("table of modes", "sizes", change) for change in (
-        {"modes": 10**9}, {"modes": INFINITE}, {"modes": 0}, {"modes": -1}, {"modes": 3},
-        {"measurement_size": 10**9}, {"state_size": INFINITE}, {"indicators": 10**12},
-        {"indicators": -1}, {"indicators": 3},
-    )],
+    *[
+        ("table of modes", "sizes", change)
+        for change in (
+            {"modes": 10**9},
+            {"modes": INFINITE},
+            {"modes": 0},
+            {"modes": -1},
+            {"modes": 3},
+            {"measurement_size": 10**9},
+            {"state_size": INFINITE},
+            {"indicators": 10**12},
+            {"indicators": -1},
+            {"indicators": 3},
+        )
+    ],
     ("table of modes", None, {"steps/1/shown/estimate": np.zeros((1, 2))}),
     ("table of modes", None, {"steps/2/shown/estimate": None}),
     ("table of modes", None, {"steps/1/shown/mode": np.full((3, 31, 2, 2, 9), 2, dtype=np.int8)}),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("number", range(len(HOSTILE)))

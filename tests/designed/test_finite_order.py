@@ -56,10 +56,12 @@ def oracle(estimates, measurements, components=2, measured=MEASURED):
     moves = []
     for k, nodes in enumerate(NODES):
         stops = [TIMES[k], *nodes, TIMES[k + 1]]
-        moves.append([
-            transition(drift, lambda s: np.array([1 - s / 3, s / 3]), diffusion, a, b)
-            for a, b in pairwise(stops)
-        ])  # fmt: skip
+        moves.append(
+            [
+                transition(drift, lambda s: np.array([1 - s / 3, s / 3]), diffusion, a, b)
+                for a, b in pairwise(stops)
+            ]
+        )
     sensors = [sensor(now) for now in TIMES]
     return FiniteOrderOracle(
         MEAN0, COV0, moves, sensors, estimates, measurements, components, measured
@@ -68,9 +70,15 @@ def oracle(estimates, measurements, components=2, measured=MEASURED):
 
 def designed(memory, rule=None, measured=MEASURED, **options):
     return synthesize(
-        LINEAR, memory, rule or Taylor(), TIMES, nodes=NODES, exact_moments=True,
-        measured=measured, **options,
-    )  # fmt: skip
+        LINEAR,
+        memory,
+        rule or Taylor(),
+        TIMES,
+        nodes=NODES,
+        exact_moments=True,
+        measured=measured,
+        **options,
+    )
 
 
 FAMILY = {
@@ -241,8 +249,14 @@ def literal(values, kind, now):
     return z + (now - start) / (start - before[0]) * (z - before[1])
 
 
-KINDS = ["constant", "linear", "piecewise constant", "piecewise linear", "interpolated",
-         "piecewise linear, first constant"]  # fmt: skip
+KINDS = [
+    "constant",
+    "linear",
+    "piecewise constant",
+    "piecewise linear",
+    "interpolated",
+    "piecewise linear, first constant",
+]
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -251,9 +265,13 @@ def test_forecasts_between_measurements_are_the_printed_formulas(kind, start):
     """Nodes at unequal times, also where a second is near the last digits of a time stamp."""
     times, nodes = start + np.array([0, 1, 2.5]), [start + np.array([0.25, 0.5]), start + 1.5]
     made = synthesize(
-        zoo.linear_gaussian(), Memory(2), Taylor(), times, nodes=[nodes[0], [nodes[1]]],
+        zoo.linear_gaussian(),
+        Memory(2),
+        Taylor(),
+        times,
+        nodes=[nodes[0], [nodes[1]]],
         exact_moments=True,
-    )  # fmt: skip
+    )
     filter = made.forecasting(kind)
     assert filter.between == kind
     record = np.random.default_rng(1).normal(size=(3, 1, 4))
@@ -289,14 +307,29 @@ def test_continuous_forecast_moves_by_the_velocity_of_its_fits():
     """Euler's steps of E b(t, X), jumps included, X normal given the estimate: by hand."""
     z, times, step = sympy.Symbol("z", real=True), np.array([0.2, 0.7, 1.2]), 0.1
     system = JumpDiffusion(
-        (x, y), [y + t, -x - t * y**2], [[0], [0.3]], [x + v, y + w], Noise((v, w)), [1.0, 0.0],
-        [[0.4, 0.1], [0.1, 0.2]], intensity=(t + x**2) / 10, jump=[0, t * z],
-        marks=Noise((z,), mean=2.0), time=t, step=step,
-    )  # fmt: skip
-    filter = synthesize(
-        system, Memory(1), ExactGaussian(), times, predictor=Continuous(), paths=300, seed=1,
+        (x, y),
+        [y + t, -x - t * y**2],
+        [[0], [0.3]],
+        [x + v, y + w],
+        Noise((v, w)),
+        [1.0, 0.0],
+        [[0.4, 0.1], [0.1, 0.2]],
+        intensity=(t + x**2) / 10,
+        jump=[0, t * z],
+        marks=Noise((z,), mean=2.0),
+        time=t,
         step=step,
-    )  # fmt: skip
+    )
+    filter = synthesize(
+        system,
+        Memory(1),
+        ExactGaussian(),
+        times,
+        predictor=Continuous(),
+        paths=300,
+        seed=1,
+        step=step,
+    )
     filter = replace(filter, cycle=1)  # the last interval serves the one after the design
     grid = np.linspace(0.2, 1.7, 16)
     record = np.full((16, 2, 3), np.nan)
@@ -327,9 +360,16 @@ def test_polynomial_forecast_is_its_polynomial_written_out(predictor):
     """Of two clipped standardised numbers; eigenvalues of the covariance are cut from below."""
     system, times = zoo.van_der_pol(), np.array([0.0, 0.5, 1.0])
     filter = synthesize(
-        system, Memory(1), ExactGaussian(), times, predictor=predictor, paths=1000, seed=1,
-        step=0.05, nodes=1,
-    )  # fmt: skip
+        system,
+        Memory(1),
+        ExactGaussian(),
+        times,
+        predictor=predictor,
+        paths=1000,
+        seed=1,
+        step=0.05,
+        nodes=1,
+    )
     # covariances that bend more, so that the cut is met
     bent = tuple(fit._replace(cov_gain=4 * fit.cov_gain) for fit in filter.fits)
     filter = replace(filter, fits=bent)

@@ -30,9 +30,13 @@ def test_memory_of_all_kinds_keeps_estimates_with_log_odds_above_measurements():
     z, odds, y = (rng.standard_normal((4, size, 2)) for size in (2, 1, 3))
     for k in range(4):
         past = memory.push(
-            past, estimate=z[k], measurement=y[k], mode=np.array([k, 0]),
-            indicator=np.array([10 + k, 0]), log_odds=odds[k],
-        )  # fmt: skip
+            past,
+            estimate=z[k],
+            measurement=y[k],
+            mode=np.array([k, 0]),
+            indicator=np.array([10 + k, 0]),
+            log_odds=odds[k],
+        )
         assert len(past.vector) == memory.dimension(k, 2, 3, modes=2)
     wanted = [z[3], odds[3], z[2], odds[2], y[3], y[2], y[1]]
     np.testing.assert_array_equal(past.vector, np.concatenate(wanted))

@@ -19,8 +19,19 @@ u = Input("u")
 # Each builder takes relative changes of its numbers; components are in unlike units.
 
 
-def jumping(drift=0, late=0, diffusion=0, rate=0, jump=0, spread=0, sensor=0, noise=0, cross=0,
-            mean0=0, cov0=0):  # fmt: skip
+def jumping(
+    drift=0,
+    late=0,
+    diffusion=0,
+    rate=0,
+    jump=0,
+    spread=0,
+    sensor=0,
+    noise=0,
+    cross=0,
+    mean0=0,
+    cov0=0,
+):
     """Metres beside a coefficient of size 1e-9, and functions of time."""
     small = 1e-9
     return JumpDiffusion(
@@ -47,20 +58,25 @@ def discrete(dynamics=0, gain=0, sensor=0, noise=0, cross=0, unit=1, time=0):
     return DiscreteSystem(
         StochasticMap((a, b), moved, Noise((v, w)), time=t),
         StochasticMap((a, b), shown, Noise((v, w)), time=t),
-        [2e5 * unit, 0.5], np.diag([1e8 * unit**2, 1e-2]),
-    )  # fmt: skip
+        [2e5 * unit, 0.5],
+        np.diag([1e8 * unit**2, 1e-2]),
+    )
 
 
 def switching(exact=0, outlier=0, rare=0, told=0, moves=0, start=0, mean0=0, cov0=0, drives="old"):
     """A sensor that is exact in one mode and an outlier in the other; a rare switch."""
     leave, tell = 1e-6 * (1 + rare), (1 + told) / (4 + a**2 / 1e6)
     return SwitchingSystem(
-        (a,), [[a + (1 + moves) * v / 10], [a / 2 + 3 * v]], Noise((v,)),
+        (a,),
+        [[a + (1 + moves) * v / 10], [a / 2 + 3 * v]],
+        Noise((v,)),
         [[1 - leave, leave], [0.5, 0.5]],
-        [[a + (1 + exact) * w / 10**4], [a + 100 * (1 + outlier) * w]], Noise((w,)),
+        [[a + (1 + exact) * w / 10**4], [a + 100 * (1 + outlier) * w]],
+        Noise((w,)),
         [(0.5 * (1 + start), [1e3 * (1 + mean0)], [[1 + cov0]]), (0.5 * (1 - start), [1e3], [[1]])],
-        indicator=[[tell, 1 - tell], [0.9, 0.1]], drives=drives,
-    )  # fmt: skip
+        indicator=[[tell, 1 - tell], [0.9, 0.1]],
+        drives=drives,
+    )
 
 
 def design(build, **given):
@@ -71,22 +87,48 @@ def design(build, **given):
 
 
 CHANGES = [
-    *[(jumping, {name: size}, said) for name, size, said in (
-        ("drift", 1e-4, "drift"), ("late", 1e-3, "drift"), ("diffusion", 1e-4, "diffusion"),
-        ("rate", 1e-4, "intensity"), ("jump", 1e-4, "jump"), ("spread", 1e-4, "jump"),
-        ("sensor", 1e-6, "sensor"), ("noise", 1e-4, "sensor"), ("cross", 1e-4, "diffusion"),
-        ("mean0", 1e-6, "mean0"), ("cov0", 1e-4, "cov0"),
-    )],
-    *[(discrete, {name: size}, said) for name, size, said in (
-        ("dynamics", 1e-5, "dynamics"), ("gain", 1e-6, "dynamics"), ("sensor", 1e-3, "sensor"),
-        ("noise", 1e-5, "sensor"), ("cross", 1e-4, "sensor"), ("time", 1e-4, "dynamics"),
-    )],
-    *[(switching, {name: size}, said) for name, size, said in (
-        ("exact", 1e-2, "readings"), ("outlier", 1e-4, "readings"), ("rare", 1e-3, "switching"),
-        ("told", 1e-6, "readings"), ("moves", 1e-5, "switching"), ("start", 1e-6, "initial"),
-        ("mean0", 1e-6, "initial"), ("cov0", 1e-6, "initial"), ("drives", "new", "drive"),
-    )],
-]  # fmt: skip
+    *[
+        (jumping, {name: size}, said)
+        for name, size, said in (
+            ("drift", 1e-4, "drift"),
+            ("late", 1e-3, "drift"),
+            ("diffusion", 1e-4, "diffusion"),
+            ("rate", 1e-4, "intensity"),
+            ("jump", 1e-4, "jump"),
+            ("spread", 1e-4, "jump"),
+            ("sensor", 1e-6, "sensor"),
+            ("noise", 1e-4, "sensor"),
+            ("cross", 1e-4, "diffusion"),
+            ("mean0", 1e-6, "mean0"),
+            ("cov0", 1e-4, "cov0"),
+        )
+    ],
+    *[
+        (discrete, {name: size}, said)
+        for name, size, said in (
+            ("dynamics", 1e-5, "dynamics"),
+            ("gain", 1e-6, "dynamics"),
+            ("sensor", 1e-3, "sensor"),
+            ("noise", 1e-5, "sensor"),
+            ("cross", 1e-4, "sensor"),
+            ("time", 1e-4, "dynamics"),
+        )
+    ],
+    *[
+        (switching, {name: size}, said)
+        for name, size, said in (
+            ("exact", 1e-2, "readings"),
+            ("outlier", 1e-4, "readings"),
+            ("rare", 1e-3, "switching"),
+            ("told", 1e-6, "readings"),
+            ("moves", 1e-5, "switching"),
+            ("start", 1e-6, "initial"),
+            ("mean0", 1e-6, "initial"),
+            ("cov0", 1e-6, "initial"),
+            ("drives", "new", "drive"),
+        )
+    ],
+]
 
 
 @pytest.fixture(scope="module")
@@ -127,23 +169,31 @@ def oscillator(form):
     omega = sympy.pi / 10
     if form == "formulas":
         return JumpDiffusion(
-            (a, b), [b, 2 * b - 2 * b * a**2 - omega**2 * a],
+            (a, b),
+            [b, 2 * b - 2 * b * a**2 - omega**2 * a],
             [[0, 0], [a * sympy.Rational(3, 5), -a * sympy.Rational(4, 5)]],
-            [a**2 + v / 2, b + 2 * w], Noise((v, w), cov=[[4, 0], [0, 0.25]]), [2, 0],
+            [a**2 + v / 2, b + 2 * w],
+            Noise((v, w), cov=[[4, 0], [0, 0.25]]),
+            [2, 0],
             [[0.15, 0], [0, 0.15]],
-        )  # fmt: skip
+        )
     sensor = StochasticMap.from_functions(
-        2, 2, lambda t, x, v: np.stack([x[0] ** 2 + v[0], x[1] + v[1]]), Noise(2),
+        2,
+        2,
+        lambda t, x, v: np.stack([x[0] ** 2 + v[0], x[1] + v[1]]),
+        Noise(2),
         mean=lambda t, x: np.stack([x[0] ** 2, x[1]]),
         cov=lambda t, x: np.broadcast_to(
             np.eye(2).reshape(2, 2, *(1,) * (x.ndim - 1)), (2, 2, *x.shape[1:])
         ),
-    )  # fmt: skip
+    )
     return JumpDiffusion.from_functions(
         lambda t, x: np.stack([x[1], -(float(omega) ** 2) * x[0] + 2 * x[1] * (1 - x[0] ** 2)]),
         lambda t, x: np.stack([0 * x[0], x[0]])[:, None],
-        sensor, [2, 0], np.diag([0.15, 0.15]),
-    )  # fmt: skip
+        sensor,
+        [2, 0],
+        np.diag([0.15, 0.15]),
+    )
 
 
 @pytest.mark.parametrize("form", ["formulas", "functions"])
@@ -155,9 +205,10 @@ def test_same_model_written_otherwise_is_accepted(tmp_path, form):
     y = zoo.van_der_pol().simulate(times, 5, 2).measurements
     np.testing.assert_allclose(found.run(times, y).mean, made.run(times, y).mean, rtol=1e-9)
     for other, said in (
-        (zoo.flip_process(), "2 state components, not 1"), (zoo.kicked_duffing(), "it"),
+        (zoo.flip_process(), "2 state components, not 1"),
+        (zoo.kicked_duffing(), "it"),
         (zoo.scalar_switching(), "one without modes"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(ValueError, match=f"another model.*{said}"):
             load(tmp_path / "f.npz", other)
 
@@ -170,15 +221,22 @@ def test_tables_know_the_likelihood_of_their_sensor_and_models_of_modes(tmp_path
     assert load(path, zoo.flip_process()).order == 1
     sensor = StochasticMap((a,), [a + v], Noise((v,)))
     single = JumpDiffusion.from_functions(
-        flip.drift, flip.diffusion, sensor, flip.mean0, flip.cov0, intensity=flip.intensity,
+        flip.drift,
+        flip.diffusion,
+        sensor,
+        flip.mean0,
+        flip.cov0,
+        intensity=flip.intensity,
         jump=flip.jump,
-    )  # fmt: skip
+    )
     for other, said in (
-        (zoo.flip_process(flip=1.99), "jump"), (zoo.flip_process(rate=(0.2, 0.3)), "intensity"),
-        (zoo.flip_process(sensor_noise=(0.3, 0.6)), ""), (single, "likelihood"),
+        (zoo.flip_process(flip=1.99), "jump"),
+        (zoo.flip_process(rate=(0.2, 0.3)), "intensity"),
+        (zoo.flip_process(sensor_noise=(0.3, 0.6)), ""),
+        (single, "likelihood"),
         (zoo.van_der_pol(), "1 state components, not 2"),
         (zoo.scalar_switching(), "one without modes"),
-    ):  # fmt: skip
+    ):
         with pytest.raises(ValueError, match=f"another model.*{said}"):
             load(path, other)
     save(grid_synthesis(zoo.scalar_switching(), Memory(1), [0, 1], **axes), path)

@@ -40,20 +40,36 @@ def pair():
     moved = [0.9 * x + 0.3 * y + v, -0.2 * x + 0.8 * y + w]
     return DiscreteSystem(
         StochasticMap([x, y], moved, Noise((v, w))),
-        StochasticMap([x, y], [x + p, y + q], Noise((p, q))), [0.2, -0.3], np.eye(2),
-    )  # fmt: skip
+        StochasticMap([x, y], [x + p, y + q], Noise((p, q))),
+        [0.2, -0.3],
+        np.eye(2),
+    )
 
 
 def affine(**options):
-    return synthesize(zoo.linear_gaussian(), Memory(1), Taylor(), TIMES, nodes=1, paths=300,
-                      seed=1, step=0.25, **options)  # fmt: skip
+    return synthesize(
+        zoo.linear_gaussian(),
+        Memory(1),
+        Taylor(),
+        TIMES,
+        nodes=1,
+        paths=300,
+        seed=1,
+        step=0.25,
+        **options,
+    )
 
 
 def modes(memory=None, **options):
     return synthesize(
-        zoo.manoeuvring_target("noisy"), memory or Memory(2, 1, 1, True), Taylor(), TIMES,
-        paths=3000, seed=1, **options,
-    )  # fmt: skip
+        zoo.manoeuvring_target("noisy"),
+        memory or Memory(2, 1, 1, True),
+        Taylor(),
+        TIMES,
+        paths=3000,
+        seed=1,
+        **options,
+    )
 
 
 def tables(system, memory=None, **options):
@@ -81,8 +97,20 @@ KINDS = {
         pair(), Memory(1), TIMES, paths=600, seed=1
     ),
 }
-PARTS = ["times", "start", "fits", "node_times", "node_fits", "predicted", "held_out", "steps",
-         "covariances", "changes", "measured", "availability"]  # fmt: skip
+PARTS = [
+    "times",
+    "start",
+    "fits",
+    "node_times",
+    "node_fits",
+    "predicted",
+    "held_out",
+    "steps",
+    "covariances",
+    "changes",
+    "measured",
+    "availability",
+]
 
 
 def leaves(thing, path=()):
@@ -186,8 +214,11 @@ TARGET, BANK = zoo.manoeuvring_target("noisy"), lambda: SwitchingFilter(TARGET, 
 SHOWN = np.zeros((3, 4), dtype=int)
 REFUSED = [
     # memories
-    *[(lambda _, call=call, l=l: call(l), error, "l") for call in (large_order, finite_memory)
-      for l, error in ((0, ValueError), (-1, ValueError), (1.5, TypeError), (True, TypeError))],
+    *[
+        (lambda _, call=call, l=l: call(l), error, "l")
+        for call in (large_order, finite_memory)
+        for l, error in ((0, ValueError), (-1, ValueError), (1.5, TypeError), (True, TypeError))
+    ],
     (lambda _: Memory(), ValueError, "memory"),
     (lambda _: Memory(indicators=2), ValueError, "memory"),
     (lambda _: Memory(-1), ValueError, "estimates"),
@@ -203,19 +234,35 @@ REFUSED = [
     (lambda _: Polynomial(2, 0.5), TypeError, "cov_degree"),
     (lambda _: BoundedPolynomial(0), ValueError, "degree"),
     # filters of finite order: fields
-    *[(lambda m, change=change: replace(m["affine"], **change), error, next(iter(change)))
-      for change, error in (
-        ({"components": 0}, ValueError), ({"components": 3}, ValueError),
-        ({"cycle": 3}, ValueError), ({"cycle": -1}, ValueError), ({"cycle": True}, ValueError),
-        ({"between": "cubic"}, ValueError), ({"times": [0.0, 1.0, 2.0]}, TypeError),
-        ({"times": TIMES[::-1].copy()}, ValueError), ({"times": np.empty(0)}, ValueError),
-        ({"fits": ()}, ValueError), ({"node_times": ()}, ValueError),
-        ({"measured": ONES[:2] > 0}, ValueError), ({"measured": "all"}, ValueError),
-        ({"availability": [1.5]}, ValueError),
-    )],
-    *[(lambda m, shift=shift: replace(m["affine"], node_times=tuple(
-        grid + shift for grid in m["affine"].node_times)), ValueError, "node_times")
-      for shift in (-0.5, 0.5)],
+    *[
+        (lambda m, change=change: replace(m["affine"], **change), error, next(iter(change)))
+        for change, error in (
+            ({"components": 0}, ValueError),
+            ({"components": 3}, ValueError),
+            ({"cycle": 3}, ValueError),
+            ({"cycle": -1}, ValueError),
+            ({"cycle": True}, ValueError),
+            ({"between": "cubic"}, ValueError),
+            ({"times": [0.0, 1.0, 2.0]}, TypeError),
+            ({"times": TIMES[::-1].copy()}, ValueError),
+            ({"times": np.empty(0)}, ValueError),
+            ({"fits": ()}, ValueError),
+            ({"node_times": ()}, ValueError),
+            ({"measured": ONES[:2] > 0}, ValueError),
+            ({"measured": "all"}, ValueError),
+            ({"availability": [1.5]}, ValueError),
+        )
+    ],
+    *[
+        (
+            lambda m, shift=shift: replace(
+                m["affine"], node_times=tuple(grid + shift for grid in m["affine"].node_times)
+            ),
+            ValueError,
+            "node_times",
+        )
+        for shift in (-0.5, 0.5)
+    ],
     (lambda m: replace(m["affine"], fits=(*m["affine"].fits[:1], 3)), TypeError, "fits"),
     (lambda m: replace(m["affine"], availability=np.array([0.5])), ValueError, "fits"),
     (lambda m: replace(m["availability"], availability=np.array([0.6, 0.5])), ValueError, "fits"),
@@ -235,9 +282,14 @@ REFUSED = [
     (lambda m: m["affine"].correct(forecast(m), [["a", "b", "c"]]), TypeError, "y"),
     (lambda _: (f := scheduled()).correct(f.predict(stepped(f, 1), 1.0), [0.5]), ValueError, "y"),
     # records
-    *[(lambda m, times=times: m["affine"].run(times, np.full((len(times), 1), np.nan)),
-       ValueError, "times")
-      for times in (TIMES[1:], TIMES + 0.25, [0, 2.0], [0, 1, 2, 3.5], [0, 0, 1])],
+    *[
+        (
+            lambda m, times=times: m["affine"].run(times, np.full((len(times), 1), np.nan)),
+            ValueError,
+            "times",
+        )
+        for times in (TIMES[1:], TIMES + 0.25, [0, 2.0], [0, 1, 2, 3.5], [0, 0, 1])
+    ],
     (lambda m: m["affine"].run([0, 0.25, 1], np.zeros((3, 1))), ValueError, "measurements"),
     (lambda m: m["affine"].run([0, 1], np.zeros((2, 3))), ValueError, "measurements"),
     (lambda m: m["affine"].run([0, 1], [[np.inf], [0]]), ValueError, "measurements"),
@@ -246,83 +298,171 @@ REFUSED = [
     # filters of modes
     (lambda _: SwitchingFilter(zoo.flip_process(), Taylor()), TypeError, "system"),
     (lambda _: SwitchingFilter(TARGET, "taylor"), TypeError, "linearization"),
-    (lambda _: SwitchingFilter(TARGET, Taylor(), normalisation="other"), ValueError,
-     "normalisation"),
+    (
+        lambda _: SwitchingFilter(TARGET, Taylor(), normalisation="other"),
+        ValueError,
+        "normalisation",
+    ),
     (lambda _: SwitchingRules(TARGET, Taylor(), "other"), ValueError, "normalisation"),
     (lambda _: SwitchingFilter(TARGET, Taylor(), "one"), TypeError, "memory"),
     (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1)), ValueError, "times"),
     (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES), ValueError, "fits"),
-    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES, fits=[1, 2]), TypeError,
-     "fits"),
-    (lambda _: SwitchingFilter(zoo.scalar_switching(), Taylor(), Memory(1, 0, 1), times=TIMES,
-                               fits=[1, 2]), ValueError, "memory"),
-    (lambda _: SwitchingFilter(zoo.steady_target(), Taylor(), Memory(1, log_odds=True),
-                               times=TIMES, fits=[1, 2]), ValueError, "memory"),
+    (
+        lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES, fits=[1, 2]),
+        TypeError,
+        "fits",
+    ),
+    (
+        lambda _: SwitchingFilter(
+            zoo.scalar_switching(), Taylor(), Memory(1, 0, 1), times=TIMES, fits=[1, 2]
+        ),
+        ValueError,
+        "memory",
+    ),
+    (
+        lambda _: SwitchingFilter(
+            zoo.steady_target(), Taylor(), Memory(1, log_odds=True), times=TIMES, fits=[1, 2]
+        ),
+        ValueError,
+        "memory",
+    ),
     (lambda m: replace(m["modes"], memory=Memory(1)), ValueError, "fits"),
     (lambda _: BANK().predict(BANK().step(BANK().initial(), 1.0, [0.0], 1), 1.0), ValueError, "t"),
     (lambda _: BANK().correct(BANK().initial(), [0.0], 1), ValueError, "state"),
     (lambda _: BANK().predict(BANK().predict(BANK().initial(), 0.0), 1.0), ValueError, "state"),
-    *[(lambda _, told=told: BANK().correct(BANK().predict(BANK().initial((2,)), 0.0),
-                                           np.zeros((1, 2)), told), error, "indicator")
-      for told, error in ((None, ValueError), (np.array([2, 0]), ValueError),
-                          (np.array([0.5, 0.0]), TypeError))],
-    *[(lambda m, change=change: m["modes"].run(**{
-        "times": TIMES, "measurements": np.zeros((3, 1, 4)), "indicators": SHOWN, **change}),
-       error, next(iter(change)))
-      for change, error in (
-        ({"indicators": None}, ValueError), ({"indicators": SHOWN + 2}, ValueError),
-        ({"indicators": SHOWN + 0.5}, TypeError), ({"indicators": SHOWN[:, :3]}, ValueError),
-        ({"measurements": np.full((3, 1, 4), np.inf)}, ValueError),
-        ({"measurements": np.zeros((3, 2, 4))}, ValueError),
-        ({"times": [0.0, 2.0, 1.0]}, ValueError),
-    )],
-    (lambda m: m["modes"].run([0.0, 1.0, 3.0], np.zeros((3, 1, 4)), indicators=SHOWN), ValueError,
-     "t"),
-    (lambda m: m["modes"].run(TIMES, np.zeros((3, 1, 4)), indicators=SHOWN - 1), ValueError,
-     "indicator"),
-    (lambda m: smooth(m["modes"], TIMES, np.zeros((3, 1, 4)), indicators=SHOWN), TypeError,
-     "filter"),
+    *[
+        (
+            lambda _, told=told: BANK().correct(
+                BANK().predict(BANK().initial((2,)), 0.0), np.zeros((1, 2)), told
+            ),
+            error,
+            "indicator",
+        )
+        for told, error in (
+            (None, ValueError),
+            (np.array([2, 0]), ValueError),
+            (np.array([0.5, 0.0]), TypeError),
+        )
+    ],
+    *[
+        (
+            lambda m, change=change: m["modes"].run(
+                **{
+                    "times": TIMES,
+                    "measurements": np.zeros((3, 1, 4)),
+                    "indicators": SHOWN,
+                    **change,
+                }
+            ),
+            error,
+            next(iter(change)),
+        )
+        for change, error in (
+            ({"indicators": None}, ValueError),
+            ({"indicators": SHOWN + 2}, ValueError),
+            ({"indicators": SHOWN + 0.5}, TypeError),
+            ({"indicators": SHOWN[:, :3]}, ValueError),
+            ({"measurements": np.full((3, 1, 4), np.inf)}, ValueError),
+            ({"measurements": np.zeros((3, 2, 4))}, ValueError),
+            ({"times": [0.0, 2.0, 1.0]}, ValueError),
+        )
+    ],
+    (
+        lambda m: m["modes"].run([0.0, 1.0, 3.0], np.zeros((3, 1, 4)), indicators=SHOWN),
+        ValueError,
+        "t",
+    ),
+    (
+        lambda m: m["modes"].run(TIMES, np.zeros((3, 1, 4)), indicators=SHOWN - 1),
+        ValueError,
+        "indicator",
+    ),
+    (
+        lambda m: smooth(m["modes"], TIMES, np.zeros((3, 1, 4)), indicators=SHOWN),
+        TypeError,
+        "filter",
+    ),
     # tables and other output functions
     (lambda m: m["table"].correct(m["table"].initial(), [0.0]), ValueError, "state"),
-    (lambda m: m["table"].predict(m["table"].predict(m["table"].initial(), 0.0), 0.25),
-     ValueError, "state"),
+    (
+        lambda m: m["table"].predict(m["table"].predict(m["table"].initial(), 0.0), 0.25),
+        ValueError,
+        "state",
+    ),
     (lambda m: m["table"].predict(m["table"].initial(), 0.25), ValueError, "t"),
     (lambda m: m["table"].predict(stepped(m["table"], 3), 0.75), ValueError, "t"),
     (lambda m: m["table"].forecast(stepped(m["table"], 1), 0.3), ValueError, "t"),
     (lambda m: m["table"].run([0, 0.5], np.zeros((2, 1))), ValueError, "times"),
-    (lambda m: m["table"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, 0]), ValueError,
-     "indicators"),
-    (lambda m: m["table of modes"].run([0, 0.1, 0.25], np.zeros((3, 1)), indicators=[0, 0, 0]),
-     ValueError, "measurements"),
-    (lambda m: m["table of modes"].run([0, 0.1, 0.25], np.full((3, 1), np.nan),
-                                       indicators=[0, 0, 0]), ValueError, "times"),
-    (lambda m: m["table of modes"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, -1]),
-     ValueError, "indicator"),
+    (
+        lambda m: m["table"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, 0]),
+        ValueError,
+        "indicators",
+    ),
+    (
+        lambda m: m["table of modes"].run([0, 0.1, 0.25], np.zeros((3, 1)), indicators=[0, 0, 0]),
+        ValueError,
+        "measurements",
+    ),
+    (
+        lambda m: m["table of modes"].run(
+            [0, 0.1, 0.25], np.full((3, 1), np.nan), indicators=[0, 0, 0]
+        ),
+        ValueError,
+        "times",
+    ),
+    (
+        lambda m: m["table of modes"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, -1]),
+        ValueError,
+        "indicator",
+    ),
     (lambda m: m["minimax"].run([0.0], [[1.0, np.nan]]), ValueError, "y"),
-    (lambda _: tables(zoo.flip_process(), Memory(0, 1), nodes=0).run([0.0], [[np.nan]]),
-     ValueError, "y"),
+    (
+        lambda _: tables(zoo.flip_process(), Memory(0, 1), nodes=0).run([0.0], [[np.nan]]),
+        ValueError,
+        "y",
+    ),
     (lambda m: replace(m["table"], steps=m["table"].steps[:2]), ValueError, "steps"),
     (lambda m: replace(m["table"], steps=(1, 2, 3)), (TypeError, AttributeError), ""),
     (lambda m: replace(m["table"], between="cubic"), ValueError, "between"),
     (lambda m: replace(m["table"], memory=Memory(2)), ValueError, "steps"),
     (lambda m: replace(m["table of modes"], memory=Memory(1)), ValueError, "steps"),
     (lambda m: replace(m["table"], node_fits=((),)), ValueError, "node_times, node_fits"),
-    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, correction=3),
-     TypeError, "correction"),
-    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, prediction=3),
-     TypeError, "prediction"),
-    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1,
-                                 correction=lambda t, m, y: np.zeros(3)), ValueError, "correction"),
-    (lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1,
-                                 prediction=lambda t, u: np.zeros((1, 3))), ValueError,
-     "prediction"),
-    (lambda m: replace(m["minimax"], fits=tuple(f._replace(bounded=None) for f in
-                                                m["minimax"].fits)), ValueError, "fits"),
+    (
+        lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, correction=3),
+        TypeError,
+        "correction",
+    ),
+    (
+        lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, prediction=3),
+        TypeError,
+        "prediction",
+    ),
+    (
+        lambda m: minimax_synthesis(
+            pair(), Memory(1), TIMES, paths=100, seed=1, correction=lambda t, m, y: np.zeros(3)
+        ),
+        ValueError,
+        "correction",
+    ),
+    (
+        lambda m: minimax_synthesis(
+            pair(), Memory(1), TIMES, paths=100, seed=1, prediction=lambda t, u: np.zeros((1, 3))
+        ),
+        ValueError,
+        "prediction",
+    ),
+    (
+        lambda m: replace(
+            m["minimax"], fits=tuple(f._replace(bounded=None) for f in m["minimax"].fits)
+        ),
+        ValueError,
+        "fits",
+    ),
     # files
     (lambda _: save({}, "x.npz"), TypeError, "filter"),
     (lambda _: save(BANK(), "x.npz"), TypeError, "filter"),
     (lambda _: load("no such file.npz"), FileNotFoundError, ""),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize("number", range(len(REFUSED)))

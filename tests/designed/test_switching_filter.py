@@ -44,9 +44,17 @@ def linear(drives="old", indicator=True, course=u):
         for table in (MOVES, SENSORS)
     )
     return SwitchingSystem(
-        (x, y), moves, Noise((v, w), **NOISE), CHAIN, sensors, Noise((p, q), **NOISE), INITIAL,
-        drives=drives, indicator=TELLS if indicator else None, time=t,
-    )  # fmt: skip
+        (x, y),
+        moves,
+        Noise((v, w), **NOISE),
+        CHAIN,
+        sensors,
+        Noise((p, q), **NOISE),
+        INITIAL,
+        drives=drives,
+        indicator=TELLS if indicator else None,
+        time=t,
+    )
 
 
 def oracle(drives="old", indicator=True, course=INPUT):
@@ -123,10 +131,15 @@ def test_run_of_a_jump_linear_system_equals_a_bank_of_kalman_filters(rule, drive
         assert_laws(found, path, laws, logliks)
     if rule != Taylor():
         return
-    alone = filter.run(TIMES, record[..., 1], **{**options, "indicators": None if shown is None
-                                                 else shown[:, 1]})  # fmt: skip
-    plane = filter.run(TIMES, record.reshape(5, 2, 3, 2), workers=2, **{
-        **options, "indicators": None if shown is None else shown.reshape(5, 3, 2)})  # fmt: skip
+    alone = filter.run(
+        TIMES, record[..., 1], **{**options, "indicators": None if shown is None else shown[:, 1]}
+    )
+    plane = filter.run(
+        TIMES,
+        record.reshape(5, 2, 3, 2),
+        workers=2,
+        **{**options, "indicators": None if shown is None else shown.reshape(5, 3, 2)},
+    )
     for name in ("mean", "cov", "mode_prob", "loglik"):
         whole = getattr(found, name)
         assert_allclose(getattr(alone, name), whole[..., 1], rtol=1e-11, atol=1e-13)
@@ -142,8 +155,9 @@ def test_steps_of_a_jump_linear_system_equal_its_run(drives):
     course = INPUT[:, None] + 0.3 * np.arange(6) * (np.arange(6) != 4)
     found = filter.run(TIMES, record, indicators=shown, inputs={u: course}, covariances=True)
     for path in (0, 4):
-        alone = filter.run(TIMES, record[..., path], indicators=shown[:, path],
-                           inputs={u: course[:, path]})  # fmt: skip
+        alone = filter.run(
+            TIMES, record[..., path], indicators=shown[:, path], inputs={u: course[:, path]}
+        )
         assert_allclose(alone.mean, found.mean[..., path], rtol=1e-10)
         assert_allclose(alone.loglik, found.loglik[..., path], rtol=1e-10)
     laws, forecasts, _ = expected.run(record[..., 4], shown[:, 4])
@@ -198,10 +212,13 @@ def recall_of(filter, shown):
             score.append(fit.log_weight[i, cell] - 0.5 * apart @ apart)
         weight = np.exp(np.array(score) - max(score))
         return [
-            (weight[i] / weight.sum(), fit.gain[..., i, cell] @ z + fit.offset[:, i, cell],
-             fit.cov[..., i, cell])
+            (
+                weight[i] / weight.sum(),
+                fit.gain[..., i, cell] @ z + fit.offset[:, i, cell],
+                fit.cov[..., i, cell],
+            )
             for i in range(2)
-        ]  # fmt: skip
+        ]
 
     return recall
 
@@ -248,10 +265,16 @@ def telling(**options):
     near = 1 / (1 + x**2)
     told = [[0.2 + 0.6 * near, 0.8 - 0.6 * near, 0], [0, 1, 0]]
     return SwitchingSystem(
-        (x,), [[0.9 * x + 0.4 + 0.3 * v], [0.5 * x - 0.7 + 0.8 * v]], Noise((v,)),
-        [[0.9, 0.1], [0.3, 0.7]], [[x + 0.5 * w], [2 * x - 1 + (1 + x / 2) * w]], Noise((w,)),
-        [(0.6, [0.3], [[1.2]]), (0.4, [-0.5], [[0.7]])], indicator=told, **options,
-    )  # fmt: skip
+        (x,),
+        [[0.9 * x + 0.4 + 0.3 * v], [0.5 * x - 0.7 + 0.8 * v]],
+        Noise((v,)),
+        [[0.9, 0.1], [0.3, 0.7]],
+        [[x + 0.5 * w], [2 * x - 1 + (1 + x / 2) * w]],
+        Noise((w,)),
+        [(0.6, [0.3], [[1.2]]), (0.4, [-0.5], [[0.7]])],
+        indicator=told,
+        **options,
+    )
 
 
 @pytest.mark.parametrize("batch", [(7,), (7, 1), (1, 7)])
@@ -296,10 +319,15 @@ def test_angles_are_taken_nearest_to_what_is_expected():
 
     def system(period):
         return SwitchingSystem(
-            (x, y), [[x + v, y], [x - v / 2, y / 2 + v]], Noise((v,)), [[0.8, 0.2], [0.3, 0.7]],
-            [[x + 0.4 * p, y + q], [x + 0.7 * p, y - q / 2]], Noise((p, q)),
-            [(0.5, [3.0, 0.5], np.eye(2))] * 2, period=period,
-        )  # fmt: skip
+            (x, y),
+            [[x + v, y], [x - v / 2, y / 2 + v]],
+            Noise((v,)),
+            [[0.8, 0.2], [0.3, 0.7]],
+            [[x + 0.4 * p, y + q], [x + 0.7 * p, y - q / 2]],
+            Noise((p, q)),
+            [(0.5, [3.0, 0.5], np.eye(2))] * 2,
+            period=period,
+        )
 
     angles, times = system({0: 2 * np.pi}), np.arange(4.0)
     record = system(None).simulate(times, 30, 1).measurements
@@ -322,10 +350,15 @@ def test_angles_are_taken_nearest_to_what_is_expected():
 @pytest.mark.parametrize("indicator", [False, True])
 def test_paths_that_are_lost_are_marked_and_leave_the_others_alone(indicator):
     system = SwitchingSystem(
-        (x,), [[x**3 + v], [x / 2 + v]], Noise((v,)), [[0.9, 0.1], [0.5, 0.5]], [[x + w]] * 2,
-        Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        (x,),
+        [[x**3 + v], [x / 2 + v]],
+        Noise((v,)),
+        [[0.9, 0.1], [0.5, 0.5]],
+        [[x + w]] * 2,
+        Noise((w,)),
+        [(0.5, [0], [[1]])] * 2,
         indicator=[[0.9, 0.1], [0.2, 0.8]] if indicator else None,
-    )  # fmt: skip
+    )
     filter, times = SwitchingFilter(system, Taylor()), np.arange(12.0)
     record = np.zeros((12, 1, 3))
     record[:, 0, 1] = 1e110
@@ -351,8 +384,10 @@ def test_threads_give_equal_bits():
         found = filter.run(data.times, data.measurements[..., :8193], workers=2)
         assert_array_equal(found.mean, whole.mean[..., :8193])
         again = pickle.loads(pickle.dumps(filter))
-        assert_array_equal(again.run(data.times, data.measurements[..., :9]).mean,
-                           filter.run(data.times, data.measurements[..., :9]).mean)  # fmt: skip
+        assert_array_equal(
+            again.run(data.times, data.measurements[..., :9]).mean,
+            filter.run(data.times, data.measurements[..., :9]).mean,
+        )
 
 
 def test_fits_of_ones_own_forecast():

@@ -154,8 +154,11 @@ def test_measurement_is_the_mixture_over_the_parts(batch, parts):
             weights.append(ahead.prob[(i, *inside)] * w.mass[inside])
             means.append([*at(w.state.mean, 1, inside), *at(w.value.mean, 1, inside)])
             cross = at(w.value.cross, 2, inside)
-            covs.append(np.block([[at(w.state.cov, 2, inside), cross],
-                                  [cross.T, at(w.value.cov, 2, inside)]]))  # fmt: skip
+            covs.append(
+                np.block(
+                    [[at(w.state.cov, 2, inside), cross], [cross.T, at(w.value.cov, 2, inside)]]
+                )
+            )
         mean, cov = together(weights, means, covs)
         assert_allclose(found.prob[here], sum(weights), **TIGHT)
         wanted = mean[:2], cov[:2, :2], mean[2:], cov[:2, 2:], cov[2:, 2:]
@@ -183,9 +186,12 @@ def test_printed_form_divides_by_the_forecast_probability():
             cross = w.value.cross[..., path] @ share + np.einsum("g,ig,jg->ij", share, state, value)
             square = w.value.cov[..., path] @ share + np.einsum("g,ig,jg->ij", share, value, value)
             values = (
-                mean, ahead.cov[:, :, i, column, path], shown, cross - np.outer(mean, shown),
+                mean,
+                ahead.cov[:, :, i, column, path],
+                shown,
+                cross - np.outer(mean, shown),
                 square - np.outer(shown, shown),
-            )  # fmt: skip
+            )
         for part, wanted in zip(law, values, strict=True):
             assert_allclose(part[..., i, path], wanted, **TIGHT)
 
@@ -312,9 +318,13 @@ def test_measurement_with_dependent_noises_by_quadrature(shown):
             total += [(share * part).sum() for part in parts]
         mass, first, second, mean, cross, square = total
         wanted = moments_of(
-            mass, first, second, mean / mass, cross / mass - first * mean / mass**2,
+            mass,
+            first,
+            second,
+            mean / mass,
+            cross / mass - first * mean / mass**2,
             square / mass - (mean / mass) ** 2,
-        )  # fmt: skip
+        )
         parts = found.prob, found.mean[0], found.cov[0, 0], *(np.squeeze(m) for m in found.moments)
         assert_allclose([part[i, path] for part in parts], wanted, **CLOSE)
 
@@ -352,11 +362,15 @@ def test_forecast_and_measurement_with_independent_noises_by_quadrature():
     told = ((0.0, 0.1, 0.7), (1.0, 0.3, 0))
     away, tell = ([bump(x, *part, sympy.exp) for part in parts] for parts in (leave, told))
     system = SwitchingSystem(
-        (x,), [[0.8 * x + 0.5 * v], [0.3 * x + 1 - v]], Noise((v,), mean=0.4, cov=[[0.7]]),
-        [[1 - away[0], away[0]], [away[1], 1 - away[1]]], [[x + 2 * w], [x / 2 - w]],
-        Noise((w,), mean=-0.3, cov=[[0.6]]), [(0.5, [0], [[1]])] * 2,
+        (x,),
+        [[0.8 * x + 0.5 * v], [0.3 * x + 1 - v]],
+        Noise((v,), mean=0.4, cov=[[0.7]]),
+        [[1 - away[0], away[0]], [away[1], 1 - away[1]]],
+        [[x + 2 * w], [x / 2 - w]],
+        Noise((w,), mean=-0.3, cov=[[0.6]]),
+        [(0.5, [0], [[1]])] * 2,
         indicator=[[1 - p, p] for p in tell],
-    )  # fmt: skip
+    )
     rules, law = SwitchingRules(system, ExactGaussian()), random_law(np.random.default_rng(1), 1, 2)
     push, shift = 0.4 + np.sqrt(0.7) * NOISE, -0.3 + np.sqrt(0.6) * NOISE
     moves = (lambda s, n: 0.8 * s + 0.5 * n), (lambda s, n: 0.3 * s + 1 - n)
@@ -433,8 +447,11 @@ def test_expansions_are_gaussian_means_of_the_products_of_expansions():
     whole = StochasticMap.from_functions(2, 2, flat.value, PAIR, weight=flat.weight)
     found = Taylor().weighted(branch)(0.0, mean, cov)
     wanted = GaussHermite(5).weighted(whole)(0.0, mean, cov)
-    parts = zip((found.mass, *found.state, *found.value), (wanted.mass, *wanted.state,
-                *wanted.value), strict=True)  # fmt: skip
+    parts = zip(
+        (found.mass, *found.state, *found.value),
+        (wanted.mass, *wanted.state, *wanted.value),
+        strict=True,
+    )
     for part, value in parts:
         assert_allclose(part, value, **TIGHT)
 
@@ -478,9 +495,14 @@ def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, me
     """A weight of 1/2 and slope 1/4 at zero: A' D A' = A² exactly for D = 4, below it for D = 3."""
     leave = (1 + sympy.sin(x / 2)) / 2
     system = SwitchingSystem(
-        (x,), [[x + v], [x + v]], Noise((v,)), [[1 - leave, leave], [0.5, 0.5]], [[x + w]] * 2,
-        Noise((w,)), [(1, [0], [[1]]), (0, [0], [[1]])],
-    )  # fmt: skip
+        (x,),
+        [[x + v], [x + v]],
+        Noise((v,)),
+        [[1 - leave, leave], [0.5, 0.5]],
+        [[x + w]] * 2,
+        Noise((w,)),
+        [(1, [0], [[1]]), (0, [0], [[1]])],
+    )
     state = SwitchingFilter(system, Taylor()).initial()
     law = state.law._replace(cov=np.full((1, 1, 2, 1), variance))
     found = SwitchingRules(system, Taylor()).predict(0.0, ModeLaw(*(p[..., 0] for p in law)))
@@ -497,9 +519,10 @@ def memories(count, seed, scale=0.7):
     rng = np.random.default_rng(seed)
     chance = rng.uniform(size=count)
     return ModeLaw.of(
-        np.array([chance, 1 - chance]), scale * rng.standard_normal((1, 2, count)),
+        np.array([chance, 1 - chance]),
+        scale * rng.standard_normal((1, 2, count)),
         rng.uniform(0.1, 1.0, (1, 1, 2, count)),
-    )  # fmt: skip
+    )
 
 
 def test_printed_normalisation_depends_on_the_origin():

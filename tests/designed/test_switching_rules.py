@@ -24,10 +24,16 @@ WEIGHTS = WEIGHTS / WEIGHTS.sum()
 
 def system(chain=None, **options):
     return SwitchingSystem(
-        (x,), MOVES, Noise((v,)), chain or [[1 - LEAVE, LEAVE], [0.3, 0.7]],
-        [[x + t + 0.5 * w], [2 * x - 1 + (1 + x / 2) * w]], Noise((w,)),
-        [(0.6, [0.3], [[1.2]]), (0.4, [-0.5], [[0.7]])], time=t, **options,
-    )  # fmt: skip
+        (x,),
+        MOVES,
+        Noise((v,)),
+        chain or [[1 - LEAVE, LEAVE], [0.3, 0.7]],
+        [[x + t + 0.5 * w], [2 * x - 1 + (1 + x / 2) * w]],
+        Noise((w,)),
+        [(0.6, [0.3], [[1.2]]), (0.4, [-0.5], [[0.7]])],
+        time=t,
+        **options,
+    )
 
 
 def law(*batch):
@@ -51,9 +57,7 @@ def parts(law):
 def test_state_that_moves_the_mode_before_the_new_mode_moves_the_state():
     """Moments of the state weighed by the chance of each switch, at its time; then the move."""
     far = x**2 / (1 + x**2) / (1 + t)
-    rules = SwitchingRules(
-        system([[1 - far, far], [0.3, 0.7]], drives="new"), GaussHermite(5)
-    )  # fmt: skip
+    rules = SwitchingRules(system([[1 - far, far], [0.3, 0.7]], drives="new"), GaussHermite(5))
     before = law(3)
     prob, mean, var = parts(before)
     switched, found = parts(rules.switched(NOW, before)), parts(rules.predict(NOW, before))
@@ -77,9 +81,7 @@ def test_state_that_moves_the_mode_before_the_new_mode_moves_the_state():
 def test_forecast_is_split_by_the_indicator_that_will_be_seen(batch):
     """A probability of the next state, by nodes of the state and of the noise."""
     seen = 1 / (2 + x**2)
-    rules = SwitchingRules(
-        system(indicator=[[seen, 1 - seen], [0.5, 0.5]]), GaussHermite(5)
-    )  # fmt: skip
+    rules = SwitchingRules(system(indicator=[[seen, 1 - seen], [0.5, 0.5]]), GaussHermite(5))
     assert rules.split is True
     before = law(*batch)
     found = rules.predict(NOW, before)
@@ -92,10 +94,12 @@ def test_forecast_is_split_by_the_indicator_that_will_be_seen(batch):
         for l, g in np.ndindex(2, 2):
             tell = [1 / (2 + at**2) if l == 0 else np.full_like(at, 0.5) for at in inside]
             mass = [
-                before.prob[(i, *path)] * CHAIN_NOW[i, l] * np.outer(WEIGHTS, WEIGHTS)
+                before.prob[(i, *path)]
+                * CHAIN_NOW[i, l]
+                * np.outer(WEIGHTS, WEIGHTS)
                 * (1 - tell[i] if g else tell[i])
                 for i in range(2)
-            ]  # fmt: skip
+            ]
             wanted = mixed(np.ravel(mass), np.ravel(inside), 0.0)
             for part, value in zip(parts(found), wanted, strict=True):
                 assert_allclose(part[(l, g, *path)], value, rtol=1e-9)
@@ -169,10 +173,16 @@ def twins(dependent):
     )
     leave, told = leaves(t, x, v), [tells(i)(t, x, w) for i in (0, 1)]
     written = SwitchingSystem(
-        (x,), [[moves(a, b)(t, x, v)] for a, b in slopes], Noise((v,)), [[1 - leave, leave]] * 2,
-        [[shows(i)(t, x, w)] for i in (0, 1)], Noise((w,)), initial,
-        indicator=[[1 - p, p] for p in told], time=t,
-    )  # fmt: skip
+        (x,),
+        [[moves(a, b)(t, x, v)] for a, b in slopes],
+        Noise((v,)),
+        [[1 - leave, leave]] * 2,
+        [[shows(i)(t, x, w)] for i in (0, 1)],
+        Noise((w,)),
+        initial,
+        indicator=[[1 - p, p] for p in told],
+        time=t,
+    )
     return plain, written
 
 

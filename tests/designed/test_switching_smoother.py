@@ -25,8 +25,9 @@ def target(switch=SWITCH, alike=False, **options):
     v, w, rows, sees = sympy.symbols("v1 v2"), sympy.Symbol("w"), [], []
     for i in (0, 0) if alike else (0, 1):
         spread = sympy.Matrix(np.linalg.cholesky(NOISES[i])) * sympy.Matrix(v)
-        rows.append(list(sympy.Matrix(MOVES[i]) * sympy.Matrix(STATE)
-                         + sympy.Matrix(PUSHES[i]) + spread))  # fmt: skip
+        rows.append(
+            list(sympy.Matrix(MOVES[i]) * sympy.Matrix(STATE) + sympy.Matrix(PUSHES[i]) + spread)
+        )
         sees.append([STATE[0] + np.sqrt(SENSORS[i]) * w])
     initial = [(p, np.zeros(2), COV0) for p in FIRST]
     return SwitchingSystem(
@@ -166,10 +167,15 @@ def test_state_that_moves_its_modes_and_the_indicator_is_near_the_law_on_a_grid(
     x, v, w = sympy.symbols("x v w")
     up, far = 0.05 + 0.9 * (1 + sympy.erf(x)) / 2, 0.5 + 0.45 * x / sympy.sqrt(0.2 + x**2)
     system = SwitchingSystem(
-        (x,), [[0.8 * x + 0.5 + 0.4 * v], [0.8 * x - 0.5 + 0.6 * v]], Noise((v,)),
-        [[1 - up, up], [1 - up, up]], [[x + 0.7 * w]] * 2, Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        (x,),
+        [[0.8 * x + 0.5 + 0.4 * v], [0.8 * x - 0.5 + 0.6 * v]],
+        Noise((v,)),
+        [[1 - up, up], [1 - up, up]],
+        [[x + 0.7 * w]] * 2,
+        Noise((w,)),
+        [(0.5, [0], [[1]])] * 2,
         indicator=[[0.8, 0.2], [0.3, 0.7] if blind else [far, 1 - far]],
-    )  # fmt: skip
+    )
     times, grid = np.arange(8.0), np.linspace(-5, 5, 301)
     data = system.simulate(times, 40, 2)
     y, shown = np.array(data.measurements), np.array(data.indicators)

@@ -87,8 +87,9 @@ def by_hand(filter, y, shown):
             past += [z] if memory.estimates else [measured]
         there, blind = ~np.isnan(y[k, 0]), looked_up(step.blind, [*told, *past])
         seen = looked_up(step.shown, [*told, np.nan_to_num(y[k, 0]), *past])
-        row = [None if a is None else np.where(there, a, b)
-               for a, b in zip(seen, blind, strict=True)]  # fmt: skip
+        row = [
+            None if a is None else np.where(there, a, b) for a, b in zip(seen, blind, strict=True)
+        ]
         found.append(row)
         blocks.insert(0, (row[0][0], row[1], None if shown is None else shown[k], y[k, 0]))
     return found
@@ -165,8 +166,11 @@ def test_order_change_and_size_of_tables(table):
     parts = [part for each in tables for part in each[1:] if part is not None]
     assert table.bytes == sum(part.nbytes for part in parts)
     assert isinstance(table, TableFilter)
-    said = [f"{a.count} nodes from {a.low:g} to {a.high:g}" for a in table.steps[1].shown.axes
-            if isinstance(a, Axis)]  # fmt: skip
+    said = [
+        f"{a.count} nodes from {a.low:g} to {a.high:g}"
+        for a in table.steps[1].shown.axes
+        if isinstance(a, Axis)
+    ]
     assert all(each in str(table) for each in said)
     some = table.taking([0, 1])
     assert_array_equal(some.predicted.rms[0], table.predicted.rms[0])
@@ -233,9 +237,15 @@ def test_forecasts_go_by_the_nodes_to_the_next_measurement():
 def test_tables_of_several_components_see_a_measurement_as_a_whole():
     """Functions of two measurements and two estimates; by regression on paths."""
     filter = simulated_synthesis(
-        zoo.van_der_pol(), large_order(1), [0.0, 0.5], paths=500, seed=1, nodes=0,
-        z=[(-4, 4, 9), (-5, 5, 7)], y=[(-3, 14, 9), (-8, 8, 6)],
-    )  # fmt: skip
+        zoo.van_der_pol(),
+        large_order(1),
+        [0.0, 0.5],
+        paths=500,
+        seed=1,
+        nodes=0,
+        z=[(-4, 4, 9), (-5, 5, 7)],
+        y=[(-3, 14, 9), (-8, 8, 6)],
+    )
     y = np.random.default_rng(1).normal(size=(2, 2, 5))
     found = filter.run([0.0, 0.5], y).mean
     assert found.shape == (2, 2, 5)
@@ -251,8 +261,10 @@ def cubic_sensor():
     a, b, c = sympy.symbols("a b c", real=True)
     return DiscreteSystem(
         StochasticMap((a,), [a / (1 + a**2) + b], Noise((b,))),
-        StochasticMap((a,), [a**3 + a + c], Noise((c,))), [0.1], [[1.16]],
-    )  # fmt: skip
+        StochasticMap((a,), [a**3 + a + c], Noise((c,))),
+        [0.1],
+        [[1.16]],
+    )
 
 
 def root(t, forecast, y):

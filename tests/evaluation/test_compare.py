@@ -127,13 +127,16 @@ def test_errors_and_paired_differences_are_those_of_the_paths():
     late = [(e**2)[2:5].mean(axis=0) / (2 * found[n].average[:, None]) for n, e in errors.items()]
     for field, error, wanted in (
         ("rms", "error", (found["guess"].rms - found["bank"].rms, np.subtract(*influence))),
-        ("average", "average_error", (found["guess"].average - found["bank"].average,
-                                      np.subtract(*late))),
+        (
+            "average",
+            "average_error",
+            (found["guess"].average - found["bank"].average, np.subtract(*late)),
+        ),
         ("square", "square_error", (gap.mean(axis=1), gap)),
         ("average_square", "average_square_error", (gap[2:5].mean(), gap[2:5].mean(axis=0))),
         ("mode", "mode_error", (miss.mean(axis=1), miss)),
         ("average_mode", "average_mode_error", (miss[2:5].mean(), miss[2:5].mean(axis=0))),
-    ):  # fmt: skip
+    ):
         np.testing.assert_allclose(getattr(apart, field), wanted[0], rtol=1e-7, err_msg=field)
         spread = averaged(wanted[1])[1]
         np.testing.assert_allclose(getattr(apart, error), spread, rtol=1e-6, err_msg=field)

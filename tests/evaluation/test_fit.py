@@ -82,8 +82,9 @@ def test_records_with_gaps_and_inputs_of_their_own_are_fitted_by_the_sum_of_thei
     H, noise, D, _ = linear_system().sensor.formulas
     start = model.mean0, model.cov0
     own = {u: row[:, None] * [1.0, 0.3, -0.5] for u, row in INPUTS.items()}
-    each = [linear_numbers(TIMES, {u: v[:, k] for u, v in own.items()}, means=False)
-            for k in range(3)]  # fmt: skip
+    each = [
+        linear_numbers(TIMES, {u: v[:, k] for u, v in own.items()}, means=False) for k in range(3)
+    ]
     y = np.stack([record(one, seed)[1] for seed, one in enumerate(each)], axis=-1)
 
     def exact(g):
@@ -107,10 +108,15 @@ def test_indicators_of_each_record_are_told():
     x, v, w = sp.symbols("x v w")
     level = Parameter("c", 0.2)
     system = SwitchingSystem(
-        (x,), [[0.8 * x + v], [0.3 * x + 1 + v]], Noise((v,)), [[0.9, 0.1], [0.2, 0.8]],
-        [[x + w], [x + level + w / 2]], Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        (x,),
+        [[0.8 * x + v], [0.3 * x + 1 + v]],
+        Noise((v,)),
+        [[0.9, 0.1], [0.2, 0.8]],
+        [[x + w], [x + level + w / 2]],
+        Noise((w,)),
+        [(0.5, [0], [[1]])] * 2,
         indicator=[[0.8, 0.2], [0.1, 0.9]],
-    )  # fmt: skip
+    )
     times, bank = range(20), SwitchingFilter(system, Taylor())
     with assigned({level: 1.5}):
         data = system.simulate(times, 3, 1)
@@ -133,10 +139,14 @@ def test_a_filter_on_a_grid_is_made_for_every_value():
     x, v, w = sp.symbols("x v w")
     deviation = Parameter("s", 1.0, positive=True)
     system = SwitchingSystem(
-        (x,), [[0.8 * x + 0.5 * v], [0.3 * x + 1 + 0.5 * v]], Noise((v,)),
-        [[0.9, 0.1], [0.2, 0.8]], [[x + deviation * w]] * 2, Noise((w,)),
+        (x,),
+        [[0.8 * x + 0.5 * v], [0.3 * x + 1 + 0.5 * v]],
+        Noise((v,)),
+        [[0.9, 0.1], [0.2, 0.8]],
+        [[x + deviation * w]] * 2,
+        Noise((w,)),
         [(0.5, [0], [[1]])] * 2,
-    )  # fmt: skip
+    )
     axis, times = (-5.0, 5.0, 21), np.arange(15.0)
     with assigned({deviation: 0.5}):
         y = np.asarray(system.simulate(times, 1, 2).measurements)[..., 0]

@@ -46,9 +46,7 @@ KINDS = {  # function, normal of its switching plane, places of the kinks along 
     "larger": (sp.Max(x - 0.4 * y + 0.1, 0.3 * x + y - 0.7), (0.7, -1.4), (-0.8,)),
     "smaller": (sp.Min(x - 0.4 * y + 0.1, 0.3 * x + y - 0.7) * x, (0.7, -1.4), (-0.8,)),
     "pieces": (sp.Piecewise((x + 2 * y, x < 0.3), (x * y + 1, True)), (1, 0), (0.3,)),
-    "two pieces of three": (
-        sp.Piecewise((x, x <= -1), (x**3, x > -1), (0, True)), (1, 0), (-1.0,)
-    ),
+    "two pieces of three": (sp.Piecewise((x, x <= -1), (x**3, x > -1), (0, True)), (1, 0), (-1.0,)),
     "exponential of a modulus": (sp.exp(-0.7 * abs(x + y - 0.2) + 0.1 * x), (1, 1), (0.2,)),
     "sine of a modulus": (sp.sin(abs(x + y - 0.2) + 0.3), (1, 1), (0.2,)),
     "bell and modulus": (abs(x) * sp.exp(y / 2 - x**2), (1, 0), (0.0,)),
@@ -61,10 +59,12 @@ KINDS = {  # function, normal of its switching plane, places of the kinks along 
     "its complement": (x - x * normal_cdf(0.4 - 1.1 * x), (1, 0), ()),
     "norm": (2 * sp.sqrt(x**2 + 2 * (y - 1) ** 2 + 1) + 3 * y, (1, 0), ()),
     "two norms": (
-        (sp.sqrt(x**2 + 2 * y**2 + 1) + 2) * (3 * sp.sqrt(x**2 + 2 * y**2 + 1) - 1), (1, 0), ()
+        (sp.sqrt(x**2 + 2 * y**2 + 1) + 2) * (3 * sp.sqrt(x**2 + 2 * y**2 + 1) - 1),
+        (1, 0),
+        (),
     ),
     "root of a square": (sp.sqrt((x + 2 * y - 0.3) ** 2) * x, (1, 2), (0.3,)),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -161,33 +161,41 @@ def test_planes_across_three_variables_match_simulation():
 ALIKE = {
     "root of an expanded square": (sp.sqrt(sp.expand((2 * y - x) ** 2)), abs(2 * y - x)),
     "power 3/2 of a square": (
-        sp.expand((x - y / 2 + 1) ** 2) ** sp.Rational(3, 2), abs(x - y / 2 + 1) ** 3
+        sp.expand((x - y / 2 + 1) ** 2) ** sp.Rational(3, 2),
+        abs(x - y / 2 + 1) ** 3,
     ),
     "decimal root": ((x**2 + 3 * y**2 + 1) ** 0.5, sp.sqrt(x**2 + 3 * y**2 + 1)),
-    "numbers to powers": (sp.cbrt(5) * sp.sin(x) + sp.sqrt(3) ** x, 5 ** (1 / 3) * sp.sin(x)
-                          + sp.exp(x * sp.log(3) / 2)),
+    "numbers to powers": (
+        sp.cbrt(5) * sp.sin(x) + sp.sqrt(3) ** x,
+        5 ** (1 / 3) * sp.sin(x) + sp.exp(x * sp.log(3) / 2),
+    ),
     "an affine difference": (
         sp.Max(sp.sqrt(2) * (x + sp.sin(y)), sp.sqrt(2) * sp.sin(y)),
         sp.sqrt(2) * (sp.Max(x, 0) + sp.sin(y)),
     ),
     "a constant difference": (sp.Max(x * (x + 1), x**2 + x - 2, evaluate=False), x**2 + x),
     "exponent on one side": (
-        sp.exp(y * sp.Heaviside(x, HALF)), sp.Heaviside(x) * sp.exp(y) + sp.Heaviside(-x)
+        sp.exp(y * sp.Heaviside(x, HALF)),
+        sp.Heaviside(x) * sp.exp(y) + sp.Heaviside(-x),
     ),
     "equal half-spaces": (
-        sp.Heaviside(3 * x - y, 0) * sp.Heaviside(x - y / 3, 0), sp.Heaviside(3 * x - y)
+        sp.Heaviside(3 * x - y, 0) * sp.Heaviside(x - y / 3, 0),
+        sp.Heaviside(3 * x - y),
     ),
     "both sides": (
-        sp.Heaviside(x - 2 * y + 0.3, 0) + sp.Heaviside(-3 * (x - 2 * y + 0.3), 0), sp.S.One
+        sp.Heaviside(x - 2 * y + 0.3, 0) + sp.Heaviside(-3 * (x - 2 * y + 0.3), 0),
+        sp.S.One,
     ),
     "opposite sides": (sp.Heaviside(x - y, 0) * sp.Heaviside(y - x, 0), sp.S.Zero),
     "pieces": (
-        sp.Piecewise((x, x < 1), (y, x >= 1)), x * sp.Heaviside(1 - x) + y * sp.Heaviside(x - 1)
+        sp.Piecewise((x, x < 1), (y, x >= 1)),
+        x * sp.Heaviside(1 - x) + y * sp.Heaviside(x - 1),
     ),
     "error function of a constant": (
-        sp.erf(x * (x + 1) - x**2 - x + 1, evaluate=False) * x, sp.erf(1) * x
+        sp.erf(x * (x + 1) - x**2 - x + 1, evaluate=False) * x,
+        sp.erf(1) * x,
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", ALIKE)
@@ -340,10 +348,12 @@ def test_batch_axes_are_aligned_at_the_end(make, name, rank):
         batch = np.broadcast_shapes(of_mean, of_cov)
         found = function(mean, cov)
         assert found.shape[found.ndim - len(batch) :] == batch
-        means = np.broadcast_to(mean.reshape(2, *(1,) * (len(batch) - len(of_mean)), *of_mean),
-                                (2, *batch))  # fmt: skip
-        covs = np.broadcast_to(cov.reshape(2, 2, *(1,) * (len(batch) - len(of_cov)), *of_cov),
-                               (2, 2, *batch))  # fmt: skip
+        means = np.broadcast_to(
+            mean.reshape(2, *(1,) * (len(batch) - len(of_mean)), *of_mean), (2, *batch)
+        )
+        covs = np.broadcast_to(
+            cov.reshape(2, 2, *(1,) * (len(batch) - len(of_cov)), *of_cov), (2, 2, *batch)
+        )
         for index in np.ndindex(*batch):
             one = function(means[:, *index], covs[:, :, *index])
             assert found[..., *index] == pytest.approx(one, rel=1e-11, abs=1e-12)

@@ -62,9 +62,17 @@ def test_modulus_against_quadrature(seed):
 
 @pytest.mark.parametrize(
     ("mean", "var", "error_var"),
-    [(1, 1, 0.5), (0.3, 2.0, 1.99), (0, 1, 0.1), (1, 1, 2e-5), (3, 1, 1e-9), (0.2, 1, 0.999),
-     (5, 1, 0.1), (0, 1, 1e-12)],
-)  # fmt: skip
+    [
+        (1, 1, 0.5),
+        (0.3, 2.0, 1.99),
+        (0, 1, 0.1),
+        (1, 1, 2e-5),
+        (3, 1, 1e-9),
+        (0.2, 1, 0.999),
+        (5, 1, 0.1),
+        (0, 1, 1e-12),
+    ],
+)
 def test_errors_of_the_modulus_to_forty_digits(mean, var, error_var):
     """One integral over the estimate, of the gap between E|x| and |xhat|."""
     with mp.workdps(40):

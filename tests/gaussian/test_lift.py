@@ -56,13 +56,15 @@ def test_two_restricted_components_of_three_against_quadrature():
     plane = ((area * wu * u)[:, None] * wu).ravel()
     reach = 9 * np.sqrt(cov[2, 2])
     rest, wr = rule(90, mean[2] - reach, mean[2] + reach)
-    points = np.concatenate([
-        np.repeat(triangle, rest.size, axis=1), np.tile(rest, plane.size)[None]
-    ])  # fmt: skip
+    points = np.concatenate(
+        [np.repeat(triangle, rest.size, axis=1), np.tile(rest, plane.size)[None]]
+    )
     found = lift(
         polygon(mean[:2], cov[:2, :2], np.array([corner, corner + a, corner + b])),
-        mean, cov, about,
-    )  # fmt: skip
+        mean,
+        cov,
+        about,
+    )
     assert_moments(found, integrals(points, np.outer(plane, wr).ravel(), mean, cov, about))
 
 

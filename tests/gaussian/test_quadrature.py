@@ -24,11 +24,19 @@ def powers_up_to(n, degree):
 
 @pytest.mark.parametrize(
     ("kind", "arguments", "degree"),
-    [(gauss_hermite, (1, 5), 9), (gauss_hermite, (3, 4), 7), (cubature, (4,), 3),
-     (unscented, (3, 0.0), 3), (unscented, (3, 0.7), 3), (unscented, (4, -1.3), 3),
-     (fifth_degree, (1,), 5), (fifth_degree, (2,), 5), (fifth_degree, (5,), 5),
-     (fifth_degree, (8,), 5)],
-)  # fmt: skip
+    [
+        (gauss_hermite, (1, 5), 9),
+        (gauss_hermite, (3, 4), 7),
+        (cubature, (4,), 3),
+        (unscented, (3, 0.0), 3),
+        (unscented, (3, 0.7), 3),
+        (unscented, (4, -1.3), 3),
+        (fifth_degree, (1,), 5),
+        (fifth_degree, (2,), 5),
+        (fifth_degree, (5,), 5),
+        (fifth_degree, (8,), 5),
+    ],
+)
 def test_rule_is_exact_to_its_degree_and_not_beyond(kind, arguments, degree):
     rule = kind(*arguments)
     n = arguments[0]

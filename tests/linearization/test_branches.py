@@ -48,9 +48,14 @@ def flatten(found):
 
 def by_nodes(map, mean, cov, nodes=30, at=AT):
     return branch_moments(
-        lambda p, noise: map.value(at, p, noise), lambda p, noise: map.weight(at, p, noise),
-        mean, cov, map.noise.mean, map.noise.cov, nodes,
-    )  # fmt: skip
+        lambda p, noise: map.value(at, p, noise),
+        lambda p, noise: map.weight(at, p, noise),
+        mean,
+        cov,
+        map.noise.mean,
+        map.noise.cov,
+        nodes,
+    )
 
 
 def assert_branch(found, map, means, covs, rtol, at=AT, nodes=30):
@@ -149,9 +154,11 @@ def test_taylor_in_a_branch_is_the_exact_mean_of_the_expansions(name):
             return f.subs(here) + sum(parts)
 
         flat = StochasticMap(
-            (x, y), [expanded(f, (x, y, v)) for f in VALUES], NOISE,
+            (x, y),
+            [expanded(f, (x, y, v)) for f in VALUES],
+            NOISE,
             weight=expanded(WEIGHTS[name], (x, y)),
-        )  # fmt: skip
+        )
         exact = by_nodes(flat, means[:, k], covs[..., k], 6)
         for part, wanted in zip(flatten(found), exact, strict=True):
             one = np.broadcast_to(part.T, (3, *np.shape(wanted)[::-1])).T[..., k]

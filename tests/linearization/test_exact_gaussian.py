@@ -47,9 +47,14 @@ def test_noise_inside_sines_and_exponentials_against_nodes():
     numeric = [sympy.lambdify((x, y, v, w), part) for part in values]
     found = moments(values, MEAN, COV / 4, noise)
     exact = branch_moments(
-        lambda p, q: [f(*p, *q) for f in numeric], lambda p, q: 1.0,
-        MEAN, COV / 4, noise.mean, noise.cov, 22,
-    )[3:]  # fmt: skip
+        lambda p, q: [f(*p, *q) for f in numeric],
+        lambda p, q: 1.0,
+        MEAN,
+        COV / 4,
+        noise.mean,
+        noise.cov,
+        22,
+    )[3:]
     for part, wanted in zip(found, exact, strict=True):
         assert_allclose(part, wanted, rtol=1e-9, atol=1e-10)
     small = moments([sin(x + v) * exp(v)], MEAN[:1], [[0.0]], Noise((v,), cov=[[1e-8]])).cov
@@ -143,8 +148,9 @@ def test_filter_of_a_one_sided_sensor_starts_from_next_to_nothing_known(value):
     system = DiscreteSystem(
         StochasticMap([x], [0.9 * x + v], Noise((v,), cov=[[0.25]])),
         StochasticMap([x], [value + w], Noise((w,), cov=[[0.04]])),
-        mean0=300.0, cov0=1e4,
-    )  # fmt: skip
+        mean0=300.0,
+        cov0=1e4,
+    )
     times = np.arange(30.0)
     y = system.simulate(times, 50, seed=1).measurements
     found = assumed_density(system).run(times, y)
@@ -196,11 +202,12 @@ def test_filter_goes_on_from_a_known_state(value):
                 DiscreteSystem(
                     StochasticMap([x], [value + v], Noise((v,), cov=[[0.25]])),
                     StochasticMap([x], [x + w], Noise((w,), cov=[[0.25]])),
-                    mean0=place, cov0=variance,
+                    mean0=place,
+                    cov0=variance,
                 )
             ).run(np.arange(6.0), record)
             for variance in (0.0, 1e-24)
-        )  # fmt: skip
+        )
         for part in ("mean", "cov", "loglik"):
             found = getattr(known, part)
             assert np.isfinite(found).all()
@@ -212,8 +219,9 @@ def test_variance_that_dies_away_leaves_the_filter_alive():
     system = DiscreteSystem(
         StochasticMap([x], [sympy.Max(x, 0) / 2]),
         StochasticMap([x], [x + w], Noise((w,))),
-        mean0=0.5, cov0=1.0,
-    )  # fmt: skip
+        mean0=0.5,
+        cov0=1.0,
+    )
     found = assumed_density(system).run(np.arange(1500.0), np.full((1500, 1, 1), np.nan))
     assert np.isfinite(found.mean).all()
     assert (found.cov >= 0.0).all()

@@ -57,10 +57,12 @@ def by_nodes(mean, cov):
 def by_slopes(mean, cov):
     """First order: central differences at the means, which are exact here."""
     place = np.concatenate([mean, NOISE.mean])
-    slope = np.array([
-        np.subtract(value(*np.split(place + e, [2])), value(*np.split(place - e, [2]))) / 2
-        for e in np.eye(4)
-    ]).T  # fmt: skip
+    slope = np.array(
+        [
+            np.subtract(value(*np.split(place + e, [2])), value(*np.split(place - e, [2]))) / 2
+            for e in np.eye(4)
+        ]
+    ).T
     c, g = slope[:, :2], slope[:, 2:]
     return value(mean, NOISE.mean), cov @ c.T, c @ cov @ c.T + g @ NOISE.cov @ g.T
 
@@ -146,9 +148,17 @@ JUMP, INTENSITY = [w * y, 0.3 * w - x / 2], 0.4 + 0.1 * t
 def test_rates_of_a_jump_diffusion(rule):
     """dm = E b, dP = cov(b, x) + cov(x, b) + E Sigma, with b and Sigma by hand."""
     system = JumpDiffusion(
-        (x, y), DRIFT, DIFFUSION, [x + v], Noise((v,)), [0, 0], np.eye(2),
-        intensity=INTENSITY, jump=JUMP, marks=Noise((w,), mean=0.6, cov=[[0.5]]),
-    )  # fmt: skip
+        (x, y),
+        DRIFT,
+        DIFFUSION,
+        [x + v],
+        Noise((v,)),
+        [0, 0],
+        np.eye(2),
+        intensity=INTENSITY,
+        jump=JUMP,
+        marks=Noise((w,), mean=0.6, cov=[[0.5]]),
+    )
     mean_jump = [part.subs(w, 0.6) for part in JUMP]
     slope = [part.diff(w) for part in JUMP]
     b = [a + INTENSITY * s for a, s in zip(DRIFT, mean_jump, strict=True)]
@@ -220,9 +230,13 @@ def test_maps_that_differ_in_one_thing_have_moments_of_their_own():
     """In a coefficient, the noise, the weight, or the order of the state; made again they agree."""
     mean, cov = np.array([0.4, -1.0]), np.array([[0.3, 0.1], [0.1, 0.5]])
     for state, a, extra, shift, spread in [
-        ((x, y), 2.0, 0, 0.5, 0.7), ((x, y), 3.0, 0, 0.5, 0.7), ((x, y), 2.0, 1, 0.5, 0.7),
-        ((x, y), 2.0, 0, -0.5, 0.7), ((x, y), 2.0, 0, 0.5, 0.2), ((y, x), 2.0, 0, 0.5, 0.7),
-    ] * 2:  # fmt: skip
+        ((x, y), 2.0, 0, 0.5, 0.7),
+        ((x, y), 3.0, 0, 0.5, 0.7),
+        ((x, y), 2.0, 1, 0.5, 0.7),
+        ((x, y), 2.0, 0, -0.5, 0.7),
+        ((x, y), 2.0, 0, 0.5, 0.2),
+        ((y, x), 2.0, 0, 0.5, 0.7),
+    ] * 2:
         map = StochasticMap(state, [a * x**2 + extra + v], Noise((v,), mean=shift, cov=[[spread]]))
         found = ExactGaussian().moments(map)(0.0, mean, cov)
         k = state.index(x)
@@ -260,8 +274,9 @@ def test_moments_of_matrices():
         B, D = np.array([[0.5], [t]]), np.array([[t], [0.3], [-0.7]])
         return [(G, t * np.array([[1.0, 0.3], [0.3, 0.5]]), B), (H, R, D)]
 
-    (G, Q, B), (H, R, D) = ([lambda t, i=i, j=j: matrices(t)[i][j] for j in range(3)]
-                            for i in range(2))  # fmt: skip
+    (G, Q, B), (H, R, D) = (
+        [lambda t, i=i, j=j: matrices(t)[i][j] for j in range(3)] for i in range(2)
+    )
     system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2), B=B, D=D, inputs=(u,))
     means, covs = laws(2)
     for map, (slope, noise, push) in zip(
@@ -322,8 +337,10 @@ def test_a_new_linearization_works_in_filters():
     assert_allclose(found.cov, same.cov, atol=1e-5)
     steps = DiscreteSystem(
         StochasticMap((x,), [x + sympy.sin(x) + v / 2], Noise((v,))),
-        StochasticMap((x,), [x + x**2 / 5 + w], Noise((w,))), [0.5], [[1.0]],
-    )  # fmt: skip
+        StochasticMap((x,), [x + x**2 / 5 + w], Noise((w,))),
+        [0.5],
+        [[1.0]],
+    )
     record = steps.simulate(np.arange(5.0), 6, 1).measurements
     found, same = (
         CovarianceFilter(steps, rule).run(np.arange(5.0), record) for rule in (lattice, exact)

@@ -53,9 +53,13 @@ def test_array_functions_with_known_conditional_moments_need_no_nodes_for_the_no
     symbolic = zoo.kicked_duffing().sensor
     law = np.array([0.4, -1.0]), np.array([[0.8, 0.3], [0.3, 0.5]])
     known = StochasticMap.from_functions(
-        2, 1, symbolic.value, symbolic.noise, mean=symbolic.conditional.mean,
+        2,
+        1,
+        symbolic.value,
+        symbolic.noise,
+        mean=symbolic.conditional.mean,
         cov=symbolic.conditional.cov,
-    )  # fmt: skip
+    )
     pairs = zip(rule.moments(known)(0, *law), rule.moments(symbolic)(0, *law), strict=True)
     for found, exact in pairs:
         assert_allclose(found, exact, rtol=1e-12, atol=1e-12)

@@ -30,9 +30,7 @@ def branch(weight, value=x + v, noise=NOISE):
 
 def filter_of(value, size=1.0, rule=None):
     sensor = StochasticMap((x, y), [value + v], NOISE)
-    system = DiscreteSystem(
-        StochasticMap((x, y), [x, y]), sensor, [0, 0], np.diag([1.0, size**2])
-    )  # fmt: skip
+    system = DiscreteSystem(StochasticMap((x, y), [x, y]), sensor, [0, 0], np.diag([1.0, size**2]))
     return CovarianceFilter(system, rule or ExactGaussian())
 
 

@@ -174,10 +174,16 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
     """Wide noise: densities on the nodes; narrow noise: the moments. Times are not mixed up."""
     stay = [0.3 + 0.6 * sympy.exp(-(x**2) / 2), 0.9 - 0.5 * sympy.exp(-(x**2) / 8)]
     system = SwitchingSystem(
-        (x,), [[x / 2 + t / 5 + 0.3 * scale * v], [0.8 * x - scale * v]], Noise((v,)),
-        [[stay[0], 1 - stay[0]], [1 - stay[1], stay[1]]], [[x + w], [x + w / 2]], Noise((w,)),
-        [(0.2, [1.0], [[1.0]]), (0.8, [-2.0], [[2.0]])], time=t, drives=drives,
-    )  # fmt: skip
+        (x,),
+        [[x / 2 + t / 5 + 0.3 * scale * v], [0.8 * x - scale * v]],
+        Noise((v,)),
+        [[stay[0], 1 - stay[0]], [1 - stay[1], stay[1]]],
+        [[x + w], [x + w / 2]],
+        Noise((w,)),
+        [(0.2, [1.0], [[1.0]]), (0.8, [-2.0], [[2.0]])],
+        time=t,
+        drives=drives,
+    )
     chain = SwitchingChain(system, (-9.0, 9.0, 121))
     nodes, size = chain.axis.nodes, (0.3 * scale, scale)
     at = [45, 60, 82]
@@ -198,18 +204,24 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
                 np.testing.assert_allclose(mass, share * density / density.sum(axis=0), atol=1e-10)
             else:  # a narrow law falls into the cell that it is in
                 np.testing.assert_allclose(nodes @ mass / share, mean, atol=0.0751)
-    wanted = np.concatenate([p * masses(m, np.sqrt(c), nodes, 0.15) for p, m, c in
-                             ((0.2, 1.0, 1.0), (0.8, -2.0, 2.0))])  # fmt: skip
+    wanted = np.concatenate(
+        [p * masses(m, np.sqrt(c), nodes, 0.15) for p, m, c in ((0.2, 1.0, 1.0), (0.8, -2.0, 2.0))]
+    )
     np.testing.assert_allclose(chain.start(), wanted, atol=1e-6)
 
 
 def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
     tells = 1 / (1 + x**2)
     system = SwitchingSystem(
-        (x,), [[x / 2 + v]] * 2, Noise((v,)), [[0.7, 0.3], [0.4, 0.6]],
-        [[x + t + w], [2 * x + w / 2]], Noise((w,)), [(0.5, [0], [[1]])] * 2,
+        (x,),
+        [[x / 2 + v]] * 2,
+        Noise((v,)),
+        [[0.7, 0.3], [0.4, 0.6]],
+        [[x + t + w], [2 * x + w / 2]],
+        Noise((w,)),
+        [(0.5, [0], [[1]])] * 2,
         indicator=[[tells, 1 - tells], [0.3, 0.7]],
-    )  # fmt: skip
+    )
     chain = SwitchingChain(system, (-3.0, 3.0, 12))
     nodes = chain.axis.nodes
     shown = np.array([[0, 1, -1, 1, -1], [0.4, -1.0, 0.7, np.nan, np.nan]])
@@ -254,11 +266,16 @@ def test_modes_in_the_plane_move_with_the_moments_of_their_maps(drives):
     a, b, p, q = sympy.symbols("a b p q", real=True)
     stay = 0.4 + 0.5 * sympy.exp(-(a**2))
     system = SwitchingSystem(
-        (a, b), [[a / 2 + p, b - t * a / 4 + q], [1 - a / 2 + p, b / 2 + q]],
-        Noise((p, q), cov=[[0.3, 0.1], [0.1, 0.4]]), [[stay, 1 - stay], [0.2, 0.8]],
-        [[a + w], [b + w]], Noise((w,)), [(0.7, [0, 0], np.eye(2)), (0.3, [1, 0], np.eye(2))],
-        drives=drives, time=t,
-    )  # fmt: skip
+        (a, b),
+        [[a / 2 + p, b - t * a / 4 + q], [1 - a / 2 + p, b / 2 + q]],
+        Noise((p, q), cov=[[0.3, 0.1], [0.1, 0.4]]),
+        [[stay, 1 - stay], [0.2, 0.8]],
+        [[a + w], [b + w]],
+        Noise((w,)),
+        [(0.7, [0, 0], np.eye(2)), (0.3, [1, 0], np.eye(2))],
+        drives=drives,
+        time=t,
+    )
     chain = SwitchingChain(system, [(-5, 5, 31), (-5, 5, 31)])
     count = chain.nodes.shape[1]
     start = chain.start().reshape(2, -1)

@@ -65,10 +65,16 @@ def as_functions(system):
         return np.full(x.shape[1:], model.mu(t))
 
     return JumpDiffusion.from_functions(
-        drift, diffusion, system.sensor, MEAN0[:2], COV0[:2, :2], intensity=intensity,
-        jump=StochasticMap.from_functions(2, 2, jump, system.jump.noise), parameters=(U,),
+        drift,
+        diffusion,
+        system.sensor,
+        MEAN0[:2],
+        COV0[:2, :2],
+        intensity=intensity,
+        jump=StochasticMap.from_functions(2, 2, jump, system.jump.noise),
+        parameters=(U,),
         step=system.step,
-    )  # fmt: skip
+    )
 
 
 @pytest.mark.filterwarnings("ignore:step. about")
@@ -130,9 +136,15 @@ def test_heun_converges_to_the_integral_of_ito_path_by_path():
     """
     s, c, g, paths = 0.8, 1.5, 0.7, 20_000
     system = JumpDiffusion(
-        (x, y, z), [0, 0, 0], [[s, 0], [c * x, 0], [g * x * y, x]], [x + v], Noise((v,)),
-        [0.0] * 3, np.zeros((3, 3)), step=0.05,
-    )  # fmt: skip
+        (x, y, z),
+        [0, 0, 0],
+        [[s, 0], [c * x, 0], [g * x * y, x]],
+        [x + v],
+        Noise((v,)),
+        [0.0] * 3,
+        np.zeros((3, 3)),
+        step=0.05,
+    )
     states = system.simulate([0.0, 0.5, 1.2], paths, 3, scheme="heun").states
     for k, now in enumerate((0.0, 0.5, 1.2)):
         first, second, third = states[k]
@@ -222,9 +234,13 @@ def test_array_functions_without_noise_and_with_a_sampled_start():
     """dX = -X dt by a step of a thousandth, and the Euler scheme alone."""
     sensor = StochasticMap((x,), [x + v], Noise((v,)))
     system = JumpDiffusion.from_functions(
-        lambda t, x: -x, lambda t, x: np.zeros((1, 0, *x.shape[1:])), sensor, [2.0], [[0.0]],
+        lambda t, x: -x,
+        lambda t, x: np.zeros((1, 0, *x.shape[1:])),
+        sensor,
+        [2.0],
+        [[0.0]],
         step=0.001,
-    )  # fmt: skip
+    )
     states = system.simulate([0.0, 0.5, 1.0], 3, 1).states[:, 0]
     np.testing.assert_allclose(states, 2 * np.exp([[0.0], [-0.5], [-1.0]]) * np.ones(3), rtol=1e-3)
     with pytest.raises(ValueError, match="scheme"):

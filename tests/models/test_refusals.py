@@ -181,13 +181,16 @@ ROWS = [
     (lambda: DiscreteChain(steps(initial=sampled), AXIS), ValueError, "system"),
     (lambda: SwitchingChain(zoo.manoeuvring_target(), AXIS), ValueError, "axes"),
     (lambda: SwitchingChain(modes(sensor=[[x * w**2]] * 2), AXIS), ValueError, "sensor"),
-    (lambda: SwitchingChain(zoo.dependent_switching(), (-9, 9, 5)).transition(0, 1),
-     ValueError, "x"),
+    (
+        lambda: SwitchingChain(zoo.dependent_switching(), (-9, 9, 5)).transition(0, 1),
+        ValueError,
+        "x",
+    ),
     (lambda: PlaneChain(zoo.kicked_duffing(), [AXIS] * 2), ValueError, "system"),
     (lambda: PlaneChain(flow((x, y), diffusion=[[1], [1]]), [AXIS] * 2), ValueError, "system"),
     (lambda: extended_kalman(LinearDiffusion(-1, 0.5, 1, 0.1, 0, 4)), TypeError, "system"),
     (lambda: extended_kalman(modes()), TypeError, "system"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), ROWS)

@@ -61,9 +61,14 @@ def test_a_full_initial_covariance_gives_equal_bits_in_runs_of_any_size():
     root = np.array([[1.1, 0, 0], [0.7, 1.3, 0], [-0.4, 0.9, 0.8]])
     start = [(0.5, [0.1, 0.2, 0.3], root @ root.T)] * 2
     system = SwitchingSystem(
-        x, [[a + b for a, b in zip(x, v, strict=True)]] * 2, Noise(v, cov=root @ root.T),
-        [[0.5, 0.5]] * 2, [[a + b for a, b in zip(x, w, strict=True)]] * 2, Noise(w), start,
-    )  # fmt: skip
+        x,
+        [[a + b for a, b in zip(x, v, strict=True)]] * 2,
+        Noise(v, cov=root @ root.T),
+        [[0.5, 0.5]] * 2,
+        [[a + b for a, b in zip(x, w, strict=True)]] * 2,
+        Noise(w),
+        start,
+    )
     whole = system.simulate(range(2), 1000, 3)
     for paths in (1, 2, 3, 17, 300):
         part = system.simulate(range(2), paths, 3)

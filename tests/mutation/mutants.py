@@ -154,8 +154,15 @@ def mutants_of(package: str, file: str, library: Path = LIBRARY) -> list[Mutant]
     spans = list(functions_of(text))
     module = metadata.MetadataWrapper(cst.parse_module(text))
     places = module.resolve(metadata.ByteSpanPositionProvider)
-    silent = (cst.Raise, cst.Assert, cst.Annotation, cst.Decorator, cst.Import, cst.ImportFrom,
-              cst.BaseString)  # fmt: skip
+    silent = (
+        cst.Raise,
+        cst.Assert,
+        cst.Annotation,
+        cst.Decorator,
+        cst.Import,
+        cst.ImportFrom,
+        cst.BaseString,
+    )
     names_only = {"operator_string", "operator_dict_arguments"}
     mutants: dict[tuple[str, str], Mutant] = {}
 

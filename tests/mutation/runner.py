@@ -41,11 +41,25 @@ class Touches:
             path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
             skipped = [f"--ignore={name}" for name in ELSEWHERE]
             subprocess.run(
-                [sys.executable, "-m", "pytest", "-q", "-n2", "--dist=loadscope", "-p", "touches",
-                 "-p", "no:cacheprovider", *skipped, *tests],
-                cwd=ROOT, env={**os.environ, "PYTHONPATH": path, "TOUCHES": folder},
-                check=True, stdout=subprocess.DEVNULL,
-            )  # fmt: skip
+                [
+                    sys.executable,
+                    "-m",
+                    "pytest",
+                    "-q",
+                    "-n2",
+                    "--dist=loadscope",
+                    "-p",
+                    "touches",
+                    "-p",
+                    "no:cacheprovider",
+                    *skipped,
+                    *tests,
+                ],
+                cwd=ROOT,
+                env={**os.environ, "PYTHONPATH": path, "TOUCHES": folder},
+                check=True,
+                stdout=subprocess.DEVNULL,
+            )
             for file in Path(folder).glob("touches.*.json"):
                 self.seconds |= json.loads(file.read_text())
             for file in set(Path(folder).glob("touches.*")) - set(Path(folder).glob("*.json")):

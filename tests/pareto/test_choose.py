@@ -6,9 +6,18 @@ from seedslib.pareto import choose
 
 # squared errors of a filter that keeps the J oldest innovations, J = 0..10
 TRUNCATION = [
-    1.938729, 1.879386, 1.869233, 1.866560, 1.865813, 1.865606, 1.865440, 1.864595, 1.862608,
-    1.860317, 1.858970,
-]  # fmt: skip
+    1.938729,
+    1.879386,
+    1.869233,
+    1.866560,
+    1.865813,
+    1.865606,
+    1.865440,
+    1.864595,
+    1.862608,
+    1.860317,
+    1.858970,
+]
 
 
 def brute_choice(values):

@@ -10,12 +10,16 @@ SEGMENTS = {  # criteria, segment, minimisers
     "square, cube": ((lambda x: x**2, lambda x: (1 - x) ** 3), (0, 1), (0, 1)),
     "two squares": ((lambda x: x**2, lambda x: (x - 3) ** 2), (-5, 5), (0, 3)),
     "exponential, hyperbola": (
-        (mpmath.exp, lambda x: 1 / (mpmath.mpf("0.1") + x)), (0, 2), (0, 2),
+        (mpmath.exp, lambda x: 1 / (mpmath.mpf("0.1") + x)),
+        (0, 2),
+        (0, 2),
     ),
     "quartic, cosh": (
-        (lambda x: (x - 1) ** 2 + (x - 1) ** 4 / 10, lambda x: mpmath.cosh(x - 3)), (-2, 6), (1, 3),
+        (lambda x: (x - 1) ** 2 + (x - 1) ** 4 / 10, lambda x: mpmath.cosh(x - 3)),
+        (-2, 6),
+        (1, 3),
     ),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", SEGMENTS)

@@ -140,8 +140,9 @@ def system(model):
     return DiscreteSystem(
         StochasticMap(x, model.move(x, sin) + w, Noise(w, cov=model.Q)),
         StochasticMap(x, model.see(x, sin) + v, Noise(v, cov=model.R)),
-        model.mean, model.cov,
-    )  # fmt: skip
+        model.mean,
+        model.cov,
+    )
 
 
 def late(y):

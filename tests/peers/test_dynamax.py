@@ -60,9 +60,11 @@ def pairs(told, name, method, solved):
     ]
     return (
         (filtered.loglik.sum(), theirs["loglik"][0, 0]),
-        (filtered.mean, theirs["filtered_means"]), (filtered.cov, covs[0]),
-        (smoothed.mean, theirs["smoothed_means"]), (smoothed.cov, covs[1]),
-    )  # fmt: skip
+        (filtered.mean, theirs["filtered_means"]),
+        (filtered.cov, covs[0]),
+        (smoothed.mean, theirs["smoothed_means"]),
+        (smoothed.cov, covs[1]),
+    )
 
 
 @pytest.mark.parametrize("name", [name for name in DYNAMAX if "bent" not in name])

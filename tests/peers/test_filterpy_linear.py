@@ -55,14 +55,19 @@ def test_filter_and_smoother(case, held):
     means, covs, _, _ = peer(model).batch_filter(model.y)
     _, _, logliks = looped(model, model.y, peer(model))
     held(
-        "filterpy", "KalmanFilter.batch_filter, with log-likelihood",
-        (filtered.mean[1:], means), (filtered.cov[1:], covs), (filtered.loglik[1:], logliks),
-    )  # fmt: skip
+        "filterpy",
+        "KalmanFilter.batch_filter, with log-likelihood",
+        (filtered.mean[1:], means),
+        (filtered.cov[1:], covs),
+        (filtered.loglik[1:], logliks),
+    )
     late_mean, late_cov, _, _ = peer(model).rts_smoother(means, covs)
     held(
-        "filterpy", "KalmanFilter.rts_smoother",
-        (smoothed.mean[1:], late_mean), (smoothed.cov[1:], late_cov),
-    )  # fmt: skip
+        "filterpy",
+        "KalmanFilter.rts_smoother",
+        (smoothed.mean[1:], late_mean),
+        (smoothed.cov[1:], late_cov),
+    )
 
 
 def test_singular_covariances(held):
@@ -74,10 +79,13 @@ def test_singular_covariances(held):
         peer(model).rts_smoother(means, covs)
     late_mean, late_cov, _, _ = peer(model).rts_smoother(means, covs, inv=np.linalg.pinv)
     held(
-        "filterpy", "KalmanFilter with singular covariances, rts_smoother(inv=pinv)",
-        (filtered.mean[1:], means), (filtered.cov[1:], covs),
-        (smoothed.mean[1:], late_mean), (smoothed.cov[1:], late_cov),
-    )  # fmt: skip
+        "filterpy",
+        "KalmanFilter with singular covariances, rts_smoother(inv=pinv)",
+        (filtered.mean[1:], means),
+        (filtered.cov[1:], covs),
+        (smoothed.mean[1:], late_mean),
+        (smoothed.cov[1:], late_cov),
+    )
 
 
 @pytest.fixture(scope="module")
@@ -98,10 +106,12 @@ def test_a_batch_with_gaps_is_their_loop(gaps, held):
         means, covs, logliks = looped(model, y[..., j], peer(model))
         late_mean, late_cov, _, _ = peer(model).rts_smoother(means, covs)
         pairs += [
-            (filtered.mean[1:, ..., j], means), (filtered.cov[1:, ..., j], covs),
-            (filtered.loglik[1:, j], logliks), (smoothed.mean[1:, ..., j], late_mean),
+            (filtered.mean[1:, ..., j], means),
+            (filtered.cov[1:, ..., j], covs),
+            (filtered.loglik[1:, j], logliks),
+            (smoothed.mean[1:, ..., j], late_mean),
             (smoothed.cov[1:, ..., j], late_cov),
-        ]  # fmt: skip
+        ]
     held(
         "filterpy", "KalmanFilter in a loop over records with gaps, by rows and components", *pairs
     )
@@ -129,19 +139,26 @@ def test_matrices_of_time(held, apart):
     first, y = parts[0], np.stack([part.y[0] for part in parts])
     Fs, Qs, Hs, Rs = ([getattr(part, name) for part in parts] for name in "FQHR")
     made = LinearSystem(
-        lambda t: Fs[int(t)], lambda t: Qs[int(t)], lambda t: Hs[max(int(t) - 1, 0)],
-        lambda t: Rs[max(int(t) - 1, 0)], first.mean, first.cov,
-    )  # fmt: skip
+        lambda t: Fs[int(t)],
+        lambda t: Qs[int(t)],
+        lambda t: Hs[max(int(t) - 1, 0)],
+        lambda t: Rs[max(int(t) - 1, 0)],
+        first.mean,
+        first.cov,
+    )
     filter, times = KalmanFilter(made), np.arange(9.0)
     filtered, smoothed = filter.run(times, late(y)), smooth(filter, times, late(y))
     their = peer(first)
     means, covs, _, _ = their.batch_filter(y, Fs, Qs, Hs, Rs)
     late_mean, late_cov, _, _ = their.rts_smoother(means, covs, Fs, Qs)
     held(
-        "filterpy", "KalmanFilter with matrices of time, filter and smoother",
-        (filtered.mean[1:], means), (filtered.cov[1:], covs),
-        (smoothed.mean[1:], late_mean), (smoothed.cov[1:], late_cov),
-    )  # fmt: skip
+        "filterpy",
+        "KalmanFilter with matrices of time, filter and smoother",
+        (filtered.mean[1:], means),
+        (filtered.cov[1:], covs),
+        (smoothed.mean[1:], late_mean),
+        (smoothed.cov[1:], late_cov),
+    )
     other, _, _, _ = kalman.rts_smoother(means, covs, Fs, Qs)
     reason = "takes F and Q of the step before the one that the filter made; the method is right"
     apart(
@@ -158,8 +175,11 @@ def test_square_roots_and_information(case, held, apart):
     root = peer(model, kalman.SquareRootKalmanFilter)
     inverse = kalman.InformationFilter(len(model.F), len(model.R))
     inverse.x, inverse.P_inv, inverse.F, inverse.Q = (
-        model.mean.copy(), np.linalg.inv(model.cov), model.F, model.Q,
-    )  # fmt: skip
+        model.mean.copy(),
+        np.linalg.inv(model.cov),
+        model.F,
+        model.Q,
+    )
     inverse.H, inverse.R_inv = model.H, np.linalg.inv(model.R)
     inverse.compute_log_likelihood = False  # it takes the information matrix for S
     by_root, by_inverse, printed = [], [], []
@@ -191,9 +211,11 @@ def test_fixed_lag(held, apart):
         wanted.append((mean[k], cov[k]))
     mean, cov = (np.array(part) for part in zip(*wanted, strict=True))
     held(
-        "filterpy", "fixed lag, as rts_smoother of the record up to then",
-        (found.mean[1:], mean), (found.cov[1:], cov),
-    )  # fmt: skip
+        "filterpy",
+        "fixed lag, as rts_smoother of the record up to then",
+        (found.mean[1:], mean),
+        (found.cov[1:], cov),
+    )
 
 
 def test_their_fixed_lag_smoother(held, apart):

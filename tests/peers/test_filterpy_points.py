@@ -80,15 +80,17 @@ def test_unscented_filter_and_smoother(case, points, held):
     means, covs, logliks = looped(peer(model, made), y)
     found = filter.run(times, late(y))
     held(
-        "filterpy", f"UnscentedKalmanFilter, {points.split('(')[0]} points drawn anew",
+        "filterpy",
+        f"UnscentedKalmanFilter, {points.split('(')[0]} points drawn anew",
         *pairs(taken(found), (means, covs, logliks)),
-    )  # fmt: skip
+    )
     smoothed = smooth(filter, times, late(y))
     late_mean, late_cov, _ = peer(model, made).rts_smoother(means, covs)
     held(
-        "filterpy", "UnscentedKalmanFilter.rts_smoother",
+        "filterpy",
+        "UnscentedKalmanFilter.rts_smoother",
         *pairs(taken(smoothed)[:2], (late_mean, late_cov)),
-    )  # fmt: skip
+    )
 
 
 def test_points_close_together_cost_digits(held):

@@ -76,15 +76,17 @@ def test_matrices_of_time(held):
     Fs, Qs, Hs, Rs = (np.stack([getattr(p, k) for p in parts], axis=-1) for k in "FQHR")
     made = LinearSystem(
         *(lambda t, part=part: part[..., int(t)] for part in (Fs, Qs, Hs, Rs)),
-        first.mean, first.cov,
-    )  # fmt: skip
+        first.mean,
+        first.cov,
+    )
     filter, times = KalmanFilter(made), np.arange(10.0)
     theirs = peer(first._replace(F=Fs, Q=Qs, H=Hs, R=Rs), y)
     held(
-        "statsmodels", "KalmanSmoother with matrices of time",
+        "statsmodels",
+        "KalmanSmoother with matrices of time",
         *filtered_pairs(filter.run(times, y), theirs),
         *smoothed_pairs(smooth(filter, times, y), theirs),
-    )  # fmt: skip
+    )
 
 
 def walk(seed, steps=40):
@@ -95,10 +97,12 @@ def walk(seed, steps=40):
 
 
 TREND = np.array([[1.0, 1.0], [0.0, 1.0]])
-SEASON = np.block([
-    [TREND, np.zeros((2, 3))],
-    [np.zeros((3, 2)), np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0]])],
-])  # fmt: skip
+SEASON = np.block(
+    [
+        [TREND, np.zeros((2, 3))],
+        [np.zeros((3, 2)), np.array([[-1.0, -1, -1], [1, 0, 0], [0, 1, 0]])],
+    ]
+)
 
 
 @pytest.mark.parametrize(
@@ -117,9 +121,14 @@ def test_exact_diffuse_start_with_gaps(season, F, H, values, held):
     y[[1, 3, 17, 18, 30]] = np.nan
     r, *q = values
     made = LinearSystem(
-        F, np.diag([*q, *[0.0] * (n - len(q))]), [H], r, np.zeros(n), np.zeros((n, n)),
+        F,
+        np.diag([*q, *[0.0] * (n - len(q))]),
+        [H],
+        r,
+        np.zeros(n),
+        np.zeros((n, n)),
         diffuse=tuple(range(n)),
-    )  # fmt: skip
+    )
     filter, times = KalmanFilter(made), np.arange(40.0)
     model = tsa.UnobservedComponents(
         y, "local linear trend", seasonal=season, use_exact_diffuse=True
@@ -131,9 +140,10 @@ def test_exact_diffuse_start_with_gaps(season, F, H, values, held):
     what = f"UnobservedComponents, trend{' and season' if season else ''}, exact diffuse, gaps"
     held("statsmodels", f"{what}: filter", *filtered_pairs(found, theirs, known))
     held(
-        "statsmodels", f"{what}: smoother",
+        "statsmodels",
+        f"{what}: smoother",
         *smoothed_pairs(smooth(filter, times, y[:, None]), theirs),
-    )  # fmt: skip
+    )
 
 
 def arma(steps=150):
@@ -225,7 +235,7 @@ def test_maximum_likelihood_of_a_season(held):
     Q[0, 0], Q[1, 1] = level, season
     made = LinearSystem(
         F, Q, [[1, 1, 0, 0]], r, np.zeros(4), np.zeros((4, 4)), diffuse=tuple(range(4))
-    )  # fmt: skip
+    )
     best = fit(KalmanFilter(made), np.arange(80.0), y[:, None], free)
     model = tsa.UnobservedComponents(y, "local level", seasonal=4, use_exact_diffuse=True)
     theirs = model.fit(best.values * 1.05, disp=0, method="bfgs", gtol=1e-7, cov_type="none")

@@ -89,9 +89,15 @@ def test_one_cell_is_the_kalman_filter():
     y = system.simulate(8, 1, 4).measurements[..., 0]
     y[3, 0] = np.nan
     model = Linear(
-        [F] * 8, [b] * 8, [G @ G.T] * 8, np.array([H] * 9), np.array([d] * 9),
-        np.array([R @ R.T] * 9), mean0, cov0,
-    )  # fmt: skip
+        [F] * 8,
+        [b] * 8,
+        [G @ G.T] * 8,
+        np.array([H] * 9),
+        np.array([d] * 9),
+        np.array([R @ R.T] * 9),
+        mean0,
+        cov0,
+    )
     found, wanted = PiecewiseLinearFilter(system).run(8, y), kalman(model, y)
     for field in FIELDS[:3]:
         np.testing.assert_allclose(getattr(found, field), getattr(wanted, field), atol=1e-12)
@@ -167,9 +173,13 @@ def test_branches_are_as_many_as_itineraries():
 def test_a_contraction_to_an_edge_keeps_the_weights_for_many_steps(edge, offset):
     """x halves its distance to the edge; the sensor tells the side alone: a closed form."""
     system = PiecewiseLinearSystem(
-        [-INF, edge, INF], ([offset], [[0.5]]), ([[-1.0, 1.0]], [[[0.0, 0.0]]]), [[3.0]],
-        [edge + 0.4], [[1.0]],
-    )  # fmt: skip
+        [-INF, edge, INF],
+        ([offset], [[0.5]]),
+        ([[-1.0, 1.0]], [[[0.0, 0.0]]]),
+        [[3.0]],
+        [edge + 0.4],
+        [[1.0]],
+    )
     found = PiecewiseLinearFilter(system).run(80, np.r_[np.nan, np.ones(80)][:, None])
     above = float(0.5 * (1 + sp.erf(0.4 / sp.sqrt(2)).evalf()))
     odds = above / (1 - above) * np.exp(2 * np.arange(81) / 9.0)
@@ -214,9 +224,13 @@ def test_a_sensor_without_noise_leaves_single_points():
 def test_a_very_sharp_sensor_keeps_the_digits_of_what_is_left():
     """One component is seen with an error of 1e-9; the other is missing in half of the records."""
     system = PiecewiseLinearSystem(
-        [-INF, INF], ([0.0, 0.0], np.eye(2)), ([0.0, 0.0], np.eye(2)[::-1]), np.diag([0.5, 1e-9]),
-        [0.0, 0.0], [[1.0, 0.3], [0.3, 2.0]],
-    )  # fmt: skip
+        [-INF, INF],
+        ([0.0, 0.0], np.eye(2)),
+        ([0.0, 0.0], np.eye(2)[::-1]),
+        np.diag([0.5, 1e-9]),
+        [0.0, 0.0],
+        [[1.0, 0.3], [0.3, 2.0]],
+    )
     y = np.full((2, 2, 4), np.nan)
     y[1, 1], y[1, 0, :2] = 0.7, 0.2
     small, rest = 1e-18 / (1 + 1e-18), 2 - 0.09 / (1 + 1e-18)

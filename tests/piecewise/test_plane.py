@@ -34,9 +34,13 @@ def test_more_cells_with_the_same_coefficients_change_nothing():
     coarse = lozi()
     A = np.asarray(coarse.dynamics[1])
     split = PiecewiseLinearSystem(
-        fine, (coarse.dynamics[0], A[:, :, np.where(left, 0, 1)]), coarse.sensor,
-        coarse.sensor_noise, coarse.mean0, coarse.cov0,
-    )  # fmt: skip
+        fine,
+        (coarse.dynamics[0], A[:, :, np.where(left, 0, 1)]),
+        coarse.sensor,
+        coarse.sensor_noise,
+        coarse.mean0,
+        coarse.cov0,
+    )
     y = coarse.simulate(3, 3, 8).measurements
     one, other = (PiecewiseLinearFilter(s).run(3, y) for s in (coarse, split))
     for field in FIELDS[:3]:
@@ -53,8 +57,11 @@ def test_a_map_of_rank_one_in_the_plane_agrees_with_the_line(slopes):
     plane = PiecewiseLinearSystem(
         line_cells([[1.0], [0.0]], [0.0]),
         ([[1.0, 0.4], [0.0, 0.0]], np.stack([rows, 0 * rows], 1)),
-        ([[0.0, 0.0]], [[[-1.0, 1.0], [0.0, 0.0]]]), [[0.2]], [0.1, 0.3], [[0.25, 0.1], [0.1, 0.5]],
-    )  # fmt: skip
+        ([[0.0, 0.0]], [[[-1.0, 1.0], [0.0, 0.0]]]),
+        [[0.2]],
+        [0.1, 0.3],
+        [[0.25, 0.1], [0.1, 0.5]],
+    )
     y = line.simulate(4, 3, 2).measurements
     one, other = (PiecewiseLinearFilter(s).run(4, y) for s in (line, plane))
     np.testing.assert_allclose(other.mean[:, :1], one.mean, atol=1e-10)

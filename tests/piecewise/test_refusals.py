@@ -13,9 +13,13 @@ X, Z, V, W = sp.symbols("x z v w")
 TENT = PiecewiseLinearFilter(tent())
 START = TENT.predict(TENT.initial(), 2.0)
 LEANING = PiecewiseLinearSystem(
-    [-INF, 0.0, INF], ([0.0, 0.0], [[0.5, 1e-9], [0.0, 1.0]]), ([0.0], [[1.0, 0.0]]), [[1.0]],
-    [0.1, 0.2], np.eye(2),
-)  # fmt: skip
+    [-INF, 0.0, INF],
+    ([0.0, 0.0], [[0.5, 1e-9], [0.0, 1.0]]),
+    ([0.0], [[1.0, 0.0]]),
+    [[1.0]],
+    [0.1, 0.2],
+    np.eye(2),
+)
 
 
 def system(**changes):
@@ -78,10 +82,13 @@ REFUSALS = [
     (system(regions=lozi().regions), ValueError, "mean0"),
     (run(0.1, model=tent(noise=[[0.1]])), ValueError, "system"),
     (run(0.1, model=LEANING), ValueError, "system"),
-    (run([0.0, 1.0], model=wave(6, dynamics=[2 * sp.sin(X)], support="estimate")), ValueError,
-     "system"),
+    (
+        run([0.0, 1.0], model=wave(6, dynamics=[2 * sp.sin(X)], support="estimate")),
+        ValueError,
+        "system",
+    ),
     (lambda: falling_body(0), ValueError, "cells"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), REFUSALS)

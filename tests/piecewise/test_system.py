@@ -75,8 +75,11 @@ def test_maps_of_the_system_for_other_filters():
 
 
 def test_coefficients_with_and_without_an_axis_of_cells():
-    system = tent(dynamics=lambda t: ([t], [[1.0]]), sensor_noise=lambda t: [[0.1 * t, 0.2]],
-                  noise=[[[0.5, 0.7]]])  # fmt: skip
+    system = tent(
+        dynamics=lambda t: ([t], [[1.0]]),
+        sensor_noise=lambda t: [[0.1 * t, 0.2]],
+        noise=[[[0.5, 0.7]]],
+    )
     c, d = system.dynamics_at(3.0), system.sensor_at(2.0)
     assert c.offset.tolist() == [[[3.0], [3.0]]]
     assert c.noise.tolist() == [[[[0.5], [0.7]]]]
@@ -129,10 +132,14 @@ def test_simulation_is_that_of_the_functions_and_of_any_number_of_threads():
 
 def bent(**changes):
     parts = {
-        "state": (X, Z), "dynamics": [X + T * V, X * Z + X**2], "sensor": [sp.cos(X) * Z + 3 * W],
-        "noise": (V, W), "time": T, "breakpoints": [0.0, 1.0, 4.0],
+        "state": (X, Z),
+        "dynamics": [X + T * V, X * Z + X**2],
+        "sensor": [sp.cos(X) * Z + 3 * W],
+        "noise": (V, W),
+        "time": T,
+        "breakpoints": [0.0, 1.0, 4.0],
         "initial": ([1.0, 7.0], np.eye(2)),
-    }  # fmt: skip
+    }
     return PiecewiseLinearSystem.from_functions(**(parts | changes))
 
 
@@ -161,8 +168,11 @@ def test_tangents_agree_with_those_of_sympy(estimate):
 
 def test_support_is_the_middle_of_a_cell_and_the_prior_mean_or_the_estimate():
     parts = {
-        "dynamics": [X, X * Z + X**2], "sensor": [Z + V], "noise": [V], "support": "centroid",
-    }  # fmt: skip
+        "dynamics": [X, X * Z + X**2],
+        "sensor": [Z + V],
+        "noise": [V],
+        "support": "centroid",
+    }
     system, follow = bent(**parts), bent(**(parts | {"support": "estimate"}))
     for found, z, points in (
         (system.dynamics_at(1.0), 7.0, [0.5, 2.5]),

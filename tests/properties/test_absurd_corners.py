@@ -47,10 +47,15 @@ def strip_moments(rho, low, high, left, right):
                 level**2 * mass + 2 * level * sign * root * first + root**2 * second,
             )
 
-        cuts = sorted({mp.mpf(left), mp.mpf(right)} | {
-            c for k in (-9, -4, 0, 4, 9) for e in (low, high)
-            if left < (c := (e + k * root) / (rho or 1)) < right
-        })  # fmt: skip
+        cuts = sorted(
+            {mp.mpf(left), mp.mpf(right)}
+            | {
+                c
+                for k in (-9, -4, 0, 4, 9)
+                for e in (low, high)
+                if left < (c := (e + k * root) / (rho or 1)) < right
+            }
+        )
 
         def integral(i, power):
             return mp.quad(lambda s: inner(s)[i] * s**power * mp.npdf(s), cuts)

@@ -100,8 +100,10 @@ def test_the_same_numbers_in_another_form_give_the_same_result(name, argument):
 
 @pytest.mark.parametrize("name", ["sin", "numpy", "exp", "lambda", "x 1"])
 def test_a_symbol_may_have_any_name(name):
-    runs = [extended_kalman(discrete(sp.sin(s) + sp.pi * sp.exp(-s), s)).run(TIMES, Y)
-            for s in (sp.Symbol(name), X)]  # fmt: skip
+    runs = [
+        extended_kalman(discrete(sp.sin(s) + sp.pi * sp.exp(-s), s)).run(TIMES, Y)
+        for s in (sp.Symbol(name), X)
+    ]
     np.testing.assert_array_equal(runs[0].mean, runs[1].mean)
 
 

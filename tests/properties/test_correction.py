@@ -25,9 +25,12 @@ def same(one, other, rtol=1e-9):
 
 
 PROBLEM = (
-    vectors(3), covariances(3, floor=0.125), vectors(2), vectors((2, 3)),
+    vectors(3),
+    covariances(3, floor=0.125),
+    vectors(2),
+    vectors((2, 3)),
     st.tuples(NOISE, NOISE).map(np.array),
-)  # fmt: skip
+)
 
 
 @given(*PROBLEM)

@@ -16,8 +16,10 @@ from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSyste
 X, V, W = sp.symbols("x v w", real=True)
 WALK = DiscreteSystem(
     StochasticMap((X,), [0.9 * X + sp.sin(X) / 4 + V], Noise((V,), cov=[[0.25]])),
-    StochasticMap((X,), [X + X**2 / 16 + W], Noise((W,))), [0.5], [[1.0]],
-)  # fmt: skip
+    StochasticMap((X,), [X + X**2 / 16 + W], Noise((W,))),
+    [0.5],
+    [[1.0]],
+)
 STAY = np.array([[0.9, 0.1], [0.25, 0.75]])
 
 
@@ -25,10 +27,14 @@ def modes(order=(0, 1), moves=(0.9 * X, 0.5 * X + 1), starts=(0.0, 1.0)):
     """Two ways of moving, in this order."""
     order = list(order)
     return SwitchingSystem(
-        (X,), [[moves[i] + V] for i in order], Noise((V,), cov=[[0.25]]),
+        (X,),
+        [[moves[i] + V] for i in order],
+        Noise((V,), cov=[[0.25]]),
         STAY[np.ix_(order, order)],
-        [[X + W]] * 2, Noise((W,)), [((0.75, 0.25)[i], [starts[i]], [[1.0]]) for i in order],
-    )  # fmt: skip
+        [[X + W]] * 2,
+        Noise((W,)),
+        [((0.75, 0.25)[i], [starts[i]], [[1.0]]) for i in order],
+    )
 
 
 FILTERS = {
@@ -59,8 +65,9 @@ def run(filter, times, y):
 
 
 def parts(found):
-    return [part for part in (found.mean, found.cov, found.mode_prob, found.loglik)
-            if part is not None]  # fmt: skip
+    return [
+        part for part in (found.mean, found.cov, found.mode_prob, found.loglik) if part is not None
+    ]
 
 
 def close(one, other, rtol=1e-10):
@@ -95,8 +102,9 @@ def test_step_by_step_is_the_whole_run_whatever_the_clock_shows(name, y, start):
 def test_names_of_modes_do_not_matter(y):
     times = np.arange(5.0)
     for rule in (Taylor(), ExactGaussian()):
-        one, other = (run(SwitchingFilter(modes(order), rule), times, y)
-                      for order in ((0, 1), (1, 0)))  # fmt: skip
+        one, other = (
+            run(SwitchingFilter(modes(order), rule), times, y) for order in ((0, 1), (1, 0))
+        )
         close([one.mean, one.cov, one.loglik], [other.mean, other.cov, other.loglik])
         np.testing.assert_allclose(one.mode_prob, other.mode_prob[:, ::-1], rtol=1e-10)
 
@@ -107,8 +115,10 @@ def test_equal_modes_are_one(y):
     same = SwitchingFilter(modes(moves=2 * (0.9 * X,), starts=(0.5, 0.5)), Taylor())
     alone = DiscreteSystem(
         StochasticMap((X,), [0.9 * X + V], Noise((V,), cov=[[0.25]])),
-        StochasticMap((X,), [X + W], Noise((W,))), [0.5], [[1.0]],
-    )  # fmt: skip
+        StochasticMap((X,), [X + W], Noise((W,))),
+        [0.5],
+        [[1.0]],
+    )
     twice, once = (run(filter, np.arange(5.0), y) for filter in (same, extended_kalman(alone)))
     close([twice.mean, twice.cov, twice.loglik], [once.mean, once.cov, once.loglik])
     # what the modes are is known from their chain alone

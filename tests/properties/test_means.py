@@ -40,8 +40,11 @@ def test_they_are_linear(mean, cov, c, d):
     close(whole(mean, cov), sum(parts), 1 + sum(map(abs, parts)))
 
 
-@given(vectors(2, st.integers(-3, 3)), vectors((2, 2), st.integers(-2, 2)),
-       vectors((2, 2), st.integers(-2, 2)))  # fmt: skip
+@given(
+    vectors(2, st.integers(-3, 3)),
+    vectors((2, 2), st.integers(-2, 2)),
+    vectors((2, 2), st.integers(-2, 2)),
+)
 def test_the_mean_of_the_mean_given_a_part_is_the_mean(mean, one, other):
     """E f(z + w) in two steps, in exact fractions: first over w, then over z."""
 
@@ -53,9 +56,11 @@ def test_the_mean_of_the_mean_given_a_part_is_the_mean(mean, one, other):
     both = expectation(FUNCTIONS["polynomial"], STATE, list(exact(mean[:, None])), first + second)
     assert sp.expand(expectation(given_z, STATE, list(exact(mean[:, None])), first) - both) == 0
     np.testing.assert_allclose(
-        MEANS["polynomial"](mean, np.array((first + second).tolist(), dtype=float)), float(both),
-        rtol=1e-12, atol=1e-9,
-    )  # fmt: skip
+        MEANS["polynomial"](mean, np.array((first + second).tolist(), dtype=float)),
+        float(both),
+        rtol=1e-12,
+        atol=1e-9,
+    )
 
 
 @pytest.mark.parametrize("name", MEANS)

@@ -29,8 +29,14 @@ def test_parts_of_the_line_make_the_law(mean, var, ends):
     np.testing.assert_allclose([total, whole, spread], [1, mean, var], rtol=1e-12, atol=1e-12)
 
 
-@given(EIGHTHS, st.integers(1, 60).map(lambda k: k / 8), EIGHTHS, EIGHTHS,
-       st.sampled_from([-1e90, -2.0, 0.5, 1e-90]), EIGHTHS)  # fmt: skip
+@given(
+    EIGHTHS,
+    st.integers(1, 60).map(lambda k: k / 8),
+    EIGHTHS,
+    EIGHTHS,
+    st.sampled_from([-1e90, -2.0, 0.5, 1e-90]),
+    EIGHTHS,
+)
 def test_affine_maps_of_the_line(mean, var, one, other, a, b):
     low, high = sorted((one, other + 0.125 * (one == other)))
     b = b * abs(a)
@@ -59,8 +65,10 @@ INSIDE = st.integers(-7, 7).map(lambda k: k / 8)
 def test_parts_of_a_polygon_make_it(mean, cov, t, s):
     whole = polygon(mean, cov, SQUARE.T)
     parts = [polygon(mean, cov, part.T) for part in cut(t, s)]
-    joined = [np.stack([np.asarray(getattr(p, name)) for p in parts], axis=-1)
-              for name in ("log_mass", "mean", "cov")]  # fmt: skip
+    joined = [
+        np.stack([np.asarray(getattr(p, name)) for p in parts], axis=-1)
+        for name in ("log_mass", "mean", "cov")
+    ]
     largest = joined[0].max()
     stacked = type(whole)(joined[0] - largest, *joined[1:])
     total, middle, spread = mixed(stacked, 1)

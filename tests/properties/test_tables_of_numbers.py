@@ -18,10 +18,11 @@ from seedslib.linearization import Taylor
 
 MODEL = "from seedslib.models import LinearSystem\nsystem = LinearSystem(1, .5, 1, 2, 1, 3)\n"
 CELL = st.one_of(
-    st.floats(width=64).map(repr), st.integers(-9, 9).map(str),
+    st.floats(width=64).map(repr),
+    st.integers(-9, 9).map(str),
     st.sampled_from(["", "NA", "nan", "1e999", "-inf", "x", "1_0", "0x1", "1,5", "2026-01-02"]),
     st.text(alphabet="0123456789.eE+-, ;\t\"'", max_size=6),
-)  # fmt: skip
+)
 
 
 @pytest.fixture(scope="module")
@@ -32,8 +33,10 @@ def folder(tmp_path_factory):
 
 
 @settings(max_examples=60)
-@given(rows=st.lists(st.lists(CELL, min_size=1, max_size=3), max_size=6),
-       head=st.sampled_from(["t,y1", "t;y1", "y1", "t,y1,y1", "a b"]))  # fmt: skip
+@given(
+    rows=st.lists(st.lists(CELL, min_size=1, max_size=3), max_size=6),
+    head=st.sampled_from(["t,y1", "t;y1", "y1", "t,y1,y1", "a b"]),
+)
 def test_any_table_of_measurements(folder, rows, head):
     text = "\n".join([head, *(",".join(row) for row in rows)]) + "\n"
     (folder / "d.csv").write_text(text)
@@ -54,8 +57,9 @@ def test_any_table_of_measurements(folder, rows, head):
 
 @pytest.fixture(scope="module")
 def filter(folder):
-    made = synthesize(zoo.linear_gaussian(), large_order(1), Taylor(), [0.0, 0.5, 1.0],
-                      paths=300, seed=1, nodes=1)  # fmt: skip
+    made = synthesize(
+        zoo.linear_gaussian(), large_order(1), Taylor(), [0.0, 0.5, 1.0], paths=300, seed=1, nodes=1
+    )
     save(made, folder / "f.npz")
     return made
 

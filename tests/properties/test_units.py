@@ -41,9 +41,16 @@ def turned(c, matrix, d):
 def linear(c, d, **diffuse):
     cov = np.zeros((2, 2)) if diffuse else turned(c, COV, c)
     return KalmanFilter(
-        LinearSystem(turned(c, F, 1 / c), turned(c, Q, c), turned(d, H, 1 / c), turned(d, R, d),
-                     c * MEAN, cov, **diffuse)
-    )  # fmt: skip
+        LinearSystem(
+            turned(c, F, 1 / c),
+            turned(c, Q, c),
+            turned(d, H, 1 / c),
+            turned(d, R, d),
+            c * MEAN,
+            cov,
+            **diffuse,
+        )
+    )
 
 
 def late(c, d):
@@ -56,24 +63,30 @@ def late(c, d):
 def bent(c, d):
     """A system whose powers and waves are written in other units."""
     z = x1 / sp.Float(c[0]), x2 / sp.Float(c[1])
-    f = [sp.Float(c[0]) * (0.9 * z[0] + 0.3 * sp.sin(z[1])) + v1,
-         sp.Float(c[1]) * (0.8 * z[1] - z[0] ** 2 / 40) + v2]  # fmt: skip
+    f = [
+        sp.Float(c[0]) * (0.9 * z[0] + 0.3 * sp.sin(z[1])) + v1,
+        sp.Float(c[1]) * (0.8 * z[1] - z[0] ** 2 / 40) + v2,
+    ]
     h = [sp.Float(d[0]) * (z[0] + z[1] ** 2 / 8) + w1, sp.Float(d[1]) * z[1] + w2]
     return DiscreteSystem(
         StochasticMap((x1, x2), f, Noise((v1, v2), cov=turned(c, Q, c))),
         StochasticMap((x1, x2), h, Noise((w1, w2), cov=turned(d, R, d))),
-        c * MEAN, turned(c, COV, c),
-    )  # fmt: skip
+        c * MEAN,
+        turned(c, COV, c),
+    )
 
 
 def modes(c, d):
     z = x1 / sp.Float(c[0])
     return SwitchingSystem(
-        (x1,), [[sp.Float(c[0]) * (a * z + b) + v1] for a, b in ((0.9, 0), (0.5, 1))],
-        Noise((v1,), cov=[[0.3 * c[0] ** 2]]), [[0.9, 0.1], [0.2, 0.8]],
-        [[sp.Float(d[0]) * z + w1]] * 2, Noise((w1,), cov=[[0.4 * d[0] ** 2]]),
+        (x1,),
+        [[sp.Float(c[0]) * (a * z + b) + v1] for a, b in ((0.9, 0), (0.5, 1))],
+        Noise((v1,), cov=[[0.3 * c[0] ** 2]]),
+        [[0.9, 0.1], [0.2, 0.8]],
+        [[sp.Float(d[0]) * z + w1]] * 2,
+        Noise((w1,), cov=[[0.4 * d[0] ** 2]]),
         [(0.6, [0.3 * c[0]], [[c[0] ** 2]]), (0.4, [-c[0]], [[2 * c[0] ** 2]])],
-    )  # fmt: skip
+    )
 
 
 def designed(c, d, system=None):
@@ -153,7 +166,7 @@ def test_kalman_bucy(powers):
         lambda c, d: SwitchingFilter(modes(c, d), Taylor()),
         lambda c, d: GridBayesFilter(modes(c, d), (-8 * c[0], 8 * c[0], 81)),
     ],
-)  # fmt: skip
+)
 def test_systems_with_powers(make, unit):
     c = d = unit * ONE
     agree(run(make(c, d), d), run(make(ONE, ONE), ONE), c, d)
@@ -161,8 +174,12 @@ def test_systems_with_powers(make, unit):
 
 def test_in_c():
     c = d = 1e-150 * ONE
-    agree(run(compiled(extended_kalman(bent(c, d))), d), run(extended_kalman(bent(ONE, ONE)), ONE),
-          c, d)  # fmt: skip
+    agree(
+        run(compiled(extended_kalman(bent(c, d))), d),
+        run(extended_kalman(bent(ONE, ONE)), ONE),
+        c,
+        d,
+    )
 
 
 @pytest.mark.parametrize("unit", [1e-150, 1e-90, 1e90])

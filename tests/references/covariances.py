@@ -33,19 +33,21 @@ def whole(terms: list[tuple[Any, int, Any, int]], mean: Any, var: Any) -> Any:
 
 
 @family(
-    "covariance", "closed form",
-    ordinary={"mean": 0.7, "var": 0.3}, quiet={"mean": 0.7, "var": 1e-4},
-    small={"mean": 0.7, "var": 1e-8}, smaller={"mean": -1.2, "var": 1e-12},
-    beyond={"mean": 0.7, "var": 1e-20}, smallest={"mean": 0.7, "var": 1e-290},
-)  # fmt: skip
+    "covariance",
+    "closed form",
+    ordinary={"mean": 0.7, "var": 0.3},
+    quiet={"mean": 0.7, "var": 1e-4},
+    small={"mean": 0.7, "var": 1e-8},
+    smaller={"mean": -1.2, "var": 1e-12},
+    beyond={"mean": 0.7, "var": 1e-20},
+    smallest={"mean": 0.7, "var": 1e-290},
+)
 def covariance(mean: Any, var: Any) -> dict[str, Any]:
     found = {}
     with mp.workdps(700):
         for i, (name, f) in enumerate(FUNCTIONS.items()):
             for other, g in list(FUNCTIONS.items())[: i + 1]:
-                product = [
-                    (c * d, k + l, a + b, q + r) for c, k, a, q in f for d, l, b, r in g
-                ]  # fmt: skip
+                product = [(c * d, k + l, a + b, q + r) for c, k, a, q in f for d, l, b, r in g]
                 both = whole(product, mean, var)
                 found[f"{other}, {name}"] = both - whole(f, mean, var) * whole(g, mean, var)
     return found

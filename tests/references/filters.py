@@ -9,9 +9,16 @@ import mpmath as mp
 from references.high import STEP, column, family, law_values, matrix, relative
 from references.record import STEPS, wave
 
-TREND = {"F": [[1.0, 0.5], [0.0, 0.875]], "Q": [[0.25, 0.0625], [0.0625, 0.125]],
-         "H": [[1.0, 0.0]], "R": [[0.5]], "mean0": [0.5, -0.25],
-         "cov0": [[1.0, 0.25], [0.25, 2.0]], "offset": 0.0, "size": 1.0}  # fmt: skip
+TREND = {
+    "F": [[1.0, 0.5], [0.0, 0.875]],
+    "Q": [[0.25, 0.0625], [0.0625, 0.125]],
+    "H": [[1.0, 0.0]],
+    "R": [[0.5]],
+    "mean0": [0.5, -0.25],
+    "cov0": [[1.0, 0.25], [0.25, 2.0]],
+    "offset": 0.0,
+    "size": 1.0,
+}
 PAIR = TREND | {"H": [[1.0, 0.0], [1.0, 1.0]], "R": [[0.5, 0.125], [0.125, 1.0]]}
 LINEAR = {
     "ordinary": TREND,
@@ -19,12 +26,12 @@ LINEAR = {
     "exact_sensor": TREND | {"R": [[0.0]]},
     "wide_prior": TREND | {"cov0": [[1e10, 0.0], [0.0, 1e8]]},
     "known_start": TREND | {"cov0": [[0.0, 0.0], [0.0, 0.0]]},
-    "small": TREND | {"Q": [[2.5e-13, 0.0], [0.0, 1e-13]], "R": [[1e-10]],
-                      "cov0": [[1e-8, 0.0], [0.0, 1e-8]]},
+    "small": TREND
+    | {"Q": [[2.5e-13, 0.0], [0.0, 1e-13]], "R": [[1e-10]], "cov0": [[1e-8, 0.0], [0.0, 1e-8]]},
     "large": TREND | {"F": [[1.0, 0.5], [0.0, 1.0]], "mean0": [1e9, 0.0], "offset": 1e9},
-    "nearly_singular": PAIR | {"H": [[1.0, 0.0], [1.0, 2.0**-20]],
-                               "R": [[1.0, 1 - 1e-8], [1 - 1e-8, 1.0]]},
-}  # fmt: skip
+    "nearly_singular": PAIR
+    | {"H": [[1.0, 0.0], [1.0, 2.0**-20]], "R": [[1.0, 1 - 1e-8], [1 - 1e-8, 1.0]]},
+}
 
 
 def record(k: int, m: int, offset: Any, size: Any, nudge: Any = None) -> Any:
@@ -63,13 +70,19 @@ def kalman(**told: Any) -> dict[str, Any]:
 
 
 @family(
-    "diffuse Kalman filter", "recursion",
+    "diffuse Kalman filter",
+    "recursion",
     one={**TREND, "cov0": [[0.0, 0.0], [0.0, 2.0]], "diffuse": [0]},
     both={**TREND, "cov0": [[0.0, 0.0], [0.0, 0.0]], "diffuse": [0, 1]},
     two_sensors={**PAIR, "cov0": [[0.0, 0.0], [0.0, 0.0]], "diffuse": [0, 1]},
-    large={**TREND, "cov0": [[0.0, 0.0], [0.0, 0.0]], "diffuse": [0, 1], "offset": 1e9,
-           "F": [[1.0, 0.5], [0.0, 1.0]]},
-)  # fmt: skip
+    large={
+        **TREND,
+        "cov0": [[0.0, 0.0], [0.0, 0.0]],
+        "diffuse": [0, 1],
+        "offset": 1e9,
+        "F": [[1.0, 0.5], [0.0, 1.0]],
+    },
+)
 def diffuse_kalman(diffuse: Any, cov0: Any, **told: Any) -> dict[str, Any]:
     """With 1e80 for the infinite variance, which is taken out of the log-likelihood again."""
     with mp.workdps(260):
@@ -82,10 +95,10 @@ def diffuse_kalman(diffuse: Any, cov0: Any, **told: Any) -> dict[str, Any]:
 
 
 @family(
-    "smoother", "Gaussian conditioning at once", **{
-        name: LINEAR[name] for name in ("ordinary", "two_sensors", "exact_sensor", "small")
-    },
-)  # fmt: skip
+    "smoother",
+    "Gaussian conditioning at once",
+    **{name: LINEAR[name] for name in ("ordinary", "two_sensors", "exact_sensor", "small")},
+)
 def smoother(F: Any, Q: Any, H: Any, R: Any, mean0: Any, cov0: Any, offset: Any, size: Any) -> Any:
     """The joint law of all states, given all measurements: no recursion back."""
     with mp.workdps(100):
@@ -158,18 +171,28 @@ def transformed(kind: str, mean: Any, cov: Any, slope: Any, bend: Any) -> tuple[
     return first, cross, out
 
 
-PENDULUM = {"step": 0.125, "pull": 1.5, "damping": 0.25, "Q": [[1e-3, 0.0], [0.0, 4e-3]],
-            "R": 0.0625, "mean0": [0.5, 0.0], "cov0": [[0.25, 0.0625], [0.0625, 0.5]],
-            "size": 0.25}  # fmt: skip
+PENDULUM = {
+    "step": 0.125,
+    "pull": 1.5,
+    "damping": 0.25,
+    "Q": [[1e-3, 0.0], [0.0, 4e-3]],
+    "R": 0.0625,
+    "mean0": [0.5, 0.0],
+    "cov0": [[0.25, 0.0625], [0.0625, 0.5]],
+    "size": 0.25,
+}
 QUIET = PENDULUM | {"Q": [[1e-10, 0.0], [0.0, 1e-10]], "R": 1e-6, "size": 2.0**-9}
 
 
 @family(
-    "nonlinear filters", "recursion",
-    **{f"{kind} {name}": {"kind": kind, **told}
-       for kind in ("extended", "unscented", "cubature", "exact")
-       for name, told in (("ordinary", PENDULUM), ("quiet", QUIET))},
-)  # fmt: skip
+    "nonlinear filters",
+    "recursion",
+    **{
+        f"{kind} {name}": {"kind": kind, **told}
+        for kind in ("extended", "unscented", "cubature", "exact")
+        for name, told in (("ordinary", PENDULUM), ("quiet", QUIET))
+    },
+)
 def nonlinear(
     kind: Any, step: Any, pull: Any, damping: Any, Q: Any, R: Any, mean0: Any, cov0: Any, size: Any
 ) -> dict[str, Any]:

@@ -85,10 +85,13 @@ def half_space(mean, cov, normal, offset, powers):
 
 
 EXPONENTIALS = {
-    "exp(x/2-y/4)": sympy.exp(x / 2 - y / 4), "x sin y": x * sympy.sin(y),
-    "cos(x+y)": sympy.cos(x + y), "exp(-x^2)": sympy.exp(-(x**2)),
-    "x exp(-x^2)": x * sympy.exp(-(x**2)), "erf(x)": sympy.erf(x),
-}  # fmt: skip
+    "exp(x/2-y/4)": sympy.exp(x / 2 - y / 4),
+    "x sin y": x * sympy.sin(y),
+    "cos(x+y)": sympy.cos(x + y),
+    "exp(-x^2)": sympy.exp(-(x**2)),
+    "x exp(-x^2)": x * sympy.exp(-(x**2)),
+    "erf(x)": sympy.erf(x),
+}
 
 
 def exponential(mean, cov):
@@ -100,10 +103,13 @@ def exponential(mean, cov):
 
 
 COVARIANCES = {
-    "sin x": sympy.sin(x), "cos 2x": sympy.cos(2 * x), "exp x/2": sympy.exp(x / 2),
-    "x exp -x": x * sympy.exp(-x), "exp -x/2 sin x": sympy.exp(-x / 2) * sympy.sin(x),
+    "sin x": sympy.sin(x),
+    "cos 2x": sympy.cos(2 * x),
+    "exp x/2": sympy.exp(x / 2),
+    "x exp -x": x * sympy.exp(-x),
+    "exp -x/2 sin x": sympy.exp(-x / 2) * sympy.sin(x),
     "exp -x^2": sympy.exp(-(x**2)),
-}  # fmt: skip
+}
 
 
 def covariance(mean, var):
@@ -155,8 +161,12 @@ def side(a, b, along):
 
 def quadrant(rho):
     found = polygon([0, 0], [[1, rho], [rho, 1]], [[0, 0]], rays=[[0, 1], [1, 0]])
-    return {"probability": found.mass, "mean": found.mean[0], "var": found.cov[0, 0],
-            "cov": found.cov[0, 1]}  # fmt: skip
+    return {
+        "probability": found.mass,
+        "mean": found.mean[0],
+        "var": found.cov[0, 0],
+        "cov": found.cov[0, 1],
+    }
 
 
 def weights(score):

@@ -68,8 +68,12 @@ def smoother(**told):
     return values
 
 
-KINDS = {"extended": extended_kalman, "unscented": unscented_kalman, "cubature": cubature_kalman,
-         "exact": assumed_density}  # fmt: skip
+KINDS = {
+    "extended": extended_kalman,
+    "unscented": unscented_kalman,
+    "cubature": cubature_kalman,
+    "exact": assumed_density,
+}
 
 
 def nonlinear(kind, step, pull, damping, Q, R, mean0, cov0, size):
@@ -106,8 +110,12 @@ def kalman_bucy(step, **told):
     return law_values(found.mean[-1, :, 0], found.cov[-1])
 
 
-FUNCTIONS = {"product": x1 * x2, "sine": sympy.sin(x1), "modulus": abs(x1),
-             "maximum": sympy.Max(x1, x2)}  # fmt: skip
+FUNCTIONS = {
+    "product": x1 * x2,
+    "sine": sympy.sin(x1),
+    "modulus": abs(x1),
+    "maximum": sympy.Max(x1, x2),
+}
 
 
 def two_step(time, **told):
@@ -146,9 +154,15 @@ def two_modes(a, q, h, r, A, p, mean0, var0, drives):
     shows = [[h[0] * x1 + v], [h[1] * x1 + w]]
     law = [(p[i], [mean0[i]], [[var0[i]]]) for i in range(2)]
     return SwitchingSystem(
-        (x1,), moves, Noise((v, w), cov=np.diag(q)), A, shows, Noise((v, w), cov=np.diag(r)), law,
+        (x1,),
+        moves,
+        Noise((v, w), cov=np.diag(q)),
+        A,
+        shows,
+        Noise((v, w), cov=np.diag(r)),
+        law,
         drives=drives,
-    )  # fmt: skip
+    )
 
 
 def switching(**told):
@@ -159,17 +173,31 @@ def switching(**told):
 
 
 def fixed_mode(count, apart, r):
-    told = {"a": [0, 0], "q": [0, 0], "h": [0, 0], "r": [r, r], "A": [[1, 0], [0, 1]],
-            "p": [0.5, 0.5], "mean0": [0, 0], "var0": [1, 1], "drives": "old"}  # fmt: skip
+    told = {
+        "a": [0, 0],
+        "q": [0, 0],
+        "h": [0, 0],
+        "r": [r, r],
+        "A": [[1, 0], [0, 1]],
+        "p": [0.5, 0.5],
+        "mean0": [0, 0],
+        "var0": [1, 1],
+        "drives": "old",
+    }
     system = two_modes(**told)
     shows = [[v], [apart + w]]
     made = SwitchingFilter(
         SwitchingSystem(
-            (x1,), [[x1]] * 2, system.noise, told["A"], shows, system.sensor_noise,
+            (x1,),
+            [[x1]] * 2,
+            system.noise,
+            told["A"],
+            shows,
+            system.sensor_noise,
             [(0.5, [0.0], [[1.0]])] * 2,
         ),
         Taylor(),
-    )  # fmt: skip
+    )
     record, state = waves(count, 1) / 16, made.initial()
     for k, y in enumerate(record):
         state = made.correct(made.predict(state, float(k)), y)

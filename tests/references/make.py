@@ -86,13 +86,17 @@ def rows(name: str, case: str) -> list[list[str]]:
             condition[k] += changes[k] / STEP / values[k][1]
     return [
         [
-            name, case, k, mp.nstr(value, 25, min_fixed=0, max_fixed=0),
+            name,
+            case,
+            k,
+            mp.nstr(value, 25, min_fixed=0, max_fixed=0),
             mp.nstr(scale, 6, min_fixed=0, max_fixed=0),
             mp.nstr(condition[k], 2) if made.sensitive else "",
-            made.provenance, json.dumps(arguments),
+            made.provenance,
+            json.dumps(arguments),
         ]
         for k, (value, scale) in values.items()
-    ]  # fmt: skip
+    ]
 
 
 def main() -> None:

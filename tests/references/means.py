@@ -59,22 +59,30 @@ def modulus_moments(mean: Any, var: Any) -> tuple[Any, Any]:
 
 
 @family(
-    "modulus", "closed form",
-    ordinary={"mean": 0.7, "var": 2.0}, centred={"mean": 0.0, "var": 3.0},
-    near={"mean": 1e-6, "var": 0.5}, five={"mean": 5.0, "var": 1.0},
-    thirty={"mean": -30.0, "var": 1.0}, small={"mean": 3e-7, "var": 1e-14},
+    "modulus",
+    "closed form",
+    ordinary={"mean": 0.7, "var": 2.0},
+    centred={"mean": 0.0, "var": 3.0},
+    near={"mean": 1e-6, "var": 0.5},
+    five={"mean": 5.0, "var": 1.0},
+    thirty={"mean": -30.0, "var": 1.0},
+    small={"mean": 3e-7, "var": 1e-14},
     large={"mean": 1e9, "var": 1e-4},
-)  # fmt: skip
+)
 def modulus(mean: Any, var: Any) -> dict[str, Any]:
     return dict(zip(("mean", "var"), modulus_moments(mean, var), strict=True))
 
 
 @family(
-    "sine", "closed form",
-    ordinary={"mean": 0.7, "var": 0.5}, small={"mean": 0.7, "var": 1e-12},
-    flat={"mean": 1.5, "var": 1e-6}, wide={"mean": 2.0, "var": 60.0},
-    zero={"mean": 1e-9, "var": 1e-10}, large={"mean": 1e4, "var": 0.25},
-)  # fmt: skip
+    "sine",
+    "closed form",
+    ordinary={"mean": 0.7, "var": 0.5},
+    small={"mean": 0.7, "var": 1e-12},
+    flat={"mean": 1.5, "var": 1e-6},
+    wide={"mean": 2.0, "var": 60.0},
+    zero={"mean": 1e-9, "var": 1e-10},
+    large={"mean": 1e4, "var": 0.25},
+)
 def sine(mean: Any, var: Any) -> dict[str, Any]:
     with mp.workdps(140):
         first = mp.exp(-var / 2) * mp.sin(mean)
@@ -101,7 +109,8 @@ def length(mean: Any, cov: Any) -> Any:
 
 
 @family(
-    "norm", "quadrature",
+    "norm",
+    "quadrature",
     plane={"mean": [0.3, -0.2], "cov": [[1.0, 0.4], [0.4, 2.0]]},
     centred={"mean": [0.0, 0.0, 0.0], "cov": [[1.0, 0.2, 0.0], [0.2, 0.5, 0.1], [0.0, 0.1, 3.0]]},
     nearly_singular={"mean": [1.0, 1.0001], "cov": NEARLY},
@@ -109,7 +118,7 @@ def length(mean: Any, cov: Any) -> Any:
     thirty={"mean": [10.0, 20.0, 20.0], "cov": [[1.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 0.0, 0.5]]},
     small={"mean": [2e-4, -1e-4], "cov": [[1e-8, 2e-9], [2e-9, 3e-8]]},
     units={"mean": [1.0, 0.0], "cov": [[1e6, 0.0], [0.0, 1e-6]]},
-)  # fmt: skip
+)
 def norm(mean: Any, cov: Any) -> dict[str, Any]:
     centred = length([mp.mpf(0)] * len(mean), cov)
     trace = sum(cov[i][i] for i in range(len(mean)))
@@ -121,14 +130,21 @@ POWERS = [[1, 1, 0], [3, 0, 0], [2, 2, 0], [1, 2, 1], [4, 0, 2]]
 
 
 @family(
-    "polynomial", "exact sum over pairings",
+    "polynomial",
+    "exact sum over pairings",
     ordinary={"mean": [0.5, -1.0, 2.0], "cov": SPACE, "powers": POWERS},
-    small={"mean": [1e-3, 2e-3, -3e-3], "cov": [[v * 1e-6 for v in row] for row in SPACE],
-           "powers": POWERS},
+    small={
+        "mean": [1e-3, 2e-3, -3e-3],
+        "cov": [[v * 1e-6 for v in row] for row in SPACE],
+        "powers": POWERS,
+    },
     large={"mean": [1e6, 1e6, -1e6], "cov": SPACE, "powers": POWERS},
-    singular={"mean": [0.25, 0.5, 1.0], "powers": POWERS,
-              "cov": [[1.0, 2.0, 0.5], [2.0, 4.0, 1.0], [0.5, 1.0, 0.25]]},
-)  # fmt: skip
+    singular={
+        "mean": [0.25, 0.5, 1.0],
+        "powers": POWERS,
+        "cov": [[1.0, 2.0, 0.5], [2.0, 4.0, 1.0], [0.5, 1.0, 0.25]],
+    },
+)
 def polynomial(mean: Any, cov: Any, powers: Any) -> dict[str, Any]:
     cov = matrix(cov)
     return {
@@ -140,20 +156,45 @@ def polynomial(mean: Any, cov: Any, powers: Any) -> dict[str, Any]:
 
 
 @family(
-    "quadrature rules", "exact sum over pairings",
-    hermite={"rule": "hermite", "mean": [0.5, -1.0], "cov": [[1.0, 0.4], [0.4, 2.0]],
-             "powers": [[2, 0], [3, 1], [4, 4]]},
-    cubature={"rule": "cubature", "mean": [0.5, -1.0, 2.0], "cov": SPACE,
-              "powers": [[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 2, 1]]},
-    unscented={"rule": "unscented", "mean": [0.5, -1.0, 2.0], "cov": SPACE,
-               "powers": [[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 2, 1]]},
-    fifth={"rule": "fifth", "mean": [0.5, -1.0, 2.0], "cov": SPACE,
-           "powers": [[1, 1, 0], [1, 1, 1], [2, 2, 1], [0, 4, 1]]},
-    nearly_singular={"rule": "hermite", "mean": [1.0, 1.0], "cov": NEARLY,
-                     "powers": [[2, 0], [3, 1], [4, 4]]},
-    small={"rule": "fifth", "mean": [1e-4, 2e-4], "cov": [[1e-8, 2e-9], [2e-9, 3e-8]],
-           "powers": [[1, 1], [2, 1], [4, 1]]},
-)  # fmt: skip
+    "quadrature rules",
+    "exact sum over pairings",
+    hermite={
+        "rule": "hermite",
+        "mean": [0.5, -1.0],
+        "cov": [[1.0, 0.4], [0.4, 2.0]],
+        "powers": [[2, 0], [3, 1], [4, 4]],
+    },
+    cubature={
+        "rule": "cubature",
+        "mean": [0.5, -1.0, 2.0],
+        "cov": SPACE,
+        "powers": [[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 2, 1]],
+    },
+    unscented={
+        "rule": "unscented",
+        "mean": [0.5, -1.0, 2.0],
+        "cov": SPACE,
+        "powers": [[1, 0, 0], [1, 1, 0], [1, 1, 1], [0, 2, 1]],
+    },
+    fifth={
+        "rule": "fifth",
+        "mean": [0.5, -1.0, 2.0],
+        "cov": SPACE,
+        "powers": [[1, 1, 0], [1, 1, 1], [2, 2, 1], [0, 4, 1]],
+    },
+    nearly_singular={
+        "rule": "hermite",
+        "mean": [1.0, 1.0],
+        "cov": NEARLY,
+        "powers": [[2, 0], [3, 1], [4, 4]],
+    },
+    small={
+        "rule": "fifth",
+        "mean": [1e-4, 2e-4],
+        "cov": [[1e-8, 2e-9], [2e-9, 3e-8]],
+        "powers": [[1, 1], [2, 1], [4, 1]],
+    },
+)
 def quadrature_rules(mean: Any, cov: Any, powers: Any, rule: Any) -> dict[str, Any]:
     """True means, which rules of enough degree must give."""
     cov, bare = matrix(cov), [abs(m) for m in mean]
@@ -169,20 +210,46 @@ PLANES = [[0, 0], [1, 0], [2, 1], [3, 2]]
 
 
 @family(
-    "half space", "quadrature", sensitive=False,
-    ordinary={"mean": [0.3, 0.6], "cov": [[1.0, 0.4], [0.4, 2.0]], "normal": [1.0, 0.5],
-              "offset": 0.25, "powers": PLANES},
-    nearly_singular={"mean": [1.0, 1.5], "cov": NEARLY, "normal": [1.0, 0.25], "offset": -1.0,
-                     "powers": PLANES},
-    five={"mean": [0.5, 1.0], "cov": UNIT, "normal": [1.0, 0.0], "offset": -5.5,
-          "powers": PLANES},
-    thirty={"mean": [0.0, 1.0], "cov": UNIT, "normal": [3.0, 4.0], "offset": -154.0,
-            "powers": PLANES},
-    small={"mean": [1e-4, 2e-4], "cov": [[1e-8, 2e-9], [2e-9, 3e-8]], "normal": [1.0, 1.0],
-           "offset": 0.0, "powers": PLANES},
-    large={"mean": [1e6, 1.0], "cov": [[1.0, 0.3], [0.3, 1.0]], "normal": [1.0, 1.0],
-           "offset": -1e6, "powers": PLANES},
-)  # fmt: skip
+    "half space",
+    "quadrature",
+    sensitive=False,
+    ordinary={
+        "mean": [0.3, 0.6],
+        "cov": [[1.0, 0.4], [0.4, 2.0]],
+        "normal": [1.0, 0.5],
+        "offset": 0.25,
+        "powers": PLANES,
+    },
+    nearly_singular={
+        "mean": [1.0, 1.5],
+        "cov": NEARLY,
+        "normal": [1.0, 0.25],
+        "offset": -1.0,
+        "powers": PLANES,
+    },
+    five={"mean": [0.5, 1.0], "cov": UNIT, "normal": [1.0, 0.0], "offset": -5.5, "powers": PLANES},
+    thirty={
+        "mean": [0.0, 1.0],
+        "cov": UNIT,
+        "normal": [3.0, 4.0],
+        "offset": -154.0,
+        "powers": PLANES,
+    },
+    small={
+        "mean": [1e-4, 2e-4],
+        "cov": [[1e-8, 2e-9], [2e-9, 3e-8]],
+        "normal": [1.0, 1.0],
+        "offset": 0.0,
+        "powers": PLANES,
+    },
+    large={
+        "mean": [1e6, 1.0],
+        "cov": [[1.0, 0.3], [0.3, 1.0]],
+        "normal": [1.0, 1.0],
+        "offset": -1e6,
+        "powers": PLANES,
+    },
+)
 def half_space(mean: Any, cov: Any, normal: Any, offset: Any, powers: Any) -> dict[str, Any]:
     cov = matrix(cov)
     lean = cov * column(normal)
@@ -216,14 +283,12 @@ def exponential(mean: Any, cov: Any) -> dict[str, Any]:
     bell = mp.sqrt(tilt) * mp.exp(-tilt * a * a)
     return {
         "exp(x/2-y/4)": mp.exp(a / 2 - b / 4 + (p / 4 + r / 16 - q / 4) / 2),
-        "x sin y": Value(
-            blunt * (a * mp.sin(b) + q * mp.cos(b)), blunt * (abs(a) + mp.sqrt(p))
-        ),
+        "x sin y": Value(blunt * (a * mp.sin(b) + q * mp.cos(b)), blunt * (abs(a) + mp.sqrt(p))),
         "cos(x+y)": mp.cos(a + b) * mp.exp(-(p + 2 * q + r) / 2),
         "exp(-x^2)": bell,
         "x exp(-x^2)": Value(a * tilt * bell, bell * (abs(a) + mp.sqrt(p * tilt)) * tilt),
         "erf(x)": relative(mp.erf(a * mp.sqrt(tilt)), mp.sqrt(p)),
-    }  # fmt: skip
+    }
 
 
 def axial(mean: Any, across: Any, along: Any) -> Any:
@@ -257,7 +322,8 @@ def planar(mean: Any, cov: Any) -> Any:
 
 
 @family(
-    "elevation", "quadrature",
+    "elevation",
+    "quadrature",
     upright={"mean": [0.0, 0.0, 1.0], "across": 1.0, "along": 1.0},
     five={"mean": [0.0, 0.0, 5.0], "across": 0.25, "along": 1.0},
     flat={"mean": [0.0, 0.0, -0.5], "across": 4.0, "along": 0.25},
@@ -265,7 +331,7 @@ def planar(mean: Any, cov: Any) -> Any:
     sheet={"mean": [10.0, 0.0, 1.0], "cov": [[0.25, 0.1], [0.1, 0.5]]},
     low={"mean": [1.0, 0.0, 1.0], "cov": [[0.0025, 0.001], [0.001, 0.0025]]},
     far={"mean": [1000.0, 0.0, 0.5], "cov": [[1.0, 0.0], [0.0, 1.0]]},
-)  # fmt: skip
+)
 def elevation(mean: Any, across: Any = None, along: Any = None, cov: Any = None) -> dict[str, Any]:
     half = mp.pi / 2
     if cov is None:

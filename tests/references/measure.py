@@ -38,9 +38,12 @@ def main() -> None:
     worst: dict[tuple[str, ...], float] = {}
     for name, more in settings().items():
         told = subprocess.run(
-            [sys.executable, __file__, "--own"], env=os.environ | more, text=True, check=True,
+            [sys.executable, __file__, "--own"],
+            env=os.environ | more,
+            text=True,
+            check=True,
             stdout=subprocess.PIPE,
-        ).stdout  # fmt: skip
+        ).stdout
         print(name, len(told.splitlines()))
         for line in told.splitlines():
             *key, error = line.split("\t")

@@ -10,11 +10,24 @@ from references.high import Value, column, density, family, law_values, matrix, 
 from references.motion import matrix_law
 from references.record import STEPS, wave
 
-LEVEL = {"A": [[[0.5]], [[0.375]]], "delays": [0, 3], "C": [[1.0]], "Q": [[1.0]], "R": [[0.5]],
-         "cov0": [[1.0]], "past": [[0.5]]}  # fmt: skip
-COUPLED = {"A": [[[0.5, 0.25], [0.0, 0.75]], [[0.25, 0.0], [-0.125, 0.125]]], "delays": [0, 2],
-           "C": [[1.0, 0.5]], "Q": [[1.0, 0.25], [0.25, 0.5]], "R": [[0.25]],
-           "cov0": [[1.0, 0.0], [0.0, 1.0]], "past": [[0.5, 0.0], [0.0, 0.5]]}  # fmt: skip
+LEVEL = {
+    "A": [[[0.5]], [[0.375]]],
+    "delays": [0, 3],
+    "C": [[1.0]],
+    "Q": [[1.0]],
+    "R": [[0.5]],
+    "cov0": [[1.0]],
+    "past": [[0.5]],
+}
+COUPLED = {
+    "A": [[[0.5, 0.25], [0.0, 0.75]], [[0.25, 0.0], [-0.125, 0.125]]],
+    "delays": [0, 2],
+    "C": [[1.0, 0.5]],
+    "Q": [[1.0, 0.25], [0.25, 0.5]],
+    "R": [[0.25]],
+    "cov0": [[1.0, 0.0], [0.0, 1.0]],
+    "past": [[0.5, 0.0], [0.0, 0.5]],
+}
 SLOW = {**LEVEL, "A": [[[0.625]], [[0.375 - 2.0**-20]]]}
 SHARP = {**COUPLED, "R": [[1e-10]]}
 DULL = {**LEVEL, "R": [[1e10]]}
@@ -55,9 +68,17 @@ def delay(A: Any, delays: Any, C: Any, Q: Any, R: Any, cov0: Any, past: Any) -> 
         return delay_values(gain, spread, cov[:n, :n], n)
 
 
-TWO = {"a": [0.875, 0.5], "q": [0.25, 1.0], "h": [1.0, 1.0], "r": [0.5, 0.5],
-       "A": [[0.75, 0.25], [0.125, 0.875]], "p": [0.5, 0.5], "mean0": [0.0, 1.0],
-       "var0": [1.0, 0.5], "drives": "old"}  # fmt: skip
+TWO = {
+    "a": [0.875, 0.5],
+    "q": [0.25, 1.0],
+    "h": [1.0, 1.0],
+    "r": [0.5, 0.5],
+    "A": [[0.75, 0.25], [0.125, 0.875]],
+    "p": [0.5, 0.5],
+    "mean0": [0.0, 1.0],
+    "var0": [1.0, 0.5],
+    "drives": "old",
+}
 SWITCHING = {
     "ordinary": TWO,
     "rare": {**TWO, "A": [[1 - 2.0**-30, 2.0**-30], [2.0**-30, 1 - 2.0**-30]]},
@@ -77,10 +98,14 @@ def switching_values(told: dict[str, Any]) -> dict[str, Any]:
         for k in range(STEPS + 1):
             if k:
                 parts = [
-                    [(p[i] * A[i][j], mean[i], var[i]) if new else
-                     (p[i] * A[i][j], a[i] * mean[i], a[i] ** 2 * var[i] + q[i]) for i in range(2)]
+                    [
+                        (p[i] * A[i][j], mean[i], var[i])
+                        if new
+                        else (p[i] * A[i][j], a[i] * mean[i], a[i] ** 2 * var[i] + q[i])
+                        for i in range(2)
+                    ]
                     for j in range(2)
-                ]  # fmt: skip
+                ]
                 for j in range(2):
                     p[j], mean[j], var[j] = mixed(parts[j])
                     if new:
@@ -96,8 +121,12 @@ def switching_values(told: dict[str, Any]) -> dict[str, Any]:
             total += mp.log(whole)
             p = [part / whole for part in p]
         _, first, second = mixed(list(zip(p, mean, var, strict=True)))
-        return {"probability 0": p[0], "probability 1": p[1], "loglik": relative(total, 1),
-                **law_values([first], matrix([[second]]))}  # fmt: skip
+        return {
+            "probability 0": p[0],
+            "probability 1": p[1],
+            "loglik": relative(total, 1),
+            **law_values([first], matrix([[second]])),
+        }
 
 
 def mixed(parts: Any) -> tuple[Any, Any, Any]:
@@ -117,10 +146,13 @@ def multiple_models(**told: Any) -> dict[str, Any]:
 
 
 @family(
-    "log weights", "closed form",
-    ordinary={"score": [-1.0, 0.5, 2.0]}, tail={"score": [-900.0, 0.0, -2000.0]},
-    deep={"score": [-1e9, -1e9 - 30, -1e9 + 2]}, equal={"score": [-7e5, -7e5, -7e5]},
-)  # fmt: skip
+    "log weights",
+    "closed form",
+    ordinary={"score": [-1.0, 0.5, 2.0]},
+    tail={"score": [-900.0, 0.0, -2000.0]},
+    deep={"score": [-1e9, -1e9 - 30, -1e9 + 2]},
+    equal={"score": [-7e5, -7e5, -7e5]},
+)
 def weights(score: Any) -> dict[str, Any]:
     with mp.workdps(100):
         highest = max(score)
@@ -130,15 +162,20 @@ def weights(score: Any) -> dict[str, Any]:
 
 
 @family(
-    "fixed mode", "closed form",
+    "fixed mode",
+    "closed form",
     **{
         name: {"count": count, "apart": apart, "r": r}
         for name, count, apart, r in (
-            ("short", 4, 1.0, 1.0), ("ten", 11, 2.0, 1.0), ("thirty", 31, 4.0, 0.5),
-            ("fifty", 51, 6.0, 1e-6), ("near", 20, 2.0**-20, 1.0), ("sharp", 3, 1.0, 1e-12),
+            ("short", 4, 1.0, 1.0),
+            ("ten", 11, 2.0, 1.0),
+            ("thirty", 31, 4.0, 0.5),
+            ("fifty", 51, 6.0, 1e-6),
+            ("near", 20, 2.0**-20, 1.0),
+            ("sharp", 3, 1.0, 1e-12),
         )
     },
-)  # fmt: skip
+)
 def fixed_mode(count: Any, apart: Any, r: Any) -> dict[str, Any]:
     """Which of two constant levels is measured: exact log-odds, however small a probability."""
     with mp.workdps(100):

@@ -42,17 +42,24 @@ def digits(drift: Any, time: Any) -> int:
 
 
 @family(
-    "discretisation", "series",
-    damped={**DAMPED, "step": 0.5}, long={**DAMPED, "step": 20.0}, driven={**DRIVEN, "step": 0.25},
-    short={**DAMPED, "step": 1e-6}, stiff={**STIFF, "step": 0.5},
-)  # fmt: skip
+    "discretisation",
+    "series",
+    damped={**DAMPED, "step": 0.5},
+    long={**DAMPED, "step": 20.0},
+    driven={**DRIVEN, "step": 0.25},
+    short={**DAMPED, "step": 1e-6},
+    stiff={**STIFF, "step": 0.5},
+)
 def discretisation(drift: Any, diffusion: Any, step: Any) -> dict[str, Any]:
     drift, diffusion = matrix(drift), matrix(diffusion)
     with mp.workdps(digits(drift, step)):
         move, noise = moved(drift, diffusion, step)
         root = [mp.sqrt(noise[i, i]) for i in range(2)]
-        spread = {f"noise {i}{j}": Value(noise[i, j], root[i] * root[j])
-                  for i in range(2) for j in range(i + 1)}  # fmt: skip
+        spread = {
+            f"noise {i}{j}": Value(noise[i, j], root[i] * root[j])
+            for i in range(2)
+            for j in range(i + 1)
+        }
         return {**matrix_law(move, "transition"), **spread}
 
 
@@ -66,12 +73,13 @@ def hamiltonian(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> Any:
 
 SEEN = {"sensor": [[1.0, 0.0]], "intensity": [[0.25]]}
 STEADY = {
-    "damped": {**DAMPED, **SEEN}, "driven": {**DRIVEN, **SEEN},
+    "damped": {**DAMPED, **SEEN},
+    "driven": {**DRIVEN, **SEEN},
     "quiet": {**DRIVEN, "sensor": [[1.0, 0.0]], "intensity": [[1e-8]]},
     "loud": {**DAMPED, "sensor": [[1.0, 0.0]], "intensity": [[1e8]]},
     "unstable": {"drift": [[1.0, 2.0], [0.0, 0.5]], "diffusion": [[1.0, 0.5], [0.5, 1.0]], **SEEN},
     "stiff": {**STIFF, "sensor": [[1.0, 1.0]], "intensity": [[1.0]]},
-}  # fmt: skip
+}
 
 
 @family("Riccati equation", "invariant subspace", **STEADY)
@@ -90,15 +98,36 @@ def riccati(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> dict[str
 
 
 BUCY = {
-    "damped": {**DAMPED, **SEEN, "mean0": [0.5, -0.25], "cov0": [[1.0, 0.25], [0.25, 2.0]],
-               "step": 0.0625},
-    "known": {**DAMPED, **SEEN, "mean0": [0.5, -0.25], "cov0": [[0.0, 0.0], [0.0, 0.0]],
-              "step": 0.0625},
-    "diffuse": {**DRIVEN, **SEEN, "mean0": [0.5, -0.25], "cov0": [[1e10, 0.0], [0.0, 1e8]],
-                "step": 0.0625},
-    "quiet": {**DAMPED, "sensor": [[1.0, 0.0], [0.0, 1.0]], "mean0": [1e6, 0.0], "step": 2.0**-10,
-              "intensity": [[1e-4, 0.0], [0.0, 1e-2]], "cov0": [[1e-6, 0.0], [0.0, 1e-6]]},
-}  # fmt: skip
+    "damped": {
+        **DAMPED,
+        **SEEN,
+        "mean0": [0.5, -0.25],
+        "cov0": [[1.0, 0.25], [0.25, 2.0]],
+        "step": 0.0625,
+    },
+    "known": {
+        **DAMPED,
+        **SEEN,
+        "mean0": [0.5, -0.25],
+        "cov0": [[0.0, 0.0], [0.0, 0.0]],
+        "step": 0.0625,
+    },
+    "diffuse": {
+        **DRIVEN,
+        **SEEN,
+        "mean0": [0.5, -0.25],
+        "cov0": [[1e10, 0.0], [0.0, 1e8]],
+        "step": 0.0625,
+    },
+    "quiet": {
+        **DAMPED,
+        "sensor": [[1.0, 0.0], [0.0, 1.0]],
+        "mean0": [1e6, 0.0],
+        "step": 2.0**-10,
+        "intensity": [[1e-4, 0.0], [0.0, 1e-2]],
+        "cov0": [[1e-6, 0.0], [0.0, 1e-6]],
+    },
+}
 
 
 @family("Kalman-Bucy filter", "series", **BUCY)
@@ -132,10 +161,13 @@ ONE = {**START, "sensor": [[1.0, 0.0]]}
 
 
 @family(
-    "two-step estimator", "quadrature", sensitive=False,
-    early={**TWO, "time": 0.25}, late={**TWO, "time": 8.0},
+    "two-step estimator",
+    "quadrature",
+    sensitive=False,
+    early={**TWO, "time": 0.25},
+    late={**TWO, "time": 8.0},
     quiet={**TWO, "intensity": [[1e-8]], "time": 0.015625},
-)  # fmt: skip
+)
 def two_step(
     mean0: Any, cov0: Any, drift: Any, diffusion: Any, sensor: Any, intensity: Any, time: Any
 ) -> dict[str, Any]:
@@ -155,24 +187,38 @@ def two_step(
     product = polynomial_error(*law, powers=[[1, 1]])
     found = {
         "product": {name: product[f"{name} x^1y^1"] for name in ("optimal", "plugin")},
-        "sine": sine_error(*scalar), "modulus": modulus_error(*scalar),
+        "sine": sine_error(*scalar),
+        "modulus": modulus_error(*scalar),
         "maximum": maximum_error(*law),
-    }  # fmt: skip
+    }
     return {f"{f} {name}": v for f, told in found.items() for name, v in told.items()}
 
 
 @family(
-    "designed filter", "recursion",
+    "designed filter",
+    "recursion",
     damped={**ONE, "step": 0.5, "noise": 0.25, "memory": 1},
     short={**ONE, "step": 0.5, "noise": 0.25, "memory": -2},
     longer={**ONE, "step": 0.125, "noise": 1e-4, "memory": -4},
-    quiet={**ONE, "diffusion": [[0.0, 0.0], [0.0, 1e-10]], "cov0": [[1e-8, 0.0], [0.0, 1e-8]],
-           "step": 0.5, "noise": 1e-12, "memory": -3},
-)  # fmt: skip
+    quiet={
+        **ONE,
+        "diffusion": [[0.0, 0.0], [0.0, 1e-10]],
+        "cov0": [[1e-8, 0.0], [0.0, 1e-8]],
+        "step": 0.5,
+        "noise": 1e-12,
+        "memory": -3,
+    },
+)
 def designed(
-    mean0: Any, cov0: Any, drift: Any, diffusion: Any, sensor: Any, step: Any,
-    noise: Any, memory: Any,
-) -> dict[str, Any]:  # fmt: skip
+    mean0: Any,
+    cov0: Any,
+    drift: Any,
+    diffusion: Any,
+    sensor: Any,
+    step: Any,
+    noise: Any,
+    memory: Any,
+) -> dict[str, Any]:
     """Estimate from the last measurements; of all of them where an estimate is remembered.
 
     A memory of -l is that of l measurements beside the present one, 1 that of an estimate.

@@ -37,8 +37,11 @@ REFUSALS = [
     (lambda: winding(np.r_[5e-9, 1e4 * np.ones(20)]), ValueError, "coefficient"),
     (filtered(transition=[0.8]), ValueError, "transition"),
     (filtered(transition=[[1.0]]), ValueError, "transition"),
-    (filtered(transition=np.diag([0.5, 1.1]), sensor=[1.0, 0], state_noise=np.diag([1.0, 0])),
-     ValueError, "transition"),
+    (
+        filtered(transition=np.diag([0.5, 1.1]), sensor=[1.0, 0], state_noise=np.diag([1.0, 0])),
+        ValueError,
+        "transition",
+    ),
     (filtered(transition=[[0.9999]], nodes=1024), ValueError, "nodes"),
     (filtered(nodes=2), ValueError, "nodes"),
     (filtered(sensor=[1.0, 0.0]), ValueError, "sensor"),
@@ -46,7 +49,7 @@ REFUSALS = [
     (filtered(state_noise=[[-1.0]]), ValueError, "state_noise"),
     (filtered(sensor_noise=0.0), ValueError, "sensor_noise"),
     (filtered(sensor_noise=[1.0, 2.0]), ValueError, "sensor_noise"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), REFUSALS)

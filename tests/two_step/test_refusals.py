@@ -63,7 +63,7 @@ REFUSALS = [
     (lambda: POWER.plugin([1e200]), ValueError, "mean"),
     (lambda: POWER.run([0.0, 0.1], np.full((1, 1), 1e200)), ValueError, "mean"),
     (lambda: POWER.errors([]), ValueError, "times"),
-]  # fmt: skip
+]
 
 
 @pytest.mark.parametrize(("call", "error", "name"), REFUSALS)

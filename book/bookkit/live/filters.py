@@ -120,40 +120,58 @@ def _van_der_pol() -> Figure:
         made |= modules(van_der_pol_filters(k))
     names = [{"key": str(o), "label": f"{o} estimate{'s' * (o > 1)}"} for o in ORDERS]
     return Figure(
-        "van_der_pol", "filters",
+        "van_der_pol",
+        "filters",
         [Slider("noise", "standard deviation of the sensors", NOISES, 2, modules=True)],
         "Van der Pol oscillator of the jump-diffusion paper, measured seven times as x₁² and x₂ "
         "with noise. 1000 paths are simulated in the page; four filters run on each. Above, errors "
         "of both components together after each measurement; below, x₁ of the first path.",
         {
-            "plant": "van_der_pol", "times": [0.5 * k for k in range(7)], "paths": PATHS,
-            "size": 2, "parts": [0, 1], "options": {}, "xlabel": "time", "state": "x₁",
+            "plant": "van_der_pol",
+            "times": [0.5 * k for k in range(7)],
+            "paths": PATHS,
+            "size": 2,
+            "parts": [0, 1],
+            "options": {},
+            "xlabel": "time",
+            "state": "x₁",
             "filters": [*names, {"key": "ekf", "label": "extended Kalman"}],
-            "timed": [f"ekf@{k}" for k in range(len(NOISES))], **pooled(made),
+            "timed": [f"ekf@{k}" for k in range(len(NOISES))],
+            **pooled(made),
         },
         again=True,
-    )  # fmt: skip
+    )
 
 
 def _linear() -> Figure:
     matrix, root = linear_step()
     names = [{"key": str(o), "label": f"{o} estimate{'s' * (o > 1)}"} for o in (1, 4)]
     return Figure(
-        "dropouts", "filters", [Slider("missing", "share of missing measurements", MISSING, 3)],
+        "dropouts",
+        "filters",
+        [Slider("missing", "share of missing measurements", MISSING, 3)],
         "Linear oscillator, its position measured every half second. The designed filters were "
         "told of no gaps; they put the expected value in the place of what is missing. The Kalman "
         "filter knows what was missing: it is the optimum.",
         {
-            "plant": "linear", "times": [0.5 * k for k in range(25)], "paths": PATHS, "size": 2,
-            "parts": [0], "xlabel": "time", "state": "position", "shown": 0, "timed": ["kf"],
+            "plant": "linear",
+            "times": [0.5 * k for k in range(25)],
+            "paths": PATHS,
+            "size": 2,
+            "parts": [0],
+            "xlabel": "time",
+            "state": "position",
+            "shown": 0,
+            "timed": ["kf"],
             "options": {
-                "matrix": matrix.ravel().tolist(), "root": root[[0, 1, 1], [0, 0, 1]].tolist()
+                "matrix": matrix.ravel().tolist(),
+                "root": root[[0, 1, 1], [0, 0, 1]].tolist(),
             },
             "filters": [*names, {"key": "kf", "label": "Kalman"}],
             **pooled(modules(linear_filters())),
         },
         again=True,
-    )  # fmt: skip
+    )
 
 
 def _flip() -> Figure:
@@ -162,20 +180,31 @@ def _flip() -> Figure:
         for name, made in flip_filters().items()
     }
     return Figure(
-        "flip", "filters", [Slider("missing", "share of missing measurements", MISSING, 0)],
+        "flip",
+        "filters",
+        [Slider("missing", "share of missing measurements", MISSING, 0)],
         "The process that flips from side to side, measured every quarter of a second. A table of "
         "the optimal function of measurement and last estimate, and the line of theorem 2 with the "
         "same memory.",
         {
-            "plant": "flip", "times": [0.25 * k for k in range(13)], "paths": PATHS, "size": 1,
-            "parts": [0], "xlabel": "time", "state": "x", "shown": 0, "timed": [], "options": {},
+            "plant": "flip",
+            "times": [0.25 * k for k in range(13)],
+            "paths": PATHS,
+            "size": 1,
+            "parts": [0],
+            "xlabel": "time",
+            "state": "x",
+            "shown": 0,
+            "timed": [],
+            "options": {},
             "filters": [
-                {"key": "table", "label": "optimal function"}, {"key": "line", "label": "line"}
+                {"key": "table", "label": "optimal function"},
+                {"key": "line", "label": "line"},
             ],
             **pooled(modules(kept)),
         },
         again=True,
-    )  # fmt: skip
+    )
 
 
 def _switching() -> Figure:
@@ -183,19 +212,27 @@ def _switching() -> Figure:
     for k in range(len(RATES)):
         made |= modules(switching_filters(k))
     return Figure(
-        "switching", "filters",
+        "switching",
+        "filters",
         [Slider("rate", "factor of the switching probabilities", RATES, 2, modules=True)],
         "Scalar system of two modes whose switching depends on the state. The designed filter "
         "remembers one estimate, the IMM filter a law for each mode; a filter of its own for each "
         "factor.",
         {
-            "plant": "switching", "times": list(range(21)), "paths": PATHS, "size": 1,
-            "parts": [0], "xlabel": "time", "state": "x", "options": {},
+            "plant": "switching",
+            "times": list(range(21)),
+            "paths": PATHS,
+            "size": 1,
+            "parts": [0],
+            "xlabel": "time",
+            "state": "x",
+            "options": {},
             "filters": [
                 {"key": "1", "label": "designed, 1 estimate"},
                 {"key": "imm", "label": "IMM, linearised"},
             ],
-            "timed": [f"imm@{k}" for k in range(len(RATES))], **pooled(made),
+            "timed": [f"imm@{k}" for k in range(len(RATES))],
+            **pooled(made),
         },
         again=True,
-    )  # fmt: skip
+    )

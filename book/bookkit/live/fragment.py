@@ -99,8 +99,11 @@ def drawn(figure: Figure, node: str = "node") -> tuple[str, str]:
     text = json.dumps({"data": told(figure), "given": [s.first for s in figure.sliders]})
     done = subprocess.run(
         [node, "-e", _DRAW, str(STATIC / "live.js")],
-        input=text, capture_output=True, text=True, check=True,
-    )  # fmt: skip
+        input=text,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
     charts, said = json.loads(done.stdout)
     return charts, said
 

@@ -65,12 +65,19 @@ def _law() -> Figure:
     found = zip((q / (r * a**2)).ravel(), np.ravel(curves[0]["values"]), strict=True)
     ratios = [float(f"{10 ** (k / 20):.4g}") for k in range(-40, 61)]
     return Figure(
-        "plugin_loss", "law", [Slider("ratio", "signal-to-noise ratio q/(r a²)", ratios, 40)],
+        "plugin_loss",
+        "law",
+        [Slider("ratio", "signal-to-noise ratio q/(r a²)", ratios, 40)],
         "Steady loss of the plug-in estimate of the power: the law 50 % / √(1 + q/(r a²)), and as "
         "dots the 27 signals and sensors of the sweep.",
-        {"xlabel": "signal-to-noise ratio q/(r a²)", "ylabel": "loss, %", "logx": True,
-         "dots": [[float(f"{x:.6g}"), y] for x, y in found], "zero": True},
-    )  # fmt: skip
+        {
+            "xlabel": "signal-to-noise ratio q/(r a²)",
+            "ylabel": "loss, %",
+            "logx": True,
+            "dots": [[float(f"{x:.6g}"), y] for x, y in found],
+            "zero": True,
+        },
+    )
 
 
 def _function() -> Figure:
@@ -87,21 +94,34 @@ def _function() -> Figure:
         mean = forecast[0] + (g[0, 0] / f[0, 0]) * (y - m[0])
         straight.append([round(float(part), 5) for part in mean])
     return Figure(
-        "flip_function", "table",
-        [Slider("memory", "remembered estimate u", memory, 30),
-         Slider("y", "measurement y", y.tolist(), 8)],
+        "flip_function",
+        "table",
+        [
+            Slider("memory", "remembered estimate u", memory, 30),
+            Slider("y", "measurement y", y.tolist(), 8),
+        ],
         "Flip process at the last of 13 measurements: what the filter says to a measurement y when "
         "it remembers u. The optimal function decides between two wells; the line can not.",
-        {"x": y.tolist(), "xlabel": "measurement y", "ylabel": "estimate of x",
-         "curves": [{"label": "optimal function", "values": exact},
-                    {"label": "line of theorem 2", "values": straight}]},
-    )  # fmt: skip
+        {
+            "x": y.tolist(),
+            "xlabel": "measurement y",
+            "ylabel": "estimate of x",
+            "curves": [
+                {"label": "optimal function", "values": exact},
+                {"label": "line of theorem 2", "values": straight},
+            ],
+        },
+    )
 
 
 def _table(
-    name: str, source: str, labels: Mapping[str, tuple[str, int]],
-    columns: Mapping[str, tuple[str, str | None]], caption: str, **look: Any,
-) -> Figure:  # fmt: skip
+    name: str,
+    source: str,
+    labels: Mapping[str, tuple[str, int]],
+    columns: Mapping[str, tuple[str, str | None]],
+    caption: str,
+    **look: Any,
+) -> Figure:
     """A figure over a sweep; the last of its sliders moves along the curves."""
     values, curves = swept(source, list(labels), columns)
     sliders = [
@@ -115,7 +135,8 @@ def _table(
 
 def _delay() -> Figure:
     return _table(
-        "delay", "delay_loss",
+        "delay",
+        "delay_loss",
         {"delay": ("delay N, steps", 2), "damping": ("radius of the oscillator's own motion", 2)},
         {
             "paper's filter": ("printed_loss", None),
@@ -123,23 +144,30 @@ def _delay() -> Figure:
             "best gains": ("greedy_loss", None),
         },
         "Kalman filter with delay: losses against the optimum, exact.",
-        ylabel="loss, %", logy=True,
-    )  # fmt: skip
+        ylabel="loss, %",
+        logy=True,
+    )
 
 
 def _switching() -> Figure:
     names = {
-        "exact": "one estimate, exact", "aof_g": "IMM, Gaussian means",
-        "fbp_g": "one estimate, Gaussian", "imm_ekf": "IMM, extended Kalman",
-    }  # fmt: skip
+        "exact": "one estimate, exact",
+        "aof_g": "IMM, Gaussian means",
+        "fbp_g": "one estimate, Gaussian",
+        "imm_ekf": "IMM, extended Kalman",
+    }
     return _table(
-        "switching_noise", "switching_noise",
-        {"rate": ("factor of the switching probabilities", 2),
-         "deviation": ("deviation of the sensor noise", 2)},
+        "switching_noise",
+        "switching_noise",
+        {
+            "rate": ("factor of the switching probabilities", 2),
+            "deviation": ("deviation of the sensor noise", 2),
+        },
         {title: (f"more_{key}", f"more_error_{key}") for key, title in names.items()},
         "Scalar switching system: error above that of the Bayes filter; bars: two standard errors.",
-        ylabel="error above Bayes, %", logx=True,
-    )  # fmt: skip
+        ylabel="error above Bayes, %",
+        logx=True,
+    )
 
 
 def _interval() -> Figure:
@@ -150,33 +178,45 @@ def _interval() -> Figure:
         "polynomial": "polynomial",
     }
     return _table(
-        "interval", "jump_diffusion_interval",
-        {"noise": ("deviation of the sensor noise", 1),
-         "interval": ("interval between measurements", 2)},
+        "interval",
+        "jump_diffusion_interval",
+        {
+            "noise": ("deviation of the sensor noise", 1),
+            "interval": ("interval between measurements", 2),
+        },
         {title: (key, None) for key, title in names.items()},
         "Kicked Duffing oscillator: root-mean-square error of the position on 4096 common paths.",
-        ylabel="root-mean-square error", logx=True,
-    )  # fmt: skip
+        ylabel="root-mean-square error",
+        logx=True,
+    )
 
 
 def _regions() -> Figure:
     return _table(
-        "regions", "piecewise_regions",
+        "regions",
+        "piecewise_regions",
         {"sensor_noise": ("sensor noise, rad", 1), "cells": ("number of windows", 2)},
         {"windows of the paper": ("paper_50", None), "even curvature": ("wide_50", None)},
         "Falling body at 50 km after ten seconds: distance from the exact posterior mean.",
-        ylabel="distance, standard deviations", logx=True, logy=True,
-    )  # fmt: skip
+        ylabel="distance, standard deviations",
+        logx=True,
+        logy=True,
+    )
 
 
 def _growth() -> Figure:
     return _table(
-        "growth", "field_growth",
-        {"process": ("deviation of the dynamics' noise", 0),
-         "order": ("order: estimates remembered", 1),
-         "sensor": ("deviation of the sensor noise", 1)},
+        "growth",
+        "field_growth",
+        {
+            "process": ("deviation of the dynamics' noise", 0),
+            "order": ("order: estimates remembered", 1),
+            "sensor": ("deviation of the sensor noise", 1),
+        },
         {"distance": ("far", "far_error")},
         "Growth model: mean square distance of the table's estimate from the conditional mean; "
         "bars are two standard errors.",
-        ylabel="mean square distance", logx=True, zero=True,
-    )  # fmt: skip
+        ylabel="mean square distance",
+        logx=True,
+        zero=True,
+    )

@@ -126,11 +126,14 @@ def _seen_branch(system, branch, reading):
         raise ValueError("indicator: its probability depends on state and time")
     if told is None:
         return StochasticMap.from_functions(
-            move.state_size, move.size, move.value, move.noise,
+            move.state_size,
+            move.size,
+            move.value,
+            move.noise,
             weight=lambda t, x, v: (
                 move.weight(t, x, v) * reading.probability(t, move.value(t, x, v))
             ),
-        )  # fmt: skip
+        )
     there = dict(zip(shown.state, move.expressions, strict=True))
     weight = move.weight_expression * told.subs(there, simultaneous=True)
     return StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)

@@ -99,9 +99,14 @@ class CellFit(NamedTuple):
         d = memory.dimension(k, n, system.measurement_size, modes)
         tail = modes, cell_count(memory, system, k)
         check_fields(
-            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail),
-            centre=(d, *tail), white=(d, d, *tail),
-        )  # fmt: skip
+            name,
+            self,
+            gain=(n, d, *tail),
+            offset=(n, *tail),
+            cov=(n, n, *tail),
+            centre=(d, *tail),
+            white=(d, d, *tail),
+        )
         # a mode that is never met in a cell has the weight zero
         check_array(f"{name}.log_weight", self.log_weight, *tail, finite=False)
         check_covariances(name, [np.moveaxis(self.cov, (0, 1), (-2, -1))])
@@ -263,9 +268,15 @@ class SwitchingFilter(DesignedFilter):
         with elapsed(self.system, state.time, t):
             law = self.rules.predict(state.time, self.known(state))
         return state._replace(
-            index=k, time=t, law=law, mean=None, mode=None, loglik=0.0, corrected=False,
+            index=k,
+            time=t,
+            law=law,
+            mean=None,
+            mode=None,
+            loglik=0.0,
+            corrected=False,
             interval=interval,
-        )  # fmt: skip
+        )
 
     def known(self, state: SwitchingState) -> ModeLaw:
         """Law after a correction that the forecast starts from: given the memory, if any."""
@@ -338,9 +349,14 @@ class SwitchingFilter(DesignedFilter):
         return np.arange(len(times))
 
     def fill(
-        self, rows: Estimates, times: np.ndarray, index: np.ndarray, y: np.ndarray,
-        indicators: np.ndarray | None, held: Course,
-    ) -> int:  # fmt: skip
+        self,
+        rows: Estimates,
+        times: np.ndarray,
+        index: np.ndarray,
+        y: np.ndarray,
+        indicators: np.ndarray | None,
+        held: Course,
+    ) -> int:
         """Run over a block of records."""
         state = self.initial(y.shape[2:])
         for k, t in enumerate(times):

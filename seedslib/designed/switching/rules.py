@@ -258,13 +258,22 @@ class SwitchingRules:
             if memory.indicators and (indicator < 0).any():
                 raise ValueError("indicator: wanted by the memory, got a missing one")
             past = memory.push(
-                past, estimate=mean, measurement=shown, mode=mode, indicator=indicator,
+                past,
+                estimate=mean,
+                measurement=shown,
+                mode=mode,
+                indicator=indicator,
                 log_odds=log_odds(law.log_prob) if memory.log_odds else None,
-            )  # fmt: skip
+            )
         return state._replace(
-            law=law, mean=mean, mode=mode, past=past, loglik=loglik,
-            mended=state.mended + raised + more, corrected=True,
-        )  # fmt: skip
+            law=law,
+            mean=mean,
+            mode=mode,
+            past=past,
+            loglik=loglik,
+            mended=state.mended + raised + more,
+            corrected=True,
+        )
 
 
 @lru_cache(maxsize=16)

@@ -116,8 +116,13 @@ def _corrected(log_prob, both, joint, later):
     found, less, loglik = correct(mean, cov, (later.mean - middle)[:, None], moments)
     less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
     columns, before = stepped_back(
-        both[:n, ..., None], joint[:n, :n], mean[..., None], cov,
-        gain_of(joint[:n, n:], cov), found[..., None], less,
-    )  # fmt: skip
+        both[:n, ..., None],
+        joint[:n, :n],
+        mean[..., None],
+        cov,
+        gain_of(joint[:n, n:], cov),
+        found[..., None],
+        less,
+    )
     share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
     return later.log_prob + share, columns[..., 0], before

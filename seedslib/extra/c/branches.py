@@ -137,9 +137,10 @@ class _Writer:
         n, tape = self.system.state_size, Tape()
         law = tape.inputs("law[{}]", _law_size(n))
         evaluate = compile_components(
-            (self.system.time, self.mean, self.lower), [e for e, _, _ in self.wanted],
+            (self.system.time, self.mean, self.lower),
+            [e for e, _, _ in self.wanted],
             self.names.table,
-        )  # fmt: skip
+        )
         with told_on(tape, told_of(self.system)):
             found = evaluate(tape.inputs("t")[()], list(law[:n]), list(law[n:]))
         for value, (_, varies, place) in zip(found, self.wanted, strict=True):

@@ -149,10 +149,15 @@ def covariance_source(filter: CovarianceFilter) -> tuple[dict[Any, Any], str]:
     predict = telling(first, sensed) + length + telling(rest, told)
     by_points = isinstance(_rule(filter), PointRule)
     parts = [
-        text, _STATE, FACTOR * by_points, SETTLE * by_points,
-        telling(_motion(filter, told), told), predict,
-        telling(_correction(filter, sensed), sensed), telling(_STEP, sensed),
-    ]  # fmt: skip
+        text,
+        _STATE,
+        FACTOR * by_points,
+        SETTLE * by_points,
+        telling(_motion(filter, told), told),
+        predict,
+        telling(_correction(filter, sensed), sensed),
+        telling(_STEP, sensed),
+    ]
     return macros, "\n".join(parts).replace("@NONE", _NONE if sensed else "")
 
 

@@ -200,24 +200,35 @@ def driver(text: str, later: str, slack: str) -> str:
     told = "int indicator" in text
     between = " f_forecast(" in text
     inputs = "#define F_INPUTS " in text
-    check = "" if timed or not slack else (
-        "\n        if (s[i].k < F_TIMES && !(fabs(t - (f_times[s[i].k]@LATER)) <= @SLACK)) {\n"
-        "            return F_TIME;\n        }"
-    )  # fmt: skip
+    check = (
+        ""
+        if timed or not slack
+        else (
+            "\n        if (s[i].k < F_TIMES && !(fabs(t - (f_times[s[i].k]@LATER)) <= @SLACK)) {\n"
+            "            return F_TIME;\n        }"
+        )
+    )
     more = _ONE + _ALONE * (not told and not inputs)
     more += _HALVES * (" f_predict(" in text) + _FORECAST * between
     for mark, part in (
-        ("@STEP", _TOLD_STEP if inputs else _STEP), ("@ALSO", ", const double *u" * inputs),
-        ("@ROOM", ", given[F_INPUTS]" * inputs), ("@GIVEN", _GIVEN * inputs),
+        ("@STEP", _TOLD_STEP if inputs else _STEP),
+        ("@ALSO", ", const double *u" * inputs),
+        ("@ROOM", ", given[F_INPUTS]" * inputs),
+        ("@GIVEN", _GIVEN * inputs),
         ("@WITH", ", given" * inputs),
         ("@ALONE", "\n    int j;\n    double given[F_INPUTS];" * inputs),
-        ("@LAYOUT", ", ".join(["(int)sizeof(f_state)", *layout])), ("@CHECK", check),
-        ("@TIME", "t, " * timed), ("@RECORD", "t[k], " * timed),
+        ("@LAYOUT", ", ".join(["(int)sizeof(f_state)", *layout])),
+        ("@CHECK", check),
+        ("@TIME", "t, " * timed),
+        ("@RECORD", "t[k], " * timed),
         ("@TOLD1", ", told ? (int)told[i] : -1" * told),
         ("@TOLD2", ", told ? (int)told[k * wide + i] : -1" * told),
-        ("@BETWEEN", _BETWEEN * between), ("@MODES", _PROB * known["prob"] + _MODE * known["mode"]),
-        ("@LATER", later), ("@SLACK", slack), ("@TILE", str(TILE)),
-    ):  # fmt: skip
+        ("@BETWEEN", _BETWEEN * between),
+        ("@MODES", _PROB * known["prob"] + _MODE * known["mode"]),
+        ("@LATER", later),
+        ("@SLACK", slack),
+        ("@TILE", str(TILE)),
+    ):
         more = more.replace(mark, part)
     size = "F_ESTIMATE" if "#define F_ESTIMATE " in text else "F_STATE"
     return f"{text}\n#define F_OUT {size}\n{more}"

@@ -137,12 +137,21 @@ def finite_order_source(filter: FiniteOrderFilter) -> tuple[dict[Any, Any], str]
         text += course(filter)
     arrive = _COURSE_ARRIVE if continuous else ""
     common, timing = frame(filter)
-    text = "\n".join([
-        timing, schedule(filter), text, STATE, _first(filter), _correction(filter), push(filter),
-        STEP.replace("@ARRIVE", arrive).replace("@LOST", losing(filter)[0]),
-        COURSE_NODES if continuous else _nodes(filter), COURSE_END if continuous else END,
-        between(filter),
-    ])  # fmt: skip
+    text = "\n".join(
+        [
+            timing,
+            schedule(filter),
+            text,
+            STATE,
+            _first(filter),
+            _correction(filter),
+            push(filter),
+            STEP.replace("@ARRIVE", arrive).replace("@LOST", losing(filter)[0]),
+            COURSE_NODES if continuous else _nodes(filter),
+            COURSE_END if continuous else END,
+            between(filter),
+        ]
+    )
     return {**common, **macros}, going_on(filter, telling(text, ()))
 
 

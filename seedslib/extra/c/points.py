@@ -251,8 +251,12 @@ def _tables(label: str, unit: np.ndarray, weight: np.ndarray, square: np.ndarray
 
 def _filled(text: str, label: str, spots: int, size: int, width: int, noise: str) -> str:
     for mark, value in (
-        ("@SPOTS", spots), ("@SIZE", size), ("@WIDTH", width), ("@NOISE", noise), ("@LABEL", label),
-    ):  # fmt: skip
+        ("@SPOTS", spots),
+        ("@SIZE", size),
+        ("@WIDTH", width),
+        ("@NOISE", noise),
+        ("@LABEL", label),
+    ):
         text = text.replace(mark, str(value))
     return text
 

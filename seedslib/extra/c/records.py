@@ -69,20 +69,24 @@ _SHARES = {
 
 
 _ONCE = {
-    "@COUNTED": "measurements taken in", "@LAPS": "", "@LATER": "",
-    "@ENDS": "\n    if (s->k >= @NAME_TIMES) return @NAME_END;", "@LAP": "",
-}  # fmt: skip
+    "@COUNTED": "measurements taken in",
+    "@LAPS": "",
+    "@LATER": "",
+    "@ENDS": "\n    if (s->k >= @NAME_TIMES) return @NAME_END;",
+    "@LAP": "",
+}
 
 _FOR_EVER = {
     "@COUNTED": "step of the design that serves the next measurement",
     "@LAPS": "    double laps; /* how often its last steps have begun again */\n",
-    "@LATER": " + s->laps * @SPAN", "@ENDS": "",
+    "@LATER": " + s->laps * @SPAN",
+    "@ENDS": "",
     "@LAP": """
     if (s->k == @NAME_TIMES) { /* the last steps serve all later measurements in turn */
         s->k -= @NAME_CYCLE;
         s->laps += 1.0;
     }""",
-}  # fmt: skip
+}
 
 
 def going_on(filter: DesignedFilter, text: str) -> str:

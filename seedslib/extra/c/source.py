@@ -108,10 +108,14 @@ def function(head: str, lines: list[str]) -> str:
 
 
 TOLERANCES = {
-    "RELATIVE": (RELATIVE, 1e-6), "ABSOLUTE": (ABSOLUTE, float(np.finfo(np.float32).tiny)),
-    "INDEFINITE": (INDEFINITE, 1e-4), "FAINT": (FAINT, 1e-30), "TURNED": (1e-36, 1e-14),
-    "SAME": (SAME, 1e-4), "ROUND": (ROUNDING, 2.0**-21),
-}  # fmt: skip
+    "RELATIVE": (RELATIVE, 1e-6),
+    "ABSOLUTE": (ABSOLUTE, float(np.finfo(np.float32).tiny)),
+    "INDEFINITE": (INDEFINITE, 1e-4),
+    "FAINT": (FAINT, 1e-30),
+    "TURNED": (1e-36, 1e-14),
+    "SAME": (SAME, 1e-4),
+    "ROUND": (ROUNDING, 2.0**-21),
+}
 """What counts as zero, as faint, as one time: in double, and in float."""
 
 

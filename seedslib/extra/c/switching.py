@@ -38,18 +38,27 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     n, m, modes = system.state_size, system.measurement_size, system.modes
     each = system.indicators if rules.split else 1
     macros = {
-        "STATE": n, "MEASUREMENT": m, "MODES": modes, "INDICATORS": system.indicators,
-        "JOINT": n + m, "LAW": n * (n + 3) // 2, "BOTH": (n + m) * (n + m + 3) // 2,
-        "EACH": each, "PARTS": modes * each,
-    }  # fmt: skip
+        "STATE": n,
+        "MEASUREMENT": m,
+        "MODES": modes,
+        "INDICATORS": system.indicators,
+        "JOINT": n + m,
+        "LAW": n * (n + 3) // 2,
+        "BOTH": (n + m) * (n + m + 3) // 2,
+        "EACH": each,
+        "PARTS": modes * each,
+    }
     text = constants("@name_score0", _logs([part.probability for part in system.initial]))
     first = [[*part.mean, *part.cov[np.tril_indices(n)]] for part in system.initial]
     text += constants("@name_law0", first)
     moves = moves_source(system, filter.linearization, rules.split)
     shared = [
-        moves, readings_source(system, filter.linearization), _correction(filter),
-        *_forecasts(filter), laws.SENSE,
-    ]  # fmt: skip
+        moves,
+        readings_source(system, filter.linearization),
+        _correction(filter),
+        *_forecasts(filter),
+        laws.SENSE,
+    ]
     expect = ""
     if memory is None:
         own, held, begin, header = laws.CARRIED_STEP, _CARRIED, "", _TIMED
@@ -69,11 +78,18 @@ def switching_source(filter: SwitchingFilter) -> tuple[dict[Any, Any], str]:
     if memory is not None and memory.indicators:
         watch += _WANTED
     marks = {
-        "@HEADER": header, "@GAPS": gaps, "@AFTER": after, "@HELD": held, "@BEGIN": begin,
-        "@TOLD": ", int indicator" if system.indicators else "", "@WATCH": watch,
-        "@SEEN": "indicator" if system.indicators else "-1", "@MOST": str(modes),
-        "@LOST": losing(filter)[0], "@LENGTH": _lasting(told, memory is None),
-    }  # fmt: skip
+        "@HEADER": header,
+        "@GAPS": gaps,
+        "@AFTER": after,
+        "@HELD": held,
+        "@BEGIN": begin,
+        "@TOLD": ", int indicator" if system.indicators else "",
+        "@WATCH": watch,
+        "@SEEN": "indicator" if system.indicators else "-1",
+        "@MOST": str(modes),
+        "@LOST": losing(filter)[0],
+        "@LENGTH": _lasting(told, memory is None),
+    }
     whole = "\n".join([text, laws.STATE, laws.MIX, *shared, take, own])
     for mark, part in marks.items():
         whole = whole.replace(mark, part)
@@ -152,9 +168,11 @@ def _designed(filter: SwitchingFilter, macros: dict[Any, Any]) -> str:
     n = system.state_size
     macros |= {
         "MEMORY": memory.order(n, system.measurement_size, system.modes),
-        "BLOCK": n + odds, "HELD_ESTIMATES": memory.estimates,
-        "HELD_INDICATORS": memory.indicators, "TIMES": len(filter.times),
-    }  # fmt: skip
+        "BLOCK": n + odds,
+        "HELD_ESTIMATES": memory.estimates,
+        "HELD_INDICATORS": memory.indicators,
+        "TIMES": len(filter.times),
+    }
     if filter.cycle:
         macros["CYCLE"] = filter.cycle
     text, rows = cells.KNOWN, []

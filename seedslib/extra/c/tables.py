@@ -189,24 +189,34 @@ def table_source(filter: TableFilter) -> tuple[dict[Any, Any], str]:
         macros |= {"MODES": system.modes, "INDICATORS": told}
     rows = [
         f"    {{ {literal(a.low)}, {literal(a.high)}, {literal(1.0 / a.step)}, {a.count} }}"
-        if isinstance(a, Axis) else f"    {{ 0.0, 0.0, 0.0, {a.count} }}"
+        if isinstance(a, Axis)
+        else f"    {{ 0.0, 0.0, 0.0, {a.count} }}"
         for a in axes
-    ]  # fmt: skip
+    ]
     text = f"static const @name_axis @name_axes[{len(axes)}] = {{\n" + ",\n".join(rows) + "\n};\n"
     for name, fits in (("output", outputs), ("ahead", ahead), ("node", nodes)):
         text += _tables(name, fits, axes, macros["AXES"], modes)
     text += constants("@name_cov", filter.covariances)
-    after = [] if modes else [
-        _NODES.replace("@LOOKUP", "@name_lookup_(&@name_node[n], point, out);" if nodes else ""),
-        between(filter),
-    ]  # fmt: skip
+    after = (
+        []
+        if modes
+        else [
+            _NODES.replace(
+                "@LOOKUP", "@name_lookup_(&@name_node[n], point, out);" if nodes else ""
+            ),
+            between(filter),
+        ]
+    )
     marks = {
-        "@STATE_MORE": _deciding(prob) if modes else "", "@TOLD": ", int indicator" * bool(told),
-        "@WATCH": (_WATCH + _WANTED * kept) if told else "", "@FIRST": str(int(bool(told))),
-        "@NEAREST": "nearest, " * modes, "@KEEPNEAREST": "nearest = " * modes,
+        "@STATE_MORE": _deciding(prob) if modes else "",
+        "@TOLD": ", int indicator" * bool(told),
+        "@WATCH": (_WATCH + _WANTED * kept) if told else "",
+        "@FIRST": str(int(bool(told))),
+        "@NEAREST": "nearest, " * modes,
+        "@KEEPNEAREST": "nearest = " * modes,
         "@MODE_TYPE": "const signed char *modes;\n    " if modes else "",
         "@DECIDE": (_DECIDE + _PROB * prob) if modes else "",
-    }  # fmt: skip
+    }
     state = STATE.replace("} @name_state;", "@STATE_MORE} @name_state;") if modes else STATE
     letters = [name for name, there in (("s->mode", decided), ("indicator", kept)) if there]
     pushed, call = push(filter), ""

@@ -20,22 +20,55 @@ LARGEST_POWER = 40
 """Whole powers up to this one are written as products."""
 
 _OPERATORS = {
-    "add": operator.add, "subtract": operator.sub, "multiply": operator.mul,
-    "divide": operator.truediv, "true_divide": operator.truediv, "power": operator.pow,
-    "float_power": operator.pow, "negative": operator.neg, "absolute": abs,
-}  # fmt: skip
+    "add": operator.add,
+    "subtract": operator.sub,
+    "multiply": operator.mul,
+    "divide": operator.truediv,
+    "true_divide": operator.truediv,
+    "power": operator.pow,
+    "float_power": operator.pow,
+    "negative": operator.neg,
+    "absolute": abs,
+}
 _RELATIONS = {
-    "less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">=", "equal": "==",
+    "less": "<",
+    "less_equal": "<=",
+    "greater": ">",
+    "greater_equal": ">=",
+    "equal": "==",
     "not_equal": "!=",
-}  # fmt: skip
+}
 CALLS = {
-    "sqrt": "sqrt", "cbrt": "cbrt", "exp": "exp", "exp2": "exp2", "expm1": "expm1", "log": "log",
-    "log2": "log2", "log10": "log10", "log1p": "log1p", "sin": "sin", "cos": "cos", "tan": "tan",
-    "arcsin": "asin", "arccos": "acos", "arctan": "atan", "arctan2": "atan2", "sinh": "sinh",
-    "cosh": "cosh", "tanh": "tanh", "arcsinh": "asinh", "arccosh": "acosh", "arctanh": "atanh",
-    "hypot": "hypot", "fabs": "fabs", "floor": "floor", "ceil": "ceil",
-    "erf": "erf", "erfc": "erfc", "gammaln": "lgamma",
-}  # fmt: skip
+    "sqrt": "sqrt",
+    "cbrt": "cbrt",
+    "exp": "exp",
+    "exp2": "exp2",
+    "expm1": "expm1",
+    "log": "log",
+    "log2": "log2",
+    "log10": "log10",
+    "log1p": "log1p",
+    "sin": "sin",
+    "cos": "cos",
+    "tan": "tan",
+    "arcsin": "asin",
+    "arccos": "acos",
+    "arctan": "atan",
+    "arctan2": "atan2",
+    "sinh": "sinh",
+    "cosh": "cosh",
+    "tanh": "tanh",
+    "arcsinh": "asinh",
+    "arccosh": "acosh",
+    "arctanh": "atanh",
+    "hypot": "hypot",
+    "fabs": "fabs",
+    "floor": "floor",
+    "ceil": "ceil",
+    "erf": "erf",
+    "erfc": "erfc",
+    "gammaln": "lgamma",
+}
 _TEMPLATES = {
     "sign": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? -1.0 : {0}",
     "heaviside": "{0} > 0.0 ? 1.0 : {0} < 0.0 ? 0.0 : {0} == 0.0 ? {1} : {0}",
@@ -163,9 +196,12 @@ class Scalar:
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
 
     def __array_function__(
-        self, function: Callable[..., Any], types: object, arguments: tuple[Any, ...],
+        self,
+        function: Callable[..., Any],
+        types: object,
+        arguments: tuple[Any, ...],
         options: dict[Any, Any],
-    ) -> Number:  # fmt: skip
+    ) -> Number:
         if function is not np.select:
             raise ValueError(f"formulas: wanted functions that C99 has, got {function.__name__}")
         conditions, choices, *rest = arguments

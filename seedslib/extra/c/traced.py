@@ -39,9 +39,15 @@ def written(map: Any) -> bool:
 
 
 def moments_source(
-    tape: Tape, linearization: Linearization, map: StochasticMap, label: str,
-    mean: Sequence[Any], lower: Sequence[Any], spread: bool = True, told: Sequence[Any] = (),
-) -> tuple[str, list[str], tuple[Any, ...]]:  # fmt: skip
+    tape: Tape,
+    linearization: Linearization,
+    map: StochasticMap,
+    label: str,
+    mean: Sequence[Any],
+    lower: Sequence[Any],
+    spread: bool = True,
+    told: Sequence[Any] = (),
+) -> tuple[str, list[str], tuple[Any, ...]]:
     """Moments of a map on a tape that has the time ``t``, by formulas or by points.
 
     Of a map that mentions inputs the tape has ``u`` and ``dt``, see `told_on`.
@@ -114,9 +120,10 @@ def telling(text: str, told: Sequence[Any]) -> str:
     """C with the parameters for what a model is told; inputs come before the elapsed time."""
     roles = {p.role for p in told}
     known = [
-        pair for role, pair in (("input", ("const double *", "u")), ("elapsed", ("double ", "dt")))
+        pair
+        for role, pair in (("input", ("const double *", "u")), ("elapsed", ("double ", "dt")))
         if role in roles
-    ]  # fmt: skip
+    ]
     for mark, parts in (
         ("@ALSO", [f", {kind}{name}" for kind, name in known]),
         ("@WITH", [f", {name}" for _, name in known]),
@@ -162,9 +169,14 @@ def mean_rates(linearization: Linearization, system: object) -> Callable[..., li
 
 
 def record_correction(
-    tape: Tape, mean: Sequence[Any], lower: Sequence[Any] | None, y: Sequence[Scalar],
-    moments: tuple[Any, ...], rows: int, periods: Periods = (),
-) -> tuple[Any, ...]:  # fmt: skip
+    tape: Tape,
+    mean: Sequence[Any],
+    lower: Sequence[Any] | None,
+    y: Sequence[Scalar],
+    moments: tuple[Any, ...],
+    rows: int,
+    periods: Periods = (),
+) -> tuple[Any, ...]:
     """Record the correction of the leading rows by a measurement of which parts may be missing.
 
     A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
@@ -218,7 +230,7 @@ def record_correction(
         regular.append(tape.infix(pivot, ">", least))
         redundant = tape.node(
             "{0} >= {1} ? 0.0 : (double)NAN", pivot, -(indefinite * variance + absolute)
-        )  # fmt: skip
+        )
         inverse = tape.choose(regular[-1], 1.0 / pivot, redundant)
         return inverse, tape.choose(regular[-1], pivot, 1.0)
 

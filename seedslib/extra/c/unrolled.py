@@ -55,9 +55,13 @@ def unrolled_factor(tape: Tape, lower: Sequence[Any], n: int) -> list[list[Numbe
 
 
 def unrolled_moments(
-    tape: Tape, rule: PointRule, map: StochasticMap, mean: Sequence[Any], lower: Sequence[Any],
+    tape: Tape,
+    rule: PointRule,
+    map: StochasticMap,
+    mean: Sequence[Any],
+    lower: Sequence[Any],
     spread: bool,
-) -> tuple[Any, ...]:  # fmt: skip
+) -> tuple[Any, ...]:
     """E y, cov(x, y) and cov y of a symbolic map, recorded; the last None without `spread`."""
     n, m = map.state_size, map.size
     values, cov, noise = point_space(map)
@@ -71,21 +75,31 @@ def unrolled_moments(
     evaluate = compile_components(tuple(given), [*values, *flat])
     y, given_cov = [], []
     for unit_p, cover in zip(unit[:n].T, covers.T, strict=True):
-        x = [mean[i] + _sum(root[i][j] * u for j, u in enumerate(unit_p[: i + 1]) if u)
-             for i in range(n)]  # fmt: skip
+        x = [
+            mean[i] + _sum(root[i][j] * u for j, u in enumerate(unit_p[: i + 1]) if u)
+            for i in range(n)
+        ]
         found = evaluate(t, x, *([cover.tolist()] if noise is not None else []))
         y.append(found[:m])
         given_cov.append(found[m:])
     for k, period in map.period:
         for row in y[1:]:
             row[k] = row[k] - period * np.floor((row[k] - y[0][k]) / period + 0.5)
-    h = [y[0][i] + _sum((row[i] - y[0][i]) * w for row, w in zip(y, weight, strict=True) if w)
-         for i in range(m)]  # fmt: skip
+    h = [
+        y[0][i] + _sum((row[i] - y[0][i]) * w for row, w in zip(y, weight, strict=True) if w)
+        for i in range(m)
+    ]
     apart = [[row[i] - h[i] for i in range(m)] for row in y]
-    slope = [[_sum(u * c * a[i] for u, c, a in zip(unit[j], square, apart, strict=True) if u)
-              for i in range(m)] for j in range(n)]  # fmt: skip
-    cross = [[_sum(root[k][j] * slope[j][i] for j in range(k + 1)) for i in range(m)]
-             for k in range(n)]  # fmt: skip
+    slope = [
+        [
+            _sum(u * c * a[i] for u, c, a in zip(unit[j], square, apart, strict=True) if u)
+            for i in range(m)
+        ]
+        for j in range(n)
+    ]
+    cross = [
+        [_sum(root[k][j] * slope[j][i] for j in range(k + 1)) for i in range(m)] for k in range(n)
+    ]
     if not spread:
         return np.array(h, dtype=object), np.array(cross, dtype=object), None
     cov = np.empty((m, m), dtype=object)

@@ -9,22 +9,69 @@ from seedslib.extra.js.tokens import NUMBERS, Type
 FUNCTIONS = {
     name: f"Math.{name}"
     for name in (
-        "sqrt", "cbrt", "exp", "expm1", "log", "log2", "log10", "log1p", "sin", "cos", "tan",
-        "asin", "acos", "atan", "atan2", "sinh", "cosh", "tanh", "asinh", "acosh", "atanh", "hypot",
-        "floor", "ceil", "pow",
+        "sqrt",
+        "cbrt",
+        "exp",
+        "expm1",
+        "log",
+        "log2",
+        "log10",
+        "log1p",
+        "sin",
+        "cos",
+        "tan",
+        "asin",
+        "acos",
+        "atan",
+        "atan2",
+        "sinh",
+        "cosh",
+        "tanh",
+        "asinh",
+        "acosh",
+        "atanh",
+        "hypot",
+        "floor",
+        "ceil",
+        "pow",
     )
 } | {
-    "fabs": "Math.abs", "fmin": "Math.min", "fmax": "Math.max", "isnan": "Number.isNaN",
-    "isinf": "isInfinite", "isfinite": "Number.isFinite", "memcpy": "copy", "memmove": "move",
-    "memset": "fill", "erf": "erf", "erfc": "erfc", "exp2": "exp2",
-}  # fmt: skip
+    "fabs": "Math.abs",
+    "fmin": "Math.min",
+    "fmax": "Math.max",
+    "isnan": "Number.isNaN",
+    "isinf": "isInfinite",
+    "isfinite": "Number.isFinite",
+    "memcpy": "copy",
+    "memmove": "move",
+    "memset": "fill",
+    "erf": "erf",
+    "erfc": "erfc",
+    "exp2": "exp2",
+}
 """Functions of C, and what they are called there."""
 
 _CONSTANTS = {"NAN": "NaN", "HUGE_VAL": "Infinity"}
 _ASSIGNMENTS = ("=", "+=", "-=", "*=", "/=")
 _BINARY = {
-    "+", "-", "*", "/", "%", "<", ">", "<=", ">=", "==", "!=", "&&", "||", "&", "|", "<<", ">>",
-}  # fmt: skip
+    "+",
+    "-",
+    "*",
+    "/",
+    "%",
+    "<",
+    ">",
+    "<=",
+    ">=",
+    "==",
+    "!=",
+    "&&",
+    "||",
+    "&",
+    "|",
+    "<<",
+    ">>",
+}
 _WHOLE = {"int", "signed", "char"}
 _FEW = 12
 """Numbers that are copied one by one."""

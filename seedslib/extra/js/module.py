@@ -83,9 +83,7 @@ function shown(y) {
 }
 """
 
-_PLACES = {
-    "s": ("f_state",), "y": ("F_MEASUREMENT",), "out": ("F_ESTIMATE", "F_STATE")
-}  # fmt: skip
+_PLACES = {"s": ("f_state",), "y": ("F_MEASUREMENT",), "out": ("F_ESTIMATE", "F_STATE")}
 """What the exported functions work on lies at these places."""
 
 _ROOTS = ("init", "step", "predict", "correct", "forecast")
@@ -142,9 +140,14 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     size = sum(part.size(made.structs) for part in state.values())
     rows = made.macros.get("F_ESTIMATE", made.macros["F_STATE"])
     marks = {
-        "@PARTS": _parts(made), "@SIZE": size, "@S": made.places["s"], "@Y": made.places["y"],
-        "@M": m, "@O": made.places["out"], "@INIT": made.calls["f_init"],
-    }  # fmt: skip
+        "@PARTS": _parts(made),
+        "@SIZE": size,
+        "@S": made.places["s"],
+        "@Y": made.places["y"],
+        "@M": m,
+        "@O": made.places["out"],
+        "@INIT": made.calls["f_init"],
+    }
     wanted = set(made.called)
     for name, more in _NEEDS.items():
         wanted |= set(more) if name in wanted else set()
@@ -154,10 +157,14 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     for mark, value in marks.items():
         interface = interface.replace(mark, str(value))
     parts = [
-        about, *(f"export const {name} = {code};" for name, code in codes),
+        about,
+        *(f"export const {name} = {code};" for name, code in codes),
         f"\nconst H = new Float64Array({made.size});",
-        f"H.set([{_listed(made.numbers)}]);\n", *helpers, *made.lines, interface,
-    ]  # fmt: skip
+        f"H.set([{_listed(made.numbers)}]);\n",
+        *helpers,
+        *made.lines,
+        interface,
+    ]
     module = "\n".join(parts)
     if path is not None:
         write_whole(path, module.encode("ascii"))
@@ -173,9 +180,11 @@ def _comment(rules: str) -> str:
 def _listed(numbers: list[float]) -> str:
     """Numbers that are read back exactly."""
     words = [
-        str(int(x)) if float(x).is_integer() and abs(x) < 1e15 and (x or math.copysign(1, x) > 0)
-        else repr(float(x)).replace("inf", "Infinity") for x in numbers
-    ]  # fmt: skip
+        str(int(x))
+        if float(x).is_integer() and abs(x) < 1e15 and (x or math.copysign(1, x) > 0)
+        else repr(float(x)).replace("inf", "Infinity")
+        for x in numbers
+    ]
     return ",\n".join(",".join(words[k : k + 12]) for k in range(0, len(words), 12))
 
 
