@@ -25,7 +25,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.blas import dsyr2k
 
 from seedslib.base.checks import as_count, as_shape
-from seedslib.base.semidefinite import square_root, symmetrized
+from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.delay.system import DelaySystem
 
 
@@ -372,13 +372,13 @@ def _errors(
     x_{k-N}; it returns K_k (n, m) and the L_{k,j}, (J, n, m).
     """
     reach, n, m = system.max_delay, system.state_size, system.measurement_size
-    drive = system.noise_input @ square_root(system.noise_cov)
+    drive = system.noise_input @ cholesky(system.noise_cov)
     sensor_root, q = np.linalg.cholesky(system.sensor_cov), drive.shape[1]
     size = (reach + 1) * n + steps * (q + m)
     errors = list(np.zeros((reach + 1, n, size)))  # newest first, as the past innovations
     past = np.zeros((0, m, size))
-    for j, root in enumerate(square_root(system.start_blocks())):
-        errors[j][:, j * n : (j + 1) * n] = root
+    for j, block in enumerate(system.start_blocks()):
+        errors[j][:, j * n : (j + 1) * n] = cholesky(block)
     gains, past_gains = np.zeros((steps + 1, n, m)), np.zeros((steps + 1, reach, n, m))
     cov = np.tile(system.cov0, (steps + 1, 1, 1))
     for k in range(1, steps + 1):

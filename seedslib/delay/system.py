@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, is_whole
-from seedslib.base.semidefinite import square_root
+from seedslib.base.linalg import cholesky
 from seedslib.models.linear import LinearSystem
 from seedslib.models.simulation import Simulation
 
@@ -158,8 +158,8 @@ class DelaySystem:
         n, m, reach = self.state_size, self.measurement_size, self.max_delay + 1
         states = np.empty((reach + steps, n, paths))  # x_{-N}, ..., x_K
         measurements = np.full((steps + 1, m, paths), np.nan)
-        start = square_root(self.start_blocks())
-        drive = self.noise_input @ square_root(self.noise_cov)
+        start = np.stack([cholesky(block) for block in self.start_blocks()])
+        drive = self.noise_input @ cholesky(self.noise_cov)
         sensor_root = np.linalg.cholesky(self.sensor_cov)
 
         def draw(first: int, last: int, stream: np.random.SeedSequence) -> None:

@@ -353,7 +353,7 @@ def _on_batch(part: Any, core: int, batch: tuple[int, ...]) -> np.ndarray:
 class Filter(Shown):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
+    A filter writes ``initial(batch=(), seed=None)``, ``propagate(state, t)``, or the whole of
     ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
     system has modes, and `report` where its states do not say by themselves what is estimated.
     States are frozen, so every verb gives a new one. Whole records are run here, many at once.
@@ -403,10 +403,10 @@ class Filter(Shown):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
         with elapsed(self.system, state.time, t):
-            moved = self.moved(state, float(t), *modes)
+            moved = self.propagate(state, float(t), *modes)
         return moved._replace(time=float(t), interval=interval)
 
-    def moved(self, state: State, t: float) -> State:
+    def propagate(self, state: State, t: float) -> State:
         """What `predict` makes of a state, but for its time."""
         raise NotImplementedError
 

@@ -113,12 +113,6 @@ LARGEST_TENSOR = 3_000_000
 RULE_ERROR = 1e-4
 
 
-def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:
-    """Unit axes put between the first `axes` axes and the batch axes, `depth` of these in all."""
-    missing = axes + depth - array.ndim
-    return array.reshape((*array.shape[:axes], *(1,) * missing, *array.shape[axes:]))
-
-
 def blockwise(
     work: Callable[[slice], Sequence[np.ndarray]], size: int, step: int
 ) -> list[np.ndarray]:

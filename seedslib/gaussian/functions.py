@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
 from seedslib.base.checks import as_bound, as_covariance, as_real
-from seedslib.base.semidefinite import square_root
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
     as_joint_law,
     blockwise,
@@ -495,7 +495,7 @@ def _concentrated(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     if (np.abs(mean).max(axis=0) == 0).any():
         raise ValueError("mean: the elevation of the origin is not defined")
     rule = gauss_hermite(3, 20)
-    offsets = square_root(cov) @ rule.points
+    offsets = cholesky(cov) @ rule.points
     moments = np.empty((2, mean.shape[1]))
     for k, centre in enumerate(mean.T):
         base = _angle(centre)

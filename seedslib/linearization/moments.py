@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import lower_triangle, mirrored
+from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
 
@@ -222,8 +221,3 @@ def refuse_weight(map: StochasticMap) -> None:
     """Raise ValueError for a branch of a switching map where a whole map is wanted."""
     if map.weighted:
         raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
-
-
-def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
-    """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
-    return np.asarray(lower)[mirrored(size)]

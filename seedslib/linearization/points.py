@@ -12,7 +12,7 @@ import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
-from seedslib.base.semidefinite import factor
+from seedslib.base.linalg import cholesky, symmetric
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
 from seedslib.linearization.moments import (
     Gaussian,
@@ -20,7 +20,6 @@ from seedslib.linearization.moments import (
     Moments,
     Weighted,
     refuse_weight,
-    symmetric,
 )
 from seedslib.models.maps import Conditional, StochasticMap
 from seedslib.models.noise import Noise
@@ -59,7 +58,7 @@ class PointRule(Linearization):
 
     def _points(self, mean: np.ndarray, cov: np.ndarray, noise: Noise | None = None) -> Points:
         """Points of the state, and of a noise where one is given."""
-        root, n = factor(cov), len(mean)
+        root, n = cholesky(cov), len(mean)
         depth = max(mean.ndim - 1, root.ndim - 2)
         mean = mean.reshape(n, *(1,) * (depth + 1 - mean.ndim), *mean.shape[1:])
         root = root.reshape(n, n, *(1,) * (depth + 2 - root.ndim), *root.shape[2:])

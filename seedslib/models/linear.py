@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_covariance, as_positive, as_real, as_shape, is_whole
-from seedslib.base.semidefinite import factor
+from seedslib.base.linalg import cholesky
 from seedslib.base.values import current
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import StochasticMap
@@ -116,7 +116,7 @@ class LinearMap(StochasticMap):
         return np.broadcast_to(cov, (self.size, self.size, *np.shape(x)[1:]))
 
     def _moved(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return self._mean(t, x) + np.einsum("ij...,j...->i...", factor(self.cov_at(t)), v)
+        return self._mean(t, x) + np.einsum("ij...,j...->i...", cholesky(self.cov_at(t)), v)
 
     @property
     def has_log_density(self) -> bool:

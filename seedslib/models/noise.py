@@ -11,7 +11,7 @@ import numpy as np
 from seedslib.base.arrays import Array
 from seedslib.base.blocks import drawn, normal
 from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.base.semidefinite import factor
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.quadrature import rule_of_rank
 
 HERMITE_ORDER = 9
@@ -68,7 +68,7 @@ class Noise:
             raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
         if self.log_density is not None and not (callable(self.log_density) and self.sample):
             raise TypeError("log_density: wanted a function (v) beside sample, got another")
-        vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=factor(cov))
+        vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=cholesky(cov))
 
     def __eq__(self, other: object) -> bool:
         """Whether names, moments and sampler are the same."""

@@ -10,7 +10,7 @@ from scipy.special import logsumexp
 
 from seedslib.base.checks import as_real, as_shape
 from seedslib.base.clock import when
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.filters.base import Filter, require_time, stays
 from seedslib.gaussian import lift
 from seedslib.linearization import Moments
@@ -220,7 +220,7 @@ class PiecewiseLinearFilter(Filter):
             raise ValueError(f"sensor_noise: a prediction has no spread at t = {when(state.time)}")
         known = branches.mean, branches.cov, y[:, None], Moments(predicted, cross, spread + noise)
         with np.errstate(over="ignore", invalid="ignore"):
-            mean, cov, loglik = correct(*known, noise=lambda: noise)
+            mean, cov, loglik = update(*known, noise=lambda: noise)
             log_unit = branches.log_unit + loglik
         mean = np.where(log_unit > -np.inf, mean, 0.0)  # where a measurement was out of all range
         return branches._replace(mean=mean, cov=cov, log_unit=log_unit)

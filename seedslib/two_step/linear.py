@@ -17,7 +17,7 @@ from scipy.linalg import LinAlgError, expm, solve_continuous_are, solve_continuo
 
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_times
-from seedslib.base.semidefinite import square_root, symmetrized
+from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.filters.base import Estimates
 from seedslib.models.propagation import balanced, bounded, distinct_steps, halvings, stepped
 
@@ -164,7 +164,7 @@ class LinearDiffusion:
         joint_diffusion[:n, :n], joint_diffusion[n:, n:] = self.diffusion, self.sensor_intensity
         steps = [stepped(joint_drift, joint_diffusion, h) for h in lengths]
         moves = [np.ascontiguousarray(move[:, :n]) for move, _ in steps]
-        start, roots = square_root(cov), [square_root(noise) for _, noise in steps]
+        start, roots = cholesky(cov), [cholesky(noise) for _, noise in steps]
         states = np.empty((len(times), n, paths))
         increments = np.empty((len(times) - 1, len(self.sensor), paths))
 

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.correction import correct
-from seedslib.base.semidefinite import mended
+from seedslib.base.conditioning import kalman_gain, update
+from seedslib.base.linalg import nearest_psd, variances
 from seedslib.designed.switching.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.switching.rules import SwitchingState
 from seedslib.filters.base import Estimates
-from seedslib.filters.smoothing import Smoother, gain_of, stepped_back
+from seedslib.filters.smoothing import Smoother, rts_step
 from seedslib.filters.weights import logarithm, normalised
 
 
@@ -84,7 +84,7 @@ class SwitchingSmoother(Smoother):
                 both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
                 mean, cov = (np.stack(p, axis=-2) for p in zip(*both, strict=True))
                 if self.filter.rules.guarded:
-                    cov = mended(cov)[0]
+                    cov = nearest_psd(cov)[0]
                 later = ModeLaw(*(p[..., l, :] for p in part))
                 found = _corrected(log_prob, mean, cov, later)
                 for k, (i, *_) in enumerate(pairs):
@@ -107,22 +107,22 @@ def _corrected(log_prob, both, joint, later):
     n = len(later.mean)
     mean, cov = both[n:], joint[n:, n:]
     _, middle, total = mix_logs(log_prob, mean, cov)
-    loss, _ = mended(total - later.cov, np.einsum("ii...->i...", total))
-    slope = gain_of(loss, total)[:, :, None]
+    loss, _ = nearest_psd(total - later.cov, variances(total))
+    slope = kalman_gain(loss, total)[:, :, None]
     expected = np.einsum("ij...,j...->i...", slope, mean - middle[:, None])
     cross = np.einsum("ij...,kj...->ik...", cov, slope)
     change = np.einsum("ij...,jk...,lk...->il...", slope, cov - total[:, :, None], slope)
     moments = expected, cross, loss[:, :, None] + change
-    found, less, loglik = correct(mean, cov, (later.mean - middle)[:, None], moments)
+    found, less, loglik = update(mean, cov, (later.mean - middle)[:, None], moments)
     less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
-    columns, before = stepped_back(
-        both[:n, ..., None],
+    columns, before = rts_step(
+        both[:n, None],
         joint[:n, :n],
-        mean[..., None],
+        mean[:, None],
         cov,
-        gain_of(joint[:n, n:], cov),
-        found[..., None],
+        kalman_gain(joint[:n, n:], cov),
+        found[:, None],
         less,
     )
     share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
-    return later.log_prob + share, columns[..., 0], before
+    return later.log_prob + share, columns[:, 0], before
