@@ -242,9 +242,9 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
 
 
 def _with_least_variances(P: np.ndarray) -> np.ndarray | None:
-    """The same with Cᵀ R⁻¹ C among components of variance zero, C their covariances with the others.
+    """The same with Cᵀ R⁻¹ C among components of variance zero; None where nothing covaries.
 
-    None where they have no covariances.
+    C are their covariances with the others, and R is the covariance of those.
     """
     zero = np.abs(variances(P)) <= ABSOLUTE
     cross = np.where(~zero[:, None] & zero, P, 0.0)

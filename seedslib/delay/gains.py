@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.blas import dsyr2k
 
-from seedslib.base.checks import as_count, as_shape
+from seedslib.base.checks import as_count, as_real
 from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.delay.system import DelaySystem
 
@@ -296,7 +296,7 @@ def apply_gains(system: DelaySystem, gains: StructureGains, measurements: ArrayL
     """
     gains, y = _checked(system, gains), np.asarray(measurements, dtype=float)
     flat = y.reshape(*y.shape[:2], -1)
-    as_shape("measurements", flat[1:], (len(gains.gain) - 1, system.measurement_size, -1))
+    as_real("measurements", flat[1:], (len(gains.gain) - 1, system.measurement_size, -1))
     reach, n = system.max_delay, system.state_size
     estimates = np.zeros((reach + len(y), n, flat.shape[2]))  # of x_{-N}, ..., x_K
     estimates[reach] = system.mean0[:, None]
@@ -407,6 +407,6 @@ def _regression(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _checked(system: DelaySystem, gains: StructureGains) -> StructureGains:
     sizes = system.state_size, system.measurement_size
-    gain = as_shape("gains.gain", gains.gain, (-1, *sizes))
-    past = as_shape("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
+    gain = as_real("gains.gain", gains.gain, (-1, *sizes))
+    past = as_real("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
     return StructureGains(gain, past, gains.corrected)

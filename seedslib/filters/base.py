@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole, require_shape
+from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
 from seedslib.base.objects import Shown
 from seedslib.base.values import Course, Inputs, on_paths
@@ -142,9 +142,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = as_real("measurements", measurements, nan=True)
-    require_shape("measurements", record, (count, size, *record.shape[2:]))
-    return record
+    return as_real("measurements", measurements, (count, size, ...), nan=True)
 
 
 def stays(state: object, t: float) -> bool:

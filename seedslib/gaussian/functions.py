@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
-from seedslib.base.checks import as_bound, as_covariance, as_real
+from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
     as_joint_law,
@@ -406,7 +406,9 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
+    h, k, rho = np.broadcast_arrays(
+        as_real("h", h, infinite=True), as_real("k", k, infinite=True), _correlation(rho)
+    )
     # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
     h, k = (
         np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))

@@ -14,8 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray
-from seedslib.base.linalg import lower_triangle, symmetric
+from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
 
@@ -196,10 +196,8 @@ class Matrices(Linearization):
             if not spread:
                 return Moments(y, cross, None)
             square = np.einsum("ij...,kj...->ik...", lean, slope)
-            noise = map.cov_at(t)
-            if noise.ndim == 2:
-                noise = noise.reshape(*noise.shape, *(1,) * (square.ndim - 2))
-            return Moments(y, cross, 0.5 * (square + np.swapaxes(square, 0, 1)) + noise)
+            noise = align(map.cov_at(t), 2, square.ndim - 2)
+            return Moments(y, cross, symmetrized(square) + noise)
 
         return f
 

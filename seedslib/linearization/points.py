@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
@@ -60,13 +61,12 @@ class PointRule(Linearization):
         """Points of the state, and of a noise where one is given."""
         root, n = cholesky(cov), len(mean)
         depth = max(mean.ndim - 1, root.ndim - 2)
-        mean = mean.reshape(n, *(1,) * (depth + 1 - mean.ndim), *mean.shape[1:])
-        root = root.reshape(n, n, *(1,) * (depth + 2 - root.ndim), *root.shape[2:])
+        mean, root = align(mean, 1, depth), align(root, 2, depth)
         unit, weights, centred = _rule(self, n if noise is None else n + noise.size)
         x, v = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n]), None
         if noise is not None:
             v = noise.mean[:, None] + noise.root @ unit[n:]
-            v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
+            v = np.broadcast_to(align(v, 2, depth), v.shape + x.shape[2:])
         return Points(unit[:n], root, x, v, weights, centred)
 
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:

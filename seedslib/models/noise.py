@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.arrays import Array
+from seedslib.base.arrays import Array, align
 from seedslib.base.blocks import drawn, normal
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.quadrature import rule_of_rank
 
@@ -100,7 +100,7 @@ class Noise:
         return drawn(rng, count, self._sampled)
 
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
+        return as_real("noise.sample", self.sample(rng, count), (self.size, count))
 
     def rule(self, order: int) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Hermite product rule of the Gaussian law: points (size, S), weights (S,)."""
@@ -120,7 +120,7 @@ class Noise:
         """
         v, weights = self.rule(HERMITE_ORDER)
         batch = (len(weights), *x.shape[1:])
-        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (self.size, *batch))
+        v = np.broadcast_to(align(v, v.ndim, x.ndim - 1), (self.size, *batch))
         return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 
     def expectation(self, expression: Any) -> Any:

@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_whole
+from seedslib.base.checks import as_count, as_covariance, as_real, as_whole
 from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Shown
 from seedslib.base.values import looked_at, on_paths
@@ -486,7 +486,7 @@ class SwitchingSystem(Shown):
                     f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
                 ) from None
             probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
-            mean = as_shape(f"initial[{i}] mean", mean, (n,))
+            mean = as_real(f"initial[{i}] mean", mean, (n,))
             found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         want_probabilities("initial", np.array([part.probability for part in found]))
         return tuple(found)
