@@ -17,7 +17,7 @@ import sympy as sp
 from scipy.linalg import block_diag
 
 from seedslib.base.arrays import align
-from seedslib.base.linalg import cholesky, nearest_psd
+from seedslib.base.linalg import cholesky, variances
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.gaussian.arguments import (
     as_joint_law,
@@ -294,7 +294,7 @@ class Polynomial(_Way):
         return variance, bias
 
     def _block(self, xhat: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        count, normal = xhat.shape[1], None
+        count, normal, scale = xhat.shape[1], None, variances(cov)
         z, across = np.zeros((1, count)), np.ones((1, count))
         gain = np.zeros_like(xhat)
         if self.plane is not None:
@@ -307,7 +307,7 @@ class Polynomial(_Way):
                 -(inner_product(normal, xhat) + self.plane.offset) / deviation
             )
             cov = cov - gain[:, None] * gain
-        along, weights = _along(cov, self.order, normal)
+        along, weights = _along(cov, scale, self.order, normal)
         points = xhat[:, None, None] + gain[:, None, None] * z[:, None] + along[:, None]
         gap = self.function.value(points) - self.function.value(xhat)[:, None, None]
         weights = (across[:, None] * weights).reshape(-1, count)
@@ -392,7 +392,7 @@ class Switched(Polynomial):
             across, weights = split_rule(centre, deviation, error)
             gain = direction / deviation
             rest = known - np.outer(gain, gain)
-        root = cholesky(nearest_psd(rest)[0])
+        root = cholesky(rest, np.diagonal(cov))
         scale = np.abs(root).max(axis=0)
         root = root[:, (scale > SMALL * scale.max(initial=0.0)) & (self.order > 1)]
         grid, along = rule_of_rank(root.shape[1], self.order)
@@ -404,7 +404,9 @@ class Switched(Polynomial):
         return optimal, optimal + (bias * weights) @ bias.T
 
 
-def _along(cov: np.ndarray, order: int, normal: np.ndarray | None = None) -> tuple:
+def _along(
+    cov: np.ndarray, scale: np.ndarray, order: int, normal: np.ndarray | None = None
+) -> tuple:
     """Gauss-Hermite steps (n, G, K) and weights (G, 1) of N(0, cov), where given in a plane."""
     n = len(cov)
     pivot = None if normal is None else int(np.argmax(np.abs(normal)))
@@ -412,7 +414,7 @@ def _along(cov: np.ndarray, order: int, normal: np.ndarray | None = None) -> tup
     grid, weights = rule_of_rank(len(others) if order > 1 else 0, order)
     step = np.zeros((n, len(weights), cov.shape[2]))
     if order > 1 and others:
-        root = cholesky(cov[np.ix_(others, others)])
+        root = cholesky(cov[np.ix_(others, others)], scale[others])
         step[others] = np.einsum("ijk,jg->igk", root, grid)
     if normal is not None:  # the component with the largest part in the normal follows
         step[pivot] = -np.tensordot(normal[others], step[others], 1) / normal[pivot]

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import MaybeArray, align, product
 from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
@@ -190,12 +190,11 @@ class Matrices(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             slope = map.slope_at(t)
-            lean = np.einsum("ij...,jk...->ik...", slope, cov)  # cov(y, x)
-            y = map.pushed(t, np.einsum("ij...,j...->i...", slope, mean))
-            cross = np.swapaxes(lean, 0, 1)
+            y = map.pushed(t, product(slope, mean, 1))
+            cross = product(slope, cov, 2).swapaxes(0, 1)
             if not spread:
                 return Moments(y, cross, None)
-            square = np.einsum("ij...,kj...->ik...", lean, slope)
+            square = product(slope, cross, 2)
             noise = align(map.cov_at(t), 2, square.ndim - 2)
             return Moments(y, cross, symmetrized(square) + noise)
 
