@@ -124,8 +124,8 @@ class KnownModeFilter(Filter, Remade):
                 if transition is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
                 with on_paths(mask.shape, mask):
-                    law = transition(state.time, state.mean[:, mask], state.cov[:, :, mask])
-                _put(mean, cov, mask, law)
+                    moments = transition(state.time, state.mean[:, mask], state.cov[:, :, mask])
+                _put(mean, cov, mask, moments)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
     def update(
@@ -143,8 +143,10 @@ class KnownModeFilter(Filter, Remade):
                 with on_paths(mask.shape, mask):
                     if branch is not None:
                         _, prior, moments = branch(state.time, *prior)
-                    *law, loglik[mask] = self._sensors[i](state.time, *prior, y[:, mask], moments)
-                _put(mean, cov, mask, law)
+                    *posterior, loglik[mask] = self._sensors[i](
+                        state.time, *prior, y[:, mask], moments
+                    )
+                _put(mean, cov, mask, posterior)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def report(self, state: KnownModeState) -> Estimates:
@@ -153,6 +155,6 @@ class KnownModeFilter(Filter, Remade):
         return Estimates(state.mean, state.cov, certain, state.loglik, None, state.mode)
 
 
-def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, law: Sequence[Any]) -> None:
+def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, moments: Sequence[Any]) -> None:
     """Write moments of some items, whose covariance may be common to them all, and comes last."""
-    mean[:, mask], cov[:, :, mask] = law[0], align(np.asarray(law[-1]), 2, 1)
+    mean[:, mask], cov[:, :, mask] = moments[0], align(np.asarray(moments[-1]), 2, 1)
