@@ -72,7 +72,7 @@ def variance_argument(name: str, value: object) -> np.ndarray:
     return array
 
 
-def as_joint_law(
+def estimate_arguments(
     mean: object, cov: object, error_cov: object, size: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Checked mean (n,), covariance C (n, n) and error covariance P (n, n) with P <= C.
@@ -102,15 +102,6 @@ def as_joint_law(
             f"got the scaled eigenvalue {smallest:.3g}"
         )
     return mean, cov, error_cov
-
-
-def symmetric_part(matrix: np.ndarray) -> np.ndarray:
-    """``(M + M') / 2``."""
-    return 0.5 * (matrix + matrix.T)
-
-
-LARGEST_TENSOR = 3_000_000
-RULE_ERROR = 1e-4
 
 
 def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:

@@ -16,8 +16,8 @@ from scipy.special import erfcx, ndtr, owens_t
 from seedslib.base.checks import as_bound, as_covariance, as_real
 from seedslib.base.semidefinite import square_root
 from seedslib.gaussian.arguments import (
-    as_joint_law,
     blockwise,
+    estimate_arguments,
     gaussian_arguments,
     variance_argument,
 )
@@ -352,7 +352,7 @@ def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSqu
     TypeError, ValueError
         Not two components, not real, not finite, not covariances, or P above C.
     """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, 2)
+    mean, cov, error_cov = estimate_arguments(mean, cov, error_cov, 2)
     spread, gap = _spread(error_cov), mean[0] - mean[1]
     known = np.sqrt(np.maximum(_spread(cov) - spread, 0.0))
     z, weight = split_rule(gap, known, np.sqrt(spread))

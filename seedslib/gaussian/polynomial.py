@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import product
+from math import factorial, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -173,9 +175,34 @@ def heat(
     return total
 
 
-def derivative(polynomial: Mapping[Index, np.ndarray], axis: int) -> Coefficients:
-    """Coefficients of the partial derivative along one variable."""
-    return {_lowered(a, axis): a[axis] * c for a, c in polynomial.items() if a[axis]}
+def factorial_of(index: Index) -> int:
+    """``beta! = prod beta_i!``."""
+    return prod(map(factorial, index))
+
+
+def mean_derivatives(
+    polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray
+) -> Coefficients:
+    """``E (d/dx)^beta f`` (p, *batch) for every multi-index beta that does not annihilate f."""
+    splits = [
+        (alpha, beta, tuple(a - b for a, b in zip(alpha, beta, strict=True)))
+        for alpha in polynomial
+        for beta in product(*(range(k + 1) for k in alpha))
+    ]
+    rests = dict.fromkeys(rest for *_, rest in splits)
+    means = monomial_means(rests, mean, cov, zeroth=np.ones(mean.shape[1:]))
+    result: Coefficients = {}
+    for alpha, beta, rest in splits:
+        weight = factorial_of(alpha) // factorial_of(rest)
+        part = np.multiply.outer(weight * polynomial[alpha], means[rest])
+        result[beta] = result.get(beta, 0.0) + part
+    return result
+
+
+def taylor_coefficients(polynomial: Mapping[Index, np.ndarray], point: np.ndarray) -> Coefficients:
+    """Coefficients (p, *batch) of a polynomial map in the step from points (n, *batch)."""
+    derivatives = mean_derivatives(polynomial, point, np.zeros((len(point),) * 2))
+    return {beta: value / factorial_of(beta) for beta, value in derivatives.items()}
 
 
 def polynomial_value(
