@@ -17,9 +17,11 @@ from seedslib.gaussian.regions import RegionMoments
 
 _NATS = 40.0  # what lies more than this below the peak of the density is left out
 # Nodes that give full accuracy while the density falls over the interval by less than the limit,
-# in nats. Beyond the last but one the formula of an interval takes over near the mean.
+# in nats.
 _RULES = ((6, 0.05), (10, 1.0), (16, 10.0), (32, np.inf))
-_WIDE, _NEAR = 10.0, 1.5  # nats and deviations: there the formula cancels no more than two digits
+# Intervals at least this wide and at most this far from the mean, in deviations: the literal
+# formula, which is faster, cancels less than two digits there.
+_WIDE, _NEAR = 1.2, 1.0
 _HALF_LOG_TWO_PI = 0.5 * np.log(2.0 * np.pi)
 _POINTS = 12_000  # evaluations at a time: small arrays are reused and not fetched anew
 _BLOCK = 16384  # intervals at a time
@@ -140,7 +142,7 @@ def peak_rule(
     """
     fall = width * (peak + 0.5 * width)
     out = np.empty((3, width.size))
-    wide = (fall >= _WIDE) & (peak <= _NEAR)
+    wide = (width >= _WIDE) & (peak <= _NEAR)
     rules = np.where(wide, -1, np.searchsorted([limit for _, limit in _RULES[:-1]], fall, "right"))
     chosen = np.flatnonzero(wide)
     out[:, chosen] = _wide_interval(peak[chosen], left[chosen], width[chosen])
@@ -184,42 +186,47 @@ def _powers(count: int) -> tuple[np.ndarray, np.ndarray]:
     return powers, (weights[:, None] * powers).T.copy()
 
 
-def reach_of(peak: np.ndarray) -> np.ndarray:
-    """Distance beyond `peak` >= 0 at which the normal density has fallen by 40 nats."""
+def from_the_peak(
+    low: np.ndarray, high: np.ndarray, width: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Arguments of `peak_rule` for intervals (low, high), cut where the density is negligible.
+
+    Returns
+    -------
+    mirrored, tail : ndarray of bool
+        Whether the interval lies below the mean, so that it is turned about it, and whether it
+        lies outside the mean on either side.
+    peak, left, extent : ndarray
+    """
+    mirrored = high <= 0.0
+    near = np.where(mirrored, -high, low)
+    tail = near >= 0.0
+    peak = np.where(tail, near, 0.0)
     # sqrt(peak^2 + 2 nats) - peak without the cancellation
-    return 2.0 * _NATS / (peak + np.hypot(peak, np.sqrt(2.0 * _NATS)))
+    reach = 2.0 * _NATS / (peak + np.hypot(peak, np.sqrt(2.0 * _NATS)))
+    left = np.where(tail, 0.0, np.maximum(near, -reach))
+    return mirrored, tail, peak, left, np.minimum(np.where(tail, width, high), reach) - left
 
 
 def flat_interval(
     mean: np.ndarray, var: np.ndarray, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Logarithm of the mass, mean and variance of scalar laws over intervals, all of shape (N,).
+    """Logarithm of the mass, mean and variance over intervals, all of shape (N,).
 
     See `interval`, which checks and broadcasts its arguments.
     """
+    sigma = np.sqrt(var)
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
-        below, above = lower - mean, upper - mean
-        # mirror so that the point nearest to the mean is interior or the left end
-        mirrored = above <= 0.0
-        near, far = np.where(mirrored, -above, below), np.where(mirrored, -below, above)
-        end, sign = np.where(mirrored, upper, lower), np.where(mirrored, -1.0, 1.0)
-        sigma = np.sqrt(var)
-        tail = near >= 0.0
-        distance = np.where(tail, near, 0.0)
-        peak = distance / sigma
-        decay = distance * (distance / var)
-        reach = reach_of(peak)
-        left = np.where(tail, 0.0, np.maximum(near / sigma, -reach))
-        right = np.where(tail, (upper - lower) / sigma, far / sigma)
-        width = np.minimum(right, reach) - left
-        alive = (var > 0.0) & (decay < np.inf) & (width > 0.0)
+        ends = (lower - mean) / sigma, (upper - mean) / sigma, (upper - lower) / sigma
+        mirrored, tail, peak, left, width = from_the_peak(*ends)
+        inside = (var > 0.0) & (peak * peak < np.inf) & (width > 0.0)
     # harmless numbers stand in for the intervals of no mass
-    peak, left, decay = (np.where(alive, item, 0.0) for item in (peak, left, decay))
-    total, offset, spread = peak_rule(peak, left, np.where(alive, width, 1.0))
-    log_mass = np.minimum(np.log(total) - _HALF_LOG_TWO_PI - 0.5 * decay, 0.0)
-    anchor = np.where(alive & tail, end, mean)
+    peak, left = np.where(inside, peak, 0.0), np.where(inside, left, 0.0)
+    total, offset, shrunk = peak_rule(peak, left, np.where(inside, width, 1.0))
+    log_mass = np.minimum(np.log(total) - _HALF_LOG_TWO_PI - 0.5 * peak * peak, 0.0)
+    offset = sigma * np.where(mirrored, -offset, offset)
+    anchor = np.where(inside & tail, np.where(mirrored, upper, lower), mean)
     point = (var == 0.0) & (lower <= mean) & (mean < upper)
-    log_mass = np.where(alive, log_mass, np.where(point, 0.0, -np.inf))
-    conditioned = np.where(alive, anchor + sign * (sigma * offset), np.where(point, mean, np.nan))
-    variance = np.where(alive, var * spread, np.where(point, 0.0, np.nan))
-    return log_mass, conditioned, variance
+    log_mass = np.where(inside, log_mass, np.where(point, 0.0, -np.inf))
+    conditioned = np.where(inside, anchor + offset, np.where(point, mean, np.nan))
+    return log_mass, conditioned, np.where(inside, var * shrunk, np.where(point, 0.0, np.nan))
