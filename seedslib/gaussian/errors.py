@@ -300,9 +300,8 @@ class PolynomialErrors(_Engine):
 
     def moments(self, xhat: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Variance (p, p, K) and bias ``E f - f(xhat)`` (p, K) given estimates (n, K)."""
-        cov = np.broadcast_to(cov.reshape(*cov.shape[:2], -1), (*cov.shape[:2], xhat.shape[1]))
         variance, bias = blockwise(
-            lambda block: self._block(xhat[:, block], cov[..., block]),
+            lambda block: self._block(xhat[:, block], cov if cov.ndim == 2 else cov[..., block]),
             xhat.shape[1],
             max(1, ENTRIES // len(self.monomials[0]) ** 2),
         )
@@ -313,23 +312,20 @@ class PolynomialErrors(_Engine):
         level, side = np.ones(count), np.ones(count)
         if self.plane is not None:
             level = inner_product(self.plane.normal, xhat) + self.plane.offset
-            width = inner_product(self.plane.normal, times(cov, self._normals(count)))
+            width = inner_product(self.plane.normal, times(cov, self.plane.normal))
             # an estimate on the plane that does not err across it has the value of the plane
             side = np.where((level == 0) & (width <= 0), 0, np.where(level > 0, 1, -1))
         variance, bias = np.empty((size, size, count)), np.empty((size, count))
         for sign, own, other in ((1, above, below), (-1, below, above), (0, on, on)):
             k = np.flatnonzero(side == sign)
             if k.size:
-                part = xhat[:, k], cov[..., k], sign, np.abs(level[k])
+                part = xhat[:, k], cov if cov.ndim == 2 else cov[..., k], sign, np.abs(level[k])
                 variance[..., k], bias[:, k] = self._given(own, other, *part)
         edge = (level == 0) & (side != 0)
         if edge.any():  # f(xhat) is neither that of one side nor that of the other
             at = xhat[:, edge]
             bias[:, edge] += polynomial_value(below, at, size) - self.function.value(at)
         return variance, bias
-
-    def _normals(self, count: int) -> np.ndarray:
-        return np.repeat(self.plane.normal[:, None], count, axis=1)
 
     def _given(
         self,
@@ -350,18 +346,19 @@ class PolynomialErrors(_Engine):
         steps[0] = 0.0
         start, ones = np.zeros_like(xhat), np.ones(xhat.shape[1])
         means = monomial_means(pairs, start, cov, zeroth=ones)
-        moments = np.array([means[index] for index in pairs])[place]
+        moments = np.array([ones * means[index] for index in pairs])[place]
         first = np.einsum("ak,apk->pk", moments[0], steps)
-        right = np.einsum("abk,bpk->apk", moments, steps)
-        second = np.einsum("apk,aqk->pqk", steps, right)
+        by_steps = np.einsum("abk,bpk->apk", moments, steps)
+        by_jumps = np.zeros_like(jumps)
         if jumps.any():
             beyond = HalfSpace(-sign * self.plane.normal, -distance, 1.0)
             means, log_scale = half_space_means(pairs, beyond, start, cov)
-            moments = (np.array([means[index] for index in pairs]) * np.exp(log_scale))[place]
+            moments = np.array([np.exp(log_scale) * means[index] for index in pairs])[place]
             first += np.einsum("ak,apk->pk", moments[0], jumps)
-            mixed = np.einsum("apk,abk,bqk->pqk", steps, moments, jumps)
-            second += mixed + np.swapaxes(mixed, 0, 1)
-            second += np.einsum("apk,abk,bqk->pqk", jumps, moments, jumps)
+            by_steps += np.einsum("abk,bpk->apk", moments, jumps)
+            by_jumps = np.einsum("abk,bpk->apk", moments, steps + jumps)
+        second = np.einsum("apk,aqk->pqk", steps, by_steps)
+        second += np.einsum("apk,aqk->pqk", jumps, by_jumps)
         return second - first[:, None] * first, first
 
 

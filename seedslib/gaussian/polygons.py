@@ -31,7 +31,7 @@ NATS = 46.0  # what is bounded this far below the largest integrand is left out
 DEPTH = 80  # halvings of a panel
 FAR = 60.0  # standard deviations beyond which an unbounded region may be closed
 NEVER = 1e15  # squared distance beyond which the mass is zero
-ROUNDING, CROSSED = 2.0**-52, 1e-9  # of the coordinates: overlaps beyond CROSSED are no rounding
+ROUNDING = 2.0**-52
 LARGEST, TINY = 1e100, 1e-300  # in standard deviations
 
 
@@ -168,10 +168,11 @@ def _moments(
     (a, b), (_, c) = cov
     deviation = np.sqrt(np.array([a, c]))
     unbounded = rays.any(axis=(0, 1))
+    unit = np.where(deviation > 0, deviation, 1.0)
     if unbounded.any():
-        unit = np.where(deviation > 0, deviation, 1.0)
         ends = _far_points((vertices - mean) / unit, rays / unit, unbounded)
         vertices = np.concatenate([vertices, np.where(unbounded, mean + unit * ends, vertices[-1])])
+    _refuse_crossings(*np.moveaxis((vertices - mean) / unit, 1, 0))
     product = np.where(a * c > 0, a * c, 1.0)
     determinant = np.where(a * c > 0, difference_of_products(a, c, b, b) / product, 0.0)
     plane = determinant > SINGULAR
@@ -273,6 +274,17 @@ def _far_points(away: np.ndarray, rays: np.ndarray, unbounded: np.ndarray) -> np
     return np.concatenate([ends[0], arc, ends[1]])
 
 
+def _refuse_crossings(x: np.ndarray, y: np.ndarray) -> None:
+    """Polygons (V, B) of which two edges cross in their interiors."""
+    nx, ny = np.roll(x, -1, axis=0), np.roll(y, -1, axis=0)
+    terms = [(nx - x)[:, None] * (y - y[:, None]), (ny - y)[:, None] * (x - x[:, None])]
+    area = terms[0] - terms[1]  # of edge i and vertex j; its sign is the side
+    area[np.abs(area) <= 8.0 * ROUNDING * (np.abs(terms[0]) + np.abs(terms[1]))] = 0.0
+    opposite = np.sign(area) * np.sign(np.roll(area, -1, axis=1)) < 0.0
+    if (opposite & np.swapaxes(opposite, 0, 1)).any():
+        raise ValueError("vertices: wanted a polygon whose boundary does not cross itself")
+
+
 def _nearest(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Edge (B,) and place on it of the point of polygons (V, B) nearest to the origin.
 
@@ -344,10 +356,6 @@ def _trapezoids(x: np.ndarray, y: np.ndarray, whitened: Whitened) -> Panels:
     size = np.take_along_axis((np.abs(ay) + np.abs(ax * slope))[None], order, 1)
     size = np.maximum(size[:, :-1], size[:, 1:])
     gaps = np.stack([end[:, 1:] - end[:, :-1] for end in (low, high)])
-    # two neighbouring sides between two vertices keep their order
-    both = crossing[:, :-1] & crossing[:, 1:]
-    if (both & (gaps.min(axis=0) < -CROSSED * size)).any():
-        raise ValueError("vertices: wanted a polygon whose boundary does not cross itself")
     used = crossing[:, :-1] & (gaps.max(axis=0) > 0)
     used[:, 1::2] = False
     slab, _, owner = np.nonzero(used)

@@ -344,6 +344,9 @@ def test_boundary_that_crosses_itself_or_has_no_area_is_refused():
         for given in (np.array(vertices), np.array(vertices[::-1]) * 1e-9 + 5.0):
             with pytest.raises(ValueError, match="polygon"):
                 polygon([0, 0], UNIT, given)
+    for vertices in CROSSED.values():
+        with pytest.raises(ValueError, match="cross"):
+            polygon([0, 0], np.ones((2, 2)), vertices)
     for vertices, rays in [*CROSSED_RAYS, ([[0, 0]], [[1, 0], [1, 0]])]:
         with pytest.raises(ValueError, match="polygon"):
             polygon([0, 0], UNIT, vertices, rays=rays)
