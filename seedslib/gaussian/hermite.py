@@ -22,7 +22,7 @@ from seedslib.base.semidefinite import symmetrized
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.arguments import estimate_arguments
 from seedslib.gaussian.means import FunctionClass, expectation_function
-from seedslib.gaussian.polynomial import Index, factorial_of, heat, mean_derivatives
+from seedslib.gaussian.polynomial import Index, factorial_of, mean_derivatives, smoothing_bias
 from seedslib.gaussian.quadrature import rule_of_rank
 from seedslib.gaussian.reader import check_symbols, components_of
 
@@ -196,7 +196,7 @@ def plugin_excess(
 
     The bias ``zhat - f(xhat)`` is itself a polynomial of xhat, built without its leading part.
     """
-    bias = heat(polynomial, error_cov, first=1)
+    bias = smoothing_bias(polynomial, error_cov)
     size = len(next(iter(polynomial.values())))
     if not bias:
         return np.zeros((size, size))

@@ -212,20 +212,9 @@ class Reader:
         # side, where it does not overflow and nothing cancels
         (key,) = (key for key in inner if key.plane)
         on = self._affine_exponential(function, outside + inner[key], node)
-        plane = self._closed(key.plane, inner[key])
-        sides = [(plane, on), (opposite(plane), off)]
+        sides = [(key.plane, on), (opposite(key.plane), off)]
         halves = [multiply({Key(plane=side): self.one[PLAIN]}, terms) for side, terms in sides]
         return add_terms(*halves)
-
-    def _closed(self, plane: Plane, jump: sp.Poly) -> Plane:
-        """The same half-space with its boundary, where the jump leaves the function continuous.
-
-        Two sides of which one has the whole boundary are multiplied without a share of it lost.
-        """
-        lead, normal = next((x, c) for x, c in zip(self.symbols, plane.normal, strict=True) if c)
-        along = sum(c * x for c, x in zip(plane.normal, self.symbols, strict=True)) + plane.offset
-        there = jump.as_expr().subs(lead, lead - along / normal)
-        return plane._replace(edge=sp.S.One) if sp.expand(there) == 0 else plane
 
     def _affine_exponential(self, function: type, argument: sp.Poly, node: sp.Expr) -> Terms:
         if argument.total_degree() > 2:
