@@ -18,7 +18,7 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.algebra import NoClosedForm, multiply
+from seedslib.gaussian.algebra import NoClosedForm, components_of, multiply, parse
 from seedslib.gaussian.arguments import (
     align,
     blockwise,
@@ -44,7 +44,6 @@ from seedslib.gaussian.polynomial import (
     taylor_coefficients,
 )
 from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
-from seedslib.gaussian.reader import components_of, parse
 
 # Shares of the second moments below which a difference of them has lost too many digits: an error
 # is asked for thirteen of them, a variance, which is taken for whole batches, for twelve.

@@ -20,11 +20,11 @@ from scipy.special import eval_hermitenorm, roots_hermitenorm
 
 from seedslib.base.semidefinite import symmetrized
 from seedslib.base.symbols import as_symbols
+from seedslib.gaussian.algebra import check_symbols, components_of
 from seedslib.gaussian.arguments import estimate_arguments
 from seedslib.gaussian.means import FunctionClass, expectation_function
 from seedslib.gaussian.polynomial import Index, factorial_of, mean_derivatives, smoothing_bias
 from seedslib.gaussian.quadrature import rule_of_rank
-from seedslib.gaussian.reader import check_symbols, components_of
 
 LARGEST_TENSOR = 3_000_000
 RANK = 1e-13

@@ -20,8 +20,15 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import align, blockwise, gaussian_arguments
-from seedslib.gaussian.intervals import flat_interval, from_the_peak, peak_rule, unit_nodes
-from seedslib.gaussian.regions import SINGULAR, RegionMoments, difference_of_products
+from seedslib.gaussian.regions import (
+    SINGULAR,
+    RegionMoments,
+    difference_of_products,
+    flat_interval,
+    from_the_peak,
+    peak_rule,
+    unit_nodes,
+)
 
 BLOCK, PAIRS = 512, 100_000  # distributions at a time, and pairs of their edges
 ORDER = 18  # nodes of a panel
@@ -39,7 +46,6 @@ def polygon(
     mean: ArrayLike,
     cov: ArrayLike,
     vertices: ArrayLike,
-    about: ArrayLike | None = None,
     *,
     rays: ArrayLike | None = None,
 ) -> RegionMoments:
@@ -58,8 +64,6 @@ def polygon(
     vertices : array_like, shape (V, 2, ...)
         In order, in either orientation; repeated ones are padding (see `pad_regions`). Where the
         boundary touches itself, what an even number of edges separates from infinity is outside.
-    about : array_like, shape (2, ...), optional
-        Reference point of `RegionMoments.second`; the origin by default.
     rays : array_like, shape (2, 2, ...), optional
         Makes the region unbounded: directions from the first and from the last vertex to infinity.
         The boundary comes in along the first ray and goes out along the second one; the region
@@ -112,8 +116,7 @@ def polygon(
         flat[0].shape[-1],
         max(1, min(BLOCK, PAIRS // len(vertices) ** 2)),
     )
-    moments = RegionMoments(*(part.reshape((*part.shape[:-1], *batch)) for part in parts))
-    return moments if about is None else moments.referred_to(about)
+    return RegionMoments(*(part.reshape((*part.shape[:-1], *batch)) for part in parts))
 
 
 def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:

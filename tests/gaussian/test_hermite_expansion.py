@@ -24,7 +24,9 @@ def test_hierarchy_of_the_sine_goes_down_to_the_exact_error():
     assert_allclose(errors[1], errors[0] - np.exp(-2) * 1.6, rtol=1e-13)
     assert np.all(np.diff(errors) <= 1e-15)
     exact = mean_square_errors(sp.sin(x), [x])([0.0], [[2.0]], [[0.4]]).optimal
-    assert_allclose([expansion.optimal_error()[0, 0], expansion.degree_errors()[-1][0, 0]], exact, rtol=1e-13)
+    assert_allclose(
+        [expansion.optimal_error()[0, 0], expansion.degree_errors()[-1][0, 0]], exact, rtol=1e-13
+    )
     assert_allclose(errors[-1], exact, rtol=1e-3)
 
 
