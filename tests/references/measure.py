@@ -26,7 +26,7 @@ def bound(family: str, error: float) -> float:
 
 
 def main() -> None:
-    from bookkit.portable import settings
+    from bookkit.processor import settings
     from references.comparison import found_errors, summary, table
 
     if "--own" in sys.argv:
