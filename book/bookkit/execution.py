@@ -17,6 +17,8 @@ from typing import NamedTuple
 import jupytext
 import nbformat
 from nbclient import NotebookClient
+from nbclient.exceptions import CellExecutionError
+from yaml import YAMLError
 
 import seedslib
 from bookkit.claims import LEDGER, read_ledger
@@ -78,7 +80,7 @@ def is_stale(source: Path) -> bool:
     try:
         stamp = json.loads(source.with_suffix(".ipynb").read_text())["metadata"][STAMP]
         return stamp["inputs"] != _fingerprint(source, stamp["library"], library_contents())
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, YAMLError):
         return True
 
 
@@ -125,6 +127,8 @@ def _execute_one(source: Path) -> str:
         _normalise(notebook)
         read_records(notebook)
         inputs = _fingerprint(source, library, contents, text)
+    except CellExecutionError as error:
+        return f"failed: {error.ename}: {error.evalue}\n{error.traceback}"
     except Exception as error:
         return f"failed: {type(error).__name__}: {error}"
     notebook.metadata[STAMP] = {"inputs": inputs, "library": library}
