@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from bookkit.execution import project_root
@@ -27,33 +26,33 @@ def _execute(options: argparse.Namespace) -> int:
         ]
         lines = [f"{name}: its inputs changed since it was executed" for name in stale]
         return _report(lines, "all notebooks are up to date")
-    outcomes = execution.execute(root, options.notebooks, force=options.force)
-    failed = sum(1 for outcome in outcomes if outcome.problem)
-    print(f"{len(outcomes) - failed} notebooks executed, {failed} failed")
+    problems = execution.execute(root, options.notebooks, force=options.force)
+    failed = sum(map(bool, problems.values()))
+    print(f"{len(problems) - failed} notebooks executed, {failed} failed")
     return 1 if failed else 0
 
 
 def _sweep(options: argparse.Namespace) -> int:
-    from bookkit.sweeps import run_sweep
+    from bookkit.sweeps import TABLE, run_sweep
 
-    report = run_sweep(
+    table = run_sweep(
         options.notebook,
         options.grid,
         options.out,
         scheduler=options.scheduler,
         workers=options.workers,
     )
-    print(f"{report.total - report.failed} of {report.total} points done, table: {report.table}")
-    if report.failed:
-        print(f"{report.failed} points failed: the column 'problem' says why", file=sys.stderr)
-    return 1 if report.failed else 0
+    failed = sum(table["problem"] != "")
+    print(f"{len(table)} points, {failed} failed, table: {options.out}/{TABLE}")
+    return 1 if failed else 0
 
 
 def _claims(options: argparse.Namespace) -> int:
-    from bookkit.ledger import disagreements
+    from bookkit.claims import disagreements
+    from bookkit.recording import read_verdicts
 
-    errors = disagreements(project_root(Path.cwd()))
-    return _report(errors, "the ledger and the notebooks agree")
+    root = project_root(Path.cwd())
+    return _report(disagreements(root, read_verdicts(root)), "the ledger and the notebooks agree")
 
 
 def _live(options: argparse.Namespace) -> int:
@@ -80,33 +79,27 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bookkit", description=__doc__)
     commands = parser.add_subparsers(required=True, metavar="command")
 
-    execute = commands.add_parser("execute", help="execute the text notebooks that changed")
-    execute.add_argument("notebooks", nargs="*", help="which ones; all by default")
-    execute.add_argument("--check", action="store_true", help="only say which are stale")
-    execute.add_argument("--force", action="store_true", help="execute up-to-date ones as well")
-    execute.set_defaults(run=_execute)
+    def command(name: str, run: Callable, text: str) -> Callable:
+        added = commands.add_parser(name, help=text)
+        added.set_defaults(run=run)
+        return added.add_argument
 
-    sweep = commands.add_parser("sweep", help="run a notebook over a grid of parameters")
-    sweep.add_argument("notebook", help="an executed notebook, .ipynb")
-    sweep.add_argument("grid", help="YAML file: 'grid:' with a list of values per parameter")
-    sweep.add_argument("--out", required=True, help="folder of the results")
-    sweep.add_argument("--scheduler", help="address of a running Dask scheduler")
-    sweep.add_argument("--workers", type=int, default=2, help="local worker processes")
-    sweep.set_defaults(run=_sweep)
-
-    claims = commands.add_parser("claims", help="compare the ledger with the notebooks")
-    claims.set_defaults(run=_claims)
-
-    live = commands.add_parser("live", help="design the filters that run in pages, write figures")
-    live.set_defaults(run=_live)
-
-    programs = commands.add_parser("programs", help="write the pages' programs, for a type checker")
-    programs.add_argument("folder", help="a new folder")
-    programs.set_defaults(run=_programs)
-
-    check_html = commands.add_parser("check-html", help="check that pages load nothing outside")
-    check_html.add_argument("folder", help="folder of the built HTML")
-    check_html.set_defaults(run=_check_html)
+    argument = command("execute", _execute, "execute the text notebooks that changed")
+    argument("notebooks", nargs="*", help="which ones; all by default")
+    argument("--check", action="store_true", help="only say which are stale")
+    argument("--force", action="store_true", help="execute up-to-date ones as well")
+    argument = command("sweep", _sweep, "run a notebook over a grid of parameters")
+    argument("notebook", help="an executed notebook, .ipynb")
+    argument("grid", help="YAML file: 'grid:' with a list of values per parameter")
+    argument("--out", required=True, help="folder of the results")
+    argument("--scheduler", help="address of a running Dask scheduler")
+    argument("--workers", type=int, default=2, help="local worker processes")
+    command("claims", _claims, "compare the ledger with the notebooks")
+    command("live", _live, "design the filters that run in pages, write figures")
+    argument = command("programs", _programs, "write the pages' programs, for a type checker")
+    argument("folder", help="a new folder")
+    argument = command("check-html", _check_html, "check that pages load nothing from outside")
+    argument("folder", help="folder of the built HTML")
     return parser
 
 

@@ -1,4 +1,8 @@
-"""The ledger of claims: its entries, and the rules that no entry may break."""
+"""The ledger of claims: its entries, their rules, and where it differs from the notebooks.
+
+A verdict is written in the ledger and computed by a notebook, which also lists the planted faults
+that would change it.
+"""
 
 from __future__ import annotations
 
@@ -59,7 +63,6 @@ class Claim(BaseModel):
     place: str
     statement: str
     reading: str = ""
-    kind: Literal["identity", "number", "figure", "qualitative"]
     notebook: Annotated[str, Field(pattern=r"^notebooks/\w+\.md$")]
     printed: Numbers = None
     reference: Numbers = None
@@ -162,3 +165,39 @@ def look_up(name: str) -> Claim:
                     return claim
             raise ValueError(f"claim {name}: not in the ledger {LEDGER}")
     raise ValueError(f"claim {name}: no ledger {LEDGER} at or above this folder")
+
+
+def disagreements(root: Path, recorded: dict[str, dict[str, dict]]) -> list[str]:
+    """Rules that the ledger breaks, and where it differs from what the notebooks compute.
+
+    Parameters
+    ----------
+    root : Path
+        The project's folder.
+    recorded : mapping
+        What `read_verdicts` reads.
+    """
+    claims, recorded = read_ledger(root / LEDGER), dict(recorded)
+    found = []
+    for claim in claims:
+        found += [f"{claim.id}: {error}" for error in claim.errors()]
+        if claim.source and not (root / claim.source).is_file():
+            found.append(f"{claim.id}: no source {claim.source}")
+        entries = recorded.pop(claim.id, {})
+        if set(entries) != {claim.notebook}:
+            where = ", ".join(entries) or "no notebook"
+            found.append(f"{claim.id}: ledger says {claim.notebook}, recorded by {where}")
+        else:
+            found += [f"{claim.id}: {text}" for text in _differences(claim, *entries.values())]
+    return found + [f"{name}: recorded, but not in the ledger" for name in recorded]
+
+
+def _differences(claim: Claim, entry: dict) -> Iterable[str]:
+    if entry["verdict"] != claim.verdict:
+        yield f"ledger says {claim.verdict}, {claim.notebook} finds {entry['verdict']}"
+    if claim.verdict != "open" and not entry.get("wrong"):
+        yield f"no planted fault: {claim.notebook} does not say what it would fail with"
+    for fault in entry.get("missed", []):
+        yield f"true as well with this fault: {fault}"
+    if claim.verdict == "refuted" and not (entry.get("computed") or entry["note"]):
+        yield "refuted wants our numbers, or what shows it"

@@ -12,7 +12,6 @@ import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from pathlib import Path
-from typing import NamedTuple
 
 import jupytext
 import nbformat
@@ -37,13 +36,6 @@ PACKAGES = {"seedslib": Path(seedslib.__file__).parent, "bookkit": Path(__file__
 
 _IMPORTED = """import sys
 print(*sorted(m for m in sys.modules if m.partition(".")[0] in ("seedslib", "bookkit")))"""
-
-
-class Outcome(NamedTuple):
-    """The result of one notebook; `problem` is empty when it was executed."""
-
-    source: Path
-    problem: str
 
 
 def project_root(start: Path) -> Path:
@@ -84,7 +76,7 @@ def is_stale(source: Path) -> bool:
         return True
 
 
-def execute(root: Path, chosen: Sequence[str] = (), *, force: bool = False) -> list[Outcome]:
+def execute(root: Path, chosen: Sequence[str] = (), *, force: bool = False) -> dict[str, str]:
     """Execute the stale notebooks, two at a time; a failure leaves the old result in place.
 
     Parameters
@@ -95,16 +87,22 @@ def execute(root: Path, chosen: Sequence[str] = (), *, force: bool = False) -> l
         Which notebooks; all by default.
     force : bool
         Execute those that are up to date as well.
+
+    Returns
+    -------
+    dict of str to str
+        For each source by its name what went wrong, empty where it was executed.
     """
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     todo = [path for path in sources(root, chosen) if force or is_stale(path)]
-    outcomes = []
+    problems = {}
     with ThreadPoolExecutor(max_workers=2) as pool:  # the work is done by the kernels
         running = {pool.submit(_execute_one, path): path for path in todo}
         for future in as_completed(running):
-            outcomes.append(Outcome(running[future], future.result()))
-            print(f"{running[future].name}: {outcomes[-1].problem or 'executed'}", flush=True)
-    return outcomes
+            name = running[future].name
+            problems[name] = future.result()
+            print(f"{name}: {problems[name] or 'executed'}", flush=True)
+    return problems
 
 
 def _execute_one(source: Path) -> str:
@@ -158,7 +156,7 @@ def _fingerprint(
     claims = []
     if (root / LEDGER).is_file():
         own = [c for c in read_ledger(root / LEDGER) if c.notebook == f"notebooks/{source.name}"]
-        claims = [claim.model_dump_json(exclude={"verdict", "kind"}) for claim in own]
+        claims = [claim.model_dump_json(exclude={"verdict"}) for claim in own]
     data = {name: (root / name).read_bytes() for name in data_files(notebook)}
     return digest(text, library_digest(library, contents), data, claims)
 

@@ -257,26 +257,20 @@ def fragment(figure: Figure) -> str:
         check=True,
     )
     charts, sentence = json.loads(done.stdout)
-    name = f"live-{figure.name}"
+    name, slider = f"live-{figure.name}", figure.slider
+    word = f"{slider.values[slider.first]:g}"
     # "<" only occurs inside strings: escaped, no text can end the element.
     text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'<figure class="live" id="{name}" aria-labelledby="{name}-caption">\n'
-        f'<div class="live-controls">\n{_control(f"{name}-0", figure.slider)}\n'
+        f'<div class="live-controls">\n<div><label for="{name}-0">{html.escape(slider.label)}'
+        f'</label> <input type="range" id="{name}-0" min="0" max="{len(slider.values) - 1}" '
+        f'step="1" value="{slider.first}" aria-valuetext="{word}" disabled> '
+        f'<output for="{name}-0">{word}</output></div>\n'
         '<button type="button">New paths</button>\n</div>\n'
         f'<div class="live-charts">{charts}</div>\n'
         f'<p class="live-said" aria-live="polite">{html.escape(sentence)}</p>\n'
         "<noscript><p>Scripts are off: this is the picture at the first setting.</p></noscript>\n"
         f'<figcaption id="{name}-caption">{html.escape(figure.caption)}</figcaption>\n'
         f'<script type="application/json">{text}</script>\n</figure>\n'
-    )
-
-
-def _control(name: str, slider: Slider) -> str:
-    word = f"{slider.values[slider.first]:g}"
-    return (
-        f'<div><label for="{name}">{html.escape(slider.label)}</label> '
-        f'<input type="range" id="{name}" min="0" max="{len(slider.values) - 1}" step="1" '
-        f'value="{slider.first}" aria-valuetext="{word}" disabled> '
-        f'<output for="{name}">{word}</output></div>'
     )

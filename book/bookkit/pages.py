@@ -19,7 +19,7 @@ from typing import Any
 import yaml
 
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, VERDICTS, Claim, read_ledger
-from bookkit.recording import MIME, claim_html, read_notebooks, read_verdicts
+from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
 
 
 def substitutions(root: Path) -> dict[str, Any]:
@@ -27,10 +27,7 @@ def substitutions(root: Path) -> dict[str, Any]:
     cited = yaml.safe_load((root / "CITATION.cff").read_text())
     result = {"project__version": cited["version"], "project__date": str(cited["date-released"])}
     for stem, records in read_notebooks(root).items():
-        for name, value in records.values.items():
-            result[f"{stem}__{name}"] = value
-            if isinstance(value, list):
-                result |= {f"{stem}__{name}_{place}": entry for place, entry in enumerate(value)}
+        result |= {f"{stem}__{name}": value for name, value in columns(records.values).items()}
     claims = read_ledger(root / LEDGER)
     for group in [*PAPERS, "fragments"]:
         papers = ("compromise", "riemann") if group == "fragments" else (group,)

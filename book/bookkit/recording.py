@@ -13,7 +13,7 @@ import re
 import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from bookkit.claims import Claim, look_up
 
@@ -142,8 +142,7 @@ def claim(
     evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _statement(entry)}
     holds, corrected = _boolean(name, "holds", holds), _boolean(name, "corrected", corrected)
     if computed is not None:
-        ours = plain("computed", computed)
-        evidence["computed"] = ours if isinstance(ours, list) else [ours]
+        evidence["computed"] = _numbers(name, computed)
     if entry.expected is not None:
         if computed is None:
             raise ValueError(f"claim {name}: the ledger has numbers; wanted computed ones")
@@ -193,11 +192,15 @@ def _boolean(name: str, label: str, value: object) -> bool | None:
     return None if value is None else bool(value)
 
 
+def _numbers(name: str, value: object) -> list:
+    numbers = plain(f"claim {name}", value)
+    return numbers if isinstance(numbers, list) else [numbers]
+
+
 def _agrees(entry: Claim, computed: object) -> bool:
-    ours, theirs = plain(f"claim {entry.id}", computed), entry.expected
+    ours, theirs = _numbers(entry.id, computed), entry.expected
     if theirs is None:
         raise ValueError(f"claim {entry.id}: the ledger has no numbers to compare these with")
-    ours = ours if isinstance(ours, list) else [ours]
     if len(ours) != len(theirs):
         raise ValueError(
             f"claim {entry.id}: wanted {len(theirs)} numbers as in the ledger, got {len(ours)}"
@@ -252,12 +255,18 @@ def claim_html(name: str, entry: Mapping) -> str:
     )
 
 
-_TEX = re.compile(r"\$([^$]+)\$")
-
-
 def typeset(text: str) -> str:
     """A text as HTML; MathJax sets what is between dollars, on a page and in JupyterLab."""
-    return _TEX.sub(r'<span class="math">\\(\1\\)</span>', html.escape(text))
+    return re.sub(r"\$([^$]+)\$", r'<span class="math">\\(\1\\)</span>', html.escape(text))
+
+
+def columns(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with the entries of a list ``x`` under ``x_0``, ``x_1``, ..."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        items = enumerate(value) if isinstance(value, list) else ()
+        result |= {f"{name}_{index}": item for index, item in items} or {name: value}
+    return result
 
 
 def payloads(outputs: Sequence[Mapping]) -> list[dict]:

@@ -15,9 +15,10 @@ from contextlib import redirect_stdout, suppress
 from io import StringIO
 from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any
 
 import nbformat
+import pandas
 import yaml
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -31,7 +32,7 @@ from bookkit.execution import (
     project_root,
 )
 from bookkit.parameters import explain
-from bookkit.recording import read_records
+from bookkit.recording import columns, read_records
 from seedslib.base.atomic import write_whole
 
 TABLE = "results.csv"
@@ -49,15 +50,6 @@ class Grid(BaseModel):
     grid: dict[str, Annotated[list[Scalar | list[Scalar]], Field(min_length=1)]]
 
 
-class Report(NamedTuple):
-    """How a sweep ended: numbers of points, and the table it wrote."""
-
-    total: int
-    already: int
-    failed: int
-    table: Path
-
-
 def run_sweep(
     notebook: Path | str,
     grid: Path | str,
@@ -65,8 +57,7 @@ def run_sweep(
     *,
     scheduler: str | None = None,
     workers: int = 2,
-    quiet: bool = False,
-) -> Report:
+) -> Any:
     """Run every point of a grid that is not yet done, and write the table of all of them.
 
     Parameters
@@ -81,12 +72,11 @@ def run_sweep(
         Address of a running Dask scheduler; by default a cluster is started here.
     workers : int
         Number of local worker processes.
-    quiet : bool
-        No progress bar.
 
     Returns
     -------
-    Report
+    DataFrame
+        The table: parameters, recorded numbers, and under ``problem`` why a point has none.
 
     Raises
     ------
@@ -99,22 +89,23 @@ def run_sweep(
     points = _points(grid, notebook)
     _check_points(content, points)
     root = project_root(notebook.parent)
-    files = {name: (root / name).read_text() for name in [LEDGER, *data_files(content)]}
-    out.mkdir(parents=True, exist_ok=True)
+    files = {name: (root / name).read_text() for name in data_files(content)}
     by_key = {_key(content, files, point): point for point in points}
+    files[LEDGER] = (root / LEDGER).read_text()  # another sentence in it makes no other numbers
+    out.mkdir(parents=True, exist_ok=True)
     rows = {key: _read_point(out / f"{key}.ipynb", point) for key, point in by_key.items()}
     todo = {key: by_key[key] for key, row in rows.items() if row["problem"]}
-    print(
-        f"{len(rows)} points, {len(rows) - len(todo)} already done, {len(todo)} to run", flush=True
-    )
+    done = len(rows) - len(todo)
+    print(f"{len(rows)} points, {done} already done, {len(todo)} to run", flush=True)
     if todo:
         with _client(scheduler, min(workers, len(todo))) as client:
-            for key, problem in _run(client, content, files, todo, out, quiet):
+            for key, problem in _run(client, content, files, todo, out):
                 rows[key] = _read_point(out / f"{key}.ipynb", by_key[key], problem)
-    table = out / TABLE
-    _write_table(table, list(rows.values()))
-    failed = sum(1 for row in rows.values() if row["problem"])
-    return Report(len(rows), len(rows) - len(todo), failed, table)
+                print(f"{by_key[key]}: {rows[key]['problem'] or 'done'}", flush=True)
+    table = pandas.DataFrame(list(rows.values()), dtype=object)  # a whole number stays one
+    table["problem"] = table.pop("problem")  # the last column
+    table.to_csv(out / TABLE, index=False)
+    return table
 
 
 def _points(path: Path, notebook: Path) -> list[dict[str, Any]]:
@@ -209,17 +200,16 @@ def run_point(text: str, point: Mapping[str, Any], files: Mapping[str, str]) -> 
         return (home / "out.ipynb").read_text(), _library(json.loads(text))
 
 
-def _run(client: Any, notebook: Any, files: Mapping, todo: Mapping, out: Path, quiet: bool) -> Any:
+def _run(client: Any, notebook: Any, files: Mapping, todo: Mapping, out: Path) -> Any:
     """Run points and write their notebooks; yields each with what stopped its worker, if any."""
     from dask.distributed import as_completed
-    from tqdm import tqdm
 
     text, library = nbformat.writes(notebook), _library(notebook)
     running = {
         client.submit(run_point, text, point, files, key=f"point-{key}"): key
         for key, point in todo.items()
     }
-    for future in tqdm(as_completed(running), total=len(running), unit="point", disable=quiet):
+    for future in as_completed(running):
         key, problem = running[future], ""
         try:
             done, theirs = future.result()
@@ -235,34 +225,15 @@ def _run(client: Any, notebook: Any, files: Mapping, todo: Mapping, out: Path, q
 
 def _read_point(path: Path, point: Mapping[str, Any], problem: str = "") -> dict[str, Any]:
     """A row of the table: parameters, recorded values, and why there are none."""
-    row = _columns(point)
+    row = columns(point)
     if path.is_file() and not problem:
         notebook = json.loads(path.read_text())
         outputs = [out for cell in notebook["cells"] for out in cell.get("outputs", [])]
         errors = [f"{o['ename']}: {o['evalue']}" for o in outputs if o["output_type"] == "error"]
         if not errors:
-            return _columns(read_records(notebook).values) | row | {"problem": ""}
+            return columns(read_records(notebook).values) | row | {"problem": ""}
         problem = errors[0]
     return row | {"problem": problem or "not run"}
-
-
-def _columns(values: Mapping[str, Any]) -> dict[str, Any]:
-    """One column per number: a list ``x`` becomes ``x_0``, ``x_1``, ..."""
-    columns: dict[str, Any] = {}
-    for name, value in values.items():
-        if isinstance(value, list):
-            columns |= {f"{name}_{index}": item for index, item in enumerate(value)}
-        else:
-            columns[name] = value
-    return columns
-
-
-def _write_table(path: Path, rows: list[dict[str, Any]]) -> None:
-    import pandas
-
-    table = pandas.DataFrame(rows, dtype=object)  # a whole number stays one beside an empty cell
-    table["problem"] = table.pop("problem")  # the last column
-    table.to_csv(path, index=False)
 
 
 def _client(scheduler: str | None, workers: int) -> Any:

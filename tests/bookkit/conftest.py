@@ -51,7 +51,6 @@ LEDGER = """- id: TS-X1
   origin: stated
   place: example 0
   statement: The three terms of the sum make 7.
-  kind: number
   notebook: notebooks/tiny.md
   printed: 7
   tolerance: 1.0e-9
@@ -70,7 +69,7 @@ def executed_project(tmp_path_factory):
     (root / "book" / "claims.yml").write_text(LEDGER)
     shutil.copy(ROOT / "conftest.py", root)
     (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")
-    assert execution.execute(root) == [execution.Outcome(root / "notebooks" / "tiny.md", "")]
+    assert execution.execute(root) == {"tiny.md": ""}
     return root
 
 

@@ -24,7 +24,7 @@ def test_two_runs_give_the_same_bytes_and_what_is_up_to_date_is_not_run(project,
     target = source.with_suffix(".ipynb")
     before = target.read_bytes()
     assert not execution.is_stale(source)
-    assert execution.execute(project) == []
+    assert execution.execute(project) == {}
     execution.execute(project, force=True)
     assert target.read_bytes() == before
     records = read_records(json.loads(before))
@@ -62,9 +62,9 @@ def test_the_modules_that_were_imported_are_inputs(source):
 
 def test_a_data_file_that_the_notebook_names_is_an_input(project, source, spoil):
     spoil(source, "kernelspec:", "inputs: [data.csv]\nkernelspec:")
-    assert "data.csv" in execution.execute(project)[0].problem
+    assert "data.csv" in execution.execute(project)["tiny.md"]
     (project / "data.csv").write_text("1\n")
-    assert execution.execute(project)[0].problem == ""
+    assert execution.execute(project)["tiny.md"] == ""
     assert not execution.is_stale(source)
     (project / "data.csv").write_text("2\n")
     assert execution.is_stale(source)
@@ -94,7 +94,7 @@ def test_a_failing_notebook_says_why_and_leaves_the_old_result(
     before = target.read_bytes()
     other.write_text("# Nothing\n")
     spoil(source, old, new)
-    outcomes = {o.source.name: o.problem for o in execution.execute(project)}
+    outcomes = execution.execute(project)
     assert problem in outcomes["tiny.md"]
     assert target.read_bytes() == before
     assert outcomes["other.md"] == ""
@@ -111,6 +111,6 @@ def test_a_source_that_changes_while_it_runs_does_not_pass_for_executed(project,
 
     thread = threading.Thread(target=edit)
     thread.start()
-    assert [outcome.problem for outcome in execution.execute(project)] == [""]
+    assert execution.execute(project) == {"tiny.md": ""}
     thread.join()
     assert execution.is_stale(source)
