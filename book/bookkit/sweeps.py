@@ -231,7 +231,7 @@ def _read_point(path: Path, point: Mapping[str, Any], problem: str = "") -> dict
         outputs = [out for cell in notebook["cells"] for out in cell.get("outputs", [])]
         errors = [f"{o['ename']}: {o['evalue']}" for o in outputs if o["output_type"] == "error"]
         if not errors:
-            return columns(read_records(notebook).values) | row | {"problem": ""}
+            return row | columns(read_records(notebook).values) | row | {"problem": ""}
         problem = errors[0]
     return row | {"problem": problem or "not run"}
 
