@@ -1,0 +1,14 @@
+"""Filters as programs in other languages.
+
+`to_c` and `to_js` write a filter as a C header and as a JavaScript module.
+
+May import: base, models, linearization, filters, designed.
+"""
+
+from seedslib.base.lazy import lazy_names
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from seedslib.export.c import to_c as to_c
+else:
+    __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -1,0 +1,321 @@
+"""What all filters do with moments, recorded: maps by every rule, factor, correction, mixtures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import reduce
+from operator import add, mul
+from typing import Any
+
+import numpy as np
+import sympy
+
+from seedslib.base.circle import Periods
+from seedslib.base.correction import eliminate
+from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.designed.finite_order import law_symbols
+from seedslib.export.tape import (
+    Number,
+    Scalar,
+    Tape,
+    choose,
+    compared,
+    isfinite,
+    isnan,
+    stacked,
+)
+from seedslib.linearization.formulas import Names, mentions
+from seedslib.linearization.moments import TINY, Linearization, symmetric
+from seedslib.linearization.points import PointRule
+from seedslib.models.codegen import compile_components
+from seedslib.models.linear import LinearMap
+from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
+
+MOST_UNROLLED = 300
+"""Products of points and of numbers at each up to which points are written one after another."""
+
+
+def lower_of(cov: np.ndarray) -> np.ndarray:
+    """Entries on and below the diagonal, row by row."""
+    return cov[np.tril_indices(len(cov))]
+
+
+def map_moments(
+    tape: Tape,
+    rule: Linearization,
+    map: StochasticMap,
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    spread: bool = True,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """E y (m,), cov(x, y) (n, m) and, if wanted, cov y (m, m) of a map of a Gaussian state."""
+    if isinstance(map, LinearMap) and not isinstance(rule, PointRule):
+        return _linear_moments(map, t, mean, cov)
+    if isinstance(rule, PointRule):
+        return _point_moments(tape, rule, map, t, mean, cov, spread)
+    n, m = map.state_size, map.size
+    symbols, lower, matrix = law_symbols(n)
+    parts = rule.formulas(map, list(symbols), matrix, spread)[: 2 + spread]
+    entries = [entry for part in parts for entry in part]
+    evaluate = compile_components((map.time, symbols, lower), entries)
+    y, cross, square = np.split(
+        stacked(evaluate(t, list(mean), list(lower_of(cov)))), [m, m + n * m]
+    )
+    return y, cross.reshape(n, m), square.reshape(m, m) if spread else None
+
+
+def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray) -> Any:
+    """Moments of A x + B u + v: A m + B u, P A' and A P A' + S."""
+    slope, noise, push, inputs = map.formulas
+    push = np.zeros((map.size, 0)) if push is None else push
+    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
+    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
+    found = stacked(compile_components([sympy.Symbol("t")], entries)(t))
+    A, S, B, u = np.split(found, np.cumsum([part.size for part in parts]))
+    A, S, B = (part.reshape(p.shape) for part, p in zip((A, S, B), parts, strict=True))
+    cross = cov @ A.T
+    return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
+
+
+def wrapped(value: Any, near: Any, period: float) -> Any:
+    """A value on a circle, within half a turn of another."""
+    return value - period * np.floor((value - near) / period + 0.5)
+
+
+def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
+    """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
+
+    A pivot is judged by its variance, and one that is negative by `scale`, see
+    `seedslib.base.semidefinite.factor`.
+    """
+    n, rest, root = len(cov), cov.copy(), np.zeros(cov.shape, dtype=object)
+    for j in range(n):
+        pivot, variance = rest[j, j], abs(cov[j, j])
+        regular = pivot > RELATIVE * variance + ABSOLUTE
+        least = -(INDEFINITE * (variance if scale is None else scale[j]))
+        zero = choose(pivot >= least, 0.0, np.nan)
+        root[j, j] = choose(regular, np.sqrt(pivot), zero)
+        root[j + 1 :, j] = rest[j + 1 :, j] * choose(regular, 1.0 / root[j, j], zero)
+        for k in range(j + 1, n):
+            rest[k, j + 1 : k + 1] = rest[k, j + 1 : k + 1] - root[k, j] * root[j + 1 : k + 1, j]
+    return root
+
+
+def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """A corrected covariance without what rounding has left of directions known exactly."""
+    root = cholesky(cov, np.diagonal(before))
+    singular = reduce(lambda a, b: a | b, [compared(r, "==", 0.0) for r in np.diagonal(root)])
+    return choose(singular, root @ root.T, cov)
+
+
+def _at_points(map: StochasticMap) -> tuple[Sequence[Any], np.ndarray, Any]:
+    """What is evaluated at a point: mean and covariance of y there, and the noise points cover."""
+    try:
+        mean, cov, _ = map.conditional_expressions
+    except ValueError:
+        return map.expressions, np.zeros((map.size, map.size), dtype=object), map.noise
+    return mean, np.asarray(cov, dtype=object), None
+
+
+def _point_moments(
+    tape: Tape,
+    rule: PointRule,
+    map: StochasticMap,
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    spread: bool,
+) -> Any:
+    n, m = map.state_size, map.size
+    expressions, noise_cov, noise = _at_points(map)
+    unit, weight, centred = rule.rule(n + (0 if noise is None else noise.size))
+    root, arguments = cholesky(cov), [map.time, tuple(map.state)]
+    if noise is not None:
+        arguments.append(tuple(noise.symbols))
+        noise_points = noise.mean[:, None] + noise.root @ unit[n:]
+    evaluate = compile_components(tuple(arguments), [*expressions, *lower_of(noise_cov)])
+
+    def at(points: np.ndarray, noise_point: Any) -> np.ndarray:
+        x = list(mean + root @ points)
+        return stacked(evaluate(t, x, *([] if noise is None else [list(noise_point)])))
+
+    columns = unit.T[:, :n], (unit.T[:, :0] if noise is None else noise_points.T)
+    values = np.array([at(p, v) for p, v in zip(*columns, strict=True)], dtype=object).T
+    y = values[:m]
+    for k, period in map.period:
+        y[k, 1:] = [wrapped(part, y[k, 0], period) for part in y[k, 1:]]
+    h = y[:, 0] + (y - y[:, :1]) @ weight
+    deviation = y - h[:, None]
+    cross = root @ ((unit[:n] * centred) @ deviation.T)
+    if not spread:
+        return h, cross, None
+    noise_part = [row[0] if _alike(row) else row @ weight for row in values[m:]]
+    return h, cross, (deviation * centred) @ deviation.T + symmetric(stacked(noise_part), m)
+
+
+def _alike(row: Sequence[Number]) -> bool:
+    name = [value.name if type(value) is Scalar else value for value in row]
+    return all(one == name[0] for one in name)
+
+
+def moment_rates(
+    tape: Tape, rule: Linearization, system: Any
+) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
+    """Rates of mean and covariance as ``f(t, components) -> components``, for the integrators."""
+    n = system.state_size
+    mean, lower, cov = law_symbols(n)
+    if not isinstance(rule, PointRule):
+        velocity, change = rule.rate_formulas(system, list(mean), cov)
+        entries = [change[i, j] for i in range(n) for j in range(i + 1)]
+        arguments = (system.drift_map.time, (*mean, *lower))
+        return compile_components(arguments, [*velocity, *entries])
+
+    def rates(t: Scalar, z: Sequence[Any]) -> list[Any]:
+        mean, cov = unpacked(stacked(z), n)
+        b, cross, _ = _point_moments(tape, rule, system.drift_map, t, mean, cov, False)
+        spread = _point_moments(tape, rule, system.spread_map, t, mean, cov, False)[0]
+        return [*b, *(lower_of(cross + cross.T) + spread)]
+
+    return rates
+
+
+def correct(
+    mean: np.ndarray,
+    cov: np.ndarray | None,
+    y: np.ndarray,
+    moments: Any,
+    rows: int,
+    periods: Periods = (),
+) -> tuple[np.ndarray, np.ndarray | None, Number, np.ndarray]:
+    """Correct the leading rows by a measurement of which components may be missing (NaN).
+
+    A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
+    component that those before it determine has the gain zero; one whose variance given them is
+    clearly negative gives NaN.
+
+    Returns
+    -------
+    mean, cov : ndarray, shapes (rows,) and (rows, rows)
+        The covariance is None where none was given.
+    loglik : Scalar
+    filled : ndarray, shape (m,)
+        The measurement, missing components replaced by their predictions.
+    """
+    predicted, cross, spread = moments
+    m, y = len(y), y.copy()
+    for k, period in periods:
+        y[k] = wrapped(y[k], predicted[k], period)
+    observed = ~isnan(y)
+    innovation = list(choose(observed, y - predicted, 0.0))
+    cross = choose(observed, cross[:rows], 0.0).tolist()
+    spread = [
+        [choose(observed[i] & observed[j], spread[i, j], float(i == j)) for j in range(i + 1)]
+        for i in range(m)
+    ]
+    regular = []
+
+    def reciprocal(pivot: Number, variance: Number) -> tuple[Number, Number]:
+        least = ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE
+        regular.append(pivot > least)
+        redundant = choose(pivot >= -(INDEFINITE * variance + ABSOLUTE), 0.0, np.nan)
+        return choose(regular[-1], 1.0 / pivot, redundant), choose(regular[-1], pivot, 1.0)
+
+    mean, lower = list(mean[:rows]), None
+    if cov is not None:
+        lower = [list(cov[k, : k + 1]) for k in range(rows)]
+    terms, pivots = eliminate(mean, lower, innovation, cross, spread, reciprocal)
+    counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
+    terms += [_log_product(pivots), reduce(add, counted) * LOG_2PI]
+    if lower is not None:
+        cov = symmetric(stacked([e for row in lower for e in row]), rows)
+    return stacked(mean), cov, -0.5 * reduce(add, terms), choose(observed, y, predicted)
+
+
+def _log_product(pivots: Sequence[Number]) -> Number:
+    """Logarithm of a product, one for all factors where that is a number."""
+    product = reduce(mul, pivots)
+    if len(pivots) == 1 or type(product) is not Scalar:
+        return np.log(product)
+    sound = (product > ABSOLUTE) & (product < np.inf)
+    return choose(sound, np.log(product), reduce(add, [np.log(p) for p in pivots]))
+
+
+class BranchMoments:
+    """Moments of branches of a switching system in one mode, for a recorded mean and covariance."""
+
+    def __init__(
+        self, system: Any, rule: Any, t: Scalar, mean: np.ndarray, cov: np.ndarray
+    ) -> None:
+        self.system, self.rule, self.at = system, rule, (t, mean, cov)
+        self.names, self.symbols = Names(), law_symbols(system.state_size)
+
+    def __call__(self, branches: Iterable[Any]) -> Iterator[tuple[Any, ...] | None]:
+        """(mass, state mean, state cov, value mean, cross, value cov, varies) or None of each."""
+        symbols, lower, matrix = self.symbols
+        branches = list(branches)
+        common = all(b.constant for b in branches if b is not None)
+        made = []
+        for b in branches:
+            if b is None:
+                made.append(None)
+                continue
+            if common or b.constant:
+                moments = self.rule.formulas(b.whole, list(symbols), matrix)
+                row = b.map.weight_expression, list(symbols), matrix, *moments
+            else:
+                row = self.rule.branch(b.map, list(symbols), matrix, self.names)
+            varies = mentions(self.names.meaning(row[0]), {*symbols, *lower})
+            made.append((varies, [[row[0]], *([*part] for part in row[1:])]))
+        entries = [e for entry in made if entry for part in entry[1] for e in part]
+        arguments = (self.system.time, symbols, lower)
+        evaluate = compile_components(arguments, entries, self.names.table)
+        t, mean, cov = self.at
+        values = iter(evaluate(t, list(mean), list(lower_of(cov))))
+        for entry in made:
+            if entry is None:
+                yield None
+                continue
+            varies, row = entry
+            (mass,), *parts = ([next(values) for _ in part] for part in row)
+            mass = choose(mass < TINY, 0.0, mass) if varies else mass
+            x, p, v, c, s = map(stacked, parts)
+            n, m = len(x), len(v)
+            yield mass, x, p.reshape(n, n), v, c.reshape(n, m), s.reshape(m, m), varies
+
+
+def relative(logs: Sequence[Number]) -> tuple[list[Number], Number]:
+    """Weights relative to the largest, and its logarithm, zero where none is positive."""
+    largest = reduce(np.maximum, logs)
+    largest = choose(isfinite(largest), largest, 0.0)
+    return [np.exp(log - largest) for log in logs], largest
+
+
+def mix(
+    mass: Sequence[Number], means: Sequence[Any], covs: Sequence[Any], varies: bool
+) -> tuple[Number, np.ndarray, np.ndarray]:
+    """Mass, mean and covariance of several weighted Gaussian distributions together."""
+    positive = [m > 0.0 for m in mass]
+    total = reduce(add, mass)
+    divisor = choose(total > 0.0, total, 1.0)
+    share = [m / divisor for m in mass]
+    if varies:  # moments of a branch without mass are no numbers
+        means = [choose(p, x, 0.0) for p, x in zip(positive, means, strict=True)]
+        covs = [choose(p, x, 0.0) for p, x in zip(positive, covs, strict=True)]
+    mean = reduce(add, [s * x for s, x in zip(share, means, strict=True)])
+    cov = 0.0
+    for s, x, p in zip(share, means, covs, strict=True):
+        deviation = x - mean
+        cov = cov + s * (p + deviation[:, None] * deviation)
+    return total, mean, cov
+
+
+def unpacked(components: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance from the components of both."""
+    return components[:n], symmetric(components[n:], n)
+
+
+def staying(system: Any, i: int) -> list[Branch | None]:
+    """Branches of mode i where the switch has been made before."""
+    return [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]
