@@ -10,5 +10,6 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.export.c import to_c as to_c
+    from seedslib.export.javascript import to_js as to_js
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)
