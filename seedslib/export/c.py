@@ -180,8 +180,15 @@ def signature(step: Step, writer: C) -> str:
 
 def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "filter") -> str:
     """Write a filter as a C99 header that needs <math.h> and <string.h> only."""
-    step, writer = recorded(filter), C(name)
-    upper = name.upper()
+    whole = header(recorded(filter), name)
+    if path is not None:
+        write_whole(path, whole.encode("ascii"))
+    return whole
+
+
+def header(step: Step, name: str) -> str:
+    """The header of a recorded step."""
+    filter, writer, upper = step.filter, C(name), name.upper()
     text = [comment([str(filter), model_lines(filter.system)])]
     text += [f"#ifndef {upper}_H\n#define {upper}_H\n", "#include <math.h>", "#include <string.h>"]
     text += [f"#define {upper}_{code} {k}" for k, code in enumerate(CODES)]
@@ -204,10 +211,7 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     text.append(f"static inline int {name}_step({signature(step, writer)})\n{{")
     text += writer.body(step)
     text.append(f"    return {upper}_OK;\n}}\n\n#endif\n")
-    whole = "\n".join(text)
-    if path is not None:
-        write_whole(path, whole.encode("ascii"))
-    return whole
+    return "\n".join(text)
 
 
 def dimensions(step: Step) -> dict[str, int]:
