@@ -25,8 +25,10 @@ int api_steps(const f_state *s, f_state *out, const double *given, int count)
     return F_OK;
 }
 
+/* One record of a filter that is given no more than a time and a measurement. */
 int api_step(const f_state *s, f_state *out, const double *given);
 int api_step(const f_state *s, f_state *out, const double *given)
 {
-    return api_steps(s, out, given, 1);
+    *out = *s;
+    return CALL(out, given[0], given + 1, -1, NULL, NULL, NULL);
 }

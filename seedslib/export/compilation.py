@@ -17,9 +17,10 @@ import warnings
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy import ndarray
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
@@ -50,7 +51,7 @@ REFUSALS = {
 }
 """What the codes of a step say, in words."""
 
-_DOUBLE = np.dtype(np.float64)
+DOUBLE = np.dtype(np.float64)
 
 
 # A library of the machine
@@ -169,7 +170,7 @@ def _layout(step: Step, library: Any) -> np.dtype:
 # What a compiled filter remembers
 
 
-class CompiledState:
+class CompiledState(NamedTuple):
     """What a compiled filter remembers, as bytes.
 
     Attributes
@@ -177,21 +178,19 @@ class CompiledState:
     raw : bytes
         The states of C, one for each record.
     batch : tuple of int
+    form : dtype
+        How the bytes are to be read.
     """
 
-    __slots__ = ("_form", "batch", "raw")
-
-    def __init__(self, raw: bytes, batch: tuple[int, ...], form: np.dtype) -> None:
-        self.raw, self.batch, self._form = raw, batch, form
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return CompiledState, (self.raw, self.batch, self._form)
+    raw: bytes
+    batch: tuple[int, ...]
+    form: np.dtype
 
     def part(self, name: str) -> Any:
         """A part of the state, components first; None where there is no such part."""
-        if name not in (self._form.names or ()):
+        if name not in (self.form.names or ()):
             return None
-        part = np.frombuffer(self.raw, self._form)[name]
+        part = np.frombuffer(self.raw, self.form)[name]
         return np.moveaxis(part, 0, -1).reshape((*part.shape[1:], *self.batch))
 
     @property
@@ -225,6 +224,9 @@ class CompiledState:
     def mode_prob(self) -> Any:
         """Probabilities of the modes, (L, *batch)."""
         return self.part("prob")
+
+
+_new = tuple.__new__  # a third of the time of `CompiledState(...)`
 
 
 # The filter
@@ -305,7 +307,7 @@ class CompiledFilter(Filter):
         # a step holds the interpreter, which is quicker; whole records let others run
         held, free = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path))
         # without declared arguments, which would cost more than C
-        self._one, self._many, self._run = held.api_step, held.api_steps, free.api_run
+        self._many, self._run = held.api_steps, free.api_run
         whole, pointer = ctypes.c_int64, ctypes.c_void_p
         self._run.argtypes = [*[whole] * 5, *[pointer] * 5, ctypes.c_double, *[pointer] * 6]
         self._form = _layout(step, held)
@@ -313,9 +315,11 @@ class CompiledFilter(Filter):
         self._first = bytes(self._size)  # nobody has seen it, so that C may write it
         held.api_init(self._first)
         self._shape = (self.system.measurement_size,)
-        self._time, self._pack = (struct.Struct(f"{k}d").pack for k in (1, 1 + self._shape[0]))
-        self._rest = struct.Struct("d").pack(-1.0)  # a missing indicator
-        self._alone = not (self._inputs or self._parameters or step.indicators)
+        packs = [struct.Struct(f"{size}d").pack for size in (1, 1 + self._shape[0])]
+        alone = not (self._inputs or self._parameters or step.indicators)
+        # what a step of one record that is given no more than a time and a measurement needs
+        quick = (held.api_step, self._size, self._form, self._shape, *packs)
+        self._quick = quick if alone else None
 
     def __reduce__(self) -> tuple[Any, ...]:
         return compiled, (self.filter,)
@@ -334,20 +338,21 @@ class CompiledFilter(Filter):
         ValueError
             What the filter refuses.
         """
-        if state.batch or indicator is not None or not self._alone:
+        quick = self._quick
+        if quick is None or state.batch or indicator is not None:
             return self._stepped(state, t, self._measured(y, state.batch), indicator)
+        work, size, form, shape, time, pack = quick
         try:
-            if type(y) is np.ndarray and y.dtype is _DOUBLE and y.shape == self._shape:
-                given = self._time(t) + y.tobytes() + self._rest
+            if type(y) is ndarray and y.dtype is DOUBLE and y.shape == shape:
+                given = time(t) + y.tobytes()
             else:
-                given = self._pack(t, *y) + self._rest  # type: ignore[misc]
+                given = pack(t, *y)  # type: ignore[misc]
         except (struct.error, TypeError):
-            y = self._measured(y, ())
-            given = self._time(as_real("t", t, ndim=0)) + y.tobytes() + self._rest
-        out = bytes(self._size)
-        if code := self._one(state.raw, out, given):
+            given = time(as_real("t", t, ndim=0)) + self._measured(y, ()).tobytes()
+        out = bytes(size)  # nobody has seen it, so that C may write it
+        if code := work(state.raw, out, given):
             raise ValueError(REFUSALS[CODES[code]])
-        return CompiledState(out, (), self._form)
+        return _new(CompiledState, (out, (), form))
 
     def _measured(self, y: ArrayLike, batch: tuple[int, ...]) -> np.ndarray:
         return as_real("y", y, (*self._shape, *batch), nan=True)
@@ -409,7 +414,7 @@ class CompiledFilter(Filter):
         """Filter a record, or many at once; arguments, results and errors as of the filter."""
         filter, designed = self.filter, self._designed
         y = measurements
-        if type(y) is np.ndarray and y.dtype is _DOUBLE and y.ndim > 2 and y.flags.c_contiguous:
+        if type(y) is np.ndarray and y.dtype is DOUBLE and y.ndim > 2 and y.flags.c_contiguous:
             few = y.reshape(*y.shape[:2], -1)[..., :0]  # C sees whether they are finite
             times, _ = filter.record(times, few)
         else:
