@@ -19,6 +19,9 @@ from seedslib.export.tape import Array, Let, Load, Loop, Number, Refuse, Scalar,
 from seedslib.models.kinds import switches
 
 WIDTH = 100
+PER_LINE = 4
+"""Numbers of a table in a line."""
+
 SIGNS = frozenset("+ - * / < <= > >= == != && ||".split())
 PREFIX = {"neg": "-{}", "!": "!{}", "choose": "{} ? {} : {}"}
 
@@ -147,11 +150,11 @@ def _braces(values: np.ndarray, written: Callable[[Any], str], indent: str = "")
     if values.ndim > 1:
         rows = ",\n".join(inner + _braces(part, written, inner) for part in values)
         return "{\n" + rows + "\n" + indent + "}"
-    flat = ", ".join(map(written, values.tolist()))
-    if len(indent) + len(flat) + 4 <= WIDTH:
-        return "{ " + flat + " }"
-    lines = textwrap.wrap(flat, WIDTH - len(inner), break_long_words=False)
-    return "{\n" + "\n".join(inner + line for line in lines) + "\n" + indent + "}"
+    words = list(map(written, values.tolist()))
+    if len(words) <= PER_LINE:
+        return "{ " + ", ".join(words) + " }"
+    lines = (", ".join(words[i : i + PER_LINE]) for i in range(0, len(words), PER_LINE))
+    return "{\n" + ",\n".join(inner + line for line in lines) + "\n" + indent + "}"
 
 
 def tables(step: Step, writer: C) -> list[str]:

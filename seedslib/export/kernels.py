@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from functools import reduce
 from operator import add, mul
 from typing import Any
@@ -20,17 +20,14 @@ from seedslib.export.tape import (
     Tape,
     choose,
     compared,
-    isfinite,
     isnan,
     stacked,
 )
-from seedslib.linearization.formulas import Names, mentions
-from seedslib.linearization.moments import TINY, Linearization, symmetric
+from seedslib.linearization.moments import Linearization, symmetric
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
-from seedslib.models.switching import Branch
 
 MOST_UNROLLED = 300
 """Products of points and of numbers at each up to which points are written one after another."""
@@ -246,80 +243,6 @@ def _log_product(pivots: Sequence[Number]) -> Number:
     return result.all
 
 
-class BranchMoments:
-    """Moments of branches of a switching system in one mode, for a recorded mean and covariance."""
-
-    def __init__(
-        self, system: Any, rule: Any, t: Scalar, mean: np.ndarray, cov: np.ndarray
-    ) -> None:
-        self.system, self.rule, self.at = system, rule, (t, mean, cov)
-        self.names, self.symbols = Names(), law_symbols(system.state_size)
-
-    def __call__(self, branches: Iterable[Any]) -> Iterator[tuple[Any, ...] | None]:
-        """(mass, state mean, state cov, value mean, cross, value cov, varies) or None of each."""
-        symbols, lower, matrix = self.symbols
-        branches = list(branches)
-        common = all(b.constant for b in branches if b is not None)
-        made = []
-        for b in branches:
-            if b is None:
-                made.append(None)
-                continue
-            if common or b.constant:
-                moments = self.rule.formulas(b.whole, list(symbols), matrix)
-                row = b.map.weight_expression, list(symbols), matrix, *moments
-            else:
-                row = self.rule.branch(b.map, list(symbols), matrix, self.names)
-            varies = mentions(self.names.meaning(row[0]), {*symbols, *lower})
-            made.append((varies, [[row[0]], *([*part] for part in row[1:])]))
-        entries = [e for entry in made if entry for part in entry[1] for e in part]
-        arguments = (self.system.time, symbols, lower)
-        evaluate = compile_components(arguments, entries, self.names.table)
-        t, mean, cov = self.at
-        values = iter(evaluate(t, list(mean), list(lower_of(cov))))
-        for entry in made:
-            if entry is None:
-                yield None
-                continue
-            varies, row = entry
-            (mass,), *parts = ([next(values) for _ in part] for part in row)
-            mass = choose(mass < TINY, 0.0, mass) if varies else mass
-            x, p, v, c, s = map(stacked, parts)
-            n, m = len(x), len(v)
-            yield mass, x, p.reshape(n, n), v, c.reshape(n, m), s.reshape(m, m), varies
-
-
-def relative(logs: Sequence[Number]) -> tuple[list[Number], Number]:
-    """Weights relative to the largest, and its logarithm, zero where none is positive."""
-    largest = reduce(np.maximum, logs)
-    largest = choose(isfinite(largest), largest, 0.0)
-    return [np.exp(log - largest) for log in logs], largest
-
-
-def mix(
-    mass: Sequence[Number], means: Sequence[Any], covs: Sequence[Any], varies: bool
-) -> tuple[Number, np.ndarray, np.ndarray]:
-    """Mass, mean and covariance of several weighted Gaussian distributions together."""
-    positive = [m > 0.0 for m in mass]
-    total = reduce(add, mass)
-    divisor = choose(total > 0.0, total, 1.0)
-    share = [m / divisor for m in mass]
-    if varies:  # moments of a branch without mass are no numbers
-        means = [choose(p, x, 0.0) for p, x in zip(positive, means, strict=True)]
-        covs = [choose(p, x, 0.0) for p, x in zip(positive, covs, strict=True)]
-    mean = reduce(add, [s * x for s, x in zip(share, means, strict=True)])
-    cov = 0.0
-    for s, x, p in zip(share, means, covs, strict=True):
-        deviation = x - mean
-        cov = cov + s * (p + deviation[:, None] * deviation)
-    return total, mean, cov
-
-
 def unpacked(components: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance from the components of both."""
     return components[:n], symmetric(components[n:], n)
-
-
-def staying(system: Any, i: int) -> list[Branch | None]:
-    """Branches of mode i where the switch has been made before."""
-    return [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]

@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
 from seedslib.base.values import assigned
-from seedslib.export.tape import Scalar, Tape, choose, isfinite, isinf, isnan
+from seedslib.designed.memory import Memory
+from seedslib.export.tape import Array, Scalar, Tape, choose, isfinite, isinf, isnan
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.models.kinds import mentioned
 
 CODES = ("OK", "END", "INFINITE", "PARTLY", "TIME", "RANGE", "STRAY")
 """What a step returns: the number of the code in this list."""
+
+MOST_NUMBERS = 2_000_000
+"""Numbers in the tables of one program: about 40 megabytes of text."""
 
 
 class Step(Tape):
@@ -32,6 +37,7 @@ class Step(Tape):
 
     def __init__(self, filter: Any, parameters: bool = False) -> None:
         super().__init__()
+        self.numbers = 0
         self.filter, system = filter, filter.system
         self.n, self.m = system.state_size, system.measurement_size
         self.rows = getattr(filter, "components", self.n)
@@ -41,6 +47,10 @@ class Step(Tape):
         if self.designed:
             self.k = self.array("k", (), "int", "state")
             self.laps = self.array("laps", (), "real", "state") if filter.cycle else None
+            times = np.array(filter.times)
+            if filter.cycle:  # the last time begins a lap
+                times[-1] = times[-1 - filter.cycle]
+            self.times = self.table("times", times, "time")
         else:
             self.last_time = self.array("t", (), "time", "state")
             self.started = self.array("started", (), "int", "state")
@@ -53,6 +63,8 @@ class Step(Tape):
         for p in sorted(mentioned(system), key=str):
             by_role[p.role].append(p)
         self.inputs, self.elapsed = by_role["input"], by_role["elapsed"]
+        if self.designed:  # those of a design are in its forecasts
+            self.inputs = []
         self.parameters = by_role["parameter"] if parameters else []
         self.held = self._argument("held", self.inputs)
         self.values = self._argument("u", self.inputs) | self._argument("p", self.parameters)
@@ -89,43 +101,74 @@ class Step(Tape):
         system = self.filter.system
         return {"mean": np.asarray(system.mean0, float), "cov": np.asarray(system.cov0, float)}
 
+    def table(self, name: str, values: Any, kind: str = "real") -> Array:
+        """See `Tape.table`.
+
+        Raises
+        ------
+        ValueError
+            More than `MOST_NUMBERS` in all tables together.
+        """
+        self.numbers += np.size(values)
+        if self.numbers > MOST_NUMBERS:
+            raise ValueError(
+                f"filter: wanted at most {MOST_NUMBERS:,} numbers in its tables, got at least "
+                f"{self.numbers:,}"
+            )
+        return super().table(name, values, kind)
+
     def begin(self) -> tuple[Scalar, Scalar]:
-        """Number of the measurement and its time, of a designed filter."""
-        times, k = self.filter.times, self.k.all
+        """Number of the measurement and its time, of a designed filter.
+
+        Raises
+        ------
+        TypeError
+            A memory of one's own, whose rule a program does not know.
+        """
+        memory, k = self.filter.memory, self.k.all
+        if type(memory) is not Memory:
+            raise TypeError(f"memory: wanted a Memory, got {type(memory).__name__}")
         if not self.filter.cycle:
-            self.refuse(k >= float(len(times)), "END")
-        t = self.table("times", times, "time")[k]
-        if self.filter.cycle:
-            t = t + self.laps.all * (times[-1] - times[-1 - self.filter.cycle])
-        return k, t
+            self.refuse(k >= float(len(self.filter.times)), "END")
+        return k, self.moment(k)
+
+    def moment(self, k: Scalar) -> Scalar:
+        """Time of measurement k, see `seedslib.base.clock.Clock.moment`."""
+        times, cycle = self.filter.times, self.filter.cycle
+        if not cycle:
+            return self.times[k]
+        last = len(times) - 1
+        lap = self.laps.all + choose(k >= float(last), 1.0, 0.0)
+        return self.times[k] + lap * (times[last] - times[last - cycle])
 
     def end(self, k: Scalar) -> None:
         """Count the measurement; the last steps of a design without end serve in turn."""
-        last, cycle = len(self.filter.times), self.filter.cycle
-        self.k.store(k + 1.0)
+        count, cycle = len(self.filter.times), self.filter.cycle
+        over = k + 1.0 >= float(count) if cycle else False
+        self.k.store(choose(over, float(count - cycle), k + 1.0))
         if cycle:
-            over = k + 1.0 >= float(last)
-            self.k.store(choose(over, float(last - cycle), k + 1.0))
             self.laps.store(self.laps.all + choose(over, 1.0, 0.0))
 
-    def gaps(self, missing_now: Scalar) -> tuple[Scalar, Scalar]:
-        """Whether the design knows no covariance: before this measurement, and after it."""
+    def gap(self, k: Scalar) -> tuple[Scalar, Scalar]:
+        """Whether something has been missing that the design has: before measurement k, with it.
+
+        The covariance is NaN from then on. What the schedule leaves out is refused.
+        """
+        missing = [*isnan(self.y)]
+        missing += [self.indicator < 0.0] if self.indicators else []
+        if getattr(self.filter, "measured", None) is not None:
+            schedule = self.table("schedule", self.filter.measured, "int")[k]
+            for i, scheduled in enumerate(schedule):
+                self.refuse(~missing[i] & (scheduled < 1.0), "STRAY")
+                missing[i] = missing[i] & (scheduled > 0.0)
         before = isnan(self.cov[0, 0])
-        return before, before | missing_now
+        return before, before | any_of(missing)
 
-    def any_missing(self) -> Scalar:
-        """Whether a component of the measurement is missing."""
-        return any_of(isnan(self.y))
-
-    def push(self, memory: Any, mean: Any, measurement: Any, lead: Any = ()) -> None:
-        """Newest first: estimates, then measurements; `lead` stands before each block."""
-        block, kept = self.filter.memory, memory.all
-        one = [*lead, *mean] if block.estimates else []
-        two = [*(lead if not block.estimates else ()), *measurement] if block.measurements else []
-        cut = block.estimates * len(one)
-        first = [*one, *kept[: cut - len(one)]] if one else []
-        second = [*two, *kept[cut : len(kept) - len(two)]] if two else []
-        memory.store(np.array([*first, *second], dtype=object))
+    def push(self, memory: Array, estimate: Sequence[Any], measurement: Sequence[Any]) -> None:
+        """Put an estimate and a measurement on the memory, which holds estimates first."""
+        old, size = list(memory.all), len(estimate) * self.filter.memory.estimates
+        estimates = [*estimate, *old[:size]][:size]
+        memory.store([*estimates, *[*measurement, *old[size:]][: len(old) - size]])
 
 
 def any_of(truths: Any) -> Any:
