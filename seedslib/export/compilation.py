@@ -435,7 +435,7 @@ class CompiledFilter(Filter):
         found = Estimates(*(s if s is None else room((count, *s), math.prod(batch)) for s in sizes))
         found = found._replace(diverged=np.empty(math.prod(batch), dtype=bool))
         self._fill(found, times, y, indicators, course, workers)
-        found = Estimates(*(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in found))
+        found = Estimates(*(p if p is None else p.reshape((*p.shape[:-1], *batch)) for p in found))
         if found.modes is not None:
             found = found._replace(modes=found.modes.astype(int))
         if carried:
