@@ -284,12 +284,16 @@ def correct(
 
 
 def _log_product(pivots: Sequence[Number]) -> Number:
-    """Logarithm of a product, one for all factors where that is a number."""
+    """Logarithm of a product; of its factors one by one where it is out of range, which is rare."""
     product = reduce(mul, pivots)
     if len(pivots) == 1 or type(product) is not Scalar:
         return np.log(product)
-    sound = (product > ABSOLUTE) & (product < np.inf)
-    return choose(sound, np.log(product), reduce(add, [np.log(p) for p in pivots]))
+    tape = product.tape
+    result = tape.array(f"log_{product.name}")
+    result.store(np.log(product))
+    with tape.when(~((product > ABSOLUTE) & (product < np.inf))):
+        result.store(reduce(add, [np.log(p) for p in pivots]))
+    return result.all
 
 
 def unpacked(components: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
