@@ -107,10 +107,10 @@ through memory: registers that are half in use as vectors would stall it. */
 
 /* STATE */
 
-static inline int lanes_step(lanes *restrict s, double now, const vec *restrict y, vec indicator,
+static inline int lanes_step(lanes *restrict s, double time, const vec *restrict y, vec indicator,
                              const vec *restrict held, const vec *restrict u, const vec *restrict p)
 {
-    (void)now, (void)indicator, (void)held, (void)u, (void)p;
+    (void)time, (void)indicator, (void)held, (void)u, (void)p;
 /* STEP */
     return F_OK;
 }
