@@ -483,8 +483,8 @@ class CompiledFilter(Filter):
 
 
 def room(lead: tuple[int, ...], total: int) -> np.ndarray:
-    """Array (*lead, total) whose rows begin at 64 bytes, so that C may write past the caches."""
-    wide = -(-total // 8) * 8
+    """Array (*lead, total) whose rows, if long, begin at 64 bytes: C may write past the caches."""
+    wide = total if total < 64 else -(-total // 8) * 8
     flat = np.empty(math.prod(lead) * wide + 8)
     first = -flat.ctypes.data // flat.itemsize % 8
     return flat[first : first + len(flat) - 8].reshape(*lead, wide)[..., :total]
