@@ -13,5 +13,6 @@ if TYPE_CHECKING:
     from seedslib.export.c import to_c as to_c
     from seedslib.export.compilation import CompiledFilter as CompiledFilter
     from seedslib.export.compilation import compiled as compiled
+    from seedslib.export.javascript import to_js as to_js
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

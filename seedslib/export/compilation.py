@@ -48,6 +48,7 @@ REFUSALS = {
     "RANGE": "indicator: wanted one of the system, or -1 for a missing one",
     "STRAY": "y: wanted what the schedule of the design has, got a component of a measurement "
     "without it",
+    "UNTOLD": "inputs: wanted values of the inputs of the model, got none",
 }
 """What the codes of a step say, in words."""
 
@@ -134,7 +135,7 @@ def source(step: Step) -> str:
     """C of a filter with what Python calls."""
     state = [a for a in step.arrays.values() if a.owner == "state"]
     places = ", ".join(f"(int)offsetof(f_state, {a.name})" for a in state)
-    names = [("now", "t"), ("y", "y"), ("indicator", "indicator")]
+    names = [("time", "t"), ("y", "y"), ("indicator", "indicator")]
     names += [(name, name) for name in ("held", "u", "p")]
     given = ", ".join(["s", *(own for name, own in names if name in step.arrays)])
     driver = (files("seedslib.export").joinpath("api.c")).read_text()
