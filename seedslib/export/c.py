@@ -93,6 +93,10 @@ class C:
         places = (f"(int){self.number(x)}" if type(x) is Scalar else str(int(x)) for x in index)
         return lead + array.name + "".join(f"[{place}]" for place in places)
 
+    def load(self, array: Array, index: tuple[Number, ...]) -> str:
+        """A number from memory."""
+        return self.place(array, index)
+
     def let(self, result: Scalar, text: str) -> str:
         """A named value."""
         return f"const {self.types[result.kind]} {result.name} = {text};"
@@ -149,7 +153,7 @@ class C:
                 text = (
                     self.operation(one.operation, one.operands)
                     if isinstance(one, Let)
-                    else self.place(one.array, one.operands)
+                    else self.load(one.array, one.operands)
                 )
                 fixed = isinstance(one, Let) or one.array.owner in {"argument", "table"}
                 if fixed and one.result.name in self.once & own and len(text) <= LONGEST:
@@ -360,24 +364,22 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     >>> "oscillator_step" in text
     True
     """
-    text = header(recorded(filter), checked_name(name))
+    name = checked_name(name)
+    step = recorded(filter)
+    halves = ""
+    if isinstance(filter, CovarianceFilter):
+        inputs = (", const @name_real *u", ", u, u") if step.inputs else ("", "")
+        halves = HALVES.replace("@INPUTS", inputs[0]).replace("@PASSED", inputs[1])
+    text = header(step, name, about(filter, [RULES, *notes(step)]), halves)
     if path is not None:
         write_whole(path, text.encode("ascii"))
     return text
 
 
-def header(step: Step, name: str) -> str:
-    """The header of a recorded step."""
-    parts = [
-        about(step.filter, [RULES, *notes(step)]),
-        HEAD,
-        "".join(f"#define @NAME_{key} {value}\n" for key, value in dimensions(step).items()),
-        *source(step, name),
-    ]
-    if isinstance(step.filter, CovarianceFilter) and not step.parameters:
-        inputs = (", const @name_real *u", ", u, u") if step.inputs else ("", "")
-        parts.append(HALVES.replace("@INPUTS", inputs[0]).replace("@PASSED", inputs[1]))
-    text = "\n".join([*parts, "#endif\n"])
+def header(step: Step, name: str, before: str = "", after: str = "") -> str:
+    """The header of a recorded step, with more text before it and at its end."""
+    sizes = "".join(f"#define @NAME_{key} {value}\n" for key, value in dimensions(step).items())
+    text = "\n".join([before, HEAD, sizes, *source(step, name), after, "#endif\n"])
     return text.replace("@name", name).replace("@NAME", name.upper())
 
 

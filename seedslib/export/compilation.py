@@ -48,6 +48,7 @@ REFUSALS = {
     "RANGE": "indicator: wanted one of the system, or -1 for a missing one",
     "STRAY": "y: wanted what the schedule of the design has, got a component of a measurement "
     "without it",
+    "UNTOLD": "inputs: wanted values of the inputs of the model, got none",
 }
 """What the codes of a step say, in words."""
 
@@ -481,8 +482,8 @@ class CompiledFilter(Filter):
 
 
 def room(lead: tuple[int, ...], total: int) -> np.ndarray:
-    """Array (*lead, total) whose rows begin at 64 bytes, so that C may write past the caches."""
-    wide = -(-total // 8) * 8
+    """Array (*lead, total) whose rows, if long, begin at 64 bytes: C may write past the caches."""
+    wide = total if total < 64 else -(-total // 8) * 8
     flat = np.empty(math.prod(lead) * wide + 8)
     first = -flat.ctypes.data // flat.itemsize % 8
     return flat[first : first + len(flat) - 8].reshape(*lead, wide)[..., :total]

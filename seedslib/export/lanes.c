@@ -20,10 +20,7 @@ typedef int64_t bits __attribute__((vector_size(8 * LANES)));
 #define EACH for (int l = 0; l < LANES; l++)
 #define SPREAD(part, kind, count) \
     for (int i = 0; i < (count); i++) ((vec *)&s->part)[i] = all((double)((const kind *)&one->part)[i])
-#define COPY(part, kind, count) memcpy(&s->part, &one->part, sizeof s->part)
-#define GATHER(to, where, place) EACH to[l] = (where)[l] ? (double)(place) : 0.0
-#define SCATTER(where, place, value) \
-    do { const vec given = value; EACH if ((where)[l]) place = given[l]; } while (0)
+#define COPY(part) memcpy(&s->part, &one->part, sizeof s->part)
 #define ALL (~(bits){ 0 })
 
 /* What is handed out is not read again soon: past the caches, where the processor can do that. */
@@ -40,6 +37,7 @@ typedef int64_t bits __attribute__((vector_size(8 * LANES)));
 static inline vec all(double a) { return a - (vec){ 0 }; }
 static inline bits all_or_none(int truth) { return (bits){ 0 } - (int64_t)(truth != 0); }
 static inline vec choose(bits q, vec a, vec b) { return (vec)((q & (bits)a) | (~q & (bits)b)); }
+static inline vec as_numbers(bits q) { return (vec)(q & (bits)all(1.0)); }
 static inline int any(bits q)
 {
     int64_t found = 0;

@@ -98,6 +98,8 @@ def switching(step: Step) -> None:
     if step.designed:
         k, t = step.begin()
         gap_before, gap = step.gap(k)
+        if filter.memory.indicators:
+            step.refuse(step.indicator < 0.0, "PARTLY")
         first, past = k < 1.0, _memory(step)
         log_prob = step.array("log_prob", (modes,)) if filter.memory.log_odds else None
     else:

@@ -109,8 +109,8 @@ STEPS = [
     (lambda: step("polynomial", t=5.0, k=6), ValueError, "t"),
     (lambda: step("schedule"), ValueError, "y"),
     (lambda: twin("affine").predict(twin("affine").initial(), 1.5), ValueError, "predict"),
-    (lambda: twin("IMM, old mode").forecast(None, 2.0), ValueError, "forecast"),
-    (lambda: twin("extended").correct(twin("extended").initial(), [1, 0]), ValueError, "t"),
+    (lambda: twin("IMM, old mode").forecast(None, 2.0), ValueError, "predict"),
+    (lambda: twin("extended").correct(twin("extended").initial(), [1, 0]), ValueError, "state"),
     (lambda: twin("extended, inputs").run(TIMES, np.zeros((7, 2))), ValueError, "inputs"),
     (lambda: twin("schedule").run(TIMES, np.zeros((7, 2))), ValueError, "measurements"),
 ]
