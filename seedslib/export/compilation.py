@@ -27,7 +27,7 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, outside
 from seedslib.base.values import Course, Inputs, current
 from seedslib.designed.base import dropouts, expected, unclaimed
-from seedslib.export.c import header
+from seedslib.export.c import arguments, header
 from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
 from seedslib.export.step import CODES, Step
@@ -135,9 +135,7 @@ def source(step: Step) -> str:
     """C of a filter with what Python calls."""
     state = [a for a in step.arrays.values() if a.owner == "state"]
     places = ", ".join(f"(int)offsetof(f_state, {a.name})" for a in state)
-    names = [("time", "t"), ("y", "y"), ("indicator", "indicator")]
-    names += [(name, name) for name in ("held", "u", "p")]
-    given = ", ".join(["s", *(own for name, own in names if name in step.arrays)])
+    given = ", ".join(["s", *arguments(step)])
     driver = (files("seedslib.export").joinpath("api.c")).read_text()
     return "\n".join(
         [
@@ -146,7 +144,7 @@ def source(step: Step) -> str:
             "#define F_OUT F_ESTIMATE",
             f"#define F_PARAMETERS {len(step.parameters)}",
             *(["#define F_INPUTS 0"] if not step.inputs else []),
-            f"#define CALL(s, t, y, indicator, held, u, p) f_step({given})",
+            f"#define CALL(s, time, y, indicator, held, u, p) f_step({given})",
             f"const int api_layout[] = {{ (int)sizeof(f_state), {places} }};",
             driver,
             to_lanes(step, "f"),
