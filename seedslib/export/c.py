@@ -364,22 +364,24 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     >>> "oscillator_step" in text
     True
     """
-    name = checked_name(name)
-    step = recorded(filter)
-    halves = ""
-    if isinstance(filter, CovarianceFilter):
-        inputs = (", const @name_real *u", ", u, u") if step.inputs else ("", "")
-        halves = HALVES.replace("@INPUTS", inputs[0]).replace("@PASSED", inputs[1])
-    text = header(step, name, about(filter, [RULES, *notes(step)]), halves)
+    text = header(recorded(filter), checked_name(name))
     if path is not None:
         write_whole(path, text.encode("ascii"))
     return text
 
 
-def header(step: Step, name: str, before: str = "", after: str = "") -> str:
-    """The header of a recorded step, with more text before it and at its end."""
-    sizes = "".join(f"#define @NAME_{key} {value}\n" for key, value in dimensions(step).items())
-    text = "\n".join([before, HEAD, sizes, *source(step, name), after, "#endif\n"])
+def header(step: Step, name: str) -> str:
+    """The header of a recorded step."""
+    parts = [
+        about(step.filter, [RULES, *notes(step)]),
+        HEAD,
+        "".join(f"#define @NAME_{key} {value}\n" for key, value in dimensions(step).items()),
+        *source(step, name),
+    ]
+    if isinstance(step.filter, CovarianceFilter) and not step.parameters:
+        inputs = (", const @name_real *u", ", u, u") if step.inputs else ("", "")
+        parts.append(HALVES.replace("@INPUTS", inputs[0]).replace("@PASSED", inputs[1]))
+    text = "\n".join([*parts, "#endif\n"])
     return text.replace("@name", name).replace("@NAME", name.upper())
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from operator import add, mul
+from operator import add, mul, or_
 from typing import Any
 
 import numpy as np
@@ -272,15 +272,32 @@ def correct(
     terms, pivots = eliminate(mean, lower, innovation, cross, spread, reciprocal)
     counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
     terms += [_log_product(pivots), reduce(add, counted) * LOG_2PI]
-    largest = reduce(np.maximum, [abs(x) for x in prior]) if exact else 0.0
-    for j in range(m) if exact else ():
-        beyond = abs(innovation[j]) - LEVEL * (abs(y[j]) + abs(predicted[j]) + largest)
-        # beyond > FAINT times the deviation, without a root
-        impossible = (beyond > 0.0) & (beyond * beyond > FAINT**2 * abs(variances[j]))
-        terms.append(choose(observed[j] & ~regular[j] & impossible, np.inf, 0.0))
+    if exact:
+        redundant = [seen & ~sound for seen, sound in zip(observed, regular, strict=True)]
+        components = zip(redundant, innovation, y, predicted, variances, strict=True)
+        terms.append(_impossible(prior, list(components)))
     if lower is not None:
         cov = symmetric(stacked([e for row in lower for e in row]), rows)
     return stacked(mean), cov, -0.5 * reduce(add, terms), choose(observed, y, predicted)
+
+
+def _impossible(mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Number:
+    """Infinity where a redundant component is not what those before it say, zero elsewhere.
+
+    Of each component whether it is redundant, its innovation, value, prediction and variance.
+    """
+    any_redundant = reduce(or_, [redundant for redundant, *_ in components])
+    tape = any_redundant.tape
+    result = tape.array(f"impossible_{any_redundant.name}")
+    with tape.when(any_redundant):  # which is rare
+        largest, parts = reduce(np.maximum, [abs(x) for x in mean]), []
+        for redundant, innovation, y, predicted, variance in components:
+            beyond = abs(innovation) - LEVEL * (abs(y) + abs(predicted) + largest)
+            # beyond > FAINT times the deviation, without a root
+            impossible = (beyond > 0.0) & (beyond * beyond > FAINT**2 * abs(variance))
+            parts.append(choose(redundant & impossible, np.inf, 0.0))
+        result.store(reduce(add, parts))
+    return result.all
 
 
 def _log_product(pivots: Sequence[Number]) -> Number:
