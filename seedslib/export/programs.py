@@ -53,7 +53,8 @@ def covariance(step: Step) -> None:
             moving.store([*mean, *lower_of(cov)])
     mean, cov = unpacked(moving.all, n)
     moments = map_moments(step, rule, system.sensor, t, mean, cov)
-    mean, after, loglik, _ = correct(mean, cov, step.y, moments, n, system.sensor.period)
+    periods = system.sensor.period
+    mean, after, loglik, _ = correct(mean, cov, step.y, moments, n, periods, exact=True)
     step.cov.store(settled(after, cov) if isinstance(rule, PointRule) else after)
     step.mean.store(mean)
     step.loglik.store(loglik)

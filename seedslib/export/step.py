@@ -14,7 +14,7 @@ from seedslib.export.tape import Array, Scalar, Tape, choose, isfinite, isinf, i
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.models.kinds import mentioned
 
-CODES = ("OK", "END", "INFINITE", "PARTLY", "TIME", "RANGE", "STRAY")
+CODES = ("OK", "END", "INFINITE", "PARTLY", "TIME", "RANGE", "STRAY", "UNTOLD")
 """What a step returns: the number of the code in this list."""
 
 MOST_NUMBERS = 2_000_000
@@ -54,7 +54,7 @@ class Step(Tape):
         else:
             self.last_time = self.array("t", (), "time", "state")
             self.started = self.array("started", (), "int", "state")
-            self.now = self.array("now", (), "time", "argument")
+            self.now = self.array("time", (), "time", "argument")
         self.mean = self.array("mean", (self.rows,), owner="state")
         self.cov = self.array("cov", (self.rows, self.rows), owner="state")
         self.loglik = self.array("loglik", (), owner="state")
@@ -62,9 +62,8 @@ class Step(Tape):
         by_role: dict[str, list[Any]] = {"parameter": [], "input": [], "elapsed": []}
         for p in sorted(mentioned(system), key=str):
             by_role[p.role].append(p)
-        self.inputs, self.elapsed = by_role["input"], by_role["elapsed"]
-        if self.designed:  # those of a design are in its forecasts
-            self.inputs = []
+        self.inputs = [] if self.designed else by_role["input"]  # a design knows them
+        self.elapsed = by_role["elapsed"]
         self.parameters = by_role["parameter"] if parameters else []
         self.held = self._argument("held", self.inputs)
         self.values = self._argument("u", self.inputs) | self._argument("p", self.parameters)

@@ -47,11 +47,12 @@ OPERATORS = {
 }
 """Functions of NumPy that are operations of a tape, or are made of them."""
 
-FUNCTIONS = dict.fromkeys(
-    "sqrt cbrt exp exp2 expm1 log log2 log10 log1p sin cos tan sinh cosh tanh hypot fabs floor "
-    "ceil erf erfc isnan isinf isfinite".split()
+SAME_NAME = (
+    *("sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "hypot"),
+    *("sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil", "fabs"),
+    *("isnan", "isinf", "isfinite"),
 )
-FUNCTIONS = {name: name for name in FUNCTIONS} | {
+FUNCTIONS = {name: name for name in SAME_NAME} | {
     "arcsin": "asin",
     "arccos": "acos",
     "arctan": "atan",
@@ -63,7 +64,8 @@ FUNCTIONS = {name: name for name in FUNCTIONS} | {
 }
 """Functions of NumPy and SciPy by their names in C99."""
 
-TRUTHS = frozenset("< <= > >= == != && || ! isnan isinf isfinite".split())
+RELATIONS = frozenset(["<", "<=", ">", ">=", "==", "!="])
+TRUTHS = RELATIONS | {"&&", "||", "!", "isnan", "isinf", "isfinite"}
 """Operations that give a truth."""
 
 LARGEST_POWER = 40
@@ -358,15 +360,27 @@ class Tape:
     def array(
         self, name: str, shape: tuple[int, ...] = (), kind: str = "real", owner: str = "local"
     ) -> Array:
-        """Room for numbers."""
+        """Memory for numbers; that of one step is used again where name and shape are the same."""
+        known = self.arrays.get(name)
+        if known is not None and (known.shape, known.owner) == (tuple(shape), "local"):
+            return known
+        name = self._unused(name)
         self.arrays[name] = Array(self, name, tuple(shape), kind, owner)
         return self.arrays[name]
 
     def table(self, name: str, values: Any, kind: str = "real") -> Array:
         """Constants, of which a place may be known only when the program runs."""
-        result = self.array(name, np.shape(values), kind, "table")
-        result.values = np.asarray(values)
+        values = np.asarray(values)
+        known = self.arrays.get(name)
+        if known is not None and np.array_equal(known.values, values):
+            return known
+        name = self._unused(name)
+        result = self.arrays[name] = Array(self, name, values.shape, kind, "table", values)
         return result
+
+    def _unused(self, name: str) -> str:
+        names = (name, *(f"{name}{k}" for k in range(2, len(self.arrays) + 3)))
+        return next(one for one in names if one not in self.arrays)
 
     def name(self, kind: str) -> Scalar:
         """A new name."""
@@ -440,7 +454,10 @@ class Tape:
 
     def program(self) -> list[Any]:
         """The statements without those that nothing is made of."""
-        return _alive(self.block, set())
+        block, loaded = self.block, None
+        while loaded != (now := {_place(one) for one in walk(block) if isinstance(one, Load)}):
+            block, loaded = _alive(block, set(), now), now
+        return block
 
 
 def _joined(first: Any, sign: str, second: Any) -> Any:
@@ -453,16 +470,34 @@ def _key(operand: Any) -> Any:
     return operand.name if type(operand) is Scalar else repr(float(operand))
 
 
-def _alive(block: list[Any], wanted: set[str]) -> list[Any]:
+def walk(block: list[Any]) -> Iterator[Any]:
+    """All statements, those of inner blocks too."""
+    for statement in block:
+        yield statement
+        if isinstance(statement, When | Loop):
+            yield from walk(statement.block)
+
+
+def _place(statement: Load | Store) -> Any:
+    """What names a place in memory: the array, and the index where all of them are known."""
+    array, index = statement.array, statement.operands[: len(statement.array.shape)]
+    return array.name, () if array.indexed else tuple(index)
+
+
+def _alive(block: list[Any], wanted: set[str], loaded: set[Any]) -> list[Any]:
     kept = []
     for statement in reversed(block):
         if isinstance(statement, When | Loop):
-            inner = _alive(statement.block, wanted)
+            inner = _alive(statement.block, wanted, loaded)
             if not inner:
                 continue
-            parts = {**vars(statement), "block": inner}
-            statement = type(statement)(**parts)
-        elif isinstance(statement, Let | Load) and statement.result.name not in wanted:
+            statement = type(statement)(**{**vars(statement), "block": inner})
+        needed = True
+        if isinstance(statement, Let | Load):
+            needed = statement.result.name in wanted
+        elif isinstance(statement, Store) and statement.array.owner == "local":
+            needed = _place(statement) in loaded
+        if not needed:
             continue
         kept.append(statement)
         wanted.update(x.name for x in statement.operands if type(x) is Scalar)
