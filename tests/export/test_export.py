@@ -115,7 +115,9 @@ def record_in_c(name, text):
         last = "want(@name_step(&s, y@TOLD), @NAME_END, 83);"
     if "int indicator" in text:
         last = last.replace("@TOLD", ", -1")
-        last += " for (i = 0; i < @NAME_MEASUREMENT; i++) y[i] = (double)NAN; @name_init(&s);"
+        last += (
+            "\n    for (i = 0; i < @NAME_MEASUREMENT; i++) y[i] = (double)NAN;\n    @name_init(&s);"
+        )
         for told in ("@NAME_INDICATORS", "-2"):
             last += f" want(@name_step(&s, @LATERy, {told}), @NAME_RANGE, 84);"
     if f" {name}_predict(" in text:  # the halves at every other time
