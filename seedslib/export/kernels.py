@@ -48,7 +48,7 @@ def map_moments(
     spread: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """E y (m,), cov(x, y) (n, m) and, if wanted, cov y (m, m) of a map of a Gaussian state."""
-    if isinstance(map, LinearMap) and not isinstance(rule, PointRule):
+    if isinstance(map, LinearMap) and not (map.symbolic and isinstance(rule, PointRule)):
         return _linear_moments(map, t, mean, cov)
     if isinstance(rule, PointRule):
         return _point_moments(tape, rule, map, t, mean, cov, spread)

@@ -98,6 +98,8 @@ def switching(step: Step) -> None:
     if step.designed:
         k, t = step.begin()
         gap_before, gap = step.gap(k)
+        if filter.memory.indicators:
+            step.refuse(step.indicator < 0.0, "PARTLY")
         first, past = k < 1.0, _memory(step)
         log_prob = step.array("log_prob", (modes,)) if filter.memory.log_odds else None
     else:
@@ -229,10 +231,9 @@ def mix(
 
 def _most_probable(probs: Sequence[Number]) -> Number:
     """Number of the most probable mode, the first of those that are equal but for rounding."""
-    least = (1.0 - TIE) * reduce(np.maximum, probs)
-    mode = len(probs) - 1.0
-    for i in reversed(range(len(probs) - 1)):
-        mode = choose(probs[i] >= least, float(i), mode)
+    mode: Number = 0.0
+    for i in reversed(range(len(probs))):
+        mode = choose(probs[i] >= (1.0 - TIE) * reduce(np.maximum, probs), float(i), mode)
     return mode
 
 
@@ -359,34 +360,31 @@ def _moments(
     """Moments of the branches of one mode, None where there is no branch."""
     rule, n, names = step.filter.linearization, step.n, Names()
     symbols, lower, matrix = law_symbols(n)
-    constant = all(branch.constant for branch in branches if branch is not None)
-    formulas = []
-    for branch in branches:
-        if branch is None:
-            continue
-        if constant:
-            moments = rule.formulas(branch.whole, list(symbols), matrix)
-            parts = branch.map.weight_expression, list(symbols), matrix, *moments
-        else:
-            parts = rule.branch(branch.map, list(symbols), matrix, names)
-        formulas.append([[parts[0]], *(list(part) for part in parts[1:])])
-    entries = [entry for parts in formulas for part in parts for entry in part]
-    arguments = (step.filter.system.time, symbols, lower)
-    evaluate = compile_components(arguments, entries, names.table)
+    known = [branch for branch in branches if branch is not None]
+    if all(branch.constant for branch in known):
+        moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()
+        state = list(symbols), matrix
+        formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
+    else:
+        formulas = [rule.branch(branch.map, list(symbols), matrix, names) for branch in known]
+    flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
+    evaluate = compile_components(
+        (step.filter.system.time, symbols, lower), [e for row in flat for e in row], names.table
+    )
     values = iter(evaluate(t, list(mean), list(lower_of(cov))))
-    result: list[Any] = []
+    result: list[BranchMoments | None] = []
     for branch in branches:
         if branch is None:
             result.append(None)
             continue
-        (mass,), *parts = formulas.pop(0)
-        varies = mentions(names.meaning(mass), {*symbols, *lower})
-        mass = next(values)
-        mass = choose(mass < TINY, 0.0, mass) if varies else mass
+        mass, *parts = formulas.pop(0)
+        varies, value = mentions(names.meaning(mass), {*symbols, *lower}), next(values)
         x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
         d = len(y)
         shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)
-        result.append(BranchMoments(mass, *shaped, varies))
+        result.append(
+            BranchMoments(choose(value < TINY, 0.0, value) if varies else value, *shaped, varies)
+        )
     return result
 
 
@@ -427,7 +425,10 @@ def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Numbe
         logs.append(log)
         mean = [reduce(add, [start, *line * u]) for start, line in zip(offset, gain, strict=True)]
         gaussians.append((stacked(mean), cov))
-    return normalised(logs)[0], gaussians
+    largest = reduce(np.maximum, logs)
+    logs = [log - largest for log in logs]
+    log_total = np.log(reduce(add, [np.exp(log) for log in logs]))
+    return [log - log_total for log in logs], gaussians
 
 
 def _cell_tables(step: Step) -> dict[str, np.ndarray]:

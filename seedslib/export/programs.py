@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
 
+from seedslib.base.checks import outside
 from seedslib.base.clock import MOST_STEPS, SAME
-from seedslib.base.values import assigned
+from seedslib.base.correction import correct as update
+from seedslib.base.values import assigned, looked_at
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.output_filter import TableFilter
 from seedslib.designed.switching.filter import SwitchingFilter
@@ -23,15 +26,31 @@ from seedslib.export.kernels import (
 from seedslib.export.modes import switching
 from seedslib.export.step import Step
 from seedslib.filters.covariance import STEPS, CovarianceFilter
-from seedslib.linearization.moments import Linearization, Matrices
+from seedslib.linearization.moments import Matrices
 from seedslib.linearization.points import PointRule
-from seedslib.linearization.taylor_and_exact import Taylor
+from seedslib.models.kinds import mentioned
+
+LOST_PART = 1e-3
+"""Part of a variance that rounding must not take."""
 
 
 def covariance(step: Step) -> None:
-    """A filter that carries mean and covariance: forecast to the time, then correction."""
+    """A filter that carries mean and covariance: forecast to the time, then correction.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A diffuse first state, maps or a linearization without formulas.
+
+    Warns
+    -----
+    UserWarning
+        A prior so wide that its variances lose their digits by the first measurement.
+    """
     filter, n, system = step.filter, step.n, step.filter.system
-    rule, t = _rule(filter), step.timed()
+    _check_formulas(filter)
+    _warn_of_wide_prior(filter)
+    rule, t = filter.linearization, step.timed()
     moving = step.array("moving", (n * (n + 3) // 2,))
     moving.store([*step.mean.all, *lower_of(step.cov.all)])
     last_time = step.last_time.all
@@ -62,10 +81,34 @@ def covariance(step: Step) -> None:
     step.started.store(1.0)
 
 
-def _rule(filter: CovarianceFilter) -> Linearization:
-    """The linearization; of the matrices of a linear system the one that is exact for them."""
-    linear = isinstance(filter.linearization, Matrices)
-    return Taylor() if linear else filter.linearization
+def _check_formulas(filter: CovarianceFilter) -> None:
+    """Refuse a first state without a distribution, and maps and rules without formulas."""
+    system, rule = filter.system, filter.linearization
+    if getattr(system, "diffuse", ()):
+        raise ValueError("system: wanted a first state with a law to write in C, got a diffuse one")
+    if not (hasattr(rule, "formulas") or isinstance(rule, PointRule | Matrices)):
+        raise TypeError(
+            f"linearization: wanted formulas or a rule with points to write in C, got {rule!r}"
+        )
+    maps = [system.sensor, system.drift_map if filter.continuous else system.dynamics]
+    if not all(map.symbolic or getattr(map, "formulas", None) is not None for map in maps):
+        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+
+
+def _warn_of_wide_prior(filter: CovarianceFilter) -> None:
+    """Warn of a prior so wide that C loses digits that Python keeps, which has the noise apart."""
+    state = filter.predict(filter.initial(), 0.0)
+    with looked_at(mentioned(filter.system)):
+        expected = filter.expect(state)
+        plain = np.diagonal(update(state.mean, state.cov, expected.mean, expected)[1])
+        right = np.diagonal(filter.correct(state, expected.mean).cov)
+    wrong = np.abs(plain - right) > LOST_PART * right
+    if wrong.any():
+        warnings.warn(
+            f"cov0: in C the variance of x{int(np.argmax(wrong)) + 1} loses its digits by the "
+            "first measurement; wanted a narrower prior",
+            stacklevel=outside(),
+        )
 
 
 KINDS = (

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.clock import ROUNDING, SAME
 from seedslib.base.values import assigned
 from seedslib.designed.memory import Memory
 from seedslib.export.tape import Array, Scalar, Tape, choose, isfinite, isinf, isnan
@@ -32,7 +33,8 @@ class Step(Tape):
     ----------
     filter : Filter
     parameters : bool
-        Whether parameters are arguments, or constants with their present values.
+        Whether parameters are arguments, or constants with their present values. Then a design is
+        given the time too, and refuses one that is not its next.
     """
 
     def __init__(self, filter: Any, parameters: bool = False) -> None:
@@ -51,6 +53,8 @@ class Step(Tape):
             if filter.cycle:  # the last time begins a lap
                 times[-1] = times[-1 - filter.cycle]
             self.times = self.table("times", times, "time")
+            if parameters:
+                self.array("time", (), "time", "argument")
         else:
             self.last_time = self.array("t", (), "time", "state")
             self.started = self.array("started", (), "int", "state")
@@ -128,7 +132,13 @@ class Step(Tape):
             raise TypeError(f"memory: wanted a Memory, got {type(memory).__name__}")
         if not self.filter.cycle:
             self.refuse(k >= float(len(self.filter.times)), "END")
-        return k, self.moment(k)
+        t = self.moment(k)
+        if "time" in self.arrays:
+            clock = self.filter.clock  # `Clock.same`
+            near = np.maximum(SAME * clock.interval, ROUNDING * abs(t))
+            near = np.maximum(clock.tolerance, np.minimum(near, 0.25 * clock.interval))
+            self.refuse(~(abs(self.arrays["time"].all - t) <= near), "TIME")
+        return k, t
 
     def moment(self, k: Scalar) -> Scalar:
         """Time of measurement k, see `seedslib.base.clock.Clock.moment`."""
