@@ -326,12 +326,11 @@ def _looked_up(
         index = index + node * stride[j]
         nearest = nearest + choose(shares[-1] > 0.5, stride[j], 0.0)
         offsets = [offset + up for offset in offsets for up in (0.0, stride[j])]
-    values = [
-        np.concatenate([one.estimate, *([] if one.prob is None else [one.prob])]) for one in tables
-    ]
-    flat = np.concatenate([part.reshape(len(part), -1).T for part in values])
-    nodes = step.table(f"{name}_values", flat)
-    corners = [nodes[index + offset] for offset in offsets]
+    rows = [one.estimate if one.prob is None else [*one.estimate, *one.prob] for one in tables]
+    flat = [np.reshape(values, (len(values), -1)).T.ravel() for values in rows]
+    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), len(rows[0])
+    lowest = [(index + offset) * float(width) for offset in offsets]
+    corners = [np.array([nodes[at + float(r)] for r in range(width)]) for at in lowest]
     for share in reversed(shares):
         corners = [a + share * (b - a) for a, b in zip(corners[::2], corners[1::2], strict=True)]
     if not step.modes:
