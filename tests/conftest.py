@@ -16,7 +16,7 @@ import pytest
 from seedslib import zoo
 
 LONGEST = (
-    "extra/test_export",
+    "export/test_export",
     "bookkit/test_sweeps",
     "extra/test_cluster",
     "bookkit/test_execution",
