@@ -11,8 +11,8 @@ import numpy as np
 import sympy
 
 from seedslib.base.circle import Periods
-from seedslib.base.correction import FAINT, LEVEL, eliminate
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
+from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
+from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate
 from seedslib.designed.finite_order import law_symbols
 from seedslib.export.tape import (
     Number,
@@ -84,7 +84,7 @@ def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
 
     A pivot is judged by its variance, and one that is negative by `scale`, see
-    `seedslib.base.semidefinite.factor`.
+    `seedslib.base.linalg.cholesky`.
     """
     n, rest, root = len(cov), cov.copy(), np.zeros(cov.shape, dtype=object)
     for j in range(n):

@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import MOST_STEPS, SAME
-from seedslib.base.correction import correct as update
+from seedslib.base.conditioning import update
 from seedslib.base.values import assigned, looked_at
 from seedslib.designed.finite_order import FiniteOrderFilter
 from seedslib.designed.output_filter import TableFilter
