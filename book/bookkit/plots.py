@@ -7,7 +7,7 @@ differ by dash and marker.
 from __future__ import annotations
 
 import io
-from typing import Any, overload
+from typing import Any
 
 import matplotlib.pyplot as plt
 from cycler import cycler
@@ -73,12 +73,6 @@ _STYLE = {
 }
 
 
-@overload
-def axes(*, size: tuple[float, float] | None = None, **options: Any) -> tuple[Figure, Axes]: ...
-@overload
-def axes(
-    rows: int, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
-) -> tuple[Figure, Any]: ...
 def axes(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
 ) -> tuple[Figure, Any]:

@@ -11,7 +11,6 @@ from seedslib.base.checks import (
     ASYMMETRY,
     as_covariance,
     as_real,
-    as_shape,
     require_semidefinite,
 )
 
@@ -76,7 +75,7 @@ def estimate_arguments(
     TypeError, ValueError
         As `as_covariance`; `ValueError` also "error_cov exceeds cov".
     """
-    mean = as_shape("mean", mean, (-1 if size is None else size,))
+    mean = as_real("mean", mean, (-1 if size is None else size,))
     cov = as_covariance("cov", cov, mean.size)
     error_cov = as_covariance("error_cov", error_cov, mean.size)
     variances = np.diag(cov)
@@ -92,12 +91,6 @@ def estimate_arguments(
             f"got the scaled eigenvalue {smallest:.3g}"
         )
     return mean, cov, error_cov
-
-
-def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:
-    """Unit axes put between the first `axes` axes and the batch axes, `depth` of these in all."""
-    missing = axes + depth - array.ndim
-    return array.reshape((*array.shape[:axes], *(1,) * missing, *array.shape[axes:]))
 
 
 def blockwise(

@@ -17,10 +17,10 @@ from itertools import combinations_with_replacement, product
 import numpy as np
 import sympy as sp
 
-from seedslib.base.semidefinite import square_root
+from seedslib.base.arrays import align
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.algebra import NoClosedForm, components_of, multiply, parse
 from seedslib.gaussian.arguments import (
-    align,
     blockwise,
     estimate_arguments,
     gaussian_arguments,
@@ -389,7 +389,7 @@ class PiecewiseErrors(PolynomialErrors):
             gain = direction / deviation
             rest = estimate_cov - np.outer(gain, gain)
         order = 1 + max(map(sum, self.pieces[0]))
-        root = square_root(rest)
+        root = cholesky(rest, np.diagonal(cov))
         # directions along the plane that only rounding leaves would multiply the points
         scale = np.abs(root).max(axis=0)
         root = root[:, (scale > 1e-12 * scale.max(initial=0.0)) & (order > 1)]
@@ -573,7 +573,7 @@ def norm_variance(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
         centre = mean[:, narrow, None]
         part = np.broadcast_to(align(cov, 2, 1), (*cov.shape[:2], variance.size))[..., narrow]
         rule = fifth_degree(len(mean))
-        step = np.einsum("kij,jq->ikq", square_root(np.moveaxis(part, -1, 0)), rule.points)
+        step = np.einsum("ijk,jq->ikq", cholesky(part), rule.points)
         # |mean + step| - |mean| without a subtraction of lengths
         lengths = np.linalg.norm(centre + step, axis=0) + np.linalg.norm(centre, axis=0)
         gap = (2 * centre * step + step**2).sum(axis=0) / lengths

@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
-from seedslib.base.checks import as_bound, as_covariance, as_real
-from seedslib.base.semidefinite import square_root
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
     blockwise,
     estimate_arguments,
@@ -396,7 +396,8 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
+    h, k = as_real("h", h, infinite=True), as_real("k", k, infinite=True)
+    h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
     h, k = np.clip(h, -FAR, FAR), np.clip(k, -FAR, FAR)
     value = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho) - _owen(k, h, rho)
     value -= 0.5 * ((np.minimum(h, k) < 0) & (np.maximum(h, k) >= 0))
@@ -473,7 +474,7 @@ def _concentrated(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     if (np.abs(mean).max(axis=0) == 0).any():
         raise ValueError("mean: the elevation of the origin is not defined")
     rule = gauss_hermite(3, 20)
-    offsets = square_root(cov) @ rule.points
+    offsets = cholesky(cov) @ rule.points
     moments = np.empty((2, mean.shape[1]))
     for k, centre in enumerate(mean.T):
         base = _angle(centre)

@@ -18,7 +18,7 @@ import numpy as np
 import sympy as sp
 from scipy.special import eval_hermitenorm, roots_hermitenorm
 
-from seedslib.base.semidefinite import symmetrized
+from seedslib.base.linalg import symmetrized
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.algebra import check_symbols, components_of
 from seedslib.gaussian.arguments import estimate_arguments

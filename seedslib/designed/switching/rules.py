@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import mended
+from seedslib.base.linalg import nearest_psd, variances
 from seedslib.base.values import on_paths
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.switching.branches import (
@@ -161,7 +161,7 @@ class SwitchingRules:
             return law
         prob, mean, cov = propagate(self.switch, t, law)
         cov = cov[:, :, :, 0]
-        return ModeLaw(prob[:, 0], mean[:, :, 0], mended(cov)[0] if self.guarded else cov)
+        return ModeLaw(prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
         """Law given the indicator, and moments of the measurement.
@@ -225,7 +225,7 @@ class SwitchingRules:
     def _corrected(self, state, y, indicator, memory):
         raised = 0
         if self.guarded:
-            cov, raised = mended(state.law.cov)
+            cov, raised = nearest_psd(state.law.cov)
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=state.law._replace(log_prob=scaled, cov=cov))
         sensed = self.sense(state.time, state.law, indicator)
@@ -234,7 +234,7 @@ class SwitchingRules:
             seen = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, state.law, seen)
         if self.printed:
-            spread, more = mended(sensed.moments.cov)
+            spread, more = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=spread))
             raised += more
         elif self.guarded:
@@ -243,7 +243,7 @@ class SwitchingRules:
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, more = mended(law.cov, np.einsum("ii...->i...", sensed.cov))
+        cov, more = nearest_psd(law.cov, variances(sensed.cov))
         law = law._replace(cov=cov)
         mode, mean = decide(law)
         past = state.past
@@ -287,7 +287,7 @@ def _semidefinite(sensed):
     n, (mean, cross, spread) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), spread], axis=1)
-    joint, raised = mended(np.concatenate([upper, lower]))
+    joint, raised = nearest_psd(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
     return sensed._replace(cov=joint[:n, :n], moments=moments), raised
 

@@ -1,0 +1,89 @@
+"""Headers themselves: equal text, what they include, compilers that they refuse, redundant data."""
+
+import math
+import re
+import shutil
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import sympy
+
+from seedslib.design import synthesize
+from seedslib.designed import Memory
+from seedslib.export import compiled, to_c
+from seedslib.filters import extended_kalman, unscented_kalman
+from seedslib.linearization import Taylor
+from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from systems import growth, pendulum
+
+a, b, t = sympy.symbols("a b t", real=True)
+v, w = sympy.symbols("v w", real=True)
+
+
+def test_equal_filters_give_equal_text_in_any_process(tmp_path):
+    text = to_c(extended_kalman(pendulum()), tmp_path / "a.h")
+    assert (tmp_path / "a.h").read_text() == text
+    code = (
+        "import sympy; [sympy.Dummy() for _ in range(2345)]\n"
+        "from seedslib.export import to_c; from seedslib.filters import extended_kalman\n"
+        "from systems import pendulum; print(to_c(extended_kalman(pendulum())), end='')"
+    )
+    line = [sys.executable, "-c", f"import sys; sys.path = {sys.path}\n{code}"]
+    assert subprocess.run(line, capture_output=True, text=True, check=True).stdout == text
+
+
+def test_a_header_is_ascii_includes_two_headers_and_says_what_the_filter_is():
+    filter = synthesize(growth(), Memory(2), Taylor(), np.arange(7.0), paths=300, seed=1, nodes=0)
+    comment, code = to_c(filter, name="Own_1").split("*/", 1)
+    assert comment.isascii()
+    assert code.isascii()
+    assert re.findall("#include (.*)", code) == ["<math.h>", "<string.h>"]
+    assert f"{filter.predicted.rms[0, 0]:.4f} +- " in comment
+    assert "#define OWN_1_MEMORY 2" in code
+
+
+@pytest.mark.parametrize("flag", ["-ffast-math", "-ffinite-math-only"])
+def test_a_compiler_that_leaves_nan_out_is_refused(tmp_path, flag):
+    to_c(extended_kalman(growth()), tmp_path / "f.h", name="f")
+    (tmp_path / "f.c").write_text('#include "f.h"\nint main(void) { return 0; }\n')
+    for flags, fails in (([flag], True), ([], False)):
+        line = [shutil.which("cc"), "-fsyntax-only", *flags, "f.c"]
+        done = subprocess.run(line, cwd=tmp_path, capture_output=True, text=True)
+        assert ("wanted a compiler that keeps NaN" in done.stderr) == fails == bool(done.returncode)
+
+
+def redundant(components=3):
+    """A sensor whose second component says what the first one does; the third shows a constant."""
+    shows = [b + w, (b + w) / 2, a][:components]
+    return DiscreteSystem(
+        StochasticMap((a, b), [a, 0.5 * b + v], Noise((v,))),
+        StochasticMap((a, b), shows, Noise((w,))),
+        [1.0, 0.5],
+        [[1.0, 0.2], [0.2, 0.7]],
+    )
+
+
+@pytest.mark.filterwarnings("ignore:cov0:UserWarning")
+@pytest.mark.parametrize("make", [extended_kalman, unscented_kalman])
+def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
+    """By the filter of the first two components' only number; a constant is known after a look."""
+    times = np.arange(7.0)
+    y = redundant(2).simulate(times, 5, 3).measurements
+    y[1, 0] = y[3, 1] = y[5] = np.nan
+    once = np.where(np.isnan(y[:, :1]), 2 * y[:, 1:], y[:, :1])
+    wanted = make(redundant(1)).run(times, once)
+    found = compiled(make(redundant(2))).run(times, y)
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-12, atol=1e-12)
+    density = wanted.loglik.copy()
+    density[1] += math.log(2)  # of half the number
+    np.testing.assert_allclose(found.loglik, density, rtol=1e-12, atol=1e-12)
+    y[0, 1], y[2, 1] = 9.0, -3.0  # the first one counts where they contradict each other
+    found = compiled(make(redundant(2))).run(times, y)
+    np.testing.assert_allclose(found.mean, wanted.mean, rtol=1e-12, atol=1e-12)
+    constant = np.full((7, 1, 5), 1.7)
+    if make is unscented_kalman:
+        known = compiled(make(redundant(3))).run(times, np.concatenate([y, constant], axis=1))
+        np.testing.assert_allclose(known.mean[:, 0], 1.7, rtol=1e-12)
+        assert np.abs(known.cov[:, 0]).max() < 1e-15
