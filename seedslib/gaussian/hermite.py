@@ -201,8 +201,8 @@ def plugin_excess(
     if not bias:
         return np.zeros((size, size))
     factor, shares = joint_factor(cov, error_cov)
-    known = symmetrized((factor * (1.0 - shares)) @ factor.T)
-    coefficients = polynomial_expansion(bias, mean, known, known).coefficients
+    estimate_cov = symmetrized((factor * (1.0 - shares)) @ factor.T)
+    coefficients = polynomial_expansion(bias, mean, estimate_cov, estimate_cov).coefficients
     return coefficients @ coefficients.T
 
 

@@ -143,7 +143,7 @@ def half_space_means(
     """``E x^alpha 1{u > 0}``, u = normal . x + offset, for the wanted and visited indices.
 
     The Stein recursion gains a boundary term ``cov(x_i, u) E x^beta delta(u)``, a polynomial
-    mean under the law of x on the plane. Where u does not vary its indicator is a constant.
+    mean of x given that it is on the plane. Where u does not vary its indicator is a constant.
 
     Returns
     -------
@@ -167,7 +167,7 @@ def half_space_means(
     height = np.exp(log_height - log_scale) / (deviation * np.sqrt(2 * np.pi))
     touched = varies & (height != 0)
     height = np.where(touched, height, 0.0)
-    # the law on the plane; far from it the boundary mass is zero and its mean is not needed
+    # x given u = 0; far from the plane the boundary mass is zero and its mean is not needed
     gain = direction / (deviation * deviation)
     gain = np.where(varies, gain, 0.0)
     on_mean = mean - align(gain, 1, mean.ndim - 1) * np.where(touched, location, 0.0)

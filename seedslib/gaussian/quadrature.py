@@ -1,6 +1,6 @@
 """Quadrature rules for the mean of a function of a Gaussian vector.
 
-A rule is a set of points and weights for the standard normal law; the points of N(mean, cov) are
+A rule is a set of points and weights for the standard normal vector; the points of N(mean, cov) are
 ``mean + L points`` with any factor L of the covariance. Rules with negative weights are legal:
 they give sums, not probabilities.
 """
@@ -27,7 +27,7 @@ MOST_POINTS = 2_000_000
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Points and weights for means under the standard normal law.
+    """Points and weights for means of functions of a standard normal vector.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""SymPy functions for switching planes whose code keeps tails, known states and wide laws."""
+"""SymPy functions for half-spaces whose code keeps tails and the digits of known states."""
 
 from __future__ import annotations
 
