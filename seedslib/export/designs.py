@@ -23,7 +23,7 @@ from seedslib.designed.predictors import (
 from seedslib.designed.tables import Table, block_labels
 from seedslib.export.kernels import correct, map_moments
 from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Scalar, choose, compared, isnan
+from seedslib.export.tape import Scalar, choose, isnan
 from seedslib.linearization.moments import symmetric
 
 
@@ -186,7 +186,7 @@ def _bounded_below(
         for p, q in zip(*np.tril_indices(n, -1), strict=True):
             turn = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
             tangent = choose(turn >= 0.0, 1.0, -1.0) / (abs(turn) + np.sqrt(turn * turn + 1.0))
-            tangent = choose(compared(a[p, q], "==", 0.0), 0.0, tangent)
+            tangent = choose(a[p, q] == 0.0, 0.0, tangent)
             cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
             sine = tangent * cosine
             rotation = np.array([[cosine, sine], [-sine, cosine]], dtype=object)

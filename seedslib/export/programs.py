@@ -48,8 +48,6 @@ def covariance(step: Step) -> None:
         A prior so wide that its variances lose their digits by the first measurement.
     """
     filter, n, system = step.filter, step.n, step.filter.system
-    _check_formulas(filter)
-    _warn_of_wide_prior(filter)
     rule, t = filter.linearization, step.timed()
     moving = step.array("moving", (n * (n + 3) // 2,))
     moving.store([*step.mean.all, *lower_of(step.cov.all)])
@@ -137,6 +135,9 @@ def recorded(filter: Any, parameters: bool = False) -> Step:
     for kind, record in KINDS:
         if isinstance(filter, kind):
             step = Step(filter, parameters)
+            if isinstance(filter, CovarianceFilter):
+                _check_formulas(filter)
+                _warn_of_wide_prior(filter)
             with assigned(step.values):
                 record(step)
             return step

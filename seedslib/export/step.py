@@ -72,8 +72,7 @@ class Step(Tape):
         self.held = self._argument("held", self.inputs)
         self.values = self._argument("u", self.inputs) | self._argument("p", self.parameters)
         self.indicator = None
-        for part in self.y:
-            self.refuse(isinf(part), "INFINITE")
+        self.refuse(any_of(isinf(self.y)), "INFINITE")
         if self.indicators:
             self.indicator = self.array("indicator", (), "int", "argument").all
             wrong = (self.indicator < -1.0) | (self.indicator >= float(self.indicators))
