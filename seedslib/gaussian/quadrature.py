@@ -154,32 +154,6 @@ def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) 
     TypeError, ValueError
         Illegal mean or covariance, a rule for another dimension, or f returns a wrong shape.
     """
-    points = points_of(mean, cov, rule)
-    flat = points.reshape(len(points), -1)
-    values = np.asarray(f(flat))
-    if values.shape[-1:] != flat.shape[1:] or values.ndim > 2:
-        raise ValueError(
-            f"f: wanted values of shape (N,) or (p, N) with N = {flat.shape[1]}, got {values.shape}"
-        )
-    values = values.reshape(*values.shape[:-1], *points.shape[1:])
-    return np.tensordot(rule.weights, values, (0, values.ndim - points.ndim + 1))[()]
-
-
-def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
-    """Points of a rule for N(mean, cov), shape (n, L, ...).
-
-    Parameters
-    ----------
-    mean, cov : array_like
-        Shapes (n, ...) and (n, n) or (n, n, ...).
-    rule : Rule
-        For dimension n.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Illegal mean or covariance, or a rule for another dimension.
-    """
     mean, cov = gaussian_arguments(mean, cov)
     n = mean.shape[0]
     if rule.points.shape[0] != n:
@@ -187,4 +161,12 @@ def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
     factors = square_root(np.moveaxis(cov, (0, 1), (-2, -1)))
     offsets = np.moveaxis(factors @ rule.points, (-2, -1), (0, 1))
     depth = max(mean.ndim - 1, offsets.ndim - 2)
-    return align(mean[:, None], 2, depth) + align(offsets, 2, depth)
+    points = align(mean[:, None], 2, depth) + align(offsets, 2, depth)
+    flat = points.reshape(n, -1)
+    values = np.asarray(f(flat))
+    if values.shape[-1:] != flat.shape[1:] or values.ndim > 2:
+        raise ValueError(
+            f"f: wanted values of shape (N,) or (p, N) with N = {flat.shape[1]}, got {values.shape}"
+        )
+    values = values.reshape(*values.shape[:-1], *points.shape[1:])
+    return np.tensordot(rule.weights, values, (0, values.ndim - points.ndim + 1))[()]
