@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,18 +12,19 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.checks import as_real, as_whole, require_shape
 from seedslib.base.clock import when
-from seedslib.base.objects import Shown
-from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.base.objects import Pickled, changed
+from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import (
     AnySystem,
     as_grid,
-    course_of,
-    elapsed,
     in_even_steps,
     require_even,
     switches,
 )
+
+if TYPE_CHECKING:
+    from typing import Self
 
 State = TypeVar("State", bound=Any)
 
@@ -263,7 +263,7 @@ class Record(NamedTuple):
     y: np.ndarray  # (K+1, m, *records)
     indicators: MaybeArray  # (K+1, *records)
     modes: MaybeArray  # (K+1, *records)
-    inputs: Course
+    inputs: InputTrajectory
 
     def of(self, own: slice) -> Record:
         """Some of the records."""
@@ -277,18 +277,18 @@ def walk(
     filter: Any, record: Record, seed: object = None, predict: Callable[..., Any] | None = None
 ) -> Iterator[Any]:
     """The states of a filter after each measurement; `predict` may replace its own."""
-    told = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **told)
+    known = {} if record.modes is None else {"mode": record.modes[0]}
+    state = filter.initial(record.y.shape[2:], seed, **known)
+    given = record.inputs.values or record.inputs.constant
     for k, t in enumerate(record.times):
-        shown = () if record.indicators is None else (record.indicators[k],)
-        told = {} if record.modes is None else {"mode": record.modes[k]}
-        if predict is None and not record.inputs.values:
-            state = filter.step(state, t, record.y[k], *shown, **told)
+        indicator = () if record.indicators is None else (record.indicators[k],)
+        known = {} if record.modes is None else {"mode": record.modes[k]}
+        if predict is None and not given:
+            state = filter.step(state, t, record.y[k], *indicator, **known)
         else:  # inputs of a time act in the dynamics from there on, and in the sensor at that time
-            with record.inputs.at(max(k - 1, 0)):
-                state = (predict or filter.predict)(state, t, *told.values())
-            with record.inputs.at(k):
-                state = filter.correct(state, record.y[k], *shown)
+            before, now = record.inputs.at(max(k - 1, 0)), record.inputs.at(k)
+            state = (predict or filter.predict)(state, t, *known.values(), inputs=before)
+            state = filter.correct(state, record.y[k], *indicator, inputs=now)
         yield state
 
 
@@ -350,13 +350,14 @@ def _on_batch(part: Any, core: int, batch: tuple[int, ...]) -> np.ndarray:
     return np.broadcast_to(part, part.shape[:core] + batch)
 
 
-class Filter(Shown):
+class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
-    ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
-    system has modes, and `report` where its states do not say by themselves what is estimated.
-    States are frozen, so every verb gives a new one. Whole records are run here, many at once.
+    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t, p)`` and
+    ``corrected(state, y, p)``, with the numbers p of the system's parameters, and an indicator as
+    fourth argument where its system has one; or the whole of `predict` and `correct`. It writes
+    `report` where its states do not say by themselves what is estimated. States are frozen, so
+    every verb gives a new one. Whole records are run here, many at once.
 
     Attributes
     ----------
@@ -375,6 +376,19 @@ class Filter(Shown):
     records: int = BLOCK
     alone: bool = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r})"
+
+    def bind(self, values: Mapping[Any, ArrayLike] | None = None, /, **named: Any) -> Self:
+        """The same filter with other numbers of its model's parameters; nothing is compiled again.
+
+        Parameters
+        ----------
+        values, **named
+            As `bind` of the system; an array (*batch) gives each record its own number.
+        """
+        return changed(self, system=self.system.bind(values, **named))
+
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
 
@@ -382,7 +396,9 @@ class Filter(Shown):
         """
         raise NotImplementedError
 
-    def predict(self, state: State, t: float, *modes: ArrayLike) -> State:
+    def predict(
+        self, state: State, t: float, *modes: ArrayLike, inputs: Mapping[Any, Any] | None = None
+    ) -> State:
         """Forecast to time t; a state without a time is only given one.
 
         Parameters
@@ -392,32 +408,59 @@ class Filter(Shown):
         t : float
         *modes : array_like of int, shape (*batch)
             The mode at that time, for a filter that knows it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs that act from the time of the state on.
 
         Raises
         ------
         ValueError
             A time before that of the state; of a system in discrete time that does not mention
-            the elapsed time, a step of another length than the first.
+            the elapsed time, a step of another length than the first; an input without a value.
         """
         if stays(state, t):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
-        with elapsed(self.system, state.time, t):
-            moved = self.moved(state, float(t), *modes)
+        p = self.system.values(inputs, t - state.time)
+        moved = self.moved(state, float(t), p, *modes)
         return moved._replace(time=float(t), interval=interval)
 
-    def moved(self, state: State, t: float) -> State:
+    def moved(self, state: State, t: float, p: Values) -> State:
         """What `predict` makes of a state, but for its time."""
         raise NotImplementedError
 
-    def correct(self, state: Any, y: ArrayLike) -> Any:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state.
+    def correct(
+        self,
+        state: Any,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Any:
+        """Correct by a measurement at the time of the state.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            Left as it is.
+        y : array_like, shape (m, *batch)
+            NaN marks a missing component.
+        indicator : array_like of int, shape (*batch), optional
+            Of a system that has one; -1 where it is missing.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs at that time.
 
         Raises
         ------
-        ValueError
-            A state without a time: `predict` gives it one.
+        TypeError, ValueError
+            A state without a time: `predict` gives it one. An indicator that does not fit, an
+            input without a value.
         """
+        y, indicator = as_seen(state, self.system, y, indicator)
+        p = self.system.values(inputs)
+        return self.corrected(state, y, p, *(() if indicator is None else (indicator,)))
+
+    def corrected(self, state: State, y: np.ndarray, p: Values) -> State:
+        """What `correct` makes of a state."""
         raise NotImplementedError
 
     def report(self, state: Any) -> Estimates:
@@ -436,18 +479,15 @@ class Filter(Shown):
         indicator: ArrayLike | None = None,
         *,
         mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> Any:
         """Forecast to time t and correct there.
 
-        A model with inputs is told those that act from the time of the state on for the forecast,
-        and those of time t for the correction::
+        Where the inputs that act from the time of the state on, in the forecast, are not those of
+        time t, which act in the correction, both verbs are called::
 
-            with assigned({u: 0.3}):
-                state = filter.predict(state, t)
-            with assigned({u: 0.5}):
-                state = filter.correct(state, y)
-
-        and likewise `forecast`; where they are the same, one block around `step` will do.
+            state = filter.predict(state, t, inputs={u: 0.3})
+            state = filter.correct(state, y, inputs={u: 0.5})
 
         Parameters
         ----------
@@ -460,6 +500,8 @@ class Filter(Shown):
             Of a system that has one; -1 where it is missing.
         mode : array_like of int, shape (*batch), optional
             The true mode at time t, for a filter that is told it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs of the step and of the measurement.
 
         Raises
         ------
@@ -468,12 +510,20 @@ class Filter(Shown):
         """
         modes = () if mode is None else (mode,)
         indicators = () if indicator is None else (indicator,)
-        return self.correct(self.predict(state, t, *modes), y, *indicators)
+        state = self.predict(state, t, *modes, inputs=inputs)
+        return self.correct(state, y, *indicators, inputs=inputs)
 
-    def forecast(self, state: Any, t: float, *, mode: ArrayLike | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        *,
+        mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """What the filter expects at a later time, without a measurement; arguments as `step`."""
         modes = () if mode is None else (mode,)
-        later = self.report(self.predict(state, t, *modes))
+        later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
 
     def smoother(self) -> Any:
@@ -558,7 +608,7 @@ class Filter(Shown):
         """Batch axes, and the records of a run, checked."""
         times, y = self.record(times, measurements)
         batch, shape = y.shape[2:], (len(times), *y.shape[2:])
-        course = course_of(self.system, inputs, len(times), batch)
+        trajectory = as_trajectory(self.system, inputs, len(times), batch)
         indicators = as_indicators(indicators, self.system, shape)
         if "modes" in self.takes:
             modes = as_modes("modes", modes, shape, self.system.modes)
@@ -568,7 +618,7 @@ class Filter(Shown):
         indicators, modes = (
             None if part is None else part.reshape(len(times), *row) for part in (indicators, modes)
         )
-        return batch, Record(times, y.reshape(*y.shape[:2], *row), indicators, modes, course)
+        return batch, Record(times, y.reshape(*y.shape[:2], *row), indicators, modes, trajectory)
 
     def in_blocks(
         self,
@@ -581,9 +631,7 @@ class Filter(Shown):
         """What ``work(record, stream)`` estimates in each block of records, on threads."""
 
         def block(start: int, stop: int, stream: Any) -> Estimates:
-            own = slice(start, stop)
-            with on_paths(batch, own) if batch else nullcontext():
-                return work(record.of(own), stream)
+            return work(record.of(slice(start, stop)), stream)
 
         paths = record.y[0, 0].size
         size = self.block(record.times, paths, workers)

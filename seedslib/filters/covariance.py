@@ -2,20 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import step_count
 from seedslib.base.correction import correct
-from seedslib.base.objects import Remade
 from seedslib.base.semidefinite import lower_triangle, settled
-from seedslib.filters.base import Estimates, Filter, require_time
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates, Filter
 from seedslib.linearization.moments import Linearization, Moments, as_linearization, symmetric
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
@@ -56,7 +55,7 @@ class FilterState(NamedTuple):
     interval: float | None = None
 
 
-class CovarianceFilter(Filter, Remade):
+class CovarianceFilter(Filter):
     """Approximate posterior mean and covariance, N(m, P) between and at the measurements.
 
     Forecast: the moment equations (8.1) of the jump-diffusion paper, with the jumps, or for a
@@ -89,7 +88,6 @@ class CovarianceFilter(Filter, Remade):
     """
 
     _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
-    _shown = "linearization", "integrator", "integration_step", "bound"
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
@@ -112,13 +110,24 @@ class CovarianceFilter(Filter, Remade):
         self.integration_step: float = as_positive("step", step, infinite=True)
         self.bound: float = np.inf if bound is None else as_positive("bound", bound, infinite=True)
         self.n: int = len(system.mean0)
-        self._sensor = linearization.moments(system.sensor)
         # a rule of points wants a factor of the covariance
         self._by_points = isinstance(linearization, PointRule)
-        if self.continuous:
-            self._rate = linearization.rate(system)
-        else:
-            self._dynamics = linearization.moments(system.dynamics)
+        _ = self._sensor, self._rate if self.continuous else self._dynamics  # refused now or never
+
+    @cached_property
+    def _sensor(self) -> Callable[..., Moments]:
+        return self.linearization.moments(self.system.sensor)
+
+    @cached_property
+    def _dynamics(self) -> Callable[..., Moments]:
+        return self.linearization.moments(self.system.dynamics)
+
+    @cached_property
+    def _rate(self) -> Callable[..., list[Any]]:
+        return self.linearization.rate(self.system)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r}, {self.linearization})"
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
         """State before any measurement: the moments of the initial law.
@@ -134,19 +143,21 @@ class CovarianceFilter(Filter, Remade):
         mean = np.broadcast_to(mean.reshape(-1, *(1,) * len(batch)), (self.n, *batch)).copy()
         return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
 
-    def moved(self, state: FilterState, t: float) -> FilterState:
+    def moved(self, state: FilterState, t: float, p: Values) -> FilterState:
         """Mean and covariance at time t, by the moment equations or the dynamics map."""
         if not self.continuous:
-            return self.moved_jointly(state, t)[0]
+            return self.moved_jointly(state, t, p)[0]
         mean, lower = state.mean, state.cov[lower_triangle(self.n)]
         if mean.ndim == 1:  # plain floats are faster than arrays without axes
             mean, lower = mean.tolist(), lower.tolist()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            moved = self._integrate(self._rate, [*mean, *lower], state.time, t)
+            moved = self._integrate(
+                lambda t, parts: self._rate(t, parts, p), [*mean, *lower], state.time, t
+            )
         mean = _filled(moved[: self.n], state.mean.shape[1:])
         return state._replace(mean=mean, cov=symmetric(_filled(moved[self.n :]), self.n))
 
-    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+    def moved_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
         """What `moved` gives, and the covariance of the state now with the one at time t.
 
         Between measurements that covariance C obeys dC/dt = cov(x, b): with the mean velocity b
@@ -154,7 +165,7 @@ class CovarianceFilter(Filter, Remade):
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov)
+                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov, p)
                 return state._replace(mean=mean, cov=cov), cross
             n, (rows, columns) = self.n, lower_triangle(self.n)
             lower = slice(n, n + len(rows))
@@ -166,7 +177,7 @@ class CovarianceFilter(Filter, Remade):
 
             def rate(t: float, parts: list[Any]) -> list[Any]:
                 mean, cov, cross = split(parts)
-                b, *squares = self._flow(t, mean, cov)
+                b, *squares = self._flow(t, mean, cov, p)
                 with_b, spread = (wide(part, mean.shape[1:]) for part in squares)
                 change = with_b + np.swapaxes(with_b, 0, 1) + spread
                 joint = np.einsum("ij...,jk...->ik...", cross, _slope(with_b, cov))
@@ -202,25 +213,22 @@ class CovarianceFilter(Filter, Remade):
         """The filter as `smooth` runs it."""
         return self
 
-    def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        require_time(state)
+    def corrected(self, state: FilterState, y: np.ndarray, p: Values) -> FilterState:
+        """See `Filter.corrected`."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             sensor, periods = self._sensor, self.system.sensor.period
             law = state.mean, state.cov
-            law = update(sensor, state.time, *law, y, periods, by_points=self._by_points)
+            law = update(sensor, state.time, *law, y, p, periods, by_points=self._by_points)
         return state._replace(mean=law[0], cov=law[1], loglik=law[2])
 
-    def expect(self, state: FilterState) -> Moments:
+    def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
+        return self.expected(state, self.system.values(inputs))
+
+    def expected(self, state: FilterState, p: Values) -> Moments:
+        """The same with the numbers of all parameters."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return Moments(*self._sensor(state.time, state.mean, state.cov))
+            return Moments(*self._sensor(state.time, state.mean, state.cov, p))
 
     def report(self, state: FilterState) -> Estimates:
         """Mean and covariance; a path diverges where its mean is beyond the bound."""
@@ -234,17 +242,19 @@ class CovarianceFilter(Filter, Remade):
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 
-def update(sensor, t, mean, cov, y, periods, moments=None, by_points=False):
+def update(sensor, t, mean, cov, y, p, periods, moments=None, by_points=False):
     """Mean, covariance and log-likelihood after a measurement through a linearized sensor.
 
     Parameters
     ----------
     sensor : callable
-        ``sensor(t, mean, cov) -> Moments`` of the whole sensor.
+        ``sensor(t, mean, cov, p) -> Moments`` of the whole sensor.
     t : float
     mean, cov : ndarray, shapes (n, *batch) and (n, n) or (n, n, *batch)
     y : array_like, shape (m, *batch)
         NaN is missing.
+    p : tuple
+        Numbers of the parameters.
     periods : tuple
         Components of y on a circle.
     moments : Moments, optional
@@ -252,9 +262,9 @@ def update(sensor, t, mean, cov, y, periods, moments=None, by_points=False):
     by_points : bool
         Whether the linearization wants a factor of the covariance.
     """
-    moments = sensor(t, mean, cov) if moments is None else moments
+    moments = sensor(t, mean, cov, p) if moments is None else moments
     zero = np.zeros_like(cov)
-    law, noise = (mean, cov, y, moments), lambda: sensor(t, mean, zero).cov
+    law, noise = (mean, cov, y, moments), lambda: sensor(t, mean, zero, p).cov
     later, covariance, loglik = correct(*law, noise=noise, exact=True, periods=periods)
     return later, settled(covariance, cov) if by_points else covariance, loglik
 

@@ -6,12 +6,12 @@ import warnings
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.tables import Axis, Grid, Nodes
-from seedslib.filters.base import Estimates, Filter, as_seen
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates, Filter
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
 from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
@@ -85,7 +85,6 @@ class GridBayesFilter(Filter):
         coarse for the noise.
     """
 
-    _shown = ("axes",)
     takes: ClassVar[tuple[str, ...]] = ("indicators",)
     records: int = 512
 
@@ -113,9 +112,9 @@ class GridBayesFilter(Filter):
         none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
         return GridState(None, log_prob, law, *self._moments(log_prob, law), none, clean)
 
-    def moved(self, state: GridState, t: float) -> GridState:
+    def moved(self, state: GridState, t: float, p: Values) -> GridState:
         """The law one step of the system later."""
-        shape, move = state.law.shape, self.chain.transition(state.time, t)
+        shape, move = state.law.shape, self.chain.transition(state.time, t, p)
         weight, highest, _ = relative(state.log_prob, 0)
         joint = weight[:, None] * state.law
         log_prob, law = _split((move @ joint.reshape(len(move), -1)).reshape(shape))
@@ -139,28 +138,13 @@ class GridBayesFilter(Filter):
         total, mixed = _split((share[:, None] * parts).sum(axis=0)[None])
         return np.where(lost, 0.0, highest) + total[0], mixed[0]
 
-    def correct(
-        self, state: GridState, y: ArrayLike, indicator: ArrayLike | None = None
+    def corrected(
+        self, state: GridState, y: np.ndarray, p: Values, indicator: MaybeArray = None
     ) -> GridState:
-        """Weight the law by a measurement.
-
-        Parameters
-        ----------
-        state : GridState
-        y : array_like, shape (m, *batch)
-            NaN where missing.
-        indicator : array_like of int, shape (*batch), optional
-            -1 where missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
-        seen = y if shown is None else np.concatenate([shown[None].astype(float), y])
+        """The law weighted by a measurement."""
+        seen = y if indicator is None else np.concatenate([indicator[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            score = self.chain.log_likelihood(state.time, seen.reshape(len(seen), -1)).T
+            score = self.chain.log_likelihood(state.time, seen.reshape(len(seen), -1), p).T
         score = np.where(np.isfinite(score), score, -np.inf).reshape(state.law.shape)
         weight, highest, lost = relative(np.moveaxis(score, 1, 0), 0)
         weight = np.moveaxis(weight, 0, 1)
@@ -229,18 +213,22 @@ class GridSmoother(Smoother):
     nothing is approximated but the nodes. A part is the joint law (S, N) of N records.
     """
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the transition."""
-        before = state.time
-        later, _ = super().forecast(state, t)
-        return later, None if before is None else self.filter.chain.transition(before, t)
+        later, _ = super().forecast(state, t, inputs)
+        if state.time is None:
+            return later, None
+        p = self.filter.system.values(inputs, t - state.time)
+        return later, self.filter.chain.transition(state.time, t, p)
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
         joint = np.exp(state.log_prob)[:, None] * state.law
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, part: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """See `Smoother.back`."""
         now = self.last(state)
         ahead = link @ now

@@ -5,12 +5,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.correction import correct
 from seedslib.base.semidefinite import RELATIVE, factor
-from seedslib.base.values import looked_at
-from seedslib.filters.base import Estimates, require_time
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.linearization.moments import Matrices
 from seedslib.models.linear import LinearSystem
@@ -104,30 +103,29 @@ class KalmanFilter(CovarianceFilter):
         effect[diffuse, ..., range(q)] = 1.0
         return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
 
-    def moved(self, state: Any, t: float) -> Any:
+    def moved(self, state: Any, t: float, p: Values) -> Any:
         """See `CovarianceFilter.moved`; given what is unknown."""
         if isinstance(state, DiffuseState):
-            return self.moved_jointly(state, t)[0]
-        return super().moved(state, t)
+            return self.moved_jointly(state, t, p)[0]
+        return super().moved(state, t, p)
 
-    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+    def moved_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
         """See `CovarianceFilter.moved_jointly`; both given what is unknown."""
-        later, cross = super().moved_jointly(state, t)
+        later, cross = super().moved_jointly(state, t, p)
         if isinstance(state, DiffuseState):
-            effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
+            effect = _times(self.system.dynamics.slope_at(state.time, p), state.effect)
             later = later._replace(effect=effect)
         return later, cross
 
-    def correct(self, state: Any, y: ArrayLike) -> Any:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state."""
+    def corrected(self, state: Any, y: np.ndarray, p: Values) -> Any:
+        """See `Filter.corrected`."""
         if not isinstance(state, DiffuseState):
-            return super().correct(state, y)
-        require_time(state)
-        known = super().correct(FilterState(*state[:5]), y)
-        expected, cross, innovation_cov = (part[..., None] for part in self.expect(state))
-        y = np.asarray(y, dtype=float)[..., None]
+            return super().corrected(state, y, p)
+        known = super().corrected(FilterState(*state[:5]), y, p)
+        expected, cross, innovation_cov = (part[..., None] for part in self.expected(state, p))
+        y = y[..., None]
         observed, m = np.isfinite(y), len(y)
-        slope = _times(self.system.sensor.slope_at(state.time), state.effect)
+        slope = _times(self.system.sensor.slope_at(state.time, p), state.effect)
         # columns of a measurement of zero, missing where the measurement is
         zero = np.where(observed, 0.0, np.nan)
         effect, _, _ = correct(state.effect, None, zero, (slope, cross, innovation_cov))
@@ -154,9 +152,9 @@ class KalmanFilter(CovarianceFilter):
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
 
-    def expect(self, state: Any) -> Any:
+    def expected(self, state: Any, p: Values) -> Any:
         """Moments of the measurement that the filter expects, given what is unknown."""
-        return super().expect(FilterState(*state[:5]))
+        return super().expected(FilterState(*state[:5]), p)
 
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
@@ -172,11 +170,10 @@ def _deviations(system: LinearSystem) -> np.ndarray:
     That of the noise of its own, or of what it is measured by; else the smallest of the others.
     """
     try:
-        with looked_at(system.mentions):
-            Q, R = (
-                np.sqrt(np.diagonal(part.cov_at(0.0))) for part in (system.dynamics, system.sensor)
-            )
-            H = np.abs(system.sensor.slope_at(0.0))
+        p = system.nominal_values()
+        maps = system.dynamics, system.sensor
+        Q, R = (np.sqrt(np.diagonal(map.cov_at(0.0, p))) for map in maps)
+        H = np.abs(system.sensor.slope_at(0.0, p))
     except LookupError:  # matrices from a table, which need not have this time
         return np.ones(system.state_size)
     noisy = (H > 0) & (R > 0)[:, None]

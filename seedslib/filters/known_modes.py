@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
-from seedslib.filters.base import Estimates, Filter, as_modes, as_seen
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.values import Values, of_paths
+from seedslib.filters.base import Estimates, Filter, as_modes
 from seedslib.filters.covariance import update
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.linearization.points import PointRule
@@ -30,7 +31,7 @@ class KnownModeState(NamedTuple):
     interval: float | None = None
 
 
-class KnownModeFilter(Filter, Remade):
+class KnownModeFilter(Filter):
     """Mean and covariance of the state given measurements and the true modes.
 
     For a jump-linear system it is the Kalman filter with known modes, and no filter that has to
@@ -52,7 +53,6 @@ class KnownModeFilter(Filter, Remade):
         The linearization has no formulas for this system; the message offers one that works.
     """
 
-    _shown = ("linearization",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "modes")
 
     def __init__(self, system: AnySystem, linearization: Any = None) -> None:
@@ -63,15 +63,26 @@ class KnownModeFilter(Filter, Remade):
             linearization = Taylor()
         self.system: Any = system
         self.linearization: Linearization = as_linearization(linearization)
-        self._moves = [
-            [self._move(i, l, branch) for l, branch in enumerate(row)]
-            for i, row in enumerate(system.branches)
-        ]
         self._by_points = isinstance(linearization, PointRule)
-        self._sensors = [linearization.moments(map) for map in system.sensors]
-        self._readings = [
-            [None if b is None or b.constant else linearization.weighted(b.map) for b in row]
-            for row in system.readings
+        _ = self._moves, self._sensors, self._readings  # what has no formulas is refused now
+
+    @cached_property
+    def _moves(self) -> list[list[Any]]:
+        return [
+            [self._move(i, l, branch) for l, branch in enumerate(row)]
+            for i, row in enumerate(self.system.branches)
+        ]
+
+    @cached_property
+    def _sensors(self) -> list[Any]:
+        return [self.linearization.moments(map) for map in self.system.sensors]
+
+    @cached_property
+    def _readings(self) -> list[list[Any]]:
+        weighted = self.linearization.weighted
+        return [
+            [None if b is None or b.constant else weighted(b.map) for b in row]
+            for row in self.system.readings
         ]
 
     def _move(self, i, l, branch):
@@ -84,8 +95,8 @@ class KnownModeFilter(Filter, Remade):
             return whole
         weighted = self.linearization.weighted((branch.still if new else branch).map)
         if new:  # what the switch says of the state, and then the move
-            return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
-        return lambda t, mean, cov: weighted(t, mean, cov).value
+            return lambda t, mean, cov, p: whole(t, *weighted(t, mean, cov, p).state, p)
+        return lambda t, mean, cov, p: weighted(t, mean, cov, p).value
 
     def initial(
         self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
@@ -100,7 +111,7 @@ class KnownModeFilter(Filter, Remade):
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
     def moved(
-        self, state: KnownModeState, t: float, mode: ArrayLike | None = None
+        self, state: KnownModeState, t: float, p: Values, mode: ArrayLike | None = None
     ) -> KnownModeState:
         """The law one step of the system later, where the mode is `mode` (*batch).
 
@@ -120,39 +131,32 @@ class KnownModeFilter(Filter, Remade):
                     continue
                 if move is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
-                with on_paths(here.shape, here):
-                    law = move(state.time, state.mean[:, here], state.cov[:, :, here])
+                own = of_paths(p, here.shape, here)
+                law = move(state.time, state.mean[:, here], state.cov[:, :, here], own)
                 _put(mean, cov, here, law)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
-    def correct(
-        self, state: KnownModeState, y: ArrayLike, indicator: ArrayLike | None = None
+    def corrected(
+        self, state: KnownModeState, y: np.ndarray, p: Values, indicator: MaybeArray = None
     ) -> KnownModeState:
-        """Correct by a measurement, shape (m, *batch).
-
-        An indicator (*batch) is used only where it depends on the state; -1 is missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
+        """See `Filter.corrected`; an indicator is used only where it depends on the state."""
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
         for i, row in enumerate(self._readings):
             sensor, periods = self._sensors[i], self.system.sensors[i].period
             for j, reading in ((-1, None), *enumerate(row)):
-                here = (state.mode == i) & (shown == j if shown is not None else j < 0)
+                here = (state.mode == i) & (indicator == j if indicator is not None else j < 0)
                 if not here.any():
                     continue
-                prior = state.mean[:, here], state.cov[:, :, here]
-                with on_paths(here.shape, here):
-                    moments = None
-                    if reading is not None:
-                        _, prior, moments = reading(state.time, *prior)
-                    known = sensor, state.time, *prior, y[:, here], periods, moments
-                    *law, loglik[here] = update(*known, by_points=self._by_points)
+                prior, own = (
+                    (state.mean[:, here], state.cov[:, :, here]),
+                    of_paths(p, here.shape, here),
+                )
+                moments = None
+                if reading is not None:
+                    _, prior, moments = reading(state.time, *prior, own)
+                known = sensor, state.time, *prior, y[:, here], own, periods, moments
+                *law, loglik[here] = update(*known, by_points=self._by_points)
                 _put(mean, cov, here, law)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import Count
+from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
-from seedslib.filters.base import Filter, as_seen
+from seedslib.base.values import Values, of_paths
+from seedslib.filters.base import Filter
 from seedslib.filters.covariance import update
 from seedslib.filters.particle import resampled, stream
 from seedslib.filters.weights import logarithm, mix, normalised
@@ -42,7 +41,7 @@ class RaoBlackwellState(NamedTuple):
     interval: float | None = None
 
 
-class RaoBlackwellFilter(Filter, Remade):
+class RaoBlackwellFilter(Filter):
     """Posterior of mode and state as a mixture over histories of modes.
 
     Given the history of the modes a jump-linear system is linear and the Kalman filter is exact;
@@ -68,19 +67,25 @@ class RaoBlackwellFilter(Filter, Remade):
     A mode whose last history is gone does not come back unless the system can switch to it.
     """
 
-    _shown = ("particles",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
     def __init__(self, system: AnySystem, particles: Count = 100) -> None:
         require_jump_linear(system)
-        from seedslib.linearization.taylor_and_exact import Taylor
-
         self.system: Any = system
         self.particles: int = as_count("particles", particles)
         self.records: int = max(1, 2 * BLOCK // self.particles)
-        exact = Taylor()
-        self._move = [exact.moments(map) for map in system.dynamics]
-        self._sense = [exact.moments(map) for map in system.sensors]
+
+    @cached_property
+    def _move(self) -> list[Any]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [Taylor().moments(map) for map in self.system.dynamics]
+
+    @cached_property
+    def _sense(self) -> list[Any]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [Taylor().moments(map) for map in self.system.sensors]
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
@@ -98,7 +103,7 @@ class RaoBlackwellFilter(Filter, Remade):
         none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
         return RaoBlackwellState(None, prob, law, seed, 0, *_estimate(prob, law), none, clean)
 
-    def moved(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+    def moved(self, state: RaoBlackwellState, t: float, p: Values) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
         prob, mean, cov = _in_one_row(state.log_prob, state.law)
@@ -116,10 +121,10 @@ class RaoBlackwellFilter(Filter, Remade):
             here = mode == i
             for l, branch in enumerate(row):
                 if branch is not None:
-                    chance = logarithm(_chance(branch, state.time, n, batch))
+                    chance = logarithm(_chance(branch, state.time, n, batch, p))
                     leave[l, here] = np.broadcast_to(chance, here.shape)[here]
         if self.system.drives == "new":  # each history moves in every mode that continues it
-            made = [move(state.time, mean, cov) for move in self._move]
+            made = [move(state.time, mean, cov, p) for move in self._move]
             law = (
                 np.stack([y for y, _, _ in made], axis=1),
                 np.stack([_wide(square, y) for y, _, square in made], axis=2),
@@ -128,8 +133,8 @@ class RaoBlackwellFilter(Filter, Remade):
             moved, spread = np.empty(mean.shape), np.empty(cov.shape)
             for i, move in enumerate(self._move):
                 here = mode == i
-                with on_paths(here.shape, here):
-                    y, _, square = move(state.time, mean[:, here], cov[:, :, here])
+                own = of_paths(p, here.shape, here)
+                y, _, square = move(state.time, mean[:, here], cov[:, :, here], own)
                 moved[:, here], spread[:, :, here] = y, _wide(square, y)
             law = (
                 np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
@@ -141,38 +146,23 @@ class RaoBlackwellFilter(Filter, Remade):
             log_prob=prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
         )
 
-    def correct(
-        self, state: RaoBlackwellState, y: ArrayLike, indicator: ArrayLike | None = None
+    def corrected(
+        self, state: RaoBlackwellState, y: np.ndarray, p: Values, indicator: MaybeArray = None
     ) -> RaoBlackwellState:
-        """Correct every history by a measurement, shape (m, *batch), and weight it.
-
-        Parameters
-        ----------
-        state : RaoBlackwellState
-        y : array_like, shape (m, *batch)
-            NaN where missing.
-        indicator : array_like of int, shape (*batch), optional
-            -1 where missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
+        """Every history corrected by the measurement, and weighted by it."""
         system, t = self.system, state.time
         law = np.empty(state.law[0].shape), np.empty(state.law[1].shape)
         score = np.empty(state.log_prob.shape)
         for i, sense in enumerate(self._sense):
             prior, periods = (state.law[0][:, i], state.law[1][:, :, i]), system.sensors[i].period
-            law[0][:, i], cov, score[i] = update(sense, t, *prior, y[:, None], periods)
+            law[0][:, i], cov, score[i] = update(sense, t, *prior, y[:, None], p, periods)
             law[1][:, :, i] = _wide(cov, prior[0])
-            if shown is not None:
+            if indicator is not None:
                 none, size = np.zeros(y.shape[1:]), system.state_size
                 row = system.readings[i]
-                chances = [none if b is None else _chance(b, t, size, none.shape) for b in row]
+                chances = [none if b is None else _chance(b, t, size, none.shape, p) for b in row]
                 chances.append(none + 1.0)  # of a missing one
-                score[i] += logarithm(np.take_along_axis(np.stack(chances), shown[None], 0)[0])
+                score[i] += logarithm(np.take_along_axis(np.stack(chances), indicator[None], 0)[0])
         known = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
         prob, loglik = normalised(known, (0, 1))
         lost = ~np.isfinite(loglik)
@@ -214,9 +204,9 @@ def _affine(map) -> bool:
     return all(sympy.simplify(second) == 0 for second in seconds)
 
 
-def _chance(branch, t, n, batch) -> np.ndarray:
+def _chance(branch, t, n, batch, p) -> np.ndarray:
     """Probability of a branch that no state moves, (*batch): records may have inputs of theirs."""
-    return branch.probability(t, np.zeros((n, *batch)))
+    return branch.probability(t, np.zeros((n, *batch)), p)
 
 
 def _wide(square, mean):

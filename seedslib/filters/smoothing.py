@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
 from seedslib.filters.covariance import gain_of, wide
 from seedslib.filters.kalman import settle
-from seedslib.models.kinds import elapsed
 
 
 def smooth(
@@ -73,8 +72,8 @@ def smooth(
     def work(record: Record, stream: object) -> Estimates:
         links: list[Any] = []
 
-        def predict(state: Any, t: float) -> Any:
-            state, link = smoother.forecast(state, t)
+        def predict(state: Any, t: float, inputs: Any) -> Any:
+            state, link = smoother.forecast(state, t, inputs)
             links.append(link)
             return state
 
@@ -84,8 +83,8 @@ def smooth(
         def back(k: int, part: Any) -> Any:
             """What is known of time k from what is known of the next."""
             seen = () if shown is None else (shown[k + 1],)
-            with record.inputs.at(k), elapsed(filter.system, times[k], times[k + 1]):
-                return smoother.back(states[k], part, links[k + 1], *seen)
+            p = filter.system.values(record.inputs.at(k), times[k + 1] - times[k])
+            return smoother.back(states[k], part, links[k + 1], p, *seen)
 
         parts: list[Any] = []
         for k in range(last, -1, -1):
@@ -121,18 +120,21 @@ class Smoother:
     def __init__(self, filter: Any) -> None:
         self.filter: Any = filter
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """The filter's forecast, as by `predict`, and what `back` has to know of the step."""
-        return self.filter.predict(state, t), None
+        return self.filter.predict(state, t, inputs=inputs), None
 
     def last(self, state: Any) -> Any:
         """What is known of the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, part: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """What is known of the time of a state from what is known of the next.
 
-        With the link of the step between them, and the indicator shown at the next time.
+        With the link of the step between them, the numbers p of the parameters in it, and the
+        indicator shown at the next time.
         """
         raise NotImplementedError
 
@@ -154,12 +156,12 @@ class Rauch(Smoother):
     def __init__(self, filter: Any) -> None:
         super().__init__(filter.unsettled())
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
         if state.time is None:
-            return super().forecast(state, t)
-        with elapsed(self.filter.system, state.time, t):
-            later, cross = self.filter.moved_jointly(state, t)
+            return super().forecast(state, t, inputs)
+        p = self.filter.system.values(inputs, t - state.time)
+        later, cross = self.filter.moved_jointly(state, t, p)
         batch = state.mean.shape[1:]
         cov = wide(later.cov, batch)
         link = _columns(later), cov, gain_of(wide(cross, batch), cov)
@@ -169,7 +171,9 @@ class Rauch(Smoother):
         """See `Smoother.last`."""
         return _columns(state), wide(state.cov, state.mean.shape[1:]), state
 
-    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, part: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """See `Smoother.back`."""
         cov = wide(state.cov, state.mean.shape[1:])
         return *stepped_back(_columns(state), cov, *link, *part[:2]), part[2]
