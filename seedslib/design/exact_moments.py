@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
-from seedslib.base.correction import correct
-from seedslib.base.semidefinite import LOST
+from seedslib.base.conditioning import kalman_gain
 from seedslib.base.values import InputTrajectory
-from seedslib.design.regression import ROUNDING, regress
+from seedslib.design.regression import LOST, ROUNDING, regress
 from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
 from seedslib.designed.prediction import Design, Prediction
@@ -236,13 +235,10 @@ def _sensed(matrix, offset, noise, mean, cov) -> Moments:
     return Moments(matrix @ mean + offset, cross, matrix @ cross + noise)
 
 
-def _gain(moments, rows, there):
-    """Gain of the correction, found by correcting zero with unit innovations."""
-    m = len(moments.cov)
-    if not there.all():
-        part = Moments(moments.mean, moments.cross[:, there], moments.cov[np.ix_(there, there)])
-        gain = np.zeros((rows, m))
-        gain[:, there] = _gain(part, rows, there[there]) if there.any() else 0.0
-        return gain
-    unit = Moments(np.zeros((m, 1)), moments.cross, moments.cov)
-    return correct(np.zeros((len(moments.cross), m)), None, np.eye(m), unit, rows)[0]
+def _gain(moments, rows, observed):
+    """Gain of the leading rows of the state; zero of a component that is not measured."""
+    result = np.zeros((rows, len(moments.cov)))
+    if observed.any():
+        cov = moments.cov[np.ix_(observed, observed)]
+        result[:, observed] = kalman_gain(moments.cross[:rows, observed], cov)
+    return result

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.clock import when
+from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.semidefinite import lower_triangle
 from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
@@ -27,7 +27,7 @@ from seedslib.designed.memory import Past
 from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Prediction
 from seedslib.designed.predictors import Affine
-from seedslib.linearization.moments import Moments, symmetric
+from seedslib.linearization.moments import Moments
 from seedslib.models.simulation import ARRIVALS
 
 _estimate = attrgetter("mean")

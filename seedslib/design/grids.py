@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
 from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, seen
 from seedslib.design.regression import regress
@@ -317,7 +317,7 @@ def _sensed(law: JointLaw, t: float) -> Start:
 def corrected(law: JointLaw, mean: np.ndarray, cov: np.ndarray, moments: Moments) -> np.ndarray:
     """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
     moments = Moments(moments.mean[:, None], _apart(moments.cross), _apart(moments.cov))
-    return correct(mean[:, None], None, law.shown[:, :, None], moments)[0]
+    return update(mean[:, None], None, law.shown[:, :, None], moments)[0]
 
 
 def _apart(array):

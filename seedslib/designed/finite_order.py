@@ -14,7 +14,8 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
+from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
 from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
 from seedslib.designed.between import BetweenFilter, known_kind
@@ -24,7 +25,7 @@ from seedslib.designed.patterns import PatternFit, chosen, loose, pattern_ways, 
 from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
 from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
 from seedslib.filters.base import Estimates
-from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
 
@@ -132,12 +133,12 @@ class Rules:
 
     def _corrected(self, state, t, y, p, moments, spread, place):
         y = nearest(y, moments.mean, self.periods)
-        mean, cov, loglik = correct(
-            state.mean,
-            state.cov if spread else None,
+        c = self.components
+        mean, cov, loglik = update(
+            state.mean[:c],
+            state.cov[:c, :c] if spread else None,
             y,
-            moments,
-            rows=self.components,
+            moments._replace(cross=moments.cross[:c]),
             noise=lambda: self.sensor(t, place, np.zeros_like(state.cov), p).cov,
         )
         # a missing measurement is remembered as what was expected

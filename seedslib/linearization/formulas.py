@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
-from seedslib.base.semidefinite import lower_triangle
+from seedslib.base.linalg import lower_triangle
 from seedslib.base.values import Values
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
@@ -21,7 +21,7 @@ from seedslib.linearization.moments import (
     Weighted,
     refuse_weight,
 )
-from seedslib.models.codegen import batch_shape, compile_components, stack
+from seedslib.models.codegen import batch_of, compile_components, stack
 from seedslib.models.maps import StochasticMap
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
@@ -115,7 +115,7 @@ class Formulas(Linearization):
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             lower = _lower(cov)
             y, cross, *square = evaluate(t, mean, lower, p)
-            batch = batch_shape(mean, lower)
+            batch = batch_of(mean, lower)
             own = None if batch else ()  # covariances may lack the axes of a batch
             cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
             return Moments(stack(y, (m,), batch), cross, cov)
@@ -162,7 +162,7 @@ class Formulas(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             lower = _lower(cov)
-            batch = batch_shape(mean, lower)
+            batch = batch_of(mean, lower)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 masses, *values = evaluate(t, mean, lower, p)
             arrays = [

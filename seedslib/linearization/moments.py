@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import lower_triangle, mirrored
+from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
 from seedslib.base.values import Values
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
@@ -199,13 +198,9 @@ class Matrices(Linearization):
             if not spread:
                 return Moments(y, cross, None)
             square = np.einsum("ij...,kj...->ik...", lean, slope)
-            square, noise = 0.5 * (square + np.swapaxes(square, 0, 1)), map.cov_at(t, p)
-            depth = max(square.ndim, noise.ndim)  # one of them may be common to all paths
-            square, noise = (
-                part.reshape(*part.shape[:2], *(1,) * (depth - part.ndim), *part.shape[2:])
-                for part in (square, noise)
-            )
-            return Moments(y, cross, square + noise)
+            square, noise = symmetrized(square), map.cov_at(t, p)
+            depth = max(square.ndim, noise.ndim) - 2  # one of them may be common to all paths
+            return Moments(y, cross, align(square, 2, depth) + align(noise, 2, depth))
 
         return f
 
@@ -227,8 +222,3 @@ def refuse_weight(map: StochasticMap) -> None:
     """Raise ValueError for a branch of a switching map where a whole map is wanted."""
     if map.weighted:
         raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
-
-
-def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
-    """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
-    return np.asarray(lower)[mirrored(size)]

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_shape
+from seedslib.base.checks import as_covariance, as_positive, as_real
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
@@ -182,11 +182,11 @@ class JumpDiffusion(Parametrized, Pickled):
         self.sensor, self.jump = sensor, jump
         self._functions = Functions(drift, diffusion, intensity, tuple(parameters))
         self._set_parameters(parameters)
-        mean0 = as_shape("mean0", mean0, (sensor.state_size,))
+        mean0 = as_real("mean0", mean0, (sensor.state_size,))
         n, probe, p = len(mean0), np.tile(mean0[:, None], 3), self.nominal_values()
-        as_shape("drift", self.drift(0.0, probe, p), (n, 3))
-        found = as_shape("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
-        as_shape("intensity", self.intensity(0.0, probe, p), (3,))
+        as_real("drift", self.drift(0.0, probe, p), (n, 3))
+        found = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
+        as_real("intensity", self.intensity(0.0, probe, p), (3,))
         self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
@@ -199,7 +199,7 @@ class JumpDiffusion(Parametrized, Pickled):
         self.jump = self.jump and self.jump.taking(self.parameters)
 
     def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
-        self.mean0: np.ndarray = as_shape("mean0", mean0, (n,))
+        self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
         self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
         self.law: Noise = Noise(n, self.mean0, self.cov0, initial)
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):

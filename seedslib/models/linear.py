@@ -9,9 +9,10 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance, as_positive, as_real, as_shape, is_whole
-from seedslib.base.correction import gaussian_logpdf
-from seedslib.base.semidefinite import factor
+from seedslib.base.arrays import align
+from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole
+from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import Conditional, Functions, StochasticMap
@@ -114,8 +115,7 @@ class LinearMap(StochasticMap):
         slope = self._at[0]
         if not callable(slope):
             return slope
-        slope = as_real("slope", slope(t, p))
-        return as_shape("slope", slope, (self.size, self.state_size, *slope.shape[2:]))
+        return as_real("slope", slope(t, p), (self.size, self.state_size, ...))
 
     def cov_at(self, t: float, p: Values = ()) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
@@ -124,7 +124,7 @@ class LinearMap(StochasticMap):
             return cov
         cov = as_real("cov", cov(t, p))
         if cov.ndim > 2:
-            return as_shape("cov", cov, (self.size, self.size, *cov.shape[2:]))
+            return as_real("cov", cov, (self.size, self.size, ...))
         return as_covariance("cov", cov, self.size)
 
     def pushed(self, t: float, y: np.ndarray, p: Values = ()) -> np.ndarray:
@@ -133,9 +133,8 @@ class LinearMap(StochasticMap):
         if push is None:
             return y
         if callable(push):
-            push = as_real("push", push(t, p))
-            as_shape("push", push, (self.size, len(self._inputs), *push.shape[2:]))
-        push = push.reshape(*push.shape[:2], *(1,) * (y.ndim + 1 - push.ndim), *push.shape[2:])
+            push = as_real("push", push(t, p), (self.size, len(self._inputs), ...))
+        push = align(push, 2, y.ndim - 1)
         for k, u in enumerate(self._inputs):
             y = y + push[:, k] * p[self.parameters.index(u)]
         return y
@@ -144,9 +143,7 @@ class LinearMap(StochasticMap):
         return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t, p), x), p)
 
     def _cov(self, t: float, x: np.ndarray, p: Values) -> np.ndarray:
-        cov = self.cov_at(t, p)
-        if cov.ndim == 2:
-            cov = cov.reshape(*cov.shape, *(1,) * (np.ndim(x) - 1))
+        cov = align(self.cov_at(t, p), 2, np.ndim(x) - 1)
         return np.broadcast_to(cov, (self.size, self.size, *np.shape(x)[1:]))
 
     @cached_property
@@ -158,7 +155,7 @@ class LinearMap(StochasticMap):
         """See `StochasticMap.value`."""
         if self.symbolic:
             return super().value(t, x, v, p)
-        noise = np.einsum("ij...,j...->i...", factor(self.cov_at(t, p)), v)
+        noise = np.einsum("ij...,j...->i...", cholesky(self.cov_at(t, p)), v)
         return self._mean(t, x, p) + noise
 
     @property
@@ -234,7 +231,7 @@ class LinearSystem(DiscreteSystem):
         rows, columns = {"F": n, "Q": n, "B": n}, {"F": n, "H": n, "Q": n, "R": m}
         for name, M in made.items():
             if not _varies(M):
-                as_shape(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
+                as_real(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
                 if name in "QR":
                     as_covariance(name, M)
         diffuse = tuple(diffuse)
@@ -304,9 +301,9 @@ class LinearSystem(DiscreteSystem):
         """
         drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        as_shape("drift", drift, noise.shape)
+        as_real("drift", drift, noise.shape)
         push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
-        as_shape("B", push, (len(drift), len(inputs) if B is not None else 0))
+        as_real("B", push, (len(drift), len(inputs) if B is not None else 0))
         steps = Discretised(drift, noise, push)
         if step is None:
             F, Q, B = (SteppedMatrix(steps, part) for part in range(3))

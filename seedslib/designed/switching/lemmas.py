@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import align
 from seedslib.base.circle import Periods
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.filters.weights import logarithm, mix, most_probable, normalised, relative
 from seedslib.linearization.moments import Moments, Weighted
 
@@ -107,8 +108,8 @@ def propagate(rows: Any, t: float, law: ModeLaw) -> ModeLaw:
             means, covs = np.empty((n, len(found), *batch)), np.empty((n, n, len(found), *batch))
             for p, (i, w) in enumerate(found):
                 mass[p] = heavy[i] * w.mass
-                means[:, p] = _lifted(w.value.mean, 1, len(batch))
-                covs[:, :, p] = _lifted(w.value.cov, 2, len(batch))
+                means[:, p] = align(w.value.mean, 1, len(batch))
+                covs[:, :, p] = align(w.value.cov, 2, len(batch))
             if len(found) == 1 and (mass > 0).all():
                 total, mean[:, l, g], cov[:, :, l, g] = mass[0], means[:, 0], covs[:, :, 0]
             else:
@@ -178,10 +179,10 @@ def joined(moments: Weighted, batch: tuple[int, ...]) -> tuple[np.ndarray, np.nd
     n, depth = len(state.mean), len(batch)
     size = n + len(value.mean)
     mean, cov = np.empty((size, *batch)), np.empty((size, size, *batch))
-    mean[:n], mean[n:] = _lifted(state.mean, 1, depth), _lifted(value.mean, 1, depth)
-    cross = _lifted(value.cross, 2, depth)
-    cov[:n, :n], cov[:n, n:] = _lifted(state.cov, 2, depth), cross
-    cov[n:, :n], cov[n:, n:] = np.swapaxes(cross, 0, 1), _lifted(value.cov, 2, depth)
+    mean[:n], mean[n:] = align(state.mean, 1, depth), align(value.mean, 1, depth)
+    cross = align(value.cross, 2, depth)
+    cov[:n, :n], cov[:n, n:] = align(state.cov, 2, depth), cross
+    cov[n:, :n], cov[n:, n:] = np.swapaxes(cross, 0, 1), align(value.cov, 2, depth)
     return mean, cov
 
 
@@ -220,7 +221,7 @@ def weigh(
     y : ndarray, shape (m, *batch)
         NaN components are left out exactly.
     noise : callable, optional
-        ``noise() -> (m, m, L, *batch)``, see `correct`.
+        ``noise() -> (m, m, L, *batch)``, see `update`.
     periods : tuple
         Components of y on a circle, see `as_periods`.
 
@@ -231,7 +232,7 @@ def weigh(
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    mean, cov, each = correct(
+    mean, cov, each = update(
         sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise, periods=periods
     )
     score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + each, -np.inf)
@@ -251,9 +252,3 @@ def decide(law: ModeLaw) -> tuple[np.ndarray, np.ndarray]:
 def total_covariance(law: ModeLaw) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
     return mix(law.prob, law.mean, law.cov).cov if len(law.log_prob) > 1 else law.cov[:, :, 0]
-
-
-def _lifted(part, core, depth):
-    """The same array with batch axes of length one where it has none."""
-    part = np.asarray(part)
-    return part if part.ndim > core else part.reshape(*part.shape, *(1,) * depth)

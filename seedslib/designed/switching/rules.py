@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import mended
+from seedslib.base.linalg import nearest_psd, variances
 from seedslib.base.values import Values, of_paths
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.switching.branches import (
@@ -158,7 +158,7 @@ class SwitchingRules:
             return law
         prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
         cov = cov[:, :, :, 0]
-        return ModeLaw(prob[:, 0], mean[:, :, 0], mended(cov)[0] if self.guarded else cov)
+        return ModeLaw(prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
         """Law given the indicator, and moments of the measurement.
@@ -231,7 +231,7 @@ class SwitchingRules:
     def _corrected(self, state, y, indicator, memory, p):
         raised = 0
         if self.guarded:
-            cov, raised = mended(state.law.cov)
+            cov, raised = nearest_psd(state.law.cov)
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=state.law._replace(log_prob=scaled, cov=cov))
         sensed = self.sense(state.time, state.law, indicator, p)
@@ -240,7 +240,7 @@ class SwitchingRules:
             seen = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, state.law, seen, p)
         if self.printed:
-            spread, more = mended(sensed.moments.cov)
+            spread, more = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=spread))
             raised += more
         elif self.guarded:
@@ -249,7 +249,7 @@ class SwitchingRules:
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, more = mended(law.cov, np.einsum("ii...->i...", sensed.cov))
+        cov, more = nearest_psd(law.cov, variances(sensed.cov))
         law = law._replace(cov=cov)
         mode, mean = decide(law)
         past = state.past
@@ -298,7 +298,7 @@ def _semidefinite(sensed):
     n, (mean, cross, spread) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), spread], axis=1)
-    joint, raised = mended(np.concatenate([upper, lower]))
+    joint, raised = nearest_psd(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
     return sensed._replace(cov=joint[:n, :n], moments=moments), raised
 
