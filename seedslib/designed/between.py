@@ -12,6 +12,7 @@ from seedslib.base.clock import Clock, slack, when
 from seedslib.base.values import InputTrajectory, Values
 from seedslib.designed.base import DesignedFilter, want_corrected
 from seedslib.filters.base import Estimates
+from seedslib.models.kinds import inputs_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -62,6 +63,16 @@ class BetweenFilter(DesignedFilter):
     between: str
     clock: Clock
 
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """Parameters and inputs in the maps that a step evaluates."""
+        return frozenset()
+
+    def values(self, inputs: Mapping[Any, Any] | None = None) -> Values:
+        """Numbers of the parameters; inputs that are in the design's own numbers may be missing."""
+        unused = inputs_of(self.system) - self.evaluated
+        return self.system.values({**dict.fromkeys(unused, np.nan), **(inputs or {})})
+
     def nodes(self, state: Any, p: Values, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates (n', *batch) from a correction to the last node after it.
 
@@ -107,7 +118,7 @@ class BetweenFilter(DesignedFilter):
     ) -> int:
         """Run over a block of records; covariances are formed where they are wanted."""
         state, interval, covariance = self.initial(y.shape[2:]), None, rows.cov is not None
-        numbers = self.system.values
+        numbers = self.values
         last = 0  # row of the last measurement: its inputs hold until the next
         for j, k in enumerate(index):
             if k < 0:
@@ -165,7 +176,7 @@ class BetweenFilter(DesignedFilter):
             A time outside the interval, an unknown kind, a state that was not corrected.
         """
         want_corrected(state)
-        p = self.system.values(inputs)
+        p = self.values(inputs)
         known, room = self.interval(state, p), self.clock.tolerance
         start, end = known.times[0], known.times[-1]
         if not start - room <= t <= end + room:

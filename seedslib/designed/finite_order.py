@@ -287,6 +287,13 @@ class FiniteOrderFilter(BetweenFilter):
             self.system, self.memory, self.predictor, self.linearization, self.components
         )
 
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """See `BetweenFilter.evaluated`."""
+        continuous = isinstance(self.predictor, Continuous)
+        maps = [self.system.sensor, *([self.system.drift_map] if continuous else [])]
+        return frozenset(p for map in maps for p in map.mentions)
+
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""
         start, memory, components = self.start, self.memory, self.components
@@ -347,7 +354,7 @@ class FiniteOrderFilter(BetweenFilter):
         want_next(self.clock, state.index + 1, t, self.cycle)
         if state.index >= 0:
             want_corrected(state)
-        return self.advanced(state, self.system.values(inputs))
+        return self.advanced(state, self.values(inputs))
 
     def advanced(
         self, state: FiniteOrderState, p: Values, interval: Any = None
@@ -379,7 +386,7 @@ class FiniteOrderFilter(BetweenFilter):
         want_forecast(state)
         y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
         gap = state.gap | gap
-        found = self.corrected(state, y, self.system.values(inputs))
+        found = self.corrected(state, y, self.values(inputs))
         if not np.any(gap):
             return found
         loglik = np.where(state.gap, np.nan, found.loglik)
@@ -413,7 +420,7 @@ class FiniteOrderFilter(BetweenFilter):
         if state.index == 0:
             return _first_moments(self.start, state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        p = self.system.values(inputs)
+        p = self.values(inputs)
         mean, cross, cov = self.rules.sensor(t, state.mean, state.cov, p)
         return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 
