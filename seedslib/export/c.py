@@ -18,7 +18,7 @@ from seedslib.designed.output_filter import TableFilter
 from seedslib.export.programs import recorded
 from seedslib.export.step import Step
 from seedslib.export.tape import (
-    RELATIONS,
+    SIGNS,
     Array,
     Let,
     Load,
@@ -40,7 +40,6 @@ PER_LINE = 4
 LONGEST = 60
 """Characters of a value that is written where it is used."""
 
-SIGNS = RELATIONS | {"+", "-", "*", "/", "&&", "||"}
 SHAPES = {"neg": "-{}", "!": "!{}", "choose": "{} ? {} : {}"}
 
 

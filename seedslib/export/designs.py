@@ -24,7 +24,7 @@ from seedslib.designed.predictors import (
 from seedslib.designed.tables import Table, block_labels
 from seedslib.export.kernels import correct, map_moments
 from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Scalar, choose, compared, isnan
+from seedslib.export.tape import Scalar, choose, isnan
 
 
 def places(memory: Memory, estimate: int, measurement: int, count: int) -> np.ndarray:
@@ -188,7 +188,7 @@ def _bounded_below(
         for p, q in zip(*np.tril_indices(n, -1), strict=True):
             turn = (a[q, q] - a[p, p]) / (2.0 * a[p, q])
             tangent = choose(turn >= 0.0, 1.0, -1.0) / (abs(turn) + np.sqrt(turn * turn + 1.0))
-            tangent = choose(compared(a[p, q], "==", 0.0), 0.0, tangent)
+            tangent = choose(a[p, q] == 0.0, 0.0, tangent)
             cosine = 1.0 / np.sqrt(tangent * tangent + 1.0)
             sine = tangent * cosine
             rotation = np.array([[cosine, sine], [-sine, cosine]], dtype=object)
@@ -330,12 +330,11 @@ def _looked_up(
         index = index + node * stride[j]
         nearest = nearest + choose(shares[-1] > 0.5, stride[j], 0.0)
         offsets = [offset + up for offset in offsets for up in (0.0, stride[j])]
-    values = [
-        np.concatenate([one.estimate, *([] if one.prob is None else [one.prob])]) for one in tables
-    ]
-    flat = np.concatenate([part.reshape(len(part), -1).T for part in values])
-    nodes = step.table(f"{name}_values", flat)
-    corners = [nodes[index + offset] for offset in offsets]
+    rows = [one.estimate if one.prob is None else [*one.estimate, *one.prob] for one in tables]
+    flat = [np.reshape(values, (len(values), -1)).T.ravel() for values in rows]
+    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), len(rows[0])
+    lowest = [(index + offset) * float(width) for offset in offsets]
+    corners = [np.array([nodes[at + float(r)] for r in range(width)]) for at in lowest]
     for share in reversed(shares):
         corners = [a + share * (b - a) for a, b in zip(corners[::2], corners[1::2], strict=True)]
     if not step.modes:

@@ -20,7 +20,6 @@ from seedslib.export.tape import (
     Scalar,
     Tape,
     choose,
-    compared,
     isnan,
     stacked,
 )
@@ -109,7 +108,7 @@ def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
 def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
     """A corrected covariance without what rounding has left of directions known exactly."""
     root = cholesky(cov, np.diagonal(before))
-    singular = reduce(lambda a, b: a | b, [compared(r, "==", 0.0) for r in np.diagonal(root)])
+    singular = reduce(lambda a, b: a | b, [r == 0.0 for r in np.diagonal(root)])
     return choose(singular, root @ root.T, cov)
 
 

@@ -24,7 +24,9 @@ typedef int64_t bits __attribute__((vector_size(8 * LANES)));
 #define ALL (~(bits){ 0 })
 
 /* What is handed out is not read again soon: past the caches, where the processor can do that. */
-#if defined __AVX512F__
+#if defined __clang__
+#define PAST_CACHES(place, a) __builtin_nontemporal_store(a, (vec *)(place))
+#elif defined __AVX512F__
 #define PAST_CACHES(place, a) __builtin_ia32_movntpd512((double *)(place), a)
 #elif defined __AVX__
 #define PAST_CACHES(place, a) __builtin_ia32_movntpd256((double *)(place), a)
@@ -40,8 +42,16 @@ static inline vec choose(bits q, vec a, vec b) { return (vec)((q & (bits)a) | (~
 static inline vec as_numbers(bits q) { return (vec)(q & (bits)all(1.0)); }
 static inline int any(bits q)
 {
+#ifdef __AVX__
+    typedef double quad __attribute__((vector_size(32)));
+    quad parts[LANES / 4];
+    int found = 0;
+    memcpy(parts, &q, sizeof q);
+    for (int k = 0; k < LANES / 4; k++) found |= __builtin_ia32_movmskpd256(parts[k]);
+#else
     int64_t found = 0;
     EACH found |= q[l];
+#endif
     return found != 0;
 }
 

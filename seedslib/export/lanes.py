@@ -102,9 +102,9 @@ class Lanes(C):
         if array.name not in self.varying:
             return super().store(array, place, value)
         text = self.vector(value)
-        return (
-            f"{place} = {text if self.mask == 'ALL' else f'choose({self.mask}, {text}, {place})'};"
-        )
+        if self.mask != "ALL":
+            text = f"choose({self.mask}, {text}, {place})"
+        return f"{place} = {text};"
 
     def refuse(self, condition: Number, code: str) -> str:
         """See `C.refuse`; of all records if one of them is refused."""

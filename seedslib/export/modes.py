@@ -17,7 +17,7 @@ from seedslib.designed.switching.rules import SOFTEST
 from seedslib.export.designs import places
 from seedslib.export.kernels import correct, lower_of, unpacked
 from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Array, Number, Scalar, choose, compared, isfinite, isnan, stacked
+from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 from seedslib.filters.weights import TIE
 from seedslib.linearization.formulas import Names, mentions
 from seedslib.linearization.moments import TINY
@@ -217,7 +217,7 @@ def mix(
 ) -> tuple[Number, np.ndarray, np.ndarray]:
     """Mass, mean and covariance of a mixture; of no mass, mean zero and unit covariance."""
     total = reduce(add, mass)
-    empty = compared(total, "==", 0.0) if may_be_empty else False
+    empty = total == 0.0 if may_be_empty else False
     if may_be_empty:
         means = [choose(m > 0.0, x, 0.0) for m, x in zip(mass, means, strict=True)]
         covs = [choose(m > 0.0, p, 0.0) for m, p in zip(mass, covs, strict=True)]
@@ -328,9 +328,9 @@ def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
         _sense_value(step, t, ahead, sensed, 0)
         return True
     for value in range(step.indicators):
-        with step.when(compared(step.indicator, "==", float(value))):
+        with step.when(step.indicator == float(value)):
             _sense_value(step, t, ahead, sensed, value)
-    possible = any_of([compared(log, "!=", -np.inf) for log in sensed.log_prob.all])
+    possible = any_of([log != -np.inf for log in sensed.log_prob.all])
     with step.when((step.indicator < 0.0) | ~possible):  # an impossible one says nothing
         _sense_value(step, t, ahead, sensed, None)
     return possible

@@ -46,8 +46,6 @@ def covariance(step: Step) -> None:
         A prior so wide that its variances lose their digits by the first measurement.
     """
     filter, n, system = step.filter, step.n, step.filter.system
-    _check_formulas(filter)
-    _warn_of_wide_prior(filter)
     rule, t = filter.linearization, step.timed()
     moving = step.array("moving", (n * (n + 3) // 2,))
     moving.store([*step.mean.all, *lower_of(step.cov.all)])
@@ -134,6 +132,9 @@ def recorded(filter: Any, parameters: bool = False) -> Step:
     for kind, record in KINDS:
         if isinstance(filter, kind):
             step = Step(filter, parameters)
+            if isinstance(filter, CovarianceFilter):
+                _check_formulas(filter)
+                _warn_of_wide_prior(filter)
             record(step)
             return step
     raise TypeError(f"filter: wanted a filter that has C, got {type(filter).__name__}")

@@ -72,8 +72,7 @@ class Step(Tape):
         unused = dict.fromkeys(by_role["input"] if self.designed else (), np.nan)
         self._held, self._now = ({**unused, **part, **arguments} for part in (held, now))
         self.indicator = None
-        for part in self.y:
-            self.refuse(isinf(part), "INFINITE")
+        self.refuse(any_of(isinf(self.y)), "INFINITE")
         if self.indicators:
             self.indicator = self.array("indicator", (), "int", "argument").all
             wrong = (self.indicator < -1.0) | (self.indicator >= float(self.indicators))

@@ -7,7 +7,6 @@ refusal. A writer (`seedslib.export.c`, `seedslib.export.javascript`) spells the
 from __future__ import annotations
 
 import math
-import operator
 from collections import ChainMap
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -15,71 +14,63 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 Number: TypeAlias = "Scalar | float"
 
-OPERATORS = {
-    "add": operator.add,
-    "subtract": operator.sub,
-    "multiply": operator.mul,
-    "divide": operator.truediv,
-    "power": operator.pow,
-    "float_power": operator.pow,
-    "negative": operator.neg,
-    "absolute": abs,
-    "less": operator.lt,
-    "less_equal": operator.le,
-    "greater": operator.gt,
-    "greater_equal": operator.ge,
-    "equal": lambda a, b: compared(a, "==", b),
-    "not_equal": lambda a, b: compared(a, "!=", b),
-    "logical_and": operator.and_,
-    "logical_or": operator.or_,
-    "logical_not": operator.invert,
-    "square": lambda a: a * a,
-    "reciprocal": lambda a: 1.0 / a,
-    "maximum": lambda a, b: choose((a >= b) | isnan(a), a, b),
-    "minimum": lambda a, b: choose((a <= b) | isnan(a), a, b),
-    "sign": lambda a: choose(a > 0.0, 1.0, choose(a < 0.0, -1.0, a)),
-    "heaviside": lambda a, at_zero: choose(
-        a > 0.0, 1.0, choose(a < 0.0, 0.0, choose(compared(a, "==", 0.0), at_zero, a))
-    ),
-}
-"""Functions of NumPy that are operations of a tape, or are made of them."""
+RELATIONS = {"less": "<", "less_equal": "<=", "greater": ">", "greater_equal": ">="}
+RELATIONS |= {"equal": "==", "not_equal": "!="}
+ARITHMETIC = {"add": "+", "subtract": "-", "multiply": "*", "divide": "/"}
+LOGIC = {"bitwise_and": "&&", "logical_and": "&&", "bitwise_or": "||", "logical_or": "||"}
+SIGNS = frozenset([*RELATIONS.values(), *ARITHMETIC.values(), *LOGIC.values()])
+"""Operations that stand between their operands."""
 
 SAME_NAME = (
     *("sqrt", "cbrt", "exp", "exp2", "expm1", "log", "log2", "log10", "log1p", "hypot"),
     *("sin", "cos", "tan", "sinh", "cosh", "tanh", "erf", "erfc", "floor", "ceil", "fabs"),
     *("isnan", "isinf", "isfinite"),
 )
-FUNCTIONS = {name: name for name in SAME_NAME} | {
-    "arcsin": "asin",
-    "arccos": "acos",
-    "arctan": "atan",
-    "arctan2": "atan2",
-    "arcsinh": "asinh",
-    "arccosh": "acosh",
-    "arctanh": "atanh",
+INVERSES = ("sin", "cos", "tan", "tan2", "sinh", "cosh", "tanh")
+OPERATIONS = {
+    **{name: name for name in SAME_NAME},
+    **{f"arc{name}": f"a{name}" for name in INVERSES},
+    **RELATIONS,
+    **ARITHMETIC,
+    **LOGIC,
+    **{"negative": "neg", "absolute": "fabs", "invert": "!", "logical_not": "!"},
     "gammaln": "lgamma",
 }
-"""Functions of NumPy and SciPy by their names in C99."""
+"""Functions of NumPy and SciPy that C99 has: their names, or signs, there."""
 
-RELATIONS = frozenset(["<", "<=", ">", ">=", "==", "!="])
-TRUTHS = RELATIONS | {"&&", "||", "!", "isnan", "isinf", "isfinite"}
+COMPOSED = {
+    "square": lambda a: a * a,
+    "reciprocal": lambda a: 1.0 / a,
+    "power": lambda a, b: _power(a, b),
+    "float_power": lambda a, b: _power(a, b),
+    "maximum": lambda a, b: choose((a >= b) | isnan(a), a, b),
+    "minimum": lambda a, b: choose((a <= b) | isnan(a), a, b),
+    "sign": lambda a: choose(a > 0.0, 1.0, choose(a < 0.0, -1.0, a)),
+    "heaviside": lambda a, b: choose(a > 0.0, 1.0, choose(a < 0.0, 0.0, choose(a == 0.0, b, a))),
+}
+"""Functions of NumPy that are made of others."""
+
+TRUTHS = frozenset([*RELATIONS.values(), *LOGIC.values(), "!", "isnan", "isinf", "isfinite"])
 """Operations that give a truth."""
 
 LARGEST_POWER = 40
 """Whole powers up to this one are written as products."""
 
 
-class Scalar:
+class Scalar(NDArrayOperatorsMixin):
     """A number of a program: the result of an operation, with the name that holds it.
+
+    Operators and functions of NumPy are recorded; so are ``&``, ``|`` and ``~`` of truths.
 
     Attributes
     ----------
     tape : Tape
     name : str
-    kind : {"real", "time", "int", "truth"}
+    kind : {"real", "time", "truth"}
         Sums, differences and products with a time are kept as exactly as a time is.
     """
 
@@ -91,76 +82,6 @@ class Scalar:
     def __repr__(self) -> str:
         return self.name
 
-    def __add__(self, other: Any) -> Any:
-        return self if _is(other, 0) else self.tape.infix(self, "+", other)
-
-    def __radd__(self, other: Any) -> Any:
-        return self if _is(other, 0) else self.tape.infix(other, "+", self)
-
-    def __sub__(self, other: Any) -> Any:
-        return self if _is(other, 0) else self.tape.infix(self, "-", other)
-
-    def __rsub__(self, other: Any) -> Any:
-        return -self if _is(other, 0) else self.tape.infix(other, "-", self)
-
-    def __mul__(self, other: Any) -> Any:
-        if _is(other, 0) or _is(other, 1):
-            return 0.0 if _is(other, 0) else self
-        return self.tape.infix(self, "*", other)
-
-    def __rmul__(self, other: Any) -> Any:
-        if _is(other, 0) or _is(other, 1):
-            return 0.0 if _is(other, 0) else self
-        return self.tape.infix(other, "*", self)
-
-    def __truediv__(self, other: Any) -> Any:
-        return self if _is(other, 1) else self.tape.infix(self, "/", other)
-
-    def __rtruediv__(self, other: Any) -> Any:
-        return 0.0 if _is(other, 0) else self.tape.infix(other, "/", self)
-
-    def __neg__(self) -> Scalar:
-        return self.tape.node("neg", self)
-
-    def __abs__(self) -> Scalar:
-        return self.tape.node("fabs", self)
-
-    def __pow__(self, power: Any) -> Any:
-        if isinstance(power, Scalar) or power != int(power) or abs(power) > LARGEST_POWER:
-            return self.tape.node("pow", self, power)
-        product = math.prod([self] * abs(int(power)), start=1.0)
-        return product if power >= 0 else 1.0 / product
-
-    def __rpow__(self, base: Any) -> Scalar:
-        return self.tape.node("pow", base, self)
-
-    def __lt__(self, other: Any) -> Any:
-        return self.tape.infix(self, "<", other)
-
-    def __le__(self, other: Any) -> Any:
-        return self.tape.infix(self, "<=", other)
-
-    def __gt__(self, other: Any) -> Any:
-        return self.tape.infix(self, ">", other)
-
-    def __ge__(self, other: Any) -> Any:
-        return self.tape.infix(self, ">=", other)
-
-    def __and__(self, other: Any) -> Any:
-        if type(other) is not Scalar:
-            return self if other else False
-        return self if self.name == other.name else self.tape.node("&&", self, other)
-
-    def __or__(self, other: Any) -> Any:
-        if type(other) is not Scalar:
-            return True if other else self
-        return self if self.name == other.name else self.tape.node("||", self, other)
-
-    __rand__, __ror__ = __and__, __or__
-
-    def __invert__(self) -> Scalar:
-        return self.tape.node("!", self)
-
     def __bool__(self) -> bool:
         raise TypeError(
             "formulas: wanted choices by one comparison each (Piecewise), which C can follow"
@@ -170,13 +91,13 @@ class Scalar:
         name = ufunc.__name__
         if method != "__call__" or options:
             return NotImplemented
-        if any(isinstance(x, np.ndarray) and x.ndim for x in inputs):
+        if any(isinstance(x, np.ndarray) and x.ndim for x in inputs):  # element by element
             return np.frompyfunc(ufunc, len(inputs), 1)(*map(_boxed, inputs))
         inputs = tuple(x if type(x) is Scalar else float(x) for x in inputs)
-        if name in OPERATORS:
-            return OPERATORS[name](*inputs)
-        if name in FUNCTIONS:
-            return self.tape.node(FUNCTIONS[name], *inputs)
+        if name in COMPOSED:
+            return COMPOSED[name](*inputs)
+        if name in OPERATIONS:
+            return self.tape.node(OPERATIONS[name], *inputs)
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
@@ -189,8 +110,32 @@ class Scalar:
         return result
 
 
-def _is(value: Any, number: float) -> bool:
-    return not isinstance(value, Scalar | np.ndarray) and value == number
+def _power(base: Any, power: Any) -> Any:
+    whole = type(power) is not Scalar and power == int(power) and abs(power) <= LARGEST_POWER
+    if not whole:
+        return next(x for x in (base, power) if type(x) is Scalar).tape.node("pow", base, power)
+    product = math.prod([base] * abs(int(power)), start=1.0)
+    return product if power >= 0 else 1.0 / product
+
+
+def _simplified(operation: str, first: Number, second: Number) -> Number | None:
+    """The result of an operation with a zero, a one or a known truth; None where it must be done.
+
+    Zero times anything is zero: what a model does not couple costs nothing.
+    """
+    if operation in {"&&", "||"}:
+        for known, other in ((first, second), (second, first)):
+            if type(known) is not Scalar:
+                return other if bool(known) == (operation == "&&") else float(bool(known))
+        return first if first.name == second.name else None
+    a, b = (None if type(x) is Scalar else x for x in (first, second))
+    if (operation in {"+", "-"} and b == 0.0) or (operation in {"*", "/"} and b == 1.0):
+        return first
+    if (operation == "*" and 0.0 in (a, b)) or (operation == "/" and a == 0.0):
+        return 0.0
+    if (operation == "+" and a == 0.0) or (operation == "*" and a == 1.0):
+        return second
+    return -second if operation == "-" and a == 0.0 else None
 
 
 def _boxed(value: Any) -> Any:
@@ -227,14 +172,6 @@ def choose(condition: Any, first: Any, second: Any) -> Any:
     if any(isinstance(part, np.ndarray) for part in (condition, first, second)):
         return _choose_each(*map(_boxed, (condition, first, second)))
     return _choose(condition, first, second)
-
-
-def compared(first: Any, sign: str, second: Any) -> Any:
-    """Truth of ``==`` or ``!=``, which Python keeps for objects."""
-    for x in (first, second):
-        if type(x) is Scalar:
-            return x.tape.infix(first, sign, second)
-    return (first == second) == (sign == "==")
 
 
 def _truth_of(name: str) -> Any:
@@ -387,8 +324,12 @@ class Tape:
         self._count += 1
         return Scalar(self, f"{'q' if kind == 'truth' else 'x'}{self._count}", kind)
 
-    def node(self, operation: str, *operands: Any) -> Scalar:
+    def node(self, operation: str, *operands: Any) -> Any:
         """The result of an operation."""
+        if len(operands) == 2:
+            simple = _simplified(operation, *operands)
+            if simple is not None:
+                return simple
         key = (operation, *map(_key, operands))
         if key not in self._known:
             kinds = {x.kind for x in operands if type(x) is Scalar}
@@ -397,13 +338,6 @@ class Tape:
             self._known[key] = self.name(kind)
             self.block.append(Let(self._known[key], operation, operands))
         return self._known[key]
-
-    def infix(self, first: Any, sign: str, second: Any) -> Any:
-        """Two numbers joined by a sign; element by element of arrays."""
-        if isinstance(first, np.ndarray) or isinstance(second, np.ndarray):
-            one = np.frompyfunc(lambda a, b: _joined(a, sign, b), 2, 1)
-            return one(_boxed(first), _boxed(second))
-        return self.node(sign, first, second)
 
     def load(self, array: Array, index: tuple[Any, ...]) -> Scalar:
         """The number at a place of an array."""
@@ -458,12 +392,6 @@ class Tape:
         while loaded != (now := {_place(one) for one in walk(block) if isinstance(one, Load)}):
             block, loaded = _alive(block, set(), now), now
         return block
-
-
-def _joined(first: Any, sign: str, second: Any) -> Any:
-    signs = {"+": operator.add, "-": operator.sub, "*": operator.mul, "/": operator.truediv}
-    signs |= {"<": operator.lt, "<=": operator.le, ">": operator.gt, ">=": operator.ge}
-    return signs[sign](first, second)
 
 
 def _key(operand: Any) -> Any:

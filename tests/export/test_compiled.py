@@ -118,8 +118,9 @@ def test_many_records_equal_the_filter_and_a_lost_one_is_said():
 
 
 @pytest.mark.parametrize("count", [1, 3, 8, 67, 130])
-def test_whole_records_have_the_bits_of_the_steps_of_each(count):
-    """Where no function of libm comes in: all but the likelihood."""
+def test_whole_records_have_the_bits_of_the_steps_of_each(count, monkeypatch):
+    """Where no function of libm comes in: all but the likelihood. As compiled for users."""
+    monkeypatch.delenv("CC")
     filter = compiled(extended_kalman(polynomial()))
     y = records(filter.system, count)
     found = filter.run(TIMES, y, workers=2)
