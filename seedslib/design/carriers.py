@@ -281,9 +281,9 @@ def _points(carriers, lesson, axes, blind) -> np.ndarray:
 
 def _log_density(system, t, lesson, axes):
     """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
-    grid, x = mesh(axes)[:, None, :], lesson.states
+    grid, x, p = mesh(axes)[:, None, :], lesson.states, system.values()
     if not switches(system):
-        return lambda part: system.sensor.log_density(t, grid, x[:, part, None])
+        return lambda part: system.sensor.log_density(t, grid, x[:, part, None], p)
     values = [*range(system.indicators), -1] if system.indicators else [0]
 
     def log_density(part):
@@ -295,7 +295,7 @@ def _log_density(system, t, lesson, axes):
             for place, j in enumerate(values):
                 reading = system.sensors[i] if j < 0 else system.readings[i][j]
                 if reading is not None and here.size:
-                    found[here, place] = reading.log_density(t, grid, there)
+                    found[here, place] = reading.log_density(t, grid, there, p)
         return found.reshape(len(mode), -1)
 
     return log_density

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import outside
 from seedslib.base.conditioning import kalman_gain
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.design.regression import LOST, ROUNDING, regress
 from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
@@ -26,7 +26,7 @@ def linear_design(
     times: ArrayLike,
     grid: Any,
     measured: np.ndarray,
-    inputs: Course,
+    inputs: InputTrajectory,
 ) -> Any:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
@@ -43,7 +43,7 @@ def linear_design(
         Node times.
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
 
     Returns
@@ -57,22 +57,21 @@ def linear_design(
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    with inputs.at(0):
-        start = joint.first(measured[0], *linear.sensor(times[0]))
+    p = system.values(inputs.at(0))
+    start = joint.first(measured[0], *linear.sensor(times[0], p))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, found = times[k], []
-        with inputs.at(k):
-            for node in nodes:
-                joint.move(*linear.transition(t, node))
-                found.append(joint.node_fit())
-                scores.append((node, np.diagonal(found[-1].cov)))
-                t = node
-            joint.move(*linear.transition(t, times[k + 1]))
+        for node in nodes:
+            joint.move(*linear.transition(t, node, p))
+            found.append(joint.node_fit())
+            scores.append((node, np.diagonal(found[-1].cov)))
+            t = node
+        joint.move(*linear.transition(t, times[k + 1], p))
         node_fits.append(tuple(found))
-        with inputs.at(k + 1):
-            fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1])))
+        p = system.values(inputs.at(k + 1))
+        fits.append(joint.correct(measured[k + 1], *linear.sensor(times[k + 1], p)))
         scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))
@@ -112,14 +111,15 @@ class _Linear:
             for part in parts
             for e in np.array(part, dtype=object).flat
         )
-        self.functions = [compile_array((system.time,), part) for part in parts]
+        given = system.time, system.parameters
+        self.functions = [compile_array(given, part) for part in parts]
 
-    def transition(self, start, stop):
+    def transition(self, start, stop, p):
         """Transition matrix, offset and noise covariance from one time to a later one."""
 
         def extended(t):
             """Coefficients of (X, 1), so that the offset comes out with the matrix."""
-            slope, shift, _, _, spread, _ = (f(t) for f in self.functions)
+            slope, shift, _, _, spread, _ = (f(t, p) for f in self.functions)
             n = len(slope)
             drift, diffusion = np.zeros((2, n + 1, n + 1))
             drift[:n, :n], drift[:n, n], diffusion[:n, :n] = slope, shift, spread
@@ -131,9 +131,9 @@ class _Linear:
             matrix, noise = integrated(extended, start, stop)
         return matrix[:-1, :-1], matrix[:-1, -1], noise[:-1, :-1]
 
-    def sensor(self, t):
+    def sensor(self, t, p):
         """Matrix, offset and noise covariance of the sensor."""
-        return tuple(self.functions[i](t) for i in (2, 3, 5))
+        return tuple(self.functions[i](t, p) for i in (2, 3, 5))
 
 
 class _Joint:

@@ -17,7 +17,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
 from seedslib.base.clock import step_count, when
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
@@ -28,7 +28,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -248,7 +248,7 @@ def synthesize(
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     mask, availability = certain(schedule)
     check_kinds(memory, predictor, exact_moments, availability is not None)
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
@@ -276,7 +276,6 @@ def synthesize(
             node_fits=node_fits,
             predicted=predicted,
             design=design,
-            rules=rules,
             measured=None if mask.all() else mask,
             availability=availability,
         )
@@ -284,15 +283,15 @@ def synthesize(
     if exact_moments:
         from seedslib.design.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid, mask, course))
+        return made(*linear_design(system, rules, times, grid, mask, trajectory))
     paths = as_count("paths", paths)
     check_paths(paths, memory, predictor, components, system.sensor.size)
     root = as_seed_sequence(seed)
     stops = np.concatenate([times, *grid])
     with crew(workers) as each:
         walk = Walk(system, paths, root, len(stops), each, options)
-        forward = ForwardPass(walk, rules, predictor, mask, availability, course)
+        forward = ForwardPass(walk, rules, predictor, mask, availability, trajectory)
         found = forward.design(times, grid)
         designed = made(*found, Design(paths, BLOCK, *seed_record(root), walk.warn_of_lost()))
     del walk, forward  # their paths are not wanted any more
-    return with_held_out(designed, root, paths, workers, inputs=course.values, **options)
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values, **options)

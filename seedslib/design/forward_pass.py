@@ -19,7 +19,7 @@ import numpy as np
 from seedslib.base.clock import when
 from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
 from seedslib.designed.finite_order import FiniteOrderState, Start
@@ -45,7 +45,7 @@ class ForwardPass:
         Components that are measured at each time.
     availability : ndarray, shape (m,), or None
         Probability that a component that is measured arrives; None where all do.
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
     """
 
@@ -56,7 +56,7 @@ class ForwardPass:
         predictor: Any,
         measured: np.ndarray,
         availability: np.ndarray | None,
-        inputs: Course,
+        inputs: InputTrajectory,
     ) -> None:
         self.walk, self.predictor, self.measured, self.inputs = walk, predictor, measured, inputs
         self.memory, self.components = rules.memory, rules.components
@@ -80,27 +80,24 @@ class ForwardPass:
         grid : tuple of ndarray, length K
             Node times.
         """
-        with self.inputs.at(0):
-            self._start(times[0])
+        self._start(times[0], self.inputs.at(0))
         for k in followed(range(len(grid)), "design"):
-            t, stop = times[k], times[k + 1]
-            with self.inputs.at(k):
-                if self.continuous:
-                    between, memories = self._moves(t, [*grid[k], stop])
-                else:
-                    between, memories = self._nodes(k, t, grid[k])
-                self.walk.advance(self.scores[-1][0], stop)
+            t, stop, inputs = times[k], times[k + 1], self.inputs.at(k)
+            if self.continuous:
+                between, memories = self._moves(t, [*grid[k], stop], inputs)
+            else:
+                between, memories = self._nodes(k, t, grid[k], inputs)
+            self.walk.advance(self.scores[-1][0], stop, inputs)
             self.node_fits.append(tuple(between))
-            with self.inputs.at(k + 1):
-                self._measurement(k + 1, stop, memories)
+            self._measurement(k + 1, stop, memories, self.inputs.at(k + 1))
         stamps, rms, error = (np.array(part) for part in zip(*self.scores, strict=True))
         predicted = Prediction(stamps, rms, error, True)
         return self.start, tuple(self.fits), tuple(self.node_fits), predicted
 
-    def _start(self, t):
+    def _start(self, t, inputs):
         walk, n = self.walk, self.walk.n
         walk.begin(t)
-        y = walk.measure(t)
+        y, p = walk.measure(t, inputs), walk.system.values(inputs)
         joint = walk.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = joint.mean, joint.cov
         start = Start(mean[:n], cov[:n, :n], Moments(mean[n:], cov[:n, n:], cov[n:, n:]))
@@ -110,7 +107,7 @@ class ForwardPass:
             return FiniteOrderState(0, prior, start.cov, Past(), 0.0, None, False)
 
         def correct(rules, state, y):
-            return rules.first(state, t, y, start, spread=False)
+            return rules.first(state, t, y, p, start, spread=False)
 
         self.start = start
         self._correct(0, t, y, [walk.each(initial, y)], correct)
@@ -130,13 +127,13 @@ class ForwardPass:
             return fits[0]
         return PatternFit.of(table, covs_before, self.histories.prob, fits)
 
-    def _nodes(self, k, t, nodes):
+    def _nodes(self, k, t, nodes, inputs):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
         walk, n, fits = self.walk, self.components, []
         memories = [walk.each(_memory, state) for state in self.states]
         size, table = self._sizes(k), self.histories.classes.table[:1]
         for node in nodes:
-            walk.advance(t, node)
+            walk.advance(t, node, inputs)
             t = node
             found = [self._fit(Affine(), u, n, size) for u in memories]
             fits.append(self._of_classes(found, table, np.empty((0, n, n))))
@@ -144,24 +141,25 @@ class ForwardPass:
             self._score(t, *(walk.kept(fit.mean, u) for fit, u in pairs))
         return fits, memories
 
-    def _moves(self, t, stops):
+    def _moves(self, t, stops, inputs):
         """Fits of the continuous forecast at each integration step, and where it leads."""
         walk, fits = self.walk, []
+        p = walk.system.values(inputs)
         (state,) = self.states
         z = walk.each(_estimate, state)
         for stop in stops:
             fit = self._fit(self.predictor, z, walk.n, self.size)
-            z = walk.kept(_mover(fit, t, stop - t), self.rules, z)
+            z = walk.kept(_mover(fit, t, stop - t, p), self.rules, z)
             fits.append(fit)
             if stop != stops[-1]:
-                walk.advance(t, stop)
+                walk.advance(t, stop, inputs)
                 self._score(stop, z)
                 t = stop
         return fits, [z]
 
-    def _measurement(self, k, t, memories):
+    def _measurement(self, k, t, memories, inputs):
         """Fit the forecasts for a measurement, and correct them."""
-        walk, size = self.walk, self._sizes(k - 1)
+        walk, size, p = self.walk, self._sizes(k - 1), self.walk.system.values(inputs)
         fits = [self._fit(self.predictor, u, walk.n, size) for u in memories]
         self.fits.append(self._of_classes(fits, self.histories.classes.table, self.covs_before))
         if not self.one_class:
@@ -172,13 +170,13 @@ class ForwardPass:
             return state._replace(index=k, mean=mean, cov=cov, corrected=False)
 
         def correct(rules, state, y):
-            return rules.correct(state, t, y, spread=False)
+            return rules.correct(state, t, y, p, spread=False)
 
         forecasts = [
             walk.each(partial(forecast, fit=fit), *pair)
             for fit, *pair in zip(fits, self.states, memories, strict=True)
         ]
-        self._correct(k, t, walk.measure(t), forecasts, correct)
+        self._correct(k, t, walk.measure(t, inputs), forecasts, correct)
 
     def _correct(self, k, t, y, forecasts, correct):
         """Correct each class with each pattern, and find the classes that this makes."""
@@ -251,9 +249,9 @@ def _memory(state):
     return state.past.vector
 
 
-def _mover(fit, t, h):
+def _mover(fit, t, h, p):
     """Step of the continuous forecast, without anything else of the pass in it."""
-    return lambda rules, z: rules.move(fit, t, h, z)
+    return lambda rules, z: rules.move(fit, t, h, z, p)
 
 
 def _second_moments(walk, n, states):

@@ -267,7 +267,7 @@ def affine_synthesis(
         else:
             fits.append(regress(*_moments(law), 1))
             mean, cov = fits[-1].forecast(law.memory_points)
-            moments = sensor(float(t), mean, cov)
+            moments = sensor(float(t), mean, cov, system.values())
         law.take(k, corrected(law, mean, cov, moments), sight)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
@@ -303,7 +303,7 @@ def _moments(law: JointLaw) -> tuple[np.ndarray, np.ndarray]:
 def _sensed(law: JointLaw, t: float) -> Start:
     """Moments of the state and the measurement before anything is remembered."""
     state, x = law.joint.sum(axis=0), law.values
-    shown, noise = law.system.sensor.conditional_moments(float(t), x)
+    shown, noise = law.system.sensor.conditional_moments(float(t), x, law.system.values())
     shown = np.broadcast_to(shown, (len(shown), x.shape[1]))
     noise = np.broadcast_to(
         noise if noise.ndim == 3 else noise[..., None], (*noise.shape[:2], x.shape[1])

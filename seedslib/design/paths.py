@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import copy_context
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -95,7 +94,7 @@ def _side_by_side(pool, workers, work, *lists) -> list:
         for place in places:
             found[place] = work(*jobs[place])
 
-    others = [pool.submit(copy_context().run, run) for _ in range(min(workers, len(jobs)) - 1)]
+    others = [pool.submit(run) for _ in range(min(workers, len(jobs)) - 1)]
     run()
     for other in others:
         other.result()
@@ -170,16 +169,19 @@ class Walk:
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def advance(self, start: float, stop: float) -> None:
+    def advance(self, start: float, stop: float, inputs: Any = None) -> None:
         """Move all paths to a later time."""
-        options = self.options
-        self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
+        options, p = self.options, self.system.values(inputs, stop - start)
+        self._go(
+            lambda system, rng, x: system.advance(x, start, stop, rng, p, **options), self.states
+        )
 
-    def measure(self, t: float) -> list[Any]:
+    def measure(self, t: float, inputs: Any = None) -> list[Any]:
         """What the sensor shows, (m, paths) for each bundle; once at a stop."""
+        p = self.system.values(inputs)
 
         def shown(system, streams, counts, x):
-            return system.sensor.sample(t, x, _generator(streams, counts))
+            return system.sensor.sample(t, x, _generator(streams, counts), p)
 
         return self.kept(shown, self._shared, self._streams(1), self.counts, self.states)
 

@@ -16,7 +16,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.base.linalg import NEGATIVE
 from seedslib.base.progress import followed
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Crew, Walk, crew
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
@@ -32,7 +32,7 @@ from seedslib.designed.switching.filter import (
 )
 from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, course_of, elapsed
+from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem
 
 JITTER = 1e-8
@@ -227,12 +227,12 @@ def synthesize_switching(
     paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
     with crew(workers) as each:
         walk = Walk(system.hybrid, paths, root, len(times), each, {})
-        fits, scores, thin, pairs, mended = _pass(walk, system, memory, rules, times, course)
+        fits, scores, thin, pairs, mended = _pass(walk, system, memory, rules, times, trajectory)
         if thin > OFTEN * pairs:
             warnings.warn(
                 f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
@@ -251,10 +251,9 @@ def synthesize_switching(
             Design(
                 paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, mended
             ),
-            rules=rules,
         )
     del walk  # its paths are not wanted any more
-    return with_held_out(designed, root, paths, workers, inputs=course.values)
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values)
 
 
 def _pass(walk, system, memory, rules, times, inputs):
@@ -268,21 +267,25 @@ def _pass(walk, system, memory, rules, times, inputs):
         else:
             fit, old = fits[-1], times[k - 1]
 
-            def predict(state, fit=fit, old=old):
+            before = inputs.at(k - 1)
+            p = system.values(before, t - old)
+
+            def predict(state, fit=fit, old=old, p=p):
                 cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
-                law = rules.predict(old, fit.forecast(cell, state.past.vector))
+                law = rules.predict(old, fit.forecast(cell, state.past.vector), p)
                 return state._replace(law=law, corrected=False)
 
-            with inputs.at(k - 1), elapsed(system, old, t):
-                walk.advance(old, t)
-                states = walk.each(predict, states)
+            walk.advance(old, t, before)
+            states = walk.each(predict, states)
+        now = inputs.at(k)
+        p = system.values(now)
 
-        def correct(state, y, k=k, t=t):
+        def correct(state, y, k=k, t=t, p=p):
             indicator = y[m].astype(int) if system.indicators else None
-            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory)
+            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory, p)
 
-        with inputs.at(k):
-            states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
+        shown = walk.measure(t, now)
+        states = walk.kept(correct, states, shown, array=lambda state: state.mean)
         scores.append(_score(walk, n, states))
         if k + 1 == len(times):
             continue

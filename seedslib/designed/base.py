@@ -13,11 +13,10 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, as_times, is_whole, outside
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.designed.checks import check_errors, check_times
 from seedslib.designed.memory import Memory
 from seedslib.filters.base import Estimates, Filter, as_indicators, as_record
-from seedslib.models.kinds import course_of
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -233,6 +232,10 @@ class DesignedFilter(Filter):
     clock: Clock
     predicted: Any
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        freeze(tuple(state.values()))  # arrays that come from elsewhere can be written to
+
     @property
     def reach(self) -> tuple[float, float]:
         """First and last time that the design looked at."""
@@ -324,7 +327,7 @@ class DesignedFilter(Filter):
         index: np.ndarray,
         y: np.ndarray,
         indicators: np.ndarray | None,
-        held: Course,
+        inputs: InputTrajectory,
     ) -> int:
         """Run over a block of records, and write what is found.
 
@@ -337,8 +340,8 @@ class DesignedFilter(Filter):
             See `placed`.
         y : ndarray, shape (J+1, m, *batch)
         indicators : ndarray of int, shape (J+1, *batch), or None
-        held : Course
-            Inputs at these times.
+        inputs : InputTrajectory
+            At these times.
 
         Returns
         -------
@@ -488,7 +491,7 @@ class DesignedFilter(Filter):
         times, y = self.record(times, measurements)
         batch = y.shape[2:]
         told = as_indicators(indicators, self.system, (len(times), *batch))
-        course = course_of(self.system, inputs, len(times), batch)
+        trajectory = as_trajectory(self.system, inputs, len(times), batch)
         index = self.placed(times, y)
         known = self.memory is not None
         lost = dropouts(y, index >= 0, told, expected(self, index)) if known else None
@@ -505,14 +508,13 @@ class DesignedFilter(Filter):
         def work(a, b, _):
             parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))
             *rows, shown, seen = parts
-            with on_paths(batch, slice(a, b)):
-                held = course.of(slice(a, b))
-                return self.fill(Estimates(*rows), times, index, shown, seen, held)
+            own = trajectory.of(slice(a, b))
+            return self.fill(Estimates(*rows), times, index, shown, seen, own)
 
         if tail:
             raised = sum(in_blocks(work, *tail, 0, workers=workers))
         else:
-            raised = self.fill(whole, times, index, y, told, course)
+            raised = self.fill(whole, times, index, y, told, trajectory)
         found = whole
         if tail != batch:
             found = Estimates(

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.clock import Clock, slack, when
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory, Values
 from seedslib.designed.base import DesignedFilter, want_corrected
 from seedslib.filters.base import Estimates
+from seedslib.models.kinds import inputs_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -61,31 +63,46 @@ class BetweenFilter(DesignedFilter):
     between: str
     clock: Clock
 
-    def nodes(self, state: Any, end: bool = True) -> tuple[list, list, tuple | None]:
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """Parameters and inputs in the maps that a step evaluates."""
+        return frozenset()
+
+    def values(self, inputs: Mapping[Any, Any] | None = None) -> Values:
+        """Numbers of the parameters; inputs that are in the design's own numbers may be missing."""
+        unused = inputs_of(self.system) - self.evaluated
+        return self.system.values({**dict.fromkeys(unused, np.nan), **(inputs or {})})
+
+    def nodes(self, state: Any, p: Values, end: bool = True) -> tuple[list, list, tuple | None]:
         """Times and estimates (n', *batch) from a correction to the last node after it.
 
         And, where it is wanted and known, time and forecast of the next measurement.
         """
         raise NotImplementedError
 
-    def interval(self, state: Any) -> Interval:
+    def interval(self, state: Any, p: Values) -> Interval:
         """All that is known from a correction to the next: Z_k, nodes, end."""
-        times, values, end = self.nodes(state)
+        times, values, end = self.nodes(state, p)
         count, last, last_node = len(times) - 1, None, None
         if state.before is not None:
-            before = list(zip(*self.nodes(state.before, end=False)[:2], strict=True))
+            before = list(zip(*self.nodes(state.before, p, end=False)[:2], strict=True))
             last, last_node = before[0], before[-1]
         if end is not None:
             times.append(end[0])
             values.append(end[1])
         return Interval(np.array(times), values, count, last, last_node)
 
-    def advanced(self, state: Any, interval: Interval | None = None) -> Any:
+    def advanced(self, state: Any, p: Values, interval: Interval | None = None) -> Any:
         """The state at the next measurement time."""
         raise NotImplementedError
 
     def corrected(
-        self, state: Any, y: np.ndarray, indicator: np.ndarray | None, covariance: bool
+        self,
+        state: Any,
+        y: np.ndarray,
+        p: Values,
+        indicator: np.ndarray | None = None,
+        covariance: bool = True,
     ) -> Any:
         """The state after a measurement of a record."""
         raise NotImplementedError
@@ -97,26 +114,25 @@ class BetweenFilter(DesignedFilter):
         index: np.ndarray,
         y: np.ndarray,
         indicators: np.ndarray | None,
-        inputs: Course,
+        inputs: InputTrajectory,
     ) -> int:
         """Run over a block of records; covariances are formed where they are wanted."""
         state, interval, covariance = self.initial(y.shape[2:]), None, rows.cov is not None
+        numbers = self.values
         last = 0  # row of the last measurement: its inputs hold until the next
         for j, k in enumerate(index):
             if k < 0:
-                with inputs.at(last):
-                    interval = interval or self.interval(state)
+                interval = interval or self.interval(state, numbers(inputs.at(last)))
                 rows.mean[j] = at(interval, times[j], self.between)
                 if rows.loglik is not None:
                     rows.loglik[j] = 0.0
                 if covariance:
                     rows.cov[j] = np.nan
                 continue
-            with inputs.at(last):
-                state = self.advanced(state, interval)
-            with inputs.at(j):
-                indicator = None if indicators is None else indicators[j]
-                state = self.corrected(state, y[j], indicator, covariance)
+            state = self.advanced(state, numbers(inputs.at(last)), interval)
+            indicator = None if indicators is None else indicators[j]
+            p = numbers(inputs.at(j))
+            state = self.corrected(state, y[j], p, indicator, covariance)
             rows.mean[j], interval, last = state.mean, None, j
             if rows.loglik is not None:
                 rows.loglik[j] = state.loglik
@@ -132,7 +148,14 @@ class BetweenFilter(DesignedFilter):
         """The same filter with another kind of forecast between measurements."""
         return replace(self, between=kind)
 
-    def forecast(self, state: Any, t: float, kind: str | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        kind: str | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """Estimate of the first n' components at a time up to the next measurement.
 
         Parameters
@@ -144,6 +167,8 @@ class BetweenFilter(DesignedFilter):
             or to the horizon.
         kind : str, optional
             One of `FORECAST_KINDS`; the filter's own `between` by default.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs from the time of the state on.
 
         Raises
         ------
@@ -151,7 +176,8 @@ class BetweenFilter(DesignedFilter):
             A time outside the interval, an unknown kind, a state that was not corrected.
         """
         want_corrected(state)
-        known, room = self.interval(state), self.clock.tolerance
+        p = self.values(inputs)
+        known, room = self.interval(state, p), self.clock.tolerance
         start, end = known.times[0], known.times[-1]
         if not start - room <= t <= end + room:
             raise ValueError(f"t: wanted a time from {when(start)} to {when(end)}, got {when(t)}")

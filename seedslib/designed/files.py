@@ -41,7 +41,7 @@ from seedslib.designed.minimax import (
     MinimaxFilter,
     MinimaxFit,
 )
-from seedslib.designed.output_filter import OutputFilter, TableFilter
+from seedslib.designed.output_filter import TableFilter
 from seedslib.designed.patterns import PatternFit
 from seedslib.designed.prediction import Design, HeldOut, Prediction
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
@@ -110,8 +110,8 @@ def save(filter: Any, path: str | PathLike[str]) -> None:
         raise ValueError("filter: wanted one with its model, got one that was loaded without")
     rule, arrays = getattr(filter, "linearization", None), {}
     own = rule is not None and _class_of(type(rule).__name__) is not type(rule)
-    # rules are compiled again; a linearization of the user's own is given again on loading
-    tree = _packed(filter, "", arrays, ("system", "rules", *("linearization",) * own))
+    # a linearization of the user's own is given again on loading
+    tree = _packed(filter, "", arrays, ("system", *("linearization",) * own))
     if own:
         tree["linearization"] = {"class": type(rule).__name__}
     points = probe_points(filter.system, *filter.reach)
@@ -178,8 +178,6 @@ def load(
         )
     try:
         given["system"] = sizes.bounded() if system is None else system
-        if not issubclass(kind, OutputFilter):
-            given["rules"] = None
         return _unpacked(tree, arrays, **given)
     except FAULTS as error:
         raise ValueError(f"{path.name}: the file contradicts itself ({error})") from None

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +16,7 @@ from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
-from seedslib.base.objects import by_fields
+from seedslib.base.values import Values
 from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
 from seedslib.designed.between import BetweenFilter, known_kind
 from seedslib.designed.checks import check_covariances, check_nodes, check_start, check_verbs
@@ -112,24 +113,25 @@ class Rules:
         state: FiniteOrderState,
         t: float,
         y: np.ndarray,
+        p: Values,
         start: Start,
         spread: bool = True,
     ) -> FiniteOrderState:
         """State after the first measurement, whose moments are fixed."""
         moments = _first_moments(start, state.mean.ndim - 1)
-        return self._corrected(state, t, y, moments, spread, start.mean)
+        return self._corrected(state, t, y, p, moments, spread, start.mean)
 
     def correct(
-        self, state: FiniteOrderState, t: float, y: np.ndarray, spread: bool = True
+        self, state: FiniteOrderState, t: float, y: np.ndarray, p: Values, spread: bool = True
     ) -> FiniteOrderState:
         """State after the measurement; its `mean` and `cov` hold the forecast before.
 
         Without `spread` no covariance is formed.
         """
-        moments = self.sensor(t, state.mean, state.cov)
-        return self._corrected(state, t, y, moments, spread, state.mean)
+        moments = self.sensor(t, state.mean, state.cov, p)
+        return self._corrected(state, t, y, p, moments, spread, state.mean)
 
-    def _corrected(self, state, t, y, moments, spread, place):
+    def _corrected(self, state, t, y, p, moments, spread, place):
         y = nearest(y, moments.mean, self.periods)
         c = self.components
         mean, cov, loglik = update(
@@ -137,7 +139,7 @@ class Rules:
             state.cov[:c, :c] if spread else None,
             y,
             moments._replace(cross=moments.cross[:c]),
-            noise=lambda: self.sensor(t, place, np.zeros_like(state.cov)).cov,
+            noise=lambda: self.sensor(t, place, np.zeros_like(state.cov), p).cov,
         )
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
@@ -146,7 +148,7 @@ class Rules:
         return state._replace(mean=mean, cov=cov, past=past, loglik=loglik, corrected=True)
 
     def nodes(
-        self, fits: Sequence[AffineFit], stops: Sequence[float], state: FiniteOrderState
+        self, fits: Sequence[AffineFit], stops: Sequence[float], state: FiniteOrderState, p: Values
     ) -> tuple[list[np.ndarray], np.ndarray | None]:
         """Estimates at the nodes of an interval, and at its end where they lead there.
 
@@ -157,20 +159,23 @@ class Rules:
         stops : sequence of float
             Start of the interval, its nodes, its end.
         state : FiniteOrderState
+        p : tuple
+            Numbers of the parameters.
         """
         if self.velocity is None:
             return [chosen(fit, state.group).mean(state.past.vector) for fit in fits], None
         moved, z = [], state.mean
         for fit, t, after in zip(fits, stops, stops[1:], strict=False):
-            z = self.move(fit, t, after - t, z)
+            z = self.move(fit, t, after - t, z, p)
             moved.append(z)
         return moved[: len(stops) - 2], moved[-1]
 
-    def move(self, fit: AffineFit, t: float, h: float, z: np.ndarray) -> np.ndarray:
+    def move(self, fit: AffineFit, t: float, h: float, z: np.ndarray, p: Values) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
         with np.errstate(over="ignore", invalid="ignore"):
             mean, moved = fit.mean(z), np.empty_like(z)
-            for k, rate in enumerate(self.velocity(t, list(mean), fit.cov)[: self.components]):
+            rates = self.velocity(t, list(mean), fit.cov, p)
+            for k, rate in enumerate(rates[: self.components]):
                 moved[k] = z[k] + rate * h
         return moved
 
@@ -181,21 +186,21 @@ def _first_moments(start, depth):
 
 
 def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[..., Any]:
-    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
+    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov, p) -> components``.
 
     The covariance is common to all paths, (n, n).
     """
     if not (system.symbolic and hasattr(linearization, "formulas")):
         moments = linearization.moments(system.drift_map, spread=False)
-        return lambda t, mean, cov: list(moments(t, np.stack(mean), cov).mean)
+        return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components
 
     n = system.state_size
     mean, lower, cov = law_symbols(n)
     velocity = linearization.formulas(system.drift_map, list(mean), cov, spread=False)[0]
-    evaluate = compile_components((system.time, mean, lower), list(velocity))
+    evaluate = compile_components((system.time, mean, lower, system.parameters), list(velocity))
     rows, columns = np.tril_indices(n)
-    return lambda t, mean, cov: evaluate(t, mean, cov[rows, columns].tolist())
+    return lambda t, mean, cov, p: evaluate(t, mean, cov[rows, columns].tolist(), p)
 
 
 def law_symbols(n: int) -> tuple[Any, ...]:
@@ -241,7 +246,7 @@ class FiniteOrderFilter(BetweenFilter):
     measured, availability : ndarray, optional
         See `DesignedFilter`.
     rules : Rules
-        The compiled steps; made from the other fields.
+        The compiled steps.
     clock : Clock
         The measurement times, and what else is one of them.
     """
@@ -266,20 +271,28 @@ class FiniteOrderFilter(BetweenFilter):
     cycle: int = 0
     measured: MaybeArray = None
     availability: MaybeArray = None
-    rules: Rules | None = None
 
     def __post_init__(self) -> None:
         self.check_shapes()
-        if self.rules is None:
-            rules = Rules.of(
-                self.system, self.memory, self.predictor, self.linearization, self.components
-            )
-            object.__setattr__(self, "rules", rules)
+        _ = self.rules  # what has no formulas is refused now
         known_kind("between", self.between)
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
         object.__setattr__(self, "clock", Clock(self.times))
         object.__setattr__(self, "ways", pattern_ways(self.fits, self.cycle))
+
+    @cached_property
+    def rules(self) -> Rules:
+        return Rules.of(
+            self.system, self.memory, self.predictor, self.linearization, self.components
+        )
+
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """See `BetweenFilter.evaluated`."""
+        continuous = isinstance(self.predictor, Continuous)
+        maps = [self.system.sensor, *([self.system.drift_map] if continuous else [])]
+        return frozenset(p for map in maps for p in map.mentions)
 
     def check_parts(self) -> None:
         """First estimate, nodes and forecasts, held against memory and times."""
@@ -320,9 +333,6 @@ class FiniteOrderFilter(BetweenFilter):
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    def __reduce__(self) -> tuple:
-        return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
-
     # Step by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FiniteOrderState:
@@ -331,7 +341,9 @@ class FiniteOrderFilter(BetweenFilter):
         mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
         return FiniteOrderState(-1, mean, self.start.cov, Past(), 0.0, None, False)
 
-    def predict(self, state: FiniteOrderState, t: float) -> FiniteOrderState:
+    def predict(
+        self, state: FiniteOrderState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> FiniteOrderState:
         """Forecast for the next measurement time, (n, *batch); the first has none to make.
 
         Raises
@@ -342,9 +354,11 @@ class FiniteOrderFilter(BetweenFilter):
         want_next(self.clock, state.index + 1, t, self.cycle)
         if state.index >= 0:
             want_corrected(state)
-        return self.advanced(state)
+        return self.advanced(state, self.values(inputs))
 
-    def advanced(self, state: FiniteOrderState, interval: Any = None) -> FiniteOrderState:
+    def advanced(
+        self, state: FiniteOrderState, p: Values, interval: Any = None
+    ) -> FiniteOrderState:
         """The forecast for the next measurement, from what is known of the interval if anything."""
         k = state.index + 1
         if k == 0:
@@ -352,14 +366,16 @@ class FiniteOrderFilter(BetweenFilter):
         if self.rules.velocity is None:
             u = state.past.vector
         else:  # the estimate has moved on
-            u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
+            u = interval.values[-1] if interval else self.nodes_after(k - 1, state, p)[1]
         mean, cov = chosen(self.fits[self.served(k) - 1], state.group).forecast(u)
         before = state._replace(before=None)
         return state._replace(
             index=k, mean=mean, cov=cov, loglik=0.0, before=before, corrected=False
         )
 
-    def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
+    def correct(
+        self, state: FiniteOrderState, y: ArrayLike, *, inputs: Mapping[Any, Any] | None = None
+    ) -> FiniteOrderState:
         """Correct the forecast by y, (m, *batch); of NaN components see `run`.
 
         Raises
@@ -370,24 +386,29 @@ class FiniteOrderFilter(BetweenFilter):
         want_forecast(state)
         y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
         gap = state.gap | gap
-        found = self.corrected(state, y, None, True)
+        found = self.corrected(state, y, self.values(inputs))
         if not np.any(gap):
             return found
         loglik = np.where(state.gap, np.nan, found.loglik)
         return found._replace(cov=nan_where(gap, found.cov), loglik=loglik, gap=gap)
 
     def corrected(
-        self, state: FiniteOrderState, y: np.ndarray, indicator: MaybeArray, covariance: bool
+        self,
+        state: FiniteOrderState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> FiniteOrderState:
         """The state after a measurement, with its covariance where that is wanted."""
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            found = self.rules.first(state, t, y, self.start, covariance)
+            found = self.rules.first(state, t, y, p, self.start, covariance)
         else:
-            found = self.rules.correct(state, t, y, covariance)
+            found = self.rules.correct(state, t, y, p, covariance)
         return found if self.ways is None else regrouped(self, found, y)
 
-    def expect(self, state: FiniteOrderState) -> Moments:
+    def expect(self, state: FiniteOrderState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
 
         Raises
@@ -399,16 +420,19 @@ class FiniteOrderFilter(BetweenFilter):
         if state.index == 0:
             return _first_moments(self.start, state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov)
+        p = self.values(inputs)
+        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov, p)
         return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 
-    def nodes(self, state: FiniteOrderState, end: bool = True) -> tuple[list, list, tuple | None]:
+    def nodes(
+        self, state: FiniteOrderState, p: Values, end: bool = True
+    ) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
         k, row = state.index, self._row(state.index)
         start = self.clock.moment(k, self.cycle)
         grid, values, last = [start], [state.mean], None
         if row < len(self.node_times) and (end or len(self.node_times[row])):
-            found, last = self.nodes_after(k, state)
+            found, last = self.nodes_after(k, state, p)
             stops = self.node_times[row] + (start - self.times[row])
             grid, values = [*grid, *stops], values + found
         if not end or row >= len(self.fits):
@@ -422,7 +446,7 @@ class FiniteOrderFilter(BetweenFilter):
         return self.served(k + 1) - 1 if self.cycle else k
 
     def nodes_after(
-        self, k: int, state: FiniteOrderState
+        self, k: int, state: FiniteOrderState, p: Values
     ) -> tuple[list[np.ndarray], np.ndarray | None]:
         """Estimates at the nodes after measurement k, and at the next one; see `Rules.nodes`.
 
@@ -431,7 +455,7 @@ class FiniteOrderFilter(BetweenFilter):
         row, clock = self._row(k), self.clock
         start, end = clock.moment(k, self.cycle), clock.moment(k + 1, self.cycle)
         stops = [start, *self.node_times[row] + (start - self.times[row]), end]
-        return self.rules.nodes(self.node_fits[row], stops, state)
+        return self.rules.nodes(self.node_fits[row], stops, state, p)
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Forecasts of the chosen steps."""

@@ -6,10 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.values import looked_at
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import GaussHermite
-from seedslib.models.kinds import AnySystem, in_steps, mentioned, switches
+from seedslib.models.kinds import AnySystem, in_steps, switches
 
 SAME = 1e-9
 """Largest difference between equal models, in units of each component of each quantity."""
@@ -64,21 +63,18 @@ def probe(
         The moments of the sensor that the filter takes are part of the identity. Without one the
         sensor is looked at by any rule, and its likelihood too where it has one.
     """
-    with looked_at(mentioned(system)):
-        return _probed(system, points, linearization)
-
-
-def _probed(system, points, linearization):
+    p = system.nominal_values()
     if switches(system):
-        return _branches(system, points)
+        return _branches(system, points, p)
     rule = _ANY if linearization is None else linearization
-    values = _moments(system, rule.moments(system.sensor), points)
+    values = _moments(system, rule.moments(system.sensor), points, p)
     if linearization is None and system.sensor.has_log_density:
-        values["likelihood"] = np.stack([_likelihood(system.sensor, t, x) for t, *x in points.T])
+        likelihoods = [_likelihood(system.sensor, t, x, p) for t, *x in points.T]
+        values["likelihood"] = np.stack(likelihoods)
     return values
 
 
-def _moments(system, sensor, points):
+def _moments(system, sensor, points, p):
     n, m = system.state_size, system.sensor.size
     found: dict[str, list] = {}
 
@@ -86,7 +82,7 @@ def _moments(system, sensor, points):
         found.setdefault(name, []).append(np.reshape(np.asarray(value, dtype=float), shape))
 
     def note_moments(name, map, t, x):
-        mean, cov = map.conditional_moments(t, x)
+        mean, cov = map.conditional_moments(t, x, p)
         note(f"{name} (mean)", mean, map.size)
         note(f"{name} (cov)", cov, map.size, map.size)
 
@@ -95,14 +91,14 @@ def _moments(system, sensor, points):
         if in_steps(system):
             note_moments("dynamics", system.dynamics, t, x)
         else:
-            matrix = system.diffusion(t, x)
-            note("drift", system.drift(t, x), n)
+            matrix = system.diffusion(t, x, p)
+            note("drift", system.drift(t, x, p), n)
             note("diffusion", np.einsum("ikN,jkN->ijN", matrix, matrix), n, n)
-            note("intensity", system.intensity(t, x))
+            note("intensity", system.intensity(t, x, p))
             if system.jump is not None:
                 note_moments("jump", system.jump, t, x)
         note_moments("sensor", system.sensor, t, x)
-        mean, cross, cov = sensor(t, x, system.cov0)
+        mean, cross, cov = sensor(t, x, system.cov0, p)
         note("moments of the sensor (mean)", mean, m)
         note("moments of the sensor (cross)", cross, n, m)
         note("moments of the sensor (cov)", cov, m, m)
@@ -111,17 +107,17 @@ def _moments(system, sensor, points):
     return values
 
 
-def _likelihood(sensor, t, x):
+def _likelihood(sensor, t, x, p):
     """Log-densities of measurements up to two deviations from their mean at a state."""
     x = np.array(x)[:, None]
-    mean, cov = sensor.conditional_moments(t, x)
+    mean, cov = sensor.conditional_moments(t, x, p)
     mean = np.reshape(mean, (-1, 1))
     spread = np.sqrt(np.diagonal(np.reshape(cov, (len(mean), len(mean)))))[:, None]
     y = mean + spread * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)))
+    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)), p)
 
 
-def _branches(system, points):
+def _branches(system, points, p):
     # filters of the two differ even where the laws do not
     found = {} if system.drives == "old" else {"drive by the new mode": np.ones((1, 1))}
     for name, table, noise in (
@@ -139,7 +135,7 @@ def _branches(system, points):
             if branch is None:
                 continue
             x = np.repeat(np.array(x)[:, None], len(weights), axis=1)
-            y, share = branch.map.value(t, x, v), branch.map.weight(t, x, v) * weights
+            y, share = branch.map.value(t, x, v, p), branch.map.weight(t, x, v, p) * weights
             prob[place], mean[place] = share.sum(), y @ share
             # about the mean: beside a large mean a small variance would not be seen
             apart = y - (mean[place] / prob[place])[:, None] if prob[place] else y

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -16,7 +16,6 @@ from seedslib.designed.checks import check_covariances, check_fields
 from seedslib.designed.output_filter import OutputFilter
 from seedslib.designed.predictors import AffineFit, PolynomialFit
 from seedslib.designed.tables import Output, Step, prior
-from seedslib.models.kinds import elapsed
 
 Basic = Callable[..., np.ndarray]
 """A basic function of the user's."""
@@ -168,8 +167,8 @@ class Basics(NamedTuple):
         for age in range(1, self.estimates + 1):
             x, steps = u[(age - 1) * n : age * n], self.times[-age - 1 :]
             for start, stop in pairwise(steps):
-                with elapsed(self.system, start, stop):
-                    x = self.system.dynamics.conditional_moments(start, x)[0]
+                p = self.system.values(dt=stop - start)
+                x = self.system.dynamics.conditional_moments(start, x, p)[0]
             parts.append(x)
         return np.concatenate([*parts, u[self.estimates * n :]])
 
@@ -182,7 +181,7 @@ class Basics(NamedTuple):
         if bounded is not None:
             return np.concatenate([forecast, y, bounded(np.concatenate([xi, y]))])
         if chosen is None:
-            return y - self.system.sensor.conditional_moments(t, forecast)[0]
+            return y - self.system.sensor.conditional_moments(t, forecast, self.system.values())[0]
         return _found("correction", chosen(t, forecast, y), y)
 
 
@@ -239,6 +238,10 @@ class MinimaxFilter(OutputFilter):
         object.__setattr__(self, "steps", tuple(made))
         freeze(self.fits)
         super().__post_init__()
+
+    def bind(self, values: Any = None, /, **named: Any) -> MinimaxFilter:
+        """See `seedslib.filters.Filter.bind`; the output functions hold the model."""
+        return replace(self, system=self.system.bind(values, **named))
 
     def basics(self, k: int) -> Basics:
         """The basic functions of measurement k."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -10,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
+from seedslib.base.values import Values
 from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
 from seedslib.designed.between import BetweenFilter, known_kind
 from seedslib.designed.checks import check_array, check_nodes, check_verbs
@@ -185,7 +187,9 @@ class OutputFilter(BetweenFilter):
         """State before any measurement; the filter draws nothing from `seed`."""
         return OutputState(-1, None, np.full((self.components, *batch), np.nan))
 
-    def predict(self, state: OutputState, t: float) -> OutputState:
+    def predict(
+        self, state: OutputState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> OutputState:
         """Forecast for the next measurement time.
 
         Raises
@@ -196,12 +200,17 @@ class OutputFilter(BetweenFilter):
         if state.index >= 0:
             want_corrected(state)
         want_next(self.clock, state.index + 1, float(t), self.cycle)
-        arrived = self.advanced(state)
+        arrived = self.advanced(state, ())
         mean, mode, prob = self._found(arrived, None, None)
         return arrived._replace(mean=mean, mode=mode, mode_prob=prob)
 
     def correct(
-        self, state: OutputState, y: ArrayLike, indicator: ArrayLike | None = None
+        self,
+        state: OutputState,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> OutputState:
         """Correct the forecast by a measurement and the indicator.
 
@@ -221,9 +230,9 @@ class OutputFilter(BetweenFilter):
         """
         want_forecast(state)
         y, indicator, gap = self.admitted(y, indicator, state.mean.shape[1:], state.index)
-        return self.corrected(state, y, indicator, True, gap)
+        return self.corrected(state, y, (), indicator, True, gap)
 
-    def advanced(self, state: OutputState, interval: Any = None) -> OutputState:
+    def advanced(self, state: OutputState, p: Values = (), interval: Any = None) -> OutputState:
         """The state at the next measurement time, with the estimate that it had."""
         before = state._replace(before=None) if state.corrected else None
         time = self.clock.moment(state.index + 1, self.cycle)
@@ -242,6 +251,7 @@ class OutputFilter(BetweenFilter):
         self,
         state: OutputState,
         y: np.ndarray,
+        p: Values,
         indicator: MaybeArray,
         covariance: bool,
         gap: np.ndarray | bool = False,
@@ -278,7 +288,9 @@ class OutputFilter(BetweenFilter):
         pairs = zip(found, forecast, strict=True)
         return Output(*(None if a is None else np.where(gone, b, a) for a, b in pairs))
 
-    def nodes(self, state: OutputState, end: bool = True) -> tuple[list, list, tuple | None]:
+    def nodes(
+        self, state: OutputState, p: Values, end: bool = True
+    ) -> tuple[list, list, tuple | None]:
         """Times and estimates to the last node after a correction, and the next measurement's."""
         times, values = [state.time], [state.mean]
         k = self.served(state.index + 1) - 1 if self.cycle else state.index
@@ -292,7 +304,9 @@ class OutputFilter(BetweenFilter):
         ahead = self.advanced(state)
         return times, values, (ahead.time, self._found(ahead, None, None).mean)
 
-    def forecast(self, state: OutputState, t: float, kind: str | None = None) -> Estimates:
+    def forecast(
+        self, state: OutputState, t: float, kind: str | None = None, *, inputs: Any = None
+    ) -> Estimates:
         """Estimate at a time up to the next measurement; with modes, at the next one.
 
         Parameters and errors as those of `BetweenFilter.forecast`.
@@ -300,7 +314,7 @@ class OutputFilter(BetweenFilter):
         if switches(self.system):
             ahead = self.predict(state, t)
             return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
-        return super().forecast(state, t, kind)
+        return super().forecast(state, t, kind, inputs=inputs)
 
     # Whole records
 

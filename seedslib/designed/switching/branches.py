@@ -10,7 +10,7 @@ import numpy as np
 
 from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
-from seedslib.models.kinds import AnySystem, inputs_of
+from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch
 
@@ -20,19 +20,19 @@ def switch_row(system: AnySystem, i: int, linearization: Linearization) -> Calla
     switch = [branch and branch.still for branch in system.branches[i]]
     if not all(branch is None or branch.constant for branch in switch):
         found = _row_moments(switch, linearization)
-        return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
+        return lambda t, mean, cov, p=(): [[w] for w in found(t, mean, cov, p)]
 
-    def row(t, mean, cov):
+    def row(t, mean, cov, p=()):
         stays = Gaussian(mean, cov), Moments(mean, cov, cov)
-        return [[b and Weighted(b.probability(t, mean), *stays)] for b in switch]
+        return [[b and Weighted(b.probability(t, mean, p), *stays)] for b in switch]
 
     return row
 
 
 def forecast_row(system: AnySystem, i: int, linearization: Linearization) -> Callable[..., Any]:
-    """Moments of the next state in mode i: ``f(t, mean, cov)``, for each new mode, of one part."""
+    """Moments of the next state in mode i, ``f(t, mean, cov, p)``: one part for each new mode."""
     found = _row_moments(_branches(system, i), linearization)
-    return lambda t, mean, cov: [[w] for w in found(t, mean, cov)]
+    return lambda t, mean, cov, p=(): [[w] for w in found(t, mean, cov, p)]
 
 
 def _branches(system, i):
@@ -57,8 +57,8 @@ def split_row(system: AnySystem, i: int, linearization: Linearization) -> Callab
     found = _each_moments([map for row in table for map in row], linearization)
     width = len(table[0])
 
-    def row(t, mean, cov):
-        flat = found(t, mean, cov)
+    def row(t, mean, cov, p=()):
+        flat = found(t, mean, cov, p)
         return [flat[a : a + width] for a in range(0, len(flat), width)]
 
     return row
@@ -70,9 +70,11 @@ def _row_moments(branches, linearization):
         found = [branch for branch in branches if branch is not None]
         whole = plain_moments(found[0].whole, 1.0, linearization)
 
-        def row(t, mean, cov):
-            w = whole(t, mean, cov)
-            return [branch and w._replace(mass=branch.probability(t, mean)) for branch in branches]
+        def row(t, mean, cov, p=()):
+            w = whole(t, mean, cov, p)
+            return [
+                branch and w._replace(mass=branch.probability(t, mean, p)) for branch in branches
+            ]
 
         return row
     return _each_moments([branch and branch.map for branch in branches], linearization)
@@ -82,8 +84,8 @@ def _each_moments(maps, linearization):
     """Moments of several branches of one state, None where there is no branch."""
     moments = linearization.row([map for map in maps if map is not None])
 
-    def row(t, mean, cov):
-        found = iter(moments(t, mean, cov))
+    def row(t, mean, cov, p=()):
+        found = iter(moments(t, mean, cov, p))
         return [map and next(found) for map in maps]
 
     return row
@@ -102,9 +104,9 @@ def plain_moments(
     """Moments of a map that applies with a probability that does not depend on the state."""
     moments = linearization.moments(map)
 
-    def f(t, mean, cov):
-        mass = np.ones(mean.shape[1:]) if share == 1.0 else share.probability(t, mean)
-        return Weighted(mass, Gaussian(mean, cov), moments(t, mean, cov))
+    def f(t, mean, cov, p=()):
+        mass = np.ones(mean.shape[1:]) if share == 1.0 else share.probability(t, mean, p)
+        return Weighted(mass, Gaussian(mean, cov), moments(t, mean, cov, p))
 
     return f
 
@@ -118,7 +120,7 @@ def _seen_branch(system, branch, reading):
     if move.symbolic:
         with suppress(ValueError):  # none has a closed form where the noise decides
             told = reading.probability_expression
-    symbols = inputs_of(shown) if told is None else told.free_symbols
+    symbols = shown.mentions if told is None else told.free_symbols
     if any(getattr(symbol, "role", None) == "input" for symbol in symbols):
         raise ValueError("indicator: its probability depends on an input of another time")
     moving = told.has(shown.time) if told is not None else _moves(system, reading)
@@ -128,15 +130,17 @@ def _seen_branch(system, branch, reading):
         return StochasticMap.from_functions(
             move.state_size,
             move.size,
-            move.value,
+            lambda t, x, v, *p: move.value(t, x, v, p),
             move.noise,
-            weight=lambda t, x, v: (
-                move.weight(t, x, v) * reading.probability(t, move.value(t, x, v))
+            weight=lambda t, x, v, *p: (
+                move.weight(t, x, v, p) * reading.probability(t, move.value(t, x, v, p), p)
             ),
+            parameters=move.parameters,
         )
     there = dict(zip(shown.state, move.expressions, strict=True))
     weight = move.weight_expression * told.subs(there, simultaneous=True)
-    return StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
+    made = StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
+    return made.taking(move.parameters)
 
 
 def _moves(system, reading):
@@ -148,7 +152,8 @@ def _moves(system, reading):
     states = probe_points(system, 0.0, 1.0)[1:]
     try:
         with np.errstate(all="ignore"):
-            first, *others = (reading.probability(t, states) for t in times)
+            p = system.nominal_values()
+            first, *others = (reading.probability(t, states, p) for t in times)
     except Exception:
         return True
     return not all(np.array_equal(first, other, equal_nan=True) for other in others)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.designed.base import (
     DesignedFilter,
     freeze,
@@ -29,7 +30,7 @@ from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, co
 from seedslib.filters.base import Estimates, first_step
 from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import AnySystem, as_system, elapsed
+from seedslib.models.kinds import AnySystem, as_system
 
 
 class CellFit(NamedTuple):
@@ -200,18 +201,20 @@ class SwitchingFilter(DesignedFilter):
     design: Design | None = None
     cycle: int = 0
     held_out: HeldOut | Any = None
-    rules: SwitchingRules | None = None
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
         as_linearization(self.linearization)
         if self.memory is not None:
             self._check_memory()
-        if self.rules is None:
-            rules = compiled_rules(self.system, self.linearization, self.normalisation)
-            object.__setattr__(self, "rules", rules)
+        _ = self.rules  # what has no formulas is refused now
         object.__setattr__(self, "fits", tuple(self.fits))
         freeze((self.predicted, self.held_out, self.fits))
+
+    @cached_property
+    def rules(self) -> SwitchingRules:
+        """The compiled steps."""
+        return compiled_rules(self.system, self.linearization, self.normalisation)
 
     def _check_memory(self):
         require_memory(self.memory, self.system)
@@ -247,7 +250,9 @@ class SwitchingFilter(DesignedFilter):
         """State before any measurement; the filter draws nothing from `seed`."""
         return self.rules.start(tuple(batch))
 
-    def predict(self, state: SwitchingState, t: float) -> SwitchingState:
+    def predict(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> SwitchingState:
         """Forecast for time t, the next measurement time; a first state is only given it.
 
         Raises
@@ -265,8 +270,8 @@ class SwitchingFilter(DesignedFilter):
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
         interval = first_step(state, t, self.system)
-        with elapsed(self.system, state.time, t):
-            law = self.rules.predict(state.time, self.known(state))
+        p = self.system.values(inputs, t - state.time)
+        law = self.rules.predict(state.time, self.known(state), p)
         return state._replace(
             index=k,
             time=t,
@@ -287,7 +292,12 @@ class SwitchingFilter(DesignedFilter):
         return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
 
     def correct(
-        self, state: SwitchingState, y: ArrayLike, indicator: ArrayLike | None = None
+        self,
+        state: SwitchingState,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> SwitchingState:
         """Correct the forecast by a measurement and the indicator.
 
@@ -307,7 +317,8 @@ class SwitchingFilter(DesignedFilter):
         """
         want_forecast(state)
         y, seen, gap = self.admitted(y, indicator, state.law.log_prob.shape[2:], state.index)
-        found, gap = self.rules.correct(state, y, seen, self.memory), state.gap | gap
+        p, gap = self.system.values(inputs), state.gap | gap
+        found = self.rules.correct(state, y, seen, self.memory, p)
         if self.memory is None or not np.any(gap):
             return found
         law = found.law._replace(cov=nan_where(gap, found.law.cov))
@@ -318,9 +329,11 @@ class SwitchingFilter(DesignedFilter):
         cov = total_covariance(state.law)
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
-    def forecast(self, state: SwitchingState, t: float) -> Estimates:
+    def forecast(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> Estimates:
         """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
-        law = self.predict(state, t).law
+        law = self.predict(state, t, inputs=inputs).law
         parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
         mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
         prob = parts[0].sum(axis=1)
@@ -355,16 +368,15 @@ class SwitchingFilter(DesignedFilter):
         index: np.ndarray,
         y: np.ndarray,
         indicators: np.ndarray | None,
-        held: Course,
+        inputs: InputTrajectory,
     ) -> int:
         """Run over a block of records."""
         state = self.initial(y.shape[2:])
         for k, t in enumerate(times):
             shown = None if indicators is None else indicators[k]
-            with held.at(max(k - 1, 0)):
-                state = self.predict(state, t)
-            with held.at(k):
-                state = self.rules.correct(state, y[k], shown, self.memory)
+            state = self.predict(state, t, inputs=inputs.at(max(k - 1, 0)))
+            p = self.system.values(inputs.at(k))
+            state = self.rules.correct(state, y[k], shown, self.memory, p)
             rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
             rows.modes[k], rows.loglik[k] = state.mode, state.loglik
             if rows.cov is not None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.linalg import nearest_psd, variances
-from seedslib.base.values import on_paths
+from seedslib.base.values import Values, of_paths
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.switching.branches import (
     alone_moments,
@@ -100,7 +101,6 @@ class SwitchingRules:
                 f"normalisation: wanted one of {', '.join(NORMALISATIONS)}, got {normalisation!r}"
             )
         self.system = system
-        self._made_of = (system, linearization, normalisation)
         self.periods: Any = system.sensors[0].period
         # rules of points may have negative weights
         self.guarded: bool = isinstance(linearization, PointRule)
@@ -125,9 +125,6 @@ class SwitchingRules:
         if system.indicators:
             self.unseen = [plain_moments(sensor, 1.0, linearization) for sensor in system.sensors]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return compiled_rules, self._made_of
-
     def initial(self, batch: tuple[int, ...]) -> ModeLaw:
         """Law of mode and state before any measurement, one part for each mode."""
         parts, tail = self.system.initial, (1,) * len(batch)
@@ -146,12 +143,12 @@ class SwitchingRules:
         """State before any measurement."""
         return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
 
-    def predict(self, t: float, law: ModeLaw) -> ModeLaw:
+    def predict(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Forecast for the next time from the law at time t."""
         with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
-            return propagate(self.rows, t, self.switched(t, law))
+            return propagate(with_numbers(self.rows, p), t, self.switched(t, law, p))
 
-    def switched(self, t: float, law: ModeLaw) -> ModeLaw:
+    def switched(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Law after the switch at time t and before the move, which the new mode drives.
 
         The mixing of the interacting multiple model filter; the law itself where the old mode
@@ -159,11 +156,11 @@ class SwitchingRules:
         """
         if self.switch is None:
             return law
-        prob, mean, cov = propagate(self.switch, t, law)
+        prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
         cov = cov[:, :, :, 0]
         return ModeLaw(prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
-    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
+    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
         """Law given the indicator, and moments of the measurement.
 
         Parameters
@@ -173,18 +170,21 @@ class SwitchingRules:
             With parts.
         indicator : ndarray of int, shape (*batch), or None
             -1 where it is missing.
+        p : tuple
+            Numbers of the parameters.
         """
         if indicator is None:
-            return sense([row[0] for row in self.readings], t, law, self._column(law, 0))
+            readings = [row[0] for row in self.readings]
+            return sense(with_numbers(readings, p), t, law, self._column(law, 0))
         values = np.unique(indicator)
         if len(values) <= 1:
-            return self._sense(t, law, int(values[0]) if len(values) else 0)
+            return self._sense(t, law, int(values[0]) if len(values) else 0, p)
         batch, whole = indicator.shape, []
         flat = ModeLaw(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
         for j in values:
             here = np.flatnonzero(indicator.ravel() == j)
-            with on_paths(batch, here):
-                piece = self._sense(t, ModeLaw(*(part[..., here] for part in flat)), int(j))
+            law = ModeLaw(*(part[..., here] for part in flat))
+            piece = self._sense(t, law, int(j), of_paths(p, batch, here))
             parts = (*piece[:3], *piece.moments)
             whole = whole or [np.empty((*part.shape[:-1], indicator.size)) for part in parts]
             for target, part in zip(whole, parts, strict=True):
@@ -192,21 +192,22 @@ class SwitchingRules:
         found = [part.reshape(*part.shape[:-1], *batch) for part in whole]
         return Sensed(*found[:3], Moments(*found[3:]))
 
-    def _sense(self, t, law, j):
+    def _sense(self, t, law, j, p):
         if j < 0:
-            return sense(self.unseen, t, law)
+            return sense(with_numbers(self.unseen, p), t, law)
         if not any(row[j] for row in self.readings):  # a value that no mode ever shows
-            blind = sense(self.unseen, t, law)
+            blind = sense(with_numbers(self.unseen, p), t, law)
             return blind._replace(log_prob=np.full_like(blind.log_prob, -np.inf))
-        return sense([row[j] for row in self.readings], t, law, self._column(law, j))
+        readings = [row[j] for row in self.readings]
+        return sense(with_numbers(readings, p), t, law, self._column(law, j))
 
-    def _noise(self, t, sensed):
+    def _noise(self, t, sensed, p):
         """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
         readings = self.unseen or [row[0] for row in self.readings]
         still, depth = np.zeros_like(sensed.cov[:, :, 0]), sensed.log_prob.ndim - 1
         noise = np.empty_like(sensed.moments.cov)
         for i, reading in enumerate(readings):
-            cov = reading(t, sensed.mean[:, i, None], still[:, :, None]).value.cov
+            cov = reading(t, sensed.mean[:, i, None], still[:, :, None], p).value.cov
             cov = cov[:, :, 0] if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * depth)
             noise[:, :, i] = cov
         return noise
@@ -216,23 +217,28 @@ class SwitchingRules:
         return j if self.printed and law.log_prob.shape[1] > 1 else None
 
     def correct(
-        self, state: SwitchingState, y: np.ndarray, indicator: ArrayLike | None, memory: Memory
+        self,
+        state: SwitchingState,
+        y: np.ndarray,
+        indicator: ArrayLike | None,
+        memory: Memory,
+        p: Values = (),
     ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return self._corrected(state, y, indicator, memory)
+            return self._corrected(state, y, indicator, memory, p)
 
-    def _corrected(self, state, y, indicator, memory):
+    def _corrected(self, state, y, indicator, memory, p):
         raised = 0
         if self.guarded:
             cov, raised = nearest_psd(state.law.cov)
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=state.law._replace(log_prob=scaled, cov=cov))
-        sensed = self.sense(state.time, state.law, indicator)
+        sensed = self.sense(state.time, state.law, indicator, p)
         impossible = (sensed.log_prob == -np.inf).all(axis=0)
         if indicator is not None and impossible.any():  # what no mode can show says nothing
             seen = np.where(impossible, -1, indicator)
-            sensed = self.sense(state.time, state.law, seen)
+            sensed = self.sense(state.time, state.law, seen, p)
         if self.printed:
             spread, more = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=spread))
@@ -240,7 +246,7 @@ class SwitchingRules:
         elif self.guarded:
             sensed, more = _semidefinite(sensed)
             raised += more
-        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed), self.periods)
+        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
         cov, more = nearest_psd(law.cov, variances(sensed.cov))
@@ -280,6 +286,11 @@ class SwitchingRules:
 def compiled_rules(system: AnySystem, linearization: Any, normalisation: str) -> SwitchingRules:
     """Rules of a system and a linearization, the same object for the same arguments."""
     return SwitchingRules(system, linearization, normalisation)
+
+
+def with_numbers(rows: Sequence[Any], p: Values) -> list[Any]:
+    """Moment functions (t, mean, cov) of such that take the numbers of the parameters too."""
+    return [row and partial(row, p=p) for row in rows]
 
 
 def _semidefinite(sensed):

@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.conditioning import kalman_gain, update
 from seedslib.base.linalg import NEGATIVE, cholesky, nearest_psd, solve_psd, symmetrized
+from seedslib.base.values import Values
 from seedslib.designed.switching.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.switching.rules import SwitchingState
 from seedslib.filters.base import Estimates
@@ -49,27 +50,32 @@ class SwitchingSmoother(Smoother):
         return state.law
 
     def back(
-        self, state: SwitchingState, part: ModeLaw, link: Any, indicator: MaybeArray = None
+        self,
+        state: SwitchingState,
+        part: ModeLaw,
+        link: Any,
+        p: Values,
+        indicator: MaybeArray = None,
     ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
         switch = rules.switch
         if switch is None:
-            return self._back(rules.rows, t, law, indicator, part)
+            return self._back(rules.rows, t, law, indicator, part, p)
         # the new mode drives the step: a switch of a state that stands still, and then a move
-        part = self._back(rules.rows, t, rules.switched(t, law), indicator, part)
-        return self._back(switch, t, law, None, part)
+        part = self._back(rules.rows, t, rules.switched(t, law, p), indicator, part, p)
+        return self._back(switch, t, law, None, part, p)
 
     def report(self, part: ModeLaw) -> Estimates:
         """Mean, covariance over all modes, and the modes with their probabilities."""
         modes, mean = decide(part)
         return Estimates(mean, total_covariance(part), part.prob, modes=modes)
 
-    def _back(self, rows, t, law, indicator, part):
+    def _back(self, rows, t, law, indicator, part, p):
         """Smoothed law of mode and state before the moves in `rows`, from that after them."""
         smoothed: list[list] = [[] for _ in rows]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            made = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+            made = [row(t, law.mean[:, i], law.cov[:, :, i], p) for i, row in enumerate(rows)]
             for l in range(len(rows)):
                 pairs = [
                     (i, value, moments)
@@ -86,18 +92,18 @@ class SwitchingSmoother(Smoother):
                     possible = (fits & (log_prob > -np.inf)).any(axis=0)
                     log_prob = np.where(fits | ~possible, log_prob, -np.inf)
                 both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
-                mean, cov = (np.stack(p, axis=-2) for p in zip(*both, strict=True))
+                mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
                 if self.filter.rules.guarded:
                     cov = nearest_psd(cov)[0]
-                later = ModeLaw(*(p[..., l, :] for p in part))
+                later = ModeLaw(*(one[..., l, :] for one in part))
                 found = _corrected(log_prob, mean, cov, later)
                 for k, (i, *_) in enumerate(pairs):
-                    smoothed[i].append([p[..., k, :] for p in found])
+                    smoothed[i].append([one[..., k, :] for one in found])
             merged = [
-                mix_logs(*(np.stack(p, axis=-2) for p in zip(*each, strict=True)))
+                mix_logs(*(np.stack(parts, axis=-2) for parts in zip(*each, strict=True)))
                 for each in smoothed
             ]
-        log_prob, mean, cov = (np.stack(p, axis=-2) for p in zip(*merged, strict=True))
+        log_prob, mean, cov = (np.stack(parts, axis=-2) for parts in zip(*merged, strict=True))
         return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
 
 
