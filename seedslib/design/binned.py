@@ -14,10 +14,9 @@ from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
 from seedslib.design.carriers import prediction_of
 from seedslib.design.held_out import with_held_out
+from seedslib.designed.accuracy import Design
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.output_filter import OutputFilter
-from seedslib.designed.prediction import Design
-from seedslib.designed.tables import Output, Step, arguments, step_axes
+from seedslib.designed.tables import Output, OutputFilter, Step, arguments, step_axes
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
 

@@ -17,8 +17,8 @@ from seedslib.base.tables import mesh
 from seedslib.design.held_out import with_held_out
 from seedslib.design.kernels import histogram_table, likelihood_table
 from seedslib.design.regression import root_mean_squares, scatter
+from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Table, arguments, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
@@ -191,7 +191,7 @@ class Carriers:
         for which in range(len(self.sets)):
             lesson = self._lesson(which)
             points, batch = lesson.points(self.system), lesson.states.shape[1:]
-            found = function(points).filling(batch)
+            found = function(points).on(batch)
             if which == examiner:
                 error = lesson.states[: self.components] - found.mean
                 self.scores.append((float(self.times[k]), error**2))

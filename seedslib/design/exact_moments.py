@@ -13,9 +13,9 @@ from seedslib.base.correction import correct
 from seedslib.base.semidefinite import LOST
 from seedslib.base.values import Course
 from seedslib.design.regression import ROUNDING, regress
+from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
-from seedslib.designed.prediction import Design, Prediction
 from seedslib.linearization.moments import Moments
 from seedslib.models.kinds import AnySystem
 from seedslib.models.propagation import integrated, stepped

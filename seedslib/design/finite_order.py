@@ -23,9 +23,9 @@ from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
 from seedslib.design.paths import Walk, crew, require_range
 from seedslib.design.regression import coefficients_of
+from seedslib.designed.accuracy import Design
 from seedslib.designed.finite_order import FiniteOrderFilter, Rules
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches

@@ -22,10 +22,11 @@ from seedslib.base.semidefinite import lower_triangle
 from seedslib.base.values import Course
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
-from seedslib.designed.finite_order import FiniteOrderState, Start
+from seedslib.designed.accuracy import Prediction
+from seedslib.designed.arrivals import ClassFits
+from seedslib.designed.base import FilterState
+from seedslib.designed.finite_order import Start
 from seedslib.designed.memory import Past
-from seedslib.designed.patterns import PatternFit
-from seedslib.designed.prediction import Prediction
 from seedslib.designed.predictors import Affine
 from seedslib.linearization.moments import Moments, symmetric
 from seedslib.models.simulation import ARRIVALS
@@ -107,10 +108,10 @@ class ForwardPass:
 
         def initial(y):
             prior = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
-            return FiniteOrderState(0, prior, start.cov, Past(), 0.0, None, False)
+            return FilterState(0, prior, start.cov, loglik=0.0)
 
         def correct(rules, state, y):
-            return rules.first(state, t, y, start, spread=False)
+            return rules.first(state, t, y, start, covariance=False)
 
         self.start = start
         self._correct(0, t, y, [walk.each(initial, y)], correct)
@@ -128,7 +129,7 @@ class ForwardPass:
         """One fit of those of the classes."""
         if self.one_class:
             return fits[0]
-        return PatternFit.of(table, covs_before, self.histories.prob, fits)
+        return ClassFits.of(table, covs_before, self.histories.prob, fits)
 
     def _nodes(self, k, t, nodes):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
@@ -172,7 +173,7 @@ class ForwardPass:
             return state._replace(index=k, mean=mean, cov=cov, corrected=False)
 
         def correct(rules, state, y):
-            return rules.correct(state, t, y, spread=False)
+            return rules.correct(state, t, y, covariance=False)
 
         forecasts = [
             walk.each(partial(forecast, fit=fit), *pair)

@@ -17,10 +17,9 @@ from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, seen
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter, Start
 from seedslib.designed.memory import Memory
-from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Affine
-from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.tables import Output, Step, Table, prior, recalled
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.tables import Output, OutputFilter, Step, Table, TableFilter, prior, recalled
 from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.models.kinds import AnySystem, in_steps
 

@@ -14,7 +14,7 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.design.paths import LARGEST
 from seedslib.design.regression import DOMINATED
-from seedslib.designed.prediction import HeldOut
+from seedslib.designed.accuracy import HeldOut
 from seedslib.evaluation import evaluate
 
 SHARE, LEAST = 8, 512

@@ -15,8 +15,8 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
+from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains import chain_of

@@ -22,8 +22,6 @@ from seedslib.designed.minimax import (
     Minimax,
     MinimaxFilter,
     MinimaxFit,
-    basics_of,
-    output_functions,
 )
 from seedslib.designed.predictors import AffineFit, Polynomial
 from seedslib.models.discrete import DiscreteSystem
@@ -92,9 +90,9 @@ def minimax_synthesis(
     method, fits = Minimax(prediction, correction), []
     carriers = Carriers(system, memory, times, None, paths, sets, 0, seed, workers)
     for k in followed(range(len(carriers.times)), "regressions"):
-        basics = basics_of(system, memory, method, carriers.times, k)
+        basics = Basics.of(system, memory, method, carriers.times, k)
         fits.append(_fitted(basics, carriers.lesson()))
-        carriers.take(output_functions(basics, fits[-1]).shown)
+        carriers.take(basics.functions(fits[-1]).update)
     return carriers.examined(
         MinimaxFilter(
             system=system,

@@ -10,8 +10,8 @@ import numpy as np
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
 from seedslib.design.carriers import prediction_of
+from seedslib.designed.accuracy import HeldOut
 from seedslib.designed.base import DesignedFilter
-from seedslib.designed.prediction import HeldOut
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation

@@ -20,17 +20,17 @@ from seedslib.base.values import Inputs
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Crew, Walk, crew
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
-from seedslib.designed.base import warn_of_mended
+from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.base import warn_of_repairs
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design, Prediction
-from seedslib.designed.switching.filter import (
+from seedslib.designed.rules import compiled_rules
+from seedslib.designed.switching import (
     CellFit,
     SwitchingFilter,
     cell_count,
     cell_number,
     require_memory,
 )
-from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid, course_of, elapsed
 from seedslib.models.switching import SwitchingSystem
@@ -238,7 +238,7 @@ def synthesize_switching(
                 f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
                 stacklevel=outside(),
             )
-        warn_of_mended(mended)
+        warn_of_repairs(mended)
         rms, error, rate, rate_error = (np.array(part) for part in zip(*scores, strict=True))
         designed = SwitchingFilter(
             system,
@@ -291,7 +291,7 @@ def _pass(walk, system, memory, rules, times, inputs):
         fit, more_thin, more_mended = fit_cells(scatters, n, count)
         fits.append(fit)
         thin, pairs, mended = thin + more_thin, pairs + cells * system.modes, mended + more_mended
-    mended += sum(state.mended for state in states)
+    mended += sum(state.repaired for state in states)
     return fits, scores, thin, pairs, mended
 
 

@@ -14,8 +14,7 @@ from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.carriers import Carriers, counted, likely, sensors_of
 from seedslib.design.kernels import METHODS
 from seedslib.designed.memory import Memory
-from seedslib.designed.output_filter import OutputFilter, TableFilter
-from seedslib.designed.tables import Step, Table, prior, step_axes
+from seedslib.designed.tables import OutputFilter, Step, Table, TableFilter, prior, step_axes
 from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
 LARGEST_TABLE = 1 << 25
@@ -238,5 +237,5 @@ def _read(function, axes) -> Table:
     """A function at the nodes of the axes."""
     points = mesh(axes)
     parts = [points[:, a : a + BLOCK] for a in range(0, points.shape[1], BLOCK)]
-    values = [function([*part]).filling(part.shape[1:]).mean for part in parts]
+    values = [function([*part]).on(part.shape[1:]).mean for part in parts]
     return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))

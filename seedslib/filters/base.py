@@ -320,7 +320,8 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
     mean, cov, prob, loglik, _, modes = columns
     # what is no number once is none at the end, or on the way back at the beginning
     lost = lost | ~np.isfinite(mean).all(axis=(0, 1))
-    lost = lost | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if cov is not None:
+        lost = lost | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
     if loglik is not None:
         lost = lost | (loglik == -np.inf).any(axis=0)
     return Estimates(mean, cov, prob, loglik, np.asarray(lost), modes)

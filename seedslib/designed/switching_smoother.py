@@ -1,0 +1,125 @@
+"""Smoothing of mode and state: the step back of a switching filter without a memory."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.correction import correct
+from seedslib.base.semidefinite import mended
+from seedslib.designed.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
+from seedslib.designed.rules import SwitchingState
+from seedslib.filters.base import Estimates
+from seedslib.filters.covariance import gain_of
+from seedslib.filters.smoothing import Smoother, stepped_back
+from seedslib.filters.weights import logarithm, normalised
+
+
+class SwitchingSmoother(Smoother):
+    """Smoothed distributions in all modes, by interacting steps back.
+
+    Given the later mode and state, the earlier ones do not depend on later measurements. Within
+    each later mode the filter knows the forecast as a mixture over the earlier modes, each with a
+    joint Gaussian of both states. The later measurements act in that mode as *one Gaussian
+    likelihood* of the later state, the one that turns its forecast into its smoothed
+    distribution, both with matched moments. Every pair of modes is corrected by it and weighted
+    by it, takes a step of Rauch, Tung and Striebel back, and the pairs of an earlier mode are
+    merged with matched moments. Where a smoothed distribution is wider than its forecast, which no
+    Gaussian likelihood makes, the excess is added to the pairs.
+
+    Two things are neglected: that the likelihood is a mixture itself, over the modes still to
+    come, and that the distribution within a mode is one. It is exact with one mode, with modes
+    that move and measure alike, with modes that never switch, and where no measurement follows;
+    all for linear dynamics.
+
+    Parameters
+    ----------
+    filter : SwitchingFilter
+        Without a memory.
+    """
+
+    def last(self, state: SwitchingState) -> ModeLaw:
+        """See `Smoother.last`."""
+        return state.law
+
+    def back(
+        self, state: SwitchingState, part: ModeLaw, link: Any, indicator: MaybeArray = None
+    ) -> ModeLaw:
+        """See `Smoother.back`."""
+        rules, t, law = self.filter.rules, state.time, state.law
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            if rules.switch is None:
+                return _back(rules, rules.rows, t, law, part, indicator)
+            # the new mode drives the step: a switch of a state that does not move, then a move
+            part = _back(rules, rules.rows, t, rules.switched(t, law), part, indicator)
+            return _back(rules, rules.switch, t, law, part, None)
+
+    def report(self, part: ModeLaw) -> Estimates:
+        """Mean, covariance over all modes, and the modes with their probabilities."""
+        modes, mean = decide(part)
+        return Estimates(mean, total_covariance(part), part.prob, modes=modes)
+
+
+def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
+    """Smoothed mode and state before the moves in `rows`, from those after them."""
+    smoothed: list[list] = [[] for _ in rows]
+    moments = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+    for l in range(len(rows)):
+        pairs = [
+            (i, value, weighted)
+            for i, row in enumerate(moments)
+            for value, weighted in enumerate(row[l])
+            if weighted is not None
+        ]
+        if not pairs:
+            continue
+        log_prob = np.stack([law.log_prob[i] + logarithm(w.mass) for i, _, w in pairs])
+        if rules.split and indicator is not None:
+            # a part of the forecast goes with one value of the indicator
+            fits = np.stack([(indicator < 0) | (indicator == j) for _, j, _ in pairs])
+            possible = (fits & (log_prob > -np.inf)).any(axis=0)
+            log_prob = np.where(fits | ~possible, log_prob, -np.inf)
+        both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
+        mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
+        cov = mended(cov)[0] if rules.guarded else cov
+        result = _corrected(log_prob, mean, cov, ModeLaw(*(p[..., l, :] for p in later)))
+        for k, (i, *_) in enumerate(pairs):
+            smoothed[i].append([part[..., k, :] for part in result])
+    merged = [
+        mix_logs(*(np.stack(part, axis=-2) for part in zip(*pairs, strict=True)))
+        for pairs in smoothed
+    ]
+    return ModeLaw(*(np.stack(part, axis=-2) for part in zip(*merged, strict=True)))
+
+
+def _corrected(log_prob, both, joint, later):
+    """Pairs of one later mode, whose smoothed distribution is known: weights and moments before it.
+
+    With D = S - P, the loss of covariance from the forecast N(m, S) to the smoothed N(m', P), the
+    later measurements are those of D S⁻¹ (x - m) and noise, which together have the covariance D
+    over the forecast, and the value m' - m.
+    """
+    n = len(later.mean)
+    mean, cov = both[n:], joint[n:, n:]
+    _, centre, total = mix_logs(log_prob, mean, cov)
+    loss, _ = mended(total - later.cov, np.einsum("ii...->i...", total))
+    slope = gain_of(loss, total)[:, :, None]
+    expected = np.einsum("ij...,j...->i...", slope, mean - centre[:, None])
+    cross = np.einsum("ij...,kj...->ik...", cov, slope)
+    change = np.einsum("ij...,jk...,lk...->il...", slope, cov - total[:, :, None], slope)
+    moments = expected, cross, loss[:, :, None] + change
+    updated, less, loglik = correct(mean, cov, (later.mean - centre)[:, None], moments)
+    less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
+    columns, before = stepped_back(
+        both[:n, ..., None],
+        joint[:n, :n],
+        mean[..., None],
+        cov,
+        gain_of(joint[:n, n:], cov),
+        updated[..., None],
+        less,
+    )
+    share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
+    return later.log_prob + share, columns[..., 0], before
