@@ -293,8 +293,8 @@ class FiniteOrderFilter(DesignedFilter):
             u = (interval or self.interval(state, with_before=False)).values[-1]
         mean, cov = fit_of(self.fits[self.served(k) - 1], state.history).forecast(u)
         before = state._replace(before=None)
-        return state._replace(
-            index=k, mean=mean, cov=cov, loglik=0.0, before=before, corrected=False
+        return FilterState(
+            k, mean, cov, state.past, 0.0, before=before, gap=state.gap, history=state.history
         )
 
     def corrected_state(
