@@ -11,7 +11,7 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.base.correction import correct as correct
+    from seedslib.base.conditioning import update as update
     from seedslib.base.parameters import ELAPSED as ELAPSED
     from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter

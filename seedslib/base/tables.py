@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_bound, as_count, as_real, as_shape, require_shape
+from seedslib.base.checks import as_count, as_real
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,7 @@ class Nodes:
         gaps = np.diff(nodes, prepend=nodes[0], append=nodes[-1])
         weights = 0.5 * (gaps[1:] + gaps[:-1])
         if self.weights is not None:
-            weights = as_shape("weights", as_real("weights", self.weights), nodes.shape)
+            weights = as_real("weights", as_real("weights", self.weights), nodes.shape)
         if not (weights > 0).all():
             raise ValueError(f"weights: wanted positive numbers, got {weights.min():g}")
         vars(self).update(nodes=nodes, weights=weights)
@@ -313,8 +313,8 @@ def interpolate(
     TypeError, ValueError
         No numbers, or other shapes.
     """
-    table, axes = as_bound("table", table), tuple(axes)
-    require_shape("table", table, (-1, *(axis.count for axis in axes)))
+    axes = tuple(axes)
+    table = as_real("table", table, (-1, *(axis.count for axis in axes)), infinite=True)
     if not len(table):
         raise ValueError("table: wanted at least one, got none")
     given = [as_real(f"points[{k}]", point) for k, point in enumerate(points)]

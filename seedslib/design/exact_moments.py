@@ -8,10 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.checks import outside
-from seedslib.base.correction import correct
-from seedslib.base.semidefinite import LOST
+from seedslib.base.conditioning import kalman_gain
 from seedslib.base.values import Course
-from seedslib.design.regression import ROUNDING, regress
+from seedslib.design.regression import LOST, ROUNDING, regress
 from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.finite_order import Rules, Start
 from seedslib.designed.memory import Past
@@ -239,12 +238,9 @@ class _Joint:
 
 
 def _gain(moments, rows, observed):
-    """Gain of the correction in the observed components, by correcting zero by unit innovations."""
-    m = len(moments.cov)
-    gain, columns = np.zeros((rows, m)), np.flatnonzero(observed)
-    if columns.size:
-        cov = moments.cov[np.ix_(columns, columns)]
-        unit = Moments(np.zeros((len(columns), 1)), moments.cross[:, columns], cov)
-        zero, units = np.zeros((len(moments.cross), len(columns))), np.eye(len(columns))
-        gain[:, columns] = correct(zero, None, units, unit, rows)[0]
+    """Gain of the leading rows of the state; zero of a component that is not measured."""
+    gain = np.zeros((rows, len(moments.cov)))
+    if observed.any():
+        cov = moments.cov[np.ix_(observed, observed)]
+        gain[:, observed] = kalman_gain(moments.cross[:rows, observed], cov)
     return gain

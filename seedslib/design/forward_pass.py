@@ -18,8 +18,8 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.semidefinite import lower_triangle
 from seedslib.base.values import Course
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths import PathSimulator
@@ -30,7 +30,7 @@ from seedslib.designed.base import FilterState
 from seedslib.designed.finite_order import Rules, Start
 from seedslib.designed.memory import Past
 from seedslib.designed.predictors import Affine, Continuous, Fit, Polynomial
-from seedslib.linearization.moments import Moments, symmetric
+from seedslib.linearization.moments import Moments
 from seedslib.models.simulation import ARRIVALS
 
 _estimate = attrgetter("mean")

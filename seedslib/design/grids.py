@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
 from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, likelihood_of
 from seedslib.design.regression import regress
@@ -320,7 +320,7 @@ def corrected(law: JointLaw, mean: np.ndarray, cov: np.ndarray, moments: Moments
     # an axis for measurements before the one for cells, where there is that
     cross, cov = (a if a.ndim == 2 else np.expand_dims(a, 2) for a in moments[1:])
     moments = Moments(moments.mean[:, None], cross, cov)
-    return correct(mean[:, None], None, law.y_grid[:, :, None], moments)[0]
+    return update(mean[:, None], None, law.y_grid[:, :, None], moments)[0]
 
 
 def grid_risk(

@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
+from seedslib.base.linalg import NEGATIVE
 from seedslib.base.progress import followed
-from seedslib.base.semidefinite import NEGATIVE
 from seedslib.base.values import Course, Inputs
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor

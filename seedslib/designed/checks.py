@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.checks import require_shape
-from seedslib.base.semidefinite import INDEFINITE
+from seedslib.base.linalg import INDEFINITE
 
 
 def check_array(name: str, array: Any, *shape: int | None, finite: bool = True) -> None:

@@ -13,7 +13,8 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
+from seedslib.base.linalg import symmetric
 from seedslib.base.objects import by_fields
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
 from seedslib.designed.arrivals import ClassFits, fit_of, transitions, uncertain, with_history
@@ -28,7 +29,7 @@ from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.checks import check_covariances, check_fields
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
-from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
 
@@ -108,12 +109,12 @@ class Rules:
 
     def _corrected(self, state, t, y, moments, covariance, mean):
         y = nearest(y, moments.mean, self.periods)
-        estimate, cov, loglik = correct(
-            state.mean,
-            state.cov if covariance else None,
+        n = self.components
+        estimate, cov, loglik = update(
+            state.mean[:n],
+            state.cov[:n, :n] if covariance else None,
             y,
-            moments,
-            rows=self.components,
+            moments._replace(cross=moments.cross[:n]),
             noise=lambda: self.sensor(t, mean, np.zeros_like(state.cov)).cov,
         )
         # a missing measurement is remembered as what was expected

@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import align
 from seedslib.base.circle import Periods
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.filters.weights import logarithm, mix, most_probable, normalised, relative
 from seedslib.linearization.moments import Moments, Weighted
 
@@ -101,14 +102,14 @@ def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> Mod
         sources = [(i, moments[i][l][g]) for i in range(modes) if moments[i][l][g] is not None]
         if not sources:
             log_prob[l, g], mean[:, l, g] = -np.inf, 0.0
-            cov[:, :, l, g] = _aligned(np.eye(n), 2, len(batch))
+            cov[:, :, l, g] = align(np.eye(n), 2, len(batch))
             continue
         mass = np.empty((len(sources), *batch))
         means, covs = np.empty((n, *mass.shape)), np.empty((n, n, *mass.shape))
         for p, (i, source) in enumerate(sources):
             mass[p] = weight[i] * source.mass
-            means[:, p] = _aligned(source.value.mean, 1, len(batch))
-            covs[:, :, p] = _aligned(source.value.cov, 2, len(batch))
+            means[:, p] = align(source.value.mean, 1, len(batch))
+            covs[:, :, p] = align(source.value.cov, 2, len(batch))
         if len(sources) == 1 and (mass > 0).all():
             total, mean[:, l, g], cov[:, :, l, g] = mass[0], means[:, 0], covs[:, :, 0]
         else:
@@ -166,7 +167,7 @@ def sense(
     size = len(next(iter(joint.values()))[0])
     mean = np.zeros((size, modes, *batch))
     cov = np.empty((size, size, modes, *batch))
-    cov[...] = _aligned(np.eye(size), 2, 1 + len(batch))
+    cov[...] = align(np.eye(size), 2, 1 + len(batch))
     for i, (one, its_cov) in joint.items():
         mean[:, i], cov[:, :, i] = one, its_cov
     moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
@@ -179,10 +180,10 @@ def joined(moments: Weighted, batch: tuple[int, ...]) -> tuple[np.ndarray, np.nd
     n, depth = len(state.mean), len(batch)
     size = n + len(value.mean)
     mean, cov = np.empty((size, *batch)), np.empty((size, size, *batch))
-    mean[:n], mean[n:] = _aligned(state.mean, 1, depth), _aligned(value.mean, 1, depth)
-    cross = _aligned(value.cross, 2, depth)
-    cov[:n, :n], cov[:n, n:] = _aligned(state.cov, 2, depth), cross
-    cov[n:, :n], cov[n:, n:] = np.swapaxes(cross, 0, 1), _aligned(value.cov, 2, depth)
+    mean[:n], mean[n:] = align(state.mean, 1, depth), align(value.mean, 1, depth)
+    cross = align(value.cross, 2, depth)
+    cov[:n, :n], cov[:n, n:] = align(state.cov, 2, depth), cross
+    cov[n:, :n], cov[n:, n:] = np.swapaxes(cross, 0, 1), align(value.cov, 2, depth)
     return mean, cov
 
 
@@ -208,7 +209,7 @@ def _printed(logs, both, covs, part, column):
     mean = np.concatenate([x, mu])
     cov = second - mean[:, None] * mean[None, :]
     cov[:n, :n] = part.cov[:, :, column]
-    unit = _aligned(np.eye(len(mean)), 2, q.ndim)
+    unit = align(np.eye(len(mean)), 2, q.ndim)
     return q, np.where(possible, mean, 0.0), np.where(possible, cov, unit)
 
 
@@ -226,7 +227,7 @@ def weigh(
     y : ndarray, shape (m, *batch)
         NaN components are left out exactly.
     noise : callable, optional
-        ``noise() -> (m, m, L, *batch)``, see `correct`.
+        ``noise() -> (m, m, L, *batch)``, see `update`.
     periods : tuple
         Components of y on a circle, see `as_periods`.
 
@@ -237,7 +238,7 @@ def weigh(
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    mean, cov, mode_loglik = correct(
+    mean, cov, mode_loglik = update(
         sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise, periods=periods
     )
     score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + mode_loglik, -np.inf)
@@ -257,9 +258,3 @@ def decide(law: ModeLaw) -> tuple[np.ndarray, np.ndarray]:
 def total_covariance(law: ModeLaw) -> np.ndarray:
     """Covariance of the state over all modes, (n, n, *batch)."""
     return mix(law.prob, law.mean, law.cov).cov if len(law.log_prob) > 1 else law.cov[:, :, 0]
-
-
-def _aligned(part: np.ndarray, core: int, depth: int) -> np.ndarray:
-    """The same array with `depth` batch axes of length one where it has none."""
-    part = np.asarray(part)
-    return part if part.ndim > core else part.reshape(*part.shape, *(1,) * depth)

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 
 from seedslib.base.checks import as_count
+from seedslib.base.linalg import symmetric
 from seedslib.designed.checks import check_fields
-from seedslib.linearization.moments import symmetric
 
 CLIP = 3.5
 """Standardised memory components are cut to this range before they are raised to powers."""

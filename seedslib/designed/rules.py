@@ -11,7 +11,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.circle import Periods
-from seedslib.base.semidefinite import mended
+from seedslib.base.linalg import nearest_psd, variances
 from seedslib.base.values import on_paths
 from seedslib.designed.branches import (
     MomentFunction,
@@ -194,7 +194,7 @@ class SwitchingRules:
             return law
         log_prob, mean, cov = propagate(self.switch, t, law)
         cov = cov[:, :, :, 0]
-        return ModeLaw(log_prob[:, 0], mean[:, :, 0], mended(cov)[0] if self.guarded else cov)
+        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
         """Mode and state given the indicator, and moments of the measurement.
@@ -256,7 +256,7 @@ class SwitchingRules:
         """State after a measurement y (m, *batch) and an indicator."""
         repaired = state.repaired
         if self.guarded:
-            cov, count = mended(state.law.cov)
+            cov, count = nearest_psd(state.law.cov)
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=ModeLaw(scaled, state.law.mean, cov))
             repaired += count
@@ -266,7 +266,7 @@ class SwitchingRules:
             possible = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, state.law, possible)
         if self.printed:
-            cov, count = mended(sensed.moments.cov)
+            cov, count = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=cov))
             repaired += count
         elif self.guarded:
@@ -275,7 +275,7 @@ class SwitchingRules:
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, count = mended(law.cov, np.einsum("ii...->i...", sensed.cov))
+        cov, count = nearest_psd(law.cov, variances(sensed.cov))
         law = law._replace(cov=cov)
         mode, mean = decide(law)
         past = state.past
@@ -320,7 +320,7 @@ def _semidefinite(sensed):
     n, (mean, cross, cov) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), cov], axis=1)
-    joint, repaired = mended(np.concatenate([upper, lower]))
+    joint, repaired = nearest_psd(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
     return sensed._replace(cov=joint[:n, :n], moments=moments), repaired
 

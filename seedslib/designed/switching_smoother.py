@@ -7,13 +7,12 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.correction import correct
-from seedslib.base.semidefinite import mended
+from seedslib.base.conditioning import kalman_gain, update
+from seedslib.base.linalg import nearest_psd, variances
 from seedslib.designed.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.rules import SwitchingState
 from seedslib.filters.base import Estimates
-from seedslib.filters.covariance import gain_of
-from seedslib.filters.smoothing import Smoother, stepped_back
+from seedslib.filters.smoothing import Smoother, rts_step
 from seedslib.filters.weights import logarithm, normalised
 
 
@@ -83,7 +82,7 @@ def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
             log_prob = np.where(fits | ~possible, log_prob, -np.inf)
         both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
         mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
-        cov = mended(cov)[0] if rules.guarded else cov
+        cov = nearest_psd(cov)[0] if rules.guarded else cov
         result = _corrected(log_prob, mean, cov, ModeLaw(*(p[..., l, :] for p in later)))
         for k, (i, *_) in enumerate(pairs):
             smoothed[i].append([part[..., k, :] for part in result])
@@ -91,7 +90,8 @@ def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
         mix_logs(*(np.stack(part, axis=-2) for part in zip(*pairs, strict=True)))
         for pairs in smoothed
     ]
-    return ModeLaw(*(np.stack(part, axis=-2) for part in zip(*merged, strict=True)))
+    log_prob, mean, cov = (np.stack(part, axis=-2) for part in zip(*merged, strict=True))
+    return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
 
 
 def _corrected(log_prob, both, joint, later):
@@ -104,22 +104,22 @@ def _corrected(log_prob, both, joint, later):
     n = len(later.mean)
     mean, cov = both[n:], joint[n:, n:]
     _, centre, total = mix_logs(log_prob, mean, cov)
-    loss, _ = mended(total - later.cov, np.einsum("ii...->i...", total))
-    slope = gain_of(loss, total)[:, :, None]
+    loss, _ = nearest_psd(total - later.cov, variances(total))
+    slope = kalman_gain(loss, total)[:, :, None]
     expected = np.einsum("ij...,j...->i...", slope, mean - centre[:, None])
     cross = np.einsum("ij...,kj...->ik...", cov, slope)
     change = np.einsum("ij...,jk...,lk...->il...", slope, cov - total[:, :, None], slope)
     moments = expected, cross, loss[:, :, None] + change
-    updated, less, loglik = correct(mean, cov, (later.mean - centre)[:, None], moments)
+    updated, less, loglik = update(mean, cov, (later.mean - centre)[:, None], moments)
     less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
-    columns, before = stepped_back(
-        both[:n, ..., None],
+    columns, before = rts_step(
+        both[:n, None],
         joint[:n, :n],
-        mean[..., None],
+        mean[:, None],
         cov,
-        gain_of(joint[:n, n:], cov),
-        updated[..., None],
+        kalman_gain(joint[:n, n:], cov),
+        updated[:, None],
         less,
     )
     share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
-    return later.log_prob + share, columns[..., 0], before
+    return later.log_prob + share, columns[:, 0], before

@@ -23,7 +23,7 @@ from seedslib.base.checks import as_count, as_times
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import Clock
 from seedslib.base.values import Course, Inputs, as_course
-from seedslib.evaluation.consistency import innovation_squares, mahalanobis
+from seedslib.evaluation.consistency import error_squares, innovation_squares
 from seedslib.evaluation.results import Comparison, Evaluation, named, roots
 from seedslib.models.kinds import KINDS, AnySystem, as_system, inputs_of
 from seedslib.models.simulation import as_measured
@@ -281,7 +281,7 @@ class _Scoring:
         if self.consistency:
             run["nis_ratio"] = self._innovations(filter, data, Course(told.get("inputs", {})))
             if estimates.cov is not None:
-                run["nees_ratio"] = mahalanobis(error, estimates.cov[:, :n, :n]), n
+                run["nees_ratio"] = error_squares(error, estimates.cov[:, :n, :n]), n
                 with np.errstate(invalid="ignore"):
                     width = (estimates.interval()[1] - estimates.mean)[:, :n]
                     covered = np.where(np.isnan(width), np.nan, np.abs(error) <= width)

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole, require_shape
+from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
 from seedslib.base.objects import Shown
 from seedslib.base.values import Course, Inputs, on_paths
@@ -142,9 +142,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = as_real("measurements", measurements, nan=True)
-    require_shape("measurements", record, (count, size, *record.shape[2:]))
-    return record
+    return as_real("measurements", measurements, (count, size, ...), nan=True)
 
 
 def stays(state: object, t: float) -> bool:
@@ -354,7 +352,7 @@ def _on_batch(part: Any, core: int, batch: tuple[int, ...]) -> np.ndarray:
 class Filter(Shown):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
+    A filter writes ``initial(batch=(), seed=None)``, ``propagate(state, t)``, or the whole of
     ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
     system has modes, and `report` where its states do not say by themselves what is estimated.
     States are frozen, so every verb gives a new one. Whole records are run here, many at once.
@@ -404,10 +402,10 @@ class Filter(Shown):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
         with elapsed(self.system, state.time, t):
-            moved = self.moved(state, float(t), *modes)
+            moved = self.propagate(state, float(t), *modes)
         return moved._replace(time=float(t), interval=interval)
 
-    def moved(self, state: State, t: float) -> State:
+    def propagate(self, state: State, t: float) -> State:
         """What `predict` makes of a state, but for its time."""
         raise NotImplementedError
 

@@ -113,7 +113,7 @@ class GridBayesFilter(Filter):
         none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
         return GridState(None, log_prob, law, *self._moments(log_prob, law), none, clean)
 
-    def moved(self, state: GridState, t: float) -> GridState:
+    def propagate(self, state: GridState, t: float) -> GridState:
         """The law one step of the system later."""
         shape, move = state.law.shape, self.chain.transition(state.time, t)
         weight, highest, _ = relative(state.log_prob, 0)

@@ -10,9 +10,8 @@ from numpy.typing import ArrayLike
 from seedslib.base.objects import Remade
 from seedslib.base.values import on_paths
 from seedslib.filters.base import Estimates, Filter, as_modes, as_seen
-from seedslib.filters.covariance import update
+from seedslib.filters.covariance import SensorUpdate
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system
 
 
@@ -67,8 +66,7 @@ class KnownModeFilter(Filter, Remade):
             [self._move(i, l, branch) for l, branch in enumerate(row)]
             for i, row in enumerate(system.branches)
         ]
-        self._by_points = isinstance(linearization, PointRule)
-        self._sensors = [linearization.moments(map) for map in system.sensors]
+        self._sensors = [SensorUpdate(map, linearization) for map in system.sensors]
         self._readings = [
             [None if b is None or b.constant else linearization.weighted(b.map) for b in row]
             for row in system.readings
@@ -99,7 +97,7 @@ class KnownModeFilter(Filter, Remade):
         cov = np.stack([part.cov for part in self.system.initial], axis=2)[:, :, mode]
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
-    def moved(
+    def propagate(
         self, state: KnownModeState, t: float, mode: ArrayLike | None = None
     ) -> KnownModeState:
         """The law one step of the system later, where the mode is `mode` (*batch).
@@ -141,7 +139,6 @@ class KnownModeFilter(Filter, Remade):
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
         for i, row in enumerate(self._readings):
-            sensor, periods = self._sensors[i], self.system.sensors[i].period
             for j, reading in ((-1, None), *enumerate(row)):
                 here = (state.mode == i) & (shown == j if shown is not None else j < 0)
                 if not here.any():
@@ -151,8 +148,7 @@ class KnownModeFilter(Filter, Remade):
                     moments = None
                     if reading is not None:
                         _, prior, moments = reading(state.time, *prior)
-                    known = sensor, state.time, *prior, y[:, here], periods, moments
-                    *law, loglik[here] = update(*known, by_points=self._by_points)
+                    *law, loglik[here] = self._sensors[i](state.time, *prior, y[:, here], moments)
                 _put(mean, cov, here, law)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 

@@ -97,7 +97,7 @@ class ParticleFilter(Filter):
             None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
         )
 
-    def moved(self, state: ParticleState, t: float) -> ParticleState:
+    def propagate(self, state: ParticleState, t: float) -> ParticleState:
         """The particles at time t."""
         rng = stream(state.seed, state.draws)
         x = self._moving.advance(state.particles, state.time, t, rng, **self.options)

@@ -7,13 +7,13 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import Count
+from seedslib.base.arrays import Count, align
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
 from seedslib.base.objects import Remade
 from seedslib.base.values import on_paths
 from seedslib.filters.base import Filter, as_seen
-from seedslib.filters.covariance import update
+from seedslib.filters.covariance import SensorUpdate
 from seedslib.filters.particle import resampled, stream
 from seedslib.filters.weights import logarithm, mix, normalised
 from seedslib.models.kinds import AnySystem, as_system
@@ -80,7 +80,7 @@ class RaoBlackwellFilter(Filter, Remade):
         self.records: int = max(1, 2 * BLOCK // self.particles)
         exact = Taylor()
         self._move = [exact.moments(map) for map in system.dynamics]
-        self._sense = [exact.moments(map) for map in system.sensors]
+        self._sensors = [SensorUpdate(map, exact) for map in system.sensors]
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
@@ -98,7 +98,7 @@ class RaoBlackwellFilter(Filter, Remade):
         none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
         return RaoBlackwellState(None, prob, law, seed, 0, *_estimate(prob, law), none, clean)
 
-    def moved(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+    def propagate(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
         prob, mean, cov = _in_one_row(state.log_prob, state.law)
@@ -122,7 +122,7 @@ class RaoBlackwellFilter(Filter, Remade):
             made = [move(state.time, mean, cov) for move in self._move]
             law = (
                 np.stack([y for y, _, _ in made], axis=1),
-                np.stack([_wide(square, y) for y, _, square in made], axis=2),
+                np.stack([_batched(square, y) for y, _, square in made], axis=2),
             )
         else:
             moved, spread = np.empty(mean.shape), np.empty(cov.shape)
@@ -130,7 +130,7 @@ class RaoBlackwellFilter(Filter, Remade):
                 here = mode == i
                 with on_paths(here.shape, here):
                     y, _, square = move(state.time, mean[:, here], cov[:, :, here])
-                moved[:, here], spread[:, :, here] = y, _wide(square, y)
+                moved[:, here], spread[:, :, here] = y, _batched(square, y)
             law = (
                 np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
                 np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
@@ -163,10 +163,10 @@ class RaoBlackwellFilter(Filter, Remade):
         system, t = self.system, state.time
         law = np.empty(state.law[0].shape), np.empty(state.law[1].shape)
         score = np.empty(state.log_prob.shape)
-        for i, sense in enumerate(self._sense):
-            prior, periods = (state.law[0][:, i], state.law[1][:, :, i]), system.sensors[i].period
-            law[0][:, i], cov, score[i] = update(sense, t, *prior, y[:, None], periods)
-            law[1][:, :, i] = _wide(cov, prior[0])
+        for i, sensor in enumerate(self._sensors):
+            prior = state.law[0][:, i], state.law[1][:, :, i]
+            law[0][:, i], cov, score[i] = sensor(t, *prior, y[:, None])
+            law[1][:, :, i] = _batched(cov, prior[0])
             if shown is not None:
                 none, size = np.zeros(y.shape[1:]), system.state_size
                 row = system.readings[i]
@@ -219,10 +219,9 @@ def _chance(branch, t, n, batch) -> np.ndarray:
     return branch.probability(t, np.zeros((n, *batch)))
 
 
-def _wide(square, mean):
+def _batched(cov, mean):
     """Covariances with the batch axes of the means."""
-    square = square.reshape(*square.shape, *(1,) * (mean.ndim + 1 - square.ndim))
-    return np.broadcast_to(square, (len(mean), *mean.shape))
+    return np.broadcast_to(align(cov, 2, mean.ndim - 1), (len(mean), *mean.shape))
 
 
 def _taken(part, chosen):

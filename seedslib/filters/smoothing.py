@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_count
+from seedslib.base.conditioning import kalman_gain
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
-from seedslib.filters.covariance import gain_of, wide
-from seedslib.filters.kalman import settle
+from seedslib.filters.kalman import marginalized
 from seedslib.models.kinds import elapsed
 
 
@@ -141,7 +141,7 @@ class Smoother:
         raise NotImplementedError
 
 
-class Rauch(Smoother):
+class RauchTungStriebel(Smoother):
     """The smoother of Rauch, Tung and Striebel, of a filter that carries a covariance.
 
     A part is the mean, with what unknown numbers add to it as further columns, the covariance,
@@ -152,55 +152,55 @@ class Rauch(Smoother):
     """
 
     def __init__(self, filter: Any) -> None:
-        super().__init__(filter.unsettled())
+        super().__init__(filter.for_smoothing())
 
     def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
         if state.time is None:
             return super().forecast(state, t)
         with elapsed(self.filter.system, state.time, t):
-            later, cross = self.filter.moved_jointly(state, t)
-        batch = state.mean.shape[1:]
-        cov = wide(later.cov, batch)
-        link = _columns(later), cov, gain_of(wide(cross, batch), cov)
+            later, cross = self.filter.propagate_jointly(state, t)
+        depth = state.mean.ndim - 1
+        cov = align(later.cov, 2, depth)
+        link = _columns(later), cov, kalman_gain(align(cross, 2, depth), cov)
         return later._replace(time=float(t)), link
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
-        return _columns(state), wide(state.cov, state.mean.shape[1:]), state
+        return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
     def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
         """See `Smoother.back`."""
-        cov = wide(state.cov, state.mean.shape[1:])
-        return *stepped_back(_columns(state), cov, *link, *part[:2]), part[2]
+        cov = align(state.cov, 2, state.mean.ndim - 1)
+        return *rts_step(_columns(state), cov, *link, *part[:2]), part[2]
 
     def report(self, part: Any) -> Estimates:
         """Mean and covariance, unknown numbers taken from what the measurements say of them."""
         columns, cov, last = part
-        if columns.shape[-1] == 1:
-            mean, n = columns[..., 0], len(columns)
-            return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
-        return Estimates(*settle(columns[..., 0], cov, columns[..., 1:], last, self.filter.scale))
+        mean, effect, n = columns[:, 0], columns[:, 1:], len(columns)
+        if effect.shape[1]:
+            return Estimates(*marginalized(mean, cov, effect, last, self.filter.scale))
+        return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
 
 
-def stepped_back(columns, cov, forecast, forecast_cov, gain, later, later_cov):
+def rts_step(columns, cov, forecast, forecast_cov, gain, later, later_cov):
     """One step back: m + G (m' - E m'), P + G (P' - E P') Gᵀ.
 
     Parameters
     ----------
-    columns, forecast, later : ndarray, shape (n, *batch, c)
+    columns, forecast, later : ndarray, shape (n, c, *batch)
         Means as columns: now, forecast for the next time, and smoothed there.
     cov, forecast_cov, later_cov : ndarray, shape (n, n, *batch)
     gain : ndarray, shape (n, n, *batch)
-        From `gain_of`.
+        From `kalman_gain`.
     """
-    columns = columns + np.einsum("ij...,j...c->i...c", gain, later - forecast)
+    columns = columns + np.einsum("ij...,jc...->ic...", gain, later - forecast)
     change = np.einsum("ij...,jk...,lk...->il...", gain, later_cov - forecast_cov, gain)
     return columns, cov + 0.5 * (change + np.swapaxes(change, 0, 1))
 
 
 def _columns(state: Any) -> np.ndarray:
-    """The mean, and what unknown numbers add to it, as columns (n, *batch, 1 + q)."""
-    mean = state.mean[..., None]
+    """The mean, and what unknown numbers add to it, as columns (n, 1 + q, *batch)."""
+    mean = state.mean[:, None]
     effect = getattr(state, "effect", None)
-    return mean if effect is None else np.concatenate([mean, effect], axis=-1)
+    return mean if effect is None else np.concatenate([mean, effect], axis=1)

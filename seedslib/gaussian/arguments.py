@@ -7,14 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.checks import (
-    ASYMMETRY,
-    as_covariance,
-    as_real,
-    as_shape,
-    require_one_size,
-    require_semidefinite,
-)
+from seedslib.base.checks import ASYMMETRY, as_covariance, as_real, require_semidefinite
 
 
 def gaussian_arguments(
@@ -34,8 +27,6 @@ def gaussian_arguments(
     if size not in (None, n):
         raise ValueError(f"mean: wanted {size} components, got shape {mean.shape}")
     array = as_real("cov", cov)
-    if size is None:
-        require_one_size("mean, cov", mean, array)
     if array.ndim == 2:
         return mean, as_covariance("cov", array, n)
     if array.ndim < 2 or array.shape[:2] != (n, n):
@@ -86,7 +77,7 @@ def as_joint_law(
     TypeError, ValueError
         As `as_covariance`; `ValueError` also "error_cov exceeds cov".
     """
-    mean = as_shape("mean", mean, (-1 if size is None else size,))
+    mean = as_real("mean", mean, (-1 if size is None else size,))
     cov = as_covariance("cov", cov, mean.size)
     error_cov = as_covariance("error_cov", error_cov, mean.size)
     variances = np.diag(cov)
@@ -111,12 +102,6 @@ def symmetric_part(matrix: np.ndarray) -> np.ndarray:
 
 LARGEST_TENSOR = 3_000_000
 RULE_ERROR = 1e-4
-
-
-def align(array: np.ndarray, axes: int, depth: int) -> np.ndarray:
-    """Unit axes put between the first `axes` axes and the batch axes, `depth` of these in all."""
-    missing = axes + depth - array.ndim
-    return array.reshape((*array.shape[:axes], *(1,) * missing, *array.shape[axes:]))
 
 
 def blockwise(

@@ -16,10 +16,10 @@ import numpy as np
 import sympy as sp
 from scipy.linalg import block_diag
 
-from seedslib.base.semidefinite import square_root
+from seedslib.base.arrays import align
+from seedslib.base.linalg import cholesky, nearest_psd
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.gaussian.arguments import (
-    align,
     as_joint_law,
     blockwise,
     gaussian_arguments,
@@ -392,7 +392,7 @@ class Switched(Polynomial):
             across, weights = split_rule(centre, deviation, error)
             gain = direction / deviation
             rest = known - np.outer(gain, gain)
-        root = square_root(rest)
+        root = cholesky(nearest_psd(rest)[0])
         scale = np.abs(root).max(axis=0)
         root = root[:, (scale > SMALL * scale.max(initial=0.0)) & (self.order > 1)]
         grid, along = rule_of_rank(root.shape[1], self.order)
@@ -412,8 +412,8 @@ def _along(cov: np.ndarray, order: int, normal: np.ndarray | None = None) -> tup
     grid, weights = rule_of_rank(len(others) if order > 1 else 0, order)
     step = np.zeros((n, len(weights), cov.shape[2]))
     if order > 1 and others:
-        root = square_root(np.moveaxis(cov[np.ix_(others, others)], -1, 0))
-        step[others] = np.einsum("kij,jg->igk", root, grid)
+        root = cholesky(cov[np.ix_(others, others)])
+        step[others] = np.einsum("ijk,jg->igk", root, grid)
     if normal is not None:  # the component with the largest part in the normal follows
         step[pivot] = -np.tensordot(normal[others], step[others], 1) / normal[pivot]
     return step, weights[:, None]
@@ -649,7 +649,7 @@ def norm_variance(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
         centre = mean[:, narrow, None]
         part = np.broadcast_to(align(cov, 2, 1), (*cov.shape[:2], variance.size))[..., narrow]
         rule = fifth_degree(len(mean))
-        step = np.einsum("kij,jq->ikq", square_root(np.moveaxis(part, -1, 0)), rule.points)
+        step = np.einsum("ijk,jq->ikq", cholesky(part), rule.points)
         # |mean + step| - |mean| without a subtraction of lengths
         lengths = np.linalg.norm(centre + step, axis=0) + np.linalg.norm(centre, axis=0)
         gap = (2 * centre * step + step**2).sum(axis=0) / lengths

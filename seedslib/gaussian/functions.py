@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
-from seedslib.base.checks import as_bound, as_covariance, as_real
-from seedslib.base.semidefinite import square_root
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
     as_joint_law,
     blockwise,
@@ -406,7 +406,9 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
+    h, k, rho = np.broadcast_arrays(
+        as_real("h", h, infinite=True), as_real("k", k, infinite=True), _correlation(rho)
+    )
     # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
     h, k = (
         np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))
@@ -495,7 +497,7 @@ def _concentrated(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     if (np.abs(mean).max(axis=0) == 0).any():
         raise ValueError("mean: the elevation of the origin is not defined")
     rule = gauss_hermite(3, 20)
-    offsets = square_root(cov) @ rule.points
+    offsets = cholesky(cov) @ rule.points
     moments = np.empty((2, mean.shape[1]))
     for k, centre in enumerate(mean.T):
         base = _angle(centre)

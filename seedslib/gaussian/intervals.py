@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfc
 
-from seedslib.base.checks import as_bound, as_real
+from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import blockwise, variance_argument
 from seedslib.gaussian.regions import RegionMoments
 
@@ -63,7 +63,7 @@ def interval(
         shapes that do not broadcast.
     """
     mean, var = as_real("mean", mean), variance_argument("var", var)
-    lower, upper = as_bound("lower", lower), as_bound("upper", upper)
+    lower, upper = as_real("lower", lower, infinite=True), as_real("upper", upper, infinite=True)
     try:
         flat = np.broadcast_arrays(mean, var, lower, upper)
     except ValueError as error:

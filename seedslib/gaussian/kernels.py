@@ -10,8 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import erfcx, log_ndtr, ndtr
 
-from seedslib.base.arrays import MaybeArray
-from seedslib.gaussian.arguments import align
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.gaussian.polynomial import (
     Coefficients,
     monomial_means,

@@ -10,9 +10,10 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
+from seedslib.base.arrays import align
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.algebra import Key, NoClosedForm, quadratic_gram
-from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
+from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.functions import norm_mean
 from seedslib.gaussian.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.polynomial import Coefficients, polynomial_value

@@ -18,8 +18,9 @@ import numpy as np
 from numpy.polynomial import legendre
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_real
-from seedslib.gaussian.arguments import align, blockwise, gaussian_arguments
+from seedslib.gaussian.arguments import blockwise, gaussian_arguments
 from seedslib.gaussian.intervals import flat_interval, peak_rule, reach_of, unit_nodes
 from seedslib.gaussian.regions import SINGULAR, RegionMoments, difference_of_products
 

@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count, as_real
-from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.arguments import align, gaussian_arguments
+from seedslib.base.linalg import cholesky
+from seedslib.gaussian.arguments import gaussian_arguments
 
 MOST_POINTS = 2_000_000
 
@@ -184,7 +185,6 @@ def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
     n = mean.shape[0]
     if rule.points.shape[0] != n:
         raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
-    factors = square_root(np.moveaxis(cov, (0, 1), (-2, -1)))
-    offsets = np.moveaxis(factors @ rule.points, (-2, -1), (0, 1))
+    offsets = np.einsum("ij...,jk->ik...", cholesky(cov), rule.points)
     depth = max(mean.ndim - 1, offsets.ndim - 2)
     return align(mean[:, None], 2, depth) + align(offsets, 2, depth)

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 import sympy
 
-from seedslib.base.semidefinite import lower_triangle
+from seedslib.base.linalg import lower_triangle
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
     TINY,
@@ -20,7 +20,7 @@ from seedslib.linearization.moments import (
     Weighted,
     refuse_weight,
 )
-from seedslib.models.codegen import batch_shape, compile_components, stack
+from seedslib.models.codegen import batch_of, compile_components, stack
 from seedslib.models.maps import StochasticMap
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
@@ -114,7 +114,7 @@ class Formulas(Linearization):
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
             lower = _lower(cov)
             y, cross, *square = evaluate(t, mean, lower)
-            batch = batch_shape(mean, lower)
+            batch = batch_of(mean, lower)
             own = None if batch else ()  # covariances may lack the axes of a batch
             cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
             return Moments(stack(y, (m,), batch), cross, cov)
@@ -161,7 +161,7 @@ class Formulas(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
             lower = _lower(cov)
-            batch = batch_shape(mean, lower)
+            batch = batch_of(mean, lower)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 masses, *values = evaluate(t, mean, lower)
             arrays = [

@@ -13,10 +13,9 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import lower_triangle, mirrored
+from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
 
@@ -197,10 +196,8 @@ class Matrices(Linearization):
             if not spread:
                 return Moments(y, cross, None)
             square = np.einsum("ij...,kj...->ik...", lean, slope)
-            noise = map.cov_at(t)
-            if noise.ndim == 2:
-                noise = noise.reshape(*noise.shape, *(1,) * (square.ndim - 2))
-            return Moments(y, cross, 0.5 * (square + np.swapaxes(square, 0, 1)) + noise)
+            noise = align(map.cov_at(t), 2, square.ndim - 2)
+            return Moments(y, cross, symmetrized(square) + noise)
 
         return f
 
@@ -222,8 +219,3 @@ def refuse_weight(map: StochasticMap) -> None:
     """Raise ValueError for a branch of a switching map where a whole map is wanted."""
     if map.weighted:
         raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
-
-
-def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
-    """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
-    return np.asarray(lower)[mirrored(size)]

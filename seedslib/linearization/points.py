@@ -10,9 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
-from seedslib.base.semidefinite import factor
+from seedslib.base.linalg import cholesky, symmetric
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
 from seedslib.linearization.moments import (
     Gaussian,
@@ -20,7 +21,6 @@ from seedslib.linearization.moments import (
     Moments,
     Weighted,
     refuse_weight,
-    symmetric,
 )
 from seedslib.models.maps import Conditional, StochasticMap
 from seedslib.models.noise import Noise
@@ -59,15 +59,14 @@ class PointRule(Linearization):
 
     def _points(self, mean: np.ndarray, cov: np.ndarray, noise: Noise | None = None) -> Points:
         """Points of the state, and of a noise where one is given."""
-        root, n = factor(cov), len(mean)
+        root, n = cholesky(cov), len(mean)
         depth = max(mean.ndim - 1, root.ndim - 2)
-        mean = mean.reshape(n, *(1,) * (depth + 1 - mean.ndim), *mean.shape[1:])
-        root = root.reshape(n, n, *(1,) * (depth + 2 - root.ndim), *root.shape[2:])
+        mean, root = align(mean, 1, depth), align(root, 2, depth)
         unit, weights, centred = _rule(self, n if noise is None else n + noise.size)
         x, v = mean[:, None] + np.einsum("ij...,js->is...", root, unit[:n]), None
         if noise is not None:
             v = noise.mean[:, None] + noise.root @ unit[n:]
-            v = np.broadcast_to(v.reshape(*v.shape, *(1,) * depth), v.shape + x.shape[2:])
+            v = np.broadcast_to(align(v, 2, depth), v.shape + x.shape[2:])
         return Points(unit[:n], root, x, v, weights, centred)
 
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.clock import lengths_alike, step_count, when
+from seedslib.base.linalg import cholesky, variances
 from seedslib.base.objects import Shown
-from seedslib.base.semidefinite import factor
 from seedslib.base.tables import (
     AxesLike,
     Axis,
@@ -553,7 +553,7 @@ def require_scalar(system: Any) -> None:
 
 def require_moved(name: str, cov: np.ndarray) -> None:
     """Refuse covariances (n, n, *batch) in which a direction has no variance."""
-    if not (np.einsum("ii...->i...", factor(cov)) > 0).all():
+    if not (variances(cholesky(cov)) > 0).all():
         raise ValueError(
             f"{name}: wanted noise of its own in every state component for a grid, got none in "
             "some direction"

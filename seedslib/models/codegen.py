@@ -18,8 +18,8 @@ import sympy
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
+from seedslib.base.arrays import batch_shape
 from seedslib.base.checks import require_shape
-from seedslib.base.correction import joint_shape
 from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.base.values import current
@@ -245,7 +245,7 @@ def _lambdified(arguments: tuple, expressions: tuple) -> Callable[..., list[Any]
         ) from None
 
 
-def batch_shape(*arguments: object) -> tuple[int, ...]:
+def batch_of(*arguments: object) -> tuple[int, ...]:
     """Broadcast shape of the components of vectors (lists or arrays, components first)."""
     shapes: list[tuple[int, ...]] = []
     for argument in arguments:
@@ -253,7 +253,7 @@ def batch_shape(*arguments: object) -> tuple[int, ...]:
             shapes.append(argument.shape[1:])  # those of its components, looked at once
         else:
             shapes += [np.shape(c) for c in argument]
-    return joint_shape(*shapes)
+    return batch_shape(*shapes)
 
 
 def stack(
@@ -261,7 +261,7 @@ def stack(
 ) -> Any:
     """Array of the given component shape; batch axes last, those of the components by default."""
     if batch is None:
-        batch = joint_shape(*[np.shape(c) for c in components])
+        batch = batch_shape(*[np.shape(c) for c in components])
     result = np.empty((len(components), *batch))
     for slot, component in enumerate(components):
         result[slot] = component
@@ -283,7 +283,7 @@ def compile_array(arguments: Sequence[object], expressions: object) -> Callable[
     vectors = [k for k, a in enumerate(arguments) if isinstance(a, Sequence | np.ndarray)]
 
     def evaluate(*values) -> np.ndarray:
-        batch = batch_shape(*(values[k] for k in vectors))
+        batch = batch_of(*(values[k] for k in vectors))
         return stack(function(*values), expressions.shape, batch)
 
     return evaluate

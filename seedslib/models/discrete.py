@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.blocks import Source
-from seedslib.base.checks import as_covariance, as_real, as_shape
+from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.objects import Shown
 from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
@@ -64,7 +64,7 @@ class DiscreteSystem(Shown):
                 f"{self.dynamics.state_size} and {self.sensor.state_size}"
             )
         self._require_names()
-        mean0 = as_shape("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
+        mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
         law = Noise(n, mean0, cov0, self.initial)
         vars(self).update(state_size=n, mean0=mean0, cov0=cov0, law=law)

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_shape
+from seedslib.base.checks import as_covariance, as_positive, as_real
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import looked_at, on_paths, with_values
@@ -180,19 +180,19 @@ class JumpDiffusion(Travelling, Shown):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.sensor, self.jump, self._parameters = sensor, jump, tuple(parameters)
         drift, diffusion, intensity = with_values(parameters, drift, diffusion, intensity)
-        mean0 = as_shape("mean0", mean0, (sensor.state_size,))
+        mean0 = as_real("mean0", mean0, (sensor.state_size,))
         n, probe = len(mean0), np.tile(mean0[:, None], 3)
         with looked_at(parameters):
-            as_shape("drift", drift(0.0, probe), (n, 3))
-            found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
+            as_real("drift", drift(0.0, probe), (n, 3))
+            found = as_real("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
             if intensity is not None:
-                as_shape("intensity", intensity(0.0, probe), (3,))
+                as_real("intensity", intensity(0.0, probe), (3,))
         vars(self).update(drift=drift, diffusion=diffusion, intensity=intensity or _never)
         self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
     def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
-        self.mean0: np.ndarray = as_shape("mean0", mean0, (n,))
+        self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
         self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
         self.law: Noise = Noise(n, self.mean0, self.cov0, initial)
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):

@@ -8,8 +8,9 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance, as_positive, as_real, as_shape, is_whole
-from seedslib.base.semidefinite import factor
+from seedslib.base.arrays import align
+from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole
+from seedslib.base.linalg import cholesky
 from seedslib.base.values import current
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import StochasticMap
@@ -81,8 +82,7 @@ class LinearMap(StochasticMap):
         """A at a time, shape (m, n); with axes of paths where parameters have them."""
         if not callable(self._slope):
             return self._slope
-        slope = as_real("slope", self._slope(t))
-        return as_shape("slope", slope, (self.size, self.state_size, *slope.shape[2:]))
+        return as_real("slope", self._slope(t), (self.size, self.state_size, ...))
 
     def cov_at(self, t: float) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
@@ -90,7 +90,7 @@ class LinearMap(StochasticMap):
             return self._cov
         cov = as_real("cov", self._cov(t))
         if cov.ndim > 2:
-            return as_shape("cov", cov, (self.size, self.size, *cov.shape[2:]))
+            return as_real("cov", cov, (self.size, self.size, ...))
         return as_covariance("cov", cov, self.size)
 
     def pushed(self, t: float, y: np.ndarray) -> np.ndarray:
@@ -99,9 +99,8 @@ class LinearMap(StochasticMap):
             return y
         push = self._push
         if callable(push):
-            push = as_real("push", push(t))
-            as_shape("push", push, (self.size, len(self._inputs), *push.shape[2:]))
-        push = push.reshape(*push.shape[:2], *(1,) * (y.ndim + 1 - push.ndim), *push.shape[2:])
+            push = as_real("push", push(t), (self.size, len(self._inputs), ...))
+        push = align(push, 2, y.ndim - 1)
         for k, value in enumerate(current(self._inputs)):
             y = y + push[:, k] * value
         return y
@@ -110,13 +109,11 @@ class LinearMap(StochasticMap):
         return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t), x))
 
     def _spread(self, t: float, x: np.ndarray) -> np.ndarray:
-        cov = self.cov_at(t)
-        if cov.ndim == 2:
-            cov = cov.reshape(*cov.shape, *(1,) * (np.ndim(x) - 1))
+        cov = align(self.cov_at(t), 2, np.ndim(x) - 1)
         return np.broadcast_to(cov, (self.size, self.size, *np.shape(x)[1:]))
 
     def _moved(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return self._mean(t, x) + np.einsum("ij...,j...->i...", factor(self.cov_at(t)), v)
+        return self._mean(t, x) + np.einsum("ij...,j...->i...", cholesky(self.cov_at(t)), v)
 
     @property
     def has_log_density(self) -> bool:
@@ -181,7 +178,7 @@ class LinearSystem(DiscreteSystem):
         rows, columns = {"F": n, "Q": n, "B": n}, {"F": n, "H": n, "Q": n, "R": m}
         for name, M in made.items():
             if not callable(M):
-                as_shape(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
+                as_real(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
                 if name in "QR":
                     as_covariance(name, M)
         diffuse = tuple(diffuse)
@@ -251,9 +248,9 @@ class LinearSystem(DiscreteSystem):
         """
         drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        as_shape("drift", drift, noise.shape)
+        as_real("drift", drift, noise.shape)
         push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
-        as_shape("B", push, (len(drift), len(inputs) if B is not None else 0))
+        as_real("B", push, (len(drift), len(inputs) if B is not None else 0))
         steps = Discretised(drift, noise, push)
         if step is None:
             F, Q, B = (SteppedMatrix(steps, part) for part in range(3))

@@ -15,7 +15,7 @@ import numpy as np
 
 from seedslib.base.blocks import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
-from seedslib.base.correction import gaussian_logpdf
+from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.objects import Shown, Travelling
 from seedslib.base.values import with_values
 from seedslib.models.noise import Noise, named_noise

@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_whole
+from seedslib.base.checks import as_count, as_covariance, as_real, as_whole
+from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Shown
-from seedslib.base.semidefinite import factor
 from seedslib.base.values import looked_at, on_paths
 from seedslib.models.kinds import as_grid, elapsed
 from seedslib.models.maps import StochasticMap, noise_of
@@ -486,7 +486,7 @@ class SwitchingSystem(Shown):
                     f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
                 ) from None
             probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
-            mean = as_shape(f"initial[{i}] mean", mean, (n,))
+            mean = as_real(f"initial[{i}] mean", mean, (n,))
             found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         want_probabilities("initial", np.array([part.probability for part in found]))
         return tuple(found)
@@ -588,7 +588,7 @@ class Hybrid:
         self.mean0: np.ndarray = np.append(
             likely.mean, float(np.argmax(system.initial_probabilities))
         )
-        self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
+        self.initial_laws: list[Any] = [(part.mean, cholesky(part.cov)) for part in system.initial]
 
     def initial_sample(self, rng: Source, count: int, told: np.ndarray | None = None) -> np.ndarray:
         """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""

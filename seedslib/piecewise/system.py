@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array
-from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.base.correction import correct
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from seedslib.models.kinds import as_steps
 from seedslib.models.simulation import Simulation
@@ -164,7 +164,7 @@ class PiecewiseLinearSystem:
         if not np.array_equal(cells.locate(points[None]), np.arange(len(cells))):
             raise ValueError("support: wanted one point in each cell, in the order of the cells")
         state, time, _ = named_model(state, time, None, noise=tuple(noise))
-        mean0 = as_shape("initial[0]", initial[0], (len(state),))
+        mean0 = as_real("initial[0]", initial[0], (len(state),))
         points = np.vstack([points, np.repeat(mean0[1:, None], len(cells), axis=1)])
         allowed = {*state, *noise, time}
         f = known_expressions("dynamics", dynamics, (len(state),), {}, allowed)
@@ -195,7 +195,7 @@ class PiecewiseLinearSystem:
         for part, columns in zip(parts, ((), (self.state_size,), (-1,)), strict=True):
             part, depth = as_real(name, part), 1 + len(columns)
             part = part.reshape(part.shape + (1,) * (depth + 2 - part.ndim))
-            part = as_shape(name, part, (rows, *columns, n if part.shape[depth] > 1 else 1, -1))
+            part = as_real(name, part, (rows, *columns, n if part.shape[depth] > 1 else 1, -1))
             full.append(np.broadcast_to(part, (*part.shape[:depth], n, part.shape[-1])))
         return Coefficients(*full)
 
@@ -246,8 +246,7 @@ class PiecewiseLinearSystem:
 
         def log_density(t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
             mean, noise = of_cell(t, x)
-            cov, nothing = np.einsum("ip...,jp...->ij...", noise, noise), np.zeros((1, *mean.shape))
-            return correct(nothing[:, 0], None, y, (mean, nothing, cov))[2]
+            return gaussian_logpdf(y, mean, np.einsum("ip...,jp...->ij...", noise, noise))
 
         noise = Noise(width)
         return StochasticMap.from_functions(

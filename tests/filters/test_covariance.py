@@ -325,3 +325,16 @@ def test_path_that_overflows_has_diverged_alone(options):
     assert estimates.diverged.tolist() == [False, True]
     assert np.isfinite(estimates.mean[..., 0]).all()
     assert filter.run([0.0, 1.0], y[..., 1]).diverged
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_points_follow_a_known_position_that_is_driven_through_its_velocity(order, start):
+    """In the first stages of a step its variance is zero and its covariance is not."""
+    pick = np.array(order)
+    state, noise = np.array([x, v])[pick], np.array([[0], [1]])[pick]
+    drift, cov0 = np.array([v, -v / 2])[pick], np.diag([0.0, start])[np.ix_(pick, pick)]
+    system = JumpDiffusion(state, drift, noise, [x + w], Noise([w]), [0, 0], cov0, step=0.1)
+    wanted = extended_kalman(system).run(TIMES, Y[:, :1])
+    for filter in (unscented_kalman(system), cubature_kalman(system)):
+        close(filter.run(TIMES, Y[:, :1]), wanted, 1e-12)

@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import MOST_STEPS
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.base.values import looked_at
 from seedslib.extra.c.points import FACTOR, SETTLE, point_rates
 from seedslib.extra.c.source import constants, function
@@ -172,7 +172,7 @@ def _look_at_prior(filter: CovarianceFilter) -> None:
     state = filter.predict(filter.initial(), 0.0)
     with looked_at(mentioned(filter.system)):
         expected = filter.expect(state)
-        plain = correct(state.mean, state.cov, expected.mean, expected)[1]
+        plain = update(state.mean, state.cov, expected.mean, expected)[1]
         right = np.diagonal(filter.correct(state, expected.mean).cov)
     lost = np.abs(np.diagonal(plain) - right) > ROUGH * right
     if lost.any():

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.clock import ROUNDING, SAME, slack
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, RELATIVE
+from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE
 from seedslib.designed.base import DesignedFilter
 from seedslib.designed.identity import model_text
 from seedslib.designed.switching.lemmas import FAINT

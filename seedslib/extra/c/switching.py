@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.linalg import symmetric
 from seedslib.designed.switching.filter import CellFit, SwitchingFilter
 from seedslib.designed.switching.rules import SOFTEST
 from seedslib.extra.c import cells, laws
@@ -15,7 +16,6 @@ from seedslib.extra.c.source import constants, function
 from seedslib.extra.c.tape import Tape, literal
 from seedslib.extra.c.traced import record_correction, telling, told_of
 from seedslib.filters.weights import TIE
-from seedslib.linearization.moments import symmetric
 
 _WATCH = """\
     if (indicator < -1 || indicator >= @NAME_INDICATORS) return @NAME_RANGE;

@@ -11,12 +11,12 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.circle import Periods
-from seedslib.base.correction import eliminate
-from seedslib.base.semidefinite import ABSOLUTE, LOG_2PI
+from seedslib.base.conditioning import LOG_2PI
+from seedslib.base.linalg import ABSOLUTE, eliminate, symmetric
 from seedslib.base.values import assigned
 from seedslib.designed.finite_order import law_symbols
 from seedslib.extra.c.tape import Number, Scalar, Tape
-from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import mentioned
 from seedslib.models.maps import StochasticMap

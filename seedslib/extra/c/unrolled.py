@@ -35,7 +35,7 @@ def few_points(rule: PointRule, map: StochasticMap) -> bool:
 
 
 def unrolled_factor(tape: Tape, lower: Sequence[Any], n: int) -> list[list[Number]]:
-    """Triangular factor of a covariance, by the lines of `seedslib.base.semidefinite.factor`."""
+    """Triangular factor of a covariance, by the lines of `seedslib.base.linalg.cholesky`."""
     entries = iter(lower)
     rest = [[next(entries) for _ in range(k + 1)] for k in range(n)]
     variances = [rest[k][k] for k in range(n)]
