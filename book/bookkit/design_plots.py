@@ -7,9 +7,8 @@ from matplotlib.figure import Figure
 
 from bookkit.plots import axes, band, curve, finish
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.output_filter import OutputFilter
-from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.tables import Table, switches
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.tables import OutputFilter, Table, switches
 
 MEMORIES = 5
 """Values of the memory for which the output function is drawn."""
@@ -112,7 +111,7 @@ def _drawable(designed) -> list[int]:
 
 
 def _output(ax, designed, k):
-    table = designed.steps[k].shown
+    table = designed.steps[k].update
     y = table.axes[0].nodes
     memories = [None]
     if len(table.axes) == 2:

@@ -47,8 +47,8 @@ def with_held_out(
         Of the design; the design paths do not depend on what is done here.
     paths : int
         Design paths.
-    workers : int or Crew
-        Threads; a crew that works elsewhere is left alone.
+    workers : int or Executor
+        Threads; an executor elsewhere is left alone.
     **options
         As `seedslib.evaluation.compare` takes them.
 

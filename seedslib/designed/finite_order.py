@@ -108,20 +108,31 @@ class Rules:
         return self._corrected(state, t, y, moments, covariance, state.mean)
 
     def _corrected(self, state, t, y, moments, covariance, mean):
-        y = nearest(y, moments.mean, self.periods)
+        if self.periods:
+            y = nearest(y, moments.mean, self.periods)
         n = self.components
         estimate, cov, loglik = update(
             state.mean[:n],
             state.cov[:n, :n] if covariance else None,
             y,
-            moments._replace(cross=moments.cross[:n]),
+            (moments.mean, moments.cross[:n], moments.cov),
             noise=lambda: self.sensor(t, mean, np.zeros_like(state.cov)).cov,
         )
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
         remembered = np.where(missing, moments.mean, y) if missing.any() else y
         past = self.memory.push(state.past, estimate=estimate, measurement=remembered)
-        return state._replace(mean=estimate, cov=cov, past=past, loglik=loglik, corrected=True)
+        return FilterState(
+            state.index,
+            estimate,
+            cov,
+            past,
+            loglik,
+            before=state.before,
+            gap=state.gap,
+            history=state.history,
+            corrected=True,
+        )
 
     def move(self, fit: AffineFit, t: float, step: float, z: np.ndarray) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
