@@ -239,11 +239,14 @@ class MinimaxFilter(OutputFilter):
     fits: tuple[MinimaxFit, ...] = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        given = self.system, self.memory, self.method, self.times
-        steps = tuple(Basics.of(*given, k).functions(fit) for k, fit in enumerate(self.fits))
+        steps = tuple(self.basics(k).functions(fit) for k, fit in enumerate(self.fits))
         vars(self).update(steps=steps)
         freeze(self.fits)
         super().__post_init__()
+
+    def basics(self, k: int) -> Basics:
+        """The basic functions of measurement k."""
+        return Basics.of(self.system, self.memory, self.method, self.times, k)
 
     def check_shapes(self) -> None:
         """See `DesignedFilter.check_shapes`."""
