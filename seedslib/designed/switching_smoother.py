@@ -6,14 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.conditioning import kalman_gain, update
-from seedslib.base.linalg import nearest_psd, variances
+from seedslib.base.linalg import NEGATIVE, cholesky, nearest_psd, solve_psd, symmetrized
 from seedslib.designed.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.rules import SwitchingState
 from seedslib.filters.base import Estimates
 from seedslib.filters.smoothing import Smoother, rts_step
 from seedslib.filters.weights import logarithm, normalised
+
+
+WIDER = 1e-8
+"""Loss of variance, in units of the forecast, where there is none: what follows from it, and the
+rounding of a value divided by its root, are both of this size."""
 
 
 class SwitchingSmoother(Smoother):
@@ -95,31 +100,58 @@ def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
 
 
 def _corrected(log_prob, both, joint, later):
-    """Pairs of one later mode, whose smoothed distribution is known: weights and moments before it.
-
-    With D = S - P, the loss of covariance from the forecast N(m, S) to the smoothed N(m', P), the
-    later measurements are those of D S⁻¹ (x - m) and noise, which together have the covariance D
-    over the forecast, and the value m' - m.
-    """
+    """Pairs of one new mode, of which the smoothed distribution is known: weights and moments before."""
     n = len(later.mean)
     mean, cov = both[n:], joint[n:, n:]
-    _, centre, total = mix_logs(log_prob, mean, cov)
-    loss, _ = nearest_psd(total - later.cov, variances(total))
-    slope = kalman_gain(loss, total)[:, :, None]
-    expected = np.einsum("ij...,j...->i...", slope, mean - centre[:, None])
+    _, forecast, total = mix_logs(log_prob, mean, cov)
+    slope, noise, value, excess = _likelihood(forecast, total, later)
+    slope = slope[:, :, None]
     cross = np.einsum("ij...,kj...->ik...", cov, slope)
-    change = np.einsum("ij...,jk...,lk...->il...", slope, cov - total[:, :, None], slope)
-    moments = expected, cross, loss[:, :, None] + change
-    updated, less, loglik = update(mean, cov, (later.mean - centre)[:, None], moments)
-    less = less + (later.cov - (total - loss))[:, :, None]  # wider than any likelihood makes it
+    moments = (
+        np.einsum("ij...,j...->i...", slope, mean - forecast[:, None]),
+        cross,
+        np.einsum("ij...,jk...->ik...", slope, cross) + noise[:, :, None],
+    )
+    smoothed, reduced, loglik = update(mean, cov, value[:, None], moments)
     columns, before = rts_step(
         both[:n, None],
         joint[:n, :n],
         mean[:, None],
         cov,
         kalman_gain(joint[:n, n:], cov),
-        updated[:, None],
-        less,
+        smoothed[:, None],
+        reduced + excess[:, :, None],
     )
     share = normalised(np.where(log_prob > -np.inf, log_prob + loglik, -np.inf), 0)[0]
     return later.log_prob + share, columns[:, 0], before
+
+
+def _likelihood(forecast, total, later):
+    """Measurement by which a forecast N(m, S) becomes the smoothed N(m', P).
+
+    In units of the forecast, u = L⁻¹ (x - m) with S = L Lᵀ, the covariance loses 1 - L⁻¹ P L⁻ᵀ,
+    with eigenvalues d and eigenvectors v. For each of them sqrt(d) vᵀu and noise of variance 1 - d
+    are measured, whose variance over the forecast is one however little d is. Where P is wider
+    than the forecast (d < 0) almost nothing is measured, by a value that still moves the mean.
+
+    Returns
+    -------
+    slope, noise : ndarray, shape (n, n, *batch)
+        Of the measurement of x - m.
+    value : ndarray, shape (n, *batch)
+    excess : ndarray, shape (n, n, *batch)
+        By which P is wider than this measurement makes it.
+    """
+    root = cholesky(total)
+    white = solve_psd(total, root).swapaxes(0, 1)  # L⁻¹, with zeros where L has them
+    loss = np.einsum("ij...,jk...,lk...->il...", white, total - later.cov, white)
+    d, v = np.linalg.eigh(np.moveaxis(symmetrized(loss), (0, 1), (-2, -1)))
+    d, v = np.moveaxis(d, -1, 0), np.moveaxis(v, (-2, -1), (0, 1))
+    d = np.where(np.abs(d) <= NEGATIVE, 0.0, np.clip(d, WIDER, 1.0))
+    rows = np.einsum("ji...,jk...->ik...", v, white)
+    shift = np.einsum("ij...,j...->i...", rows, later.mean - forecast)
+    value = np.where(d > 0.0, shift / np.sqrt(np.where(d > 0.0, d, 1.0)), 0.0)
+    noise = align(np.eye(len(d)), 2, d.ndim - 1) * (1.0 - d)
+    columns = np.einsum("ij...,jk...->ik...", root, v)
+    excess = later.cov - total + np.einsum("ij...,j...,kj...->ik...", columns, d, columns)
+    return np.sqrt(d)[:, None] * rows, noise, value, excess

@@ -16,7 +16,7 @@ from seedslib.base.clock import step_count
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
 from seedslib.base.objects import Remade
-from seedslib.filters.base import Estimates, Filter, require_time
+from seedslib.filters.base import Estimates, Filter
 from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
@@ -176,7 +176,7 @@ class CovarianceFilter(Filter, Remade):
             self._dynamics = linearization.moments(system.dynamics)
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
-        """State before any measurement: the moments of the initial law.
+        """State before any measurement: the moments of the initial distribution.
 
         Parameters
         ----------
@@ -185,8 +185,8 @@ class CovarianceFilter(Filter, Remade):
         seed : object
             Not used; every filter has the same verbs.
         """
-        mean = np.asarray(self.system.mean0, dtype=float)
-        mean = np.broadcast_to(mean.reshape(-1, *(1,) * len(batch)), (self.n, *batch)).copy()
+        mean = align(np.asarray(self.system.mean0, dtype=float), 1, len(batch))
+        mean = np.broadcast_to(mean, (self.n, *batch)).copy()
         return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
 
     def propagate(self, state: FilterState, t: float) -> FilterState:
@@ -197,15 +197,15 @@ class CovarianceFilter(Filter, Remade):
         if mean.ndim == 1:  # plain floats are faster than arrays without axes
             mean, lower = mean.tolist(), lower.tolist()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            moved = self._integrate(self._rate, [*mean, *lower], state.time, t)
-        mean = _filled(moved[: self.n], state.mean.shape[1:])
-        return state._replace(mean=mean, cov=symmetric(_filled(moved[self.n :]), self.n))
+            later = self._integrate(self._rate, [*mean, *lower], state.time, t)
+        mean = _filled(later[: self.n], state.mean.shape[1:])
+        return state._replace(mean=mean, cov=symmetric(_filled(later[self.n :]), self.n))
 
     def propagate_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
         """What `propagate` gives, and the covariance of the state now with the one at time t.
 
-        Between measurements that covariance C obeys dC/dt = cov(x, b): with the mean velocity b
-        linearized in the law of the state then, C P⁻¹ cov(x then, b).
+        Between measurements that covariance C obeys dC/dt = C P⁻¹ cov(x, b), with the mean
+        velocity b linearized about the state of that time, of covariance P.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
@@ -222,8 +222,8 @@ class CovarianceFilter(Filter, Remade):
             def rate(t: float, parts: list[Any]) -> list[Any]:
                 mean, cov, cross = split(parts)
                 b, *squares = self._flow(t, mean, cov)
-                with_b, spread = (align(part, 2, mean.ndim - 1) for part in squares)
-                change = with_b + np.swapaxes(with_b, 0, 1) + spread
+                with_b, diffusion = (align(part, 2, mean.ndim - 1) for part in squares)
+                change = with_b + np.swapaxes(with_b, 0, 1) + diffusion
                 joint = np.einsum("ij...,jk...->ik...", cross, solve_psd(cov, with_b))
                 return [*b, *change[rows, columns], *joint.reshape(n * n, *joint.shape[2:])]
 
@@ -254,18 +254,11 @@ class CovarianceFilter(Filter, Remade):
         return RauchTungStriebel(self)
 
     def for_smoothing(self) -> CovarianceFilter:
-        """The filter as `smooth` runs it."""
+        """The filter whose states `smooth` goes back through."""
         return self
 
-    def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        require_time(state)
+    def update(self, state: FilterState, y: np.ndarray, indicator: Any = None) -> FilterState:
+        """See `Filter.update`."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             mean, cov, loglik = self._sensor(state.time, state.mean, state.cov, y)
         return state._replace(mean=mean, cov=cov, loglik=loglik)

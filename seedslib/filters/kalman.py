@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
 from seedslib.base.conditioning import gaussian_logpdf
@@ -125,14 +124,14 @@ class KalmanFilter(CovarianceFilter):
             later = later._replace(effect=effect)
         return later, cross
 
-    def correct(self, state: Any, y: ArrayLike) -> Any:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state."""
+    def update(self, state: Any, y: np.ndarray, indicator: Any = None) -> Any:
+        """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
-            return super().correct(state, y)
-        corrected = super().correct(FilterState(*state[:5]), y)  # given that d is zero
+            return super().update(state, y)
+        corrected = super().update(FilterState(*state[:5]), y)  # given that d is zero
         expected, cross, S = self.expect(state)
         depth = state.mean.ndim - 1
-        innovation = np.asarray(y, dtype=float) - align(expected, 1, depth)
+        innovation = y - align(expected, 1, depth)
         observed = np.isfinite(innovation)
         sensor = self.system.sensor.slope_at(state.time)
         effect = np.einsum("ij...,jq...->iq...", sensor, state.effect)  # on y
@@ -186,7 +185,7 @@ def _deviations(system: LinearSystem) -> np.ndarray:
                 np.sqrt(np.diagonal(part.cov_at(0.0))) for part in (system.dynamics, system.sensor)
             )
             H = np.abs(system.sensor.slope_at(0.0))
-    except LookupError:  # matrices from a table, which need not have this time
+    except LookupError:  # matrices from a table that may lack this time
         return np.ones(system.state_size)
     noisy = (H > 0) & (R > 0)[:, None]
     measured = np.where(noisy, R[:, None] / np.where(noisy, H, 1.0), np.inf)

@@ -1,18 +1,21 @@
-"""Filter of a switching system that is told the modes: a bound for all that have to guess them."""
+"""Filter of a switching system that knows the modes: a bound for those that estimate them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import align
 from seedslib.base.objects import Remade
 from seedslib.base.values import on_paths
-from seedslib.filters.base import Estimates, Filter, as_modes, as_seen
+from seedslib.filters.base import Estimates, Filter, as_modes
 from seedslib.filters.covariance import SensorUpdate
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import AnySystem, as_system
+from seedslib.models.switching import Branch
 
 
 class KnownModeState(NamedTuple):
@@ -33,9 +36,9 @@ class KnownModeFilter(Filter, Remade):
     """Mean and covariance of the state given measurements and the true modes.
 
     For a jump-linear system it is the Kalman filter with known modes, and no filter that has to
-    recognise the modes has a smaller mean-square error. Where the switch or the indicator depends
-    on the state, seeing them says something of the state: the moments are those in the branch
-    that was taken, so that a good linearization comes close to the bound.
+    estimate the modes has a smaller mean-square error. Where the switch or the indicator depends
+    on the state, they are information on the state: the moments are those in the branch that was
+    taken, so that a good linearization comes close to the bound.
 
     Parameters
     ----------
@@ -62,8 +65,8 @@ class KnownModeFilter(Filter, Remade):
             linearization = Taylor()
         self.system: Any = system
         self.linearization: Linearization = as_linearization(linearization)
-        self._moves = [
-            [self._move(i, l, branch) for l, branch in enumerate(row)]
+        self._transitions = [
+            [self._transition(i, l, branch) for l, branch in enumerate(row)]
             for i, row in enumerate(system.branches)
         ]
         self._sensors = [SensorUpdate(map, linearization) for map in system.sensors]
@@ -72,7 +75,9 @@ class KnownModeFilter(Filter, Remade):
             for row in system.readings
         ]
 
-    def _move(self, i, l, branch):
+    def _transition(
+        self, i: int, l: int, branch: Branch | None
+    ) -> Callable[..., tuple[Any, ...]] | None:
         """Moments of the next state in a branch, the covariance last; None for no branch."""
         if branch is None:
             return None
@@ -81,7 +86,7 @@ class KnownModeFilter(Filter, Remade):
         if branch.constant:
             return whole
         weighted = self.linearization.weighted((branch.still if new else branch).map)
-        if new:  # what the switch says of the state, and then the move
+        if new:  # given the switch, and then the dynamics
             return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
         return lambda t, mean, cov: weighted(t, mean, cov).value
 
@@ -100,7 +105,7 @@ class KnownModeFilter(Filter, Remade):
     def propagate(
         self, state: KnownModeState, t: float, mode: ArrayLike | None = None
     ) -> KnownModeState:
-        """The law one step of the system later, where the mode is `mode` (*batch).
+        """Moments one step of the system later, where the mode is `mode` (*batch).
 
         Raises
         ------
@@ -111,45 +116,35 @@ class KnownModeFilter(Filter, Remade):
             raise ValueError("mode: wanted the mode at the later time, got None")
         mode = as_modes("mode", mode, state.mode.shape, self.system.modes)
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
-        for i, row in enumerate(self._moves):
-            for l, move in enumerate(row):
-                here = (state.mode == i) & (mode == l)
-                if not here.any():
+        for i, row in enumerate(self._transitions):
+            for l, transition in enumerate(row):
+                mask = (state.mode == i) & (mode == l)
+                if not mask.any():
                     continue
-                if move is None:
+                if transition is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
-                with on_paths(here.shape, here):
-                    law = move(state.time, state.mean[:, here], state.cov[:, :, here])
-                _put(mean, cov, here, law)
+                with on_paths(mask.shape, mask):
+                    law = transition(state.time, state.mean[:, mask], state.cov[:, :, mask])
+                _put(mean, cov, mask, law)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
-    def correct(
-        self, state: KnownModeState, y: ArrayLike, indicator: ArrayLike | None = None
+    def update(
+        self, state: KnownModeState, y: np.ndarray, indicator: np.ndarray | None = None
     ) -> KnownModeState:
-        """Correct by a measurement, shape (m, *batch).
-
-        An indicator (*batch) is used only where it depends on the state; -1 is missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
+        """See `Filter.update`; an indicator is used only where it depends on the state."""
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
-        for i, row in enumerate(self._readings):
-            for j, reading in ((-1, None), *enumerate(row)):
-                here = (state.mode == i) & (shown == j if shown is not None else j < 0)
-                if not here.any():
+        for i, branches in enumerate(self._readings):
+            for j, branch in ((-1, None), *enumerate(branches)):
+                mask = (state.mode == i) & (indicator == j if indicator is not None else j < 0)
+                if not mask.any():
                     continue
-                prior = state.mean[:, here], state.cov[:, :, here]
-                with on_paths(here.shape, here):
-                    moments = None
-                    if reading is not None:
-                        _, prior, moments = reading(state.time, *prior)
-                    *law, loglik[here] = self._sensors[i](state.time, *prior, y[:, here], moments)
-                _put(mean, cov, here, law)
+                prior, moments = (state.mean[:, mask], state.cov[:, :, mask]), None
+                with on_paths(mask.shape, mask):
+                    if branch is not None:
+                        _, prior, moments = branch(state.time, *prior)
+                    *law, loglik[mask] = self._sensors[i](state.time, *prior, y[:, mask], moments)
+                _put(mean, cov, mask, law)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def report(self, state: KnownModeState) -> Estimates:
@@ -158,8 +153,6 @@ class KnownModeFilter(Filter, Remade):
         return Estimates(state.mean, state.cov, certain, state.loglik, None, state.mode)
 
 
-def _put(mean, cov, here, law):
-    """Write moments, of which the covariance may be common to all items, where they belong."""
-    mean[:, here] = law[0]
-    square = np.asarray(law[-1])
-    cov[:, :, here] = square if square.ndim == 3 else square[:, :, None]
+def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, law: Sequence[Any]) -> None:
+    """Write moments of some items, whose covariance may be common to them all, and comes last."""
+    mean[:, mask], cov[:, :, mask] = law[0], align(np.asarray(law[-1]), 2, 1)
