@@ -15,7 +15,6 @@ from seedslib.filters.base import Estimates
 from seedslib.filters.smoothing import Smoother, rts_step
 from seedslib.filters.weights import logarithm, normalised
 
-
 WIDER = 1e-8
 """Loss of variance, in units of the forecast, where there is none: what follows from it, and the
 rounding of a value divided by its root, are both of this size."""
@@ -100,7 +99,7 @@ def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
 
 
 def _corrected(log_prob, both, joint, later):
-    """Pairs of one new mode, of which the smoothed distribution is known: weights and moments before."""
+    """Pairs of one later mode, whose smoothed distribution is known: weights and moments before."""
     n = len(later.mean)
     mean, cov = both[n:], joint[n:, n:]
     _, forecast, total = mix_logs(log_prob, mean, cov)
