@@ -1,8 +1,8 @@
 """The ground floor: what several rooms need and no subject owns.
 
 Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, parameters and inputs, how objects show themselves and
-travel, and the lazy names of these doors. No model, no filter.
+correction, tables and their look-up, parameters and inputs, how objects travel,
+and the lazy names of these doors. No model, no filter.
 
 May import: none.
 """
@@ -18,6 +18,5 @@ if TYPE_CHECKING:
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import Nodes as Nodes
     from seedslib.base.tables import interpolate as interpolate
-    from seedslib.base.values import assigned as assigned
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -9,7 +9,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.conditioning import kalman_gain
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.design.regression import LOST, ROUNDING, regress
 from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.finite_order import Rules, Start
@@ -26,7 +26,7 @@ def linear_design(
     times: np.ndarray,
     grid: tuple[np.ndarray, ...],
     measured: np.ndarray,
-    inputs: Course,
+    inputs: InputTrajectory,
 ) -> dict[str, Any]:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
@@ -43,7 +43,7 @@ def linear_design(
         Node times.
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
 
     Returns
@@ -58,22 +58,21 @@ def linear_design(
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    with inputs.at(0):
-        start = joint.start(measured[0], linear.sensor(times[0]))
+    p = system.values(inputs.at(0))
+    start = joint.start(measured[0], linear.sensor(times[0], p))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
     for k, nodes in enumerate(grid):
         t, between = times[k], []
-        with inputs.at(k):
-            for node in nodes:
-                joint.move(*linear.transition(t, node))
-                between.append(joint.fit(rules.components))
-                scores.append((node, np.diagonal(between[-1].cov)))
-                t = node
-            joint.move(*linear.transition(t, times[k + 1]))
+        for node in nodes:
+            joint.move(*linear.transition(t, node, p))
+            between.append(joint.fit(rules.components))
+            scores.append((node, np.diagonal(between[-1].cov)))
+            t = node
+        joint.move(*linear.transition(t, times[k + 1], p))
         node_fits.append(tuple(between))
-        with inputs.at(k + 1):
-            fits.append(joint.correct(measured[k + 1], linear.sensor(times[k + 1])))
+        p = system.values(inputs.at(k + 1))
+        fits.append(joint.correct(measured[k + 1], linear.sensor(times[k + 1], p)))
         scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))
     rms = np.sqrt(np.maximum(squares, 0.0))
@@ -129,15 +128,16 @@ class _Linear:
             for part in parts
             for entry in np.array(part, dtype=object).flat
         )
-        functions = [compile_array((system.time,), part) for part in parts]
+        given = system.time, system.parameters
+        functions = [compile_array(given, part) for part in parts]
         self._motion, self._sensor = functions[:2] + functions[4:5], functions[2:4] + functions[5:]
 
-    def transition(self, start, stop):
+    def transition(self, start, stop, p):
         """Transition matrix, offset and noise covariance from one time to a later one."""
 
         def extended(t):
             """Coefficients of (X, 1), so that the offset comes out with the matrix."""
-            slope, shift, intensity = (f(t) for f in self._motion)
+            slope, shift, intensity = (f(t, p) for f in self._motion)
             n = len(slope)
             drift, diffusion = np.zeros((2, n + 1, n + 1))
             drift[:n, :n], drift[:n, n], diffusion[:n, :n] = slope, shift, intensity
@@ -149,9 +149,9 @@ class _Linear:
             matrix, noise = integrated(extended, start, stop)
         return matrix[:-1, :-1], matrix[:-1, -1], noise[:-1, :-1]
 
-    def sensor(self, t) -> _Sensor:
+    def sensor(self, t, p) -> _Sensor:
         """The sensor at a time."""
-        return _Sensor(*(f(t) for f in self._sensor))
+        return _Sensor(*(f(t, p) for f in self._sensor))
 
 
 class _Joint:

@@ -19,7 +19,7 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
 from seedslib.base.clock import step_count, when
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
@@ -30,7 +30,7 @@ from seedslib.designed.finite_order import FiniteOrderFilter, Rules
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -256,7 +256,7 @@ def synthesize(
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     mask, availability = certain(schedule)
     check_kinds(memory, predictor, exact_moments, availability is not None)
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
@@ -278,23 +278,22 @@ def synthesize(
         times=times,
         node_times=grid,
         components=components,
-        rules=rules,
         measured=None if mask.all() else mask,
         availability=availability,
     )
     if exact_moments:
         from seedslib.design.exact_moments import linear_design
 
-        return filter(**linear_design(system, rules, times, grid, mask, course))
+        return filter(**linear_design(system, rules, times, grid, mask, trajectory))
     paths = as_count("paths", paths)
     check_paths(paths, coefficients_of(predictor, memory.order(components, system.sensor.size)))
     root = as_seed_sequence(seed)
     stops = len(times) + sum(map(len, grid))
     with executor(workers) as each:
         simulator = PathSimulator(system, paths, root, stops, each, options)
-        forward = ForwardPass(simulator, rules, predictor, mask, availability, course)
+        forward = ForwardPass(simulator, rules, predictor, mask, availability, trajectory)
         parts = forward.design(times, grid)
         design = Design(paths, BLOCK, *seed_record(root), simulator.warn_of_diverged())
     del simulator, forward  # their paths are not needed any more
     designed = filter(**parts, design=design)
-    return with_held_out(designed, root, paths, workers, inputs=course.values, **options)
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values, **options)

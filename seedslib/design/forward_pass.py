@@ -20,7 +20,7 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths import PathSimulator
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
@@ -48,7 +48,7 @@ class ForwardPass:
         Components that are measured at each time.
     availability : ndarray, shape (m,), or None
         Probability that a component that is measured arrives; None where all do.
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
     """
 
@@ -59,7 +59,7 @@ class ForwardPass:
         predictor: Affine | Polynomial | Continuous,
         measured: np.ndarray,
         availability: np.ndarray | None,
-        inputs: Course,
+        inputs: InputTrajectory,
     ) -> None:
         self.simulator, self.predictor = simulator, predictor
         self.measured, self.inputs = measured, inputs
@@ -83,19 +83,16 @@ class ForwardPass:
         grid : tuple of ndarray, length K
             Node times.
         """
-        with self.inputs.at(0):
-            start = self._start(times[0])
+        start = self._start(times[0], self.inputs.at(0))
         for k in followed(range(len(grid)), "design"):
-            t, stop = times[k], times[k + 1]
-            with self.inputs.at(k):
-                if self.continuous:
-                    fits, memories = self._steps(t, [*grid[k], stop])
-                else:
-                    fits, memories = self._nodes(k, t, grid[k])
-                self.simulator.advance(self.scores[-1][0], stop)
+            t, stop, inputs = times[k], times[k + 1], self.inputs.at(k)
+            if self.continuous:
+                fits, memories = self._steps(t, [*grid[k], stop], inputs)
+            else:
+                fits, memories = self._nodes(k, t, grid[k], inputs)
+            self.simulator.advance(self.scores[-1][0], stop, inputs)
             self.node_fits.append(tuple(fits))
-            with self.inputs.at(k + 1):
-                self._measurement(k + 1, stop, memories)
+            self._measurement(k + 1, stop, memories, self.inputs.at(k + 1))
         scores = (np.array(part) for part in zip(*self.scores, strict=True))
         return {
             "start": start,
@@ -104,11 +101,11 @@ class ForwardPass:
             "predicted": Prediction(*scores, in_sample=True),
         }
 
-    def _start(self, t) -> Start:
+    def _start(self, t, inputs) -> Start:
         """Moments of the first state and measurement, and the first estimates."""
         simulator, n = self.simulator, self.simulator.n
         simulator.begin()
-        y = simulator.measure(t)
+        y, p = simulator.measure(t, inputs), simulator.system.values(inputs)
         joint = simulator.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = joint.mean, joint.cov
         start = Start(mean[:n], cov[:n, :n], Moments(mean[n:], cov[:n, n:], cov[n:, n:]))
@@ -118,7 +115,7 @@ class ForwardPass:
             return FilterState(0, prior, start.cov, loglik=0.0)
 
         def correct(rules, state, y):
-            return rules.first(state, t, y, start, covariance=False)
+            return rules.first(state, t, y, p, start, covariance=False)
 
         self._correct(0, t, y, [simulator.executor(initial, y)], correct)
         return start
@@ -138,13 +135,13 @@ class ForwardPass:
             return fits[0]
         return ClassFits.of(table, covs_before, self.histories.prob, fits)
 
-    def _nodes(self, k, t, nodes):
+    def _nodes(self, k, t, nodes, inputs):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
         simulator, n, node_fits = self.simulator, self.components, []
         memories = [simulator.executor(_memory, state) for state in self.states]
         size, table = self._sizes(k), self.histories.classes.table[:1]
         for node in nodes:
-            simulator.advance(t, node)
+            simulator.advance(t, node, inputs)
             t = node
             fits = [self._fit(Affine(), u, n, size) for u in memories]
             node_fits.append(self._of_classes(fits, table, np.empty((0, n, n))))
@@ -152,23 +149,24 @@ class ForwardPass:
             self._score(t, *(simulator.finite(fit.mean, u) for fit, u in pairs))
         return node_fits, memories
 
-    def _steps(self, t, stops):
+    def _steps(self, t, stops, inputs):
         """Fits of the continuous forecast at each integration step, and where it leads."""
         simulator, fits = self.simulator, []
-        (state,) = self.states
+        (state,), p = self.states, simulator.system.values(inputs)
         z = simulator.executor(_estimate, state)
         for stop in stops:
             fits.append(self._fit(self.predictor, z, simulator.n, self.size))
-            z = simulator.finite(_euler_step(fits[-1], t, stop - t), self.rules, z)
+            z = simulator.finite(_euler_step(fits[-1], t, stop - t, p), self.rules, z)
             if stop != stops[-1]:
-                simulator.advance(t, stop)
+                simulator.advance(t, stop, inputs)
                 self._score(stop, z)
                 t = stop
         return fits, [z]
 
-    def _measurement(self, k, t, memories):
+    def _measurement(self, k, t, memories, inputs):
         """Fit the forecasts for a measurement, and correct them."""
         simulator, size = self.simulator, self._sizes(k - 1)
+        p = simulator.system.values(inputs)
         fits = [self._fit(self.predictor, u, simulator.n, size) for u in memories]
         self.fits.append(self._of_classes(fits, self.histories.classes.table, self.covs_before))
         if not self.one_class:
@@ -179,13 +177,13 @@ class ForwardPass:
             return state._replace(index=k, mean=mean, cov=cov, corrected=False)
 
         def correct(rules, state, y):
-            return rules.correct(state, t, y, covariance=False)
+            return rules.correct(state, t, y, p, covariance=False)
 
         forecasts = [
             simulator.executor(partial(forecast, fit=fit), *pair)
             for fit, *pair in zip(fits, self.states, memories, strict=True)
         ]
-        self._correct(k, t, simulator.measure(t), forecasts, correct)
+        self._correct(k, t, simulator.measure(t, inputs), forecasts, correct)
 
     def _correct(self, k, t, y, forecasts, correct):
         """Correct each class with each pattern, and find the classes that this makes."""
@@ -260,9 +258,9 @@ def _memory(state):
     return state.past.vector
 
 
-def _euler_step(fit, t, h):
+def _euler_step(fit, t, h, p):
     """Step of the continuous forecast, without anything else of the pass in it."""
-    return lambda rules, z: rules.move(fit, t, h, z)
+    return lambda rules, z: rules.move(fit, t, h, z, p)
 
 
 def _second_moments(simulator, n, states):

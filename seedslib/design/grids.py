@@ -268,7 +268,7 @@ def affine_synthesis(
         else:
             fits.append(regress(*_moments(law), 1))
             mean, cov = fits[-1].forecast(law.memory_points)
-            moments = sensor(float(t), mean, cov)
+            moments = sensor(float(t), mean, cov, system.values())
         law.take(k, corrected(law, mean, cov, moments), likelihood)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
@@ -304,7 +304,7 @@ def _moments(law: JointLaw) -> tuple[np.ndarray, np.ndarray]:
 def _start(law: JointLaw, t: float) -> Start:
     """Moments of the state and the measurement before anything is remembered."""
     state, x = law.joint.sum(axis=0), law.values
-    y, noise = law.system.sensor.conditional_moments(float(t), x)
+    y, noise = law.system.sensor.conditional_moments(float(t), x, law.system.values())
     y = np.broadcast_to(y, (len(y), x.shape[1]))
     noise = noise if noise.ndim == 3 else noise[..., None]
     noise = np.broadcast_to(noise, (*noise.shape[:2], x.shape[1]))

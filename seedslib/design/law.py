@@ -20,7 +20,7 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains import chain_of
-from seedslib.models.kinds import AnySystem, as_grid, as_system, elapsed, switches
+from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 NEGLIGIBLE = 1e-290
 """Probabilities below this are set to zero: they cannot be divided by."""
@@ -350,8 +350,7 @@ class JointLaw:
             if k + 1 < len(self.times):
                 stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
                 for a, b in pairwise(stops):
-                    with elapsed(self.system, a, b):
-                        self.move(a, b)
+                    self.move(a, b)
                     if b != stops[-1]:
                         between.append(self._forecast(b))
         self._warn_of_memory()

@@ -6,7 +6,6 @@ import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import copy_context
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -95,7 +94,7 @@ def _on_threads(pool, workers, work, *lists) -> list:
         for number in numbers:
             results[number] = work(*jobs[number])
 
-    others = [pool.submit(copy_context().run, run) for _ in range(min(workers, len(jobs)) - 1)]
+    others = [pool.submit(run) for _ in range(min(workers, len(jobs)) - 1)]
     run()
     for other in others:
         other.result()
@@ -166,16 +165,19 @@ class PathSimulator:
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def advance(self, start: float, stop: float) -> None:
+    def advance(self, start: float, stop: float, inputs: Mapping[Any, Any] | None = None) -> None:
         """Move all paths to a later time."""
-        options = self.options
-        self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
+        options, p = self.options, self.system.values(inputs, stop - start)
+        self._go(
+            lambda system, rng, x: system.advance(x, start, stop, rng, p, **options), self.states
+        )
 
-    def measure(self, t: float) -> list[Any]:
+    def measure(self, t: float, inputs: Mapping[Any, Any] | None = None) -> list[Any]:
         """Measurements, (m, paths) for each bundle; once at a stop."""
+        p = self.system.values(inputs)
 
         def sampled(system, streams, counts, x):
-            return system.sensor.sample(t, x, _generator(streams, counts))
+            return system.sensor.sample(t, x, _generator(streams, counts), p)
 
         return self.finite(sampled, self._shared, self._streams(1), self.counts, self.states)
 

@@ -17,7 +17,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.base.linalg import NEGATIVE
 from seedslib.base.progress import followed
-from seedslib.base.values import Course, Inputs
+from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
@@ -33,7 +33,7 @@ from seedslib.designed.switching import (
     require_memory,
 )
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, course_of, elapsed
+from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem
 
 JITTER = 1e-8
@@ -223,12 +223,12 @@ def synthesize_switching(
     paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
     with executor(workers) as each:
         simulator = PathSimulator(system.hybrid, paths, root, len(times), each, {})
-        forward = SwitchingPass(simulator, system, memory, rules, course)
+        forward = SwitchingPass(simulator, system, memory, rules, trajectory)
         forward.design(times)
         pooled, pairs = forward.pooled, forward.pairs
         if pooled > OFTEN * pairs:
@@ -257,10 +257,9 @@ def synthesize_switching(
                 pairs=pairs,
                 repaired=forward.repaired,
             ),
-            rules=rules,
         )
     del simulator, forward  # their paths are not needed any more
-    return with_held_out(designed, root, paths, workers, inputs=course.values)
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values)
 
 
 class SwitchingPass:
@@ -272,7 +271,7 @@ class SwitchingPass:
     system : SwitchingSystem
     memory : Memory
     rules : SwitchingRules
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
 
     Attributes
@@ -289,7 +288,7 @@ class SwitchingPass:
         system: SwitchingSystem,
         memory: Memory,
         rules: SwitchingRules,
-        inputs: Course,
+        inputs: InputTrajectory,
     ) -> None:
         self.simulator, self.system, self.memory = simulator, system, memory
         self.rules, self.inputs = rules, inputs
@@ -306,35 +305,34 @@ class SwitchingPass:
                     partial(_start, self.rules), self.simulator.states
                 )
             else:
-                with self.inputs.at(k - 1), elapsed(self.system, times[k - 1], t):
-                    self._predict(times[k - 1], t)
-            with self.inputs.at(k):
-                self._correct(k, t)
+                self._predict(times[k - 1], t, self.inputs.at(k - 1))
+            self._correct(k, t, self.inputs.at(k))
             self._score()
             if k + 1 < len(times):
                 self._fit(k)
         self.repaired += sum(state.repaired for state in self.states)
 
-    def _predict(self, old, t):
+    def _predict(self, old, t, inputs):
         rules, system, fit = self.rules, self.system, self.fits[-1]
+        p = system.values(inputs, t - old)
 
         def predict(state):
             cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
-            law = rules.predict(old, fit.forecast(cell, state.past.vector))
+            law = rules.predict(old, fit.forecast(cell, state.past.vector), p)
             return state._replace(law=law, corrected=False)
 
-        self.simulator.advance(old, t)
+        self.simulator.advance(old, t, inputs)
         self.states = self.simulator.executor(predict, self.states)
 
-    def _correct(self, k, t):
+    def _correct(self, k, t, inputs):
         rules, memory, m = self.rules, self.memory, self.system.measurement_size
-        with_indicator = self.system.indicators > 0
+        with_indicator, p = self.system.indicators > 0, self.system.values(inputs)
 
         def correct(state, y):
             indicator = y[m].astype(int) if with_indicator else None
-            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory)
+            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory, p)
 
-        y = self.simulator.measure(t)
+        y = self.simulator.measure(t, inputs)
         self.states = self.simulator.finite(correct, self.states, y, array=lambda state: state.mean)
 
     def _fit(self, k):

@@ -186,9 +186,9 @@ def _table(paths, axes, values) -> Table:
 
 def _log_density(system, t, sample, axes) -> Callable[[slice], np.ndarray]:
     """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
-    grid, x = mesh(axes)[:, None, :], sample.states
+    grid, x, p = mesh(axes)[:, None, :], sample.states, system.values()
     if not switches(system):
-        return lambda part: system.sensor.log_density(t, grid, x[:, part, None])
+        return lambda part: system.sensor.log_density(t, grid, x[:, part, None], p)
     values = [*range(system.indicators), -1] if system.indicators else [0]
 
     def log_density(part):
@@ -200,7 +200,7 @@ def _log_density(system, t, sample, axes) -> Callable[[slice], np.ndarray]:
             for column, j in enumerate(values):
                 reading = system.sensors[i] if j < 0 else system.readings[i][j]
                 if reading is not None and rows.size:
-                    logs[rows, column] = reading.log_density(t, grid, in_mode)
+                    logs[rows, column] = reading.log_density(t, grid, in_mode, p)
         return logs.reshape(len(modes), -1)
 
     return log_density

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_real, as_times, is_whole, outside, require_shape
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
 from seedslib.designed.checks import check_array
 from seedslib.designed.memory import Memory, Past
@@ -116,8 +116,8 @@ def nan_where(gap: np.ndarray | bool, part: MaybeArray) -> Any:
 class DesignedFilter(Filter):
     """A filter whose memory, and the forecasts from it, come from a design.
 
-    A kind of filter writes `predicted_state` and `corrected_state`, its steps without checks,
-    and `ahead`, its forecasts between measurements.
+    A kind of filter writes `propagate` and `update`, its steps without checks, and `ahead`, its
+    forecasts between measurements.
 
     Attributes
     ----------
@@ -146,6 +146,10 @@ class DesignedFilter(Filter):
     times: Any
     clock: Clock
     predicted: Any
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        freeze(tuple(state.values()))  # arrays that come from elsewhere can be written to
 
     # The steps of the design
 
@@ -231,18 +235,30 @@ class DesignedFilter(Filter):
 
     # Step by step
 
-    def predicted_state(self, state: Any, t: float, interval: Interval | None = None) -> Any:
+    def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
         """The forecast for the next measurement, at t; `interval` is the one before, if known."""
         raise NotImplementedError
 
-    def corrected_state(
-        self, state: Any, y: np.ndarray, indicator: MaybeArray, covariance: bool = True
+    def update(
+        self,
+        state: Any,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> Any:
         """The state after a measurement, with its covariance where that is wanted."""
         raise NotImplementedError
 
-    def predict(self, state: Any, t: float) -> Any:
+    def predict(self, state: Any, t: float, *, inputs: Mapping[Any, Any] | None = None) -> Any:
         """Forecast for the next measurement time t; the first state has nothing to forecast.
+
+        Parameters
+        ----------
+        state : NamedTuple
+        t : float
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs from the time of the state on.
 
         Raises
         ------
@@ -258,9 +274,17 @@ class DesignedFilter(Filter):
             raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
         if k:
             require_corrected(state)
-        return self.predicted_state(state, float(t))
+        dt = wanted - clock.moment(k - 1, self.cycle) if k else np.nan
+        return self.propagate(state, float(t), self.system.values(inputs, dt))
 
-    def correct(self, state: Any, y: ArrayLike, indicator: ArrayLike | None = None) -> Any:
+    def correct(
+        self,
+        state: Any,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Any:
         """Correct the forecast by a measurement and the indicator.
 
         Parameters
@@ -270,6 +294,8 @@ class DesignedFilter(Filter):
             NaN where it is missing.
         indicator : array_like of int, shape (*batch), optional
             -1 where it is missing; wanted where the system has one.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs at that time.
 
         Raises
         ------
@@ -284,7 +310,7 @@ class DesignedFilter(Filter):
         if indicator is not None or self.system.indicators:
             given = indicator if indicator is None else np.asarray(indicator)[None]
             indicator = as_indicators(given, self.system, (1, *batch), "indicator")[0]
-        corrected = self.corrected_state(state, y, indicator)
+        corrected = self.update(state, y, self.system.values(inputs), indicator)
         if self.memory is None:
             return corrected
         rows = None if indicator is None else indicator[None]
@@ -344,14 +370,14 @@ class DesignedFilter(Filter):
 
     # Between measurements
 
-    def ahead(self, state: Any, row: int) -> list[np.ndarray]:
+    def ahead(self, state: Any, row: int, p: Values) -> list[np.ndarray]:
         """Estimates at the nodes of interval `row` of the design and at its end.
 
         Without the end where no measurement follows.
         """
         raise NotImplementedError
 
-    def interval(self, state: Any, with_before: bool = True) -> Interval:
+    def interval(self, state: Any, p: Values, with_before: bool = True) -> Interval:
         """Estimates from a correction to the next measurement, and those of the interval before."""
         k = state.index
         row = self.served(k + 1) - 1 if self.cycle else k
@@ -361,17 +387,24 @@ class DesignedFilter(Filter):
             nodes = self.node_times[row] if self.node_times else np.empty(0)
             # beyond the design the nodes lie as in the interval that serves
             times += [*(nodes + (start - self.times[row])), self.clock.moment(k + 1, self.cycle)]
-            values += self.ahead(state, row)
+            values += self.ahead(state, row, p)
         before = None
         if with_before and state.before is not None:
-            before = self.interval(state.before, with_before=False)
+            before = self.interval(state.before, p, with_before=False)
         return Interval(np.array(times), values, before)
 
     def forecasting(self, kind: str) -> Self:
         """The same filter with another kind of forecast between measurements."""
         return replace(self, between=kind)
 
-    def forecast(self, state: Any, t: float, kind: str | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        kind: str | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """Estimate of the first n' components at a time up to the next measurement.
 
         Parameters
@@ -383,6 +416,8 @@ class DesignedFilter(Filter):
             or to the horizon.
         kind : str, optional
             One of `FORECAST_KINDS`; the filter's own `between` by default.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs from the time of the state on.
 
         Raises
         ------
@@ -390,7 +425,8 @@ class DesignedFilter(Filter):
             A time outside the interval, an unknown kind, a state that was not corrected.
         """
         require_corrected(state)
-        interval, tolerance = self.interval(state), self.clock.tolerance
+        interval = self.interval(state, self.system.values(inputs))
+        tolerance = self.clock.tolerance
         start, end = interval.times[0], interval.times[-1]
         if not start - tolerance <= t <= end + tolerance:
             raise ValueError(f"t: wanted a time from {when(start)} to {when(end)}, got {when(t)}")
@@ -544,20 +580,21 @@ class DesignedFilter(Filter):
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
+        times, inputs, values = record.times, record.inputs, self.system.values
         last = 0  # row of the last measurement, whose inputs act until the next
         for j, k in enumerate(numbers):
-            with record.inputs.at(last):
-                if k < 0:
-                    interval = interval or self.interval(state)
-                    mean = at(interval, record.times[j], self.between)
-                    cov = np.full_like(state.cov, np.nan) if covariances else None
-                    loglik = None if state.loglik is None else 0.0
-                    yield Estimates(mean, cov, loglik=loglik)
-                    continue
-                state = self.predicted_state(state, record.times[j], interval)
-            with record.inputs.at(j):
-                indicator = None if record.indicators is None else record.indicators[j]
-                state = self.corrected_state(state, record.y[j], indicator, covariances)
+            p = values(inputs.at(last), times[j] - times[last])
+            if k < 0:
+                interval = interval or self.interval(state, p)
+                mean = at(interval, times[j], self.between)
+                cov = np.full_like(state.cov, np.nan) if covariances else None
+                loglik = None if state.loglik is None else 0.0
+                yield Estimates(mean, cov, loglik=loglik)
+                continue
+            state = self.propagate(state, times[j], p, interval)
+            indicator = None if record.indicators is None else record.indicators[j]
+            p = values(inputs.at(j))
+            state = self.update(state, record.y[j], p, indicator, covariances)
             interval, last = None, j
             yield self.report(state, covariances)
         repaired.append(getattr(state, "repaired", 0))

@@ -14,12 +14,11 @@ import numpy as np
 
 from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
-from seedslib.models.kinds import inputs_of
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch, SwitchingSystem
 
 MomentFunction = Callable[..., Any]
-"""``f(t, mean, cov)`` of a Gaussian state: a `Weighted`, or those of a row."""
+"""``f(t, mean, cov, p)`` of a Gaussian state: a `Weighted`, or those of a row."""
 
 
 def switch_row(system: SwitchingSystem, i: int, linearization: Linearization) -> MomentFunction:
@@ -28,9 +27,9 @@ def switch_row(system: SwitchingSystem, i: int, linearization: Linearization) ->
     if not all(branch is None or branch.constant for branch in switch):
         return _of_one_part(_branch_moments([b and b.map for b in switch], linearization))
 
-    def row(t, mean, cov):
+    def row(t, mean, cov, p=()):
         unmoved = Gaussian(mean, cov), Moments(mean, cov, cov)
-        return [[b and Weighted(b.probability(t, mean), *unmoved)] for b in switch]
+        return [[b and Weighted(b.probability(t, mean, p), *unmoved)] for b in switch]
 
     return row
 
@@ -44,9 +43,9 @@ def forecast_row(system: SwitchingSystem, i: int, linearization: Linearization) 
     move = next(branch.whole for branch in branches if branch is not None)
     moments = constant_moments(move, linearization)
 
-    def row(t, mean, cov):
-        w = moments(t, mean, cov)
-        return [[branch and w._replace(mass=branch.probability(t, mean))] for branch in branches]
+    def row(t, mean, cov, p=()):
+        w = moments(t, mean, cov, p)
+        return [[branch and w._replace(mass=branch.probability(t, mean, p))] for branch in branches]
 
     return row
 
@@ -70,8 +69,8 @@ def split_row(system: SwitchingSystem, i: int, linearization: Linearization) -> 
         len(table[0]),
     )
 
-    def row(t, mean, cov):
-        flat = moments(t, mean, cov)
+    def row(t, mean, cov, p=()):
+        flat = moments(t, mean, cov, p)
         return [flat[a : a + width] for a in range(0, len(flat), width)]
 
     return row
@@ -85,7 +84,7 @@ def _branches(system, i):
 
 
 def _of_one_part(moments: MomentFunction) -> MomentFunction:
-    return lambda t, mean, cov: [[weighted] for weighted in moments(t, mean, cov)]
+    return lambda t, mean, cov, p=(): [[weighted] for weighted in moments(t, mean, cov, p)]
 
 
 def _branch_moments(
@@ -94,8 +93,8 @@ def _branch_moments(
     """Moments of several branches of one state, None where there is no branch."""
     moments = linearization.row([map for map in maps if map is not None])
 
-    def row(t, mean, cov):
-        each = iter(moments(t, mean, cov))
+    def row(t, mean, cov, p=()):
+        each = iter(moments(t, mean, cov, p))
         return [map and next(each) for map in maps]
 
     return row
@@ -114,9 +113,9 @@ def constant_moments(
     """Moments of a map whose branch, if any, has a probability that is free of the state."""
     moments = linearization.moments(map)
 
-    def weighted(t, mean, cov):
-        mass = np.ones(mean.shape[1:]) if branch is None else branch.probability(t, mean)
-        return Weighted(mass, Gaussian(mean, cov), moments(t, mean, cov))
+    def weighted(t, mean, cov, p=()):
+        mass = np.ones(mean.shape[1:]) if branch is None else branch.probability(t, mean, p)
+        return Weighted(mass, Gaussian(mean, cov), moments(t, mean, cov, p))
 
     return weighted
 
@@ -129,7 +128,7 @@ def _with_indicator(system, branch, reading):
     if move.symbolic:
         with suppress(ValueError):  # none has a closed form where the noise decides
             probability = reading.probability_expression
-    symbols = inputs_of(sensor) if probability is None else probability.free_symbols
+    symbols = sensor.mentions if probability is None else probability.free_symbols
     if any(getattr(symbol, "role", None) == "input" for symbol in symbols):
         raise ValueError("indicator: its probability depends on an input of another time")
     if _depends_on_time(system, reading) if probability is None else probability.has(sensor.time):
@@ -138,15 +137,17 @@ def _with_indicator(system, branch, reading):
         return StochasticMap.from_functions(
             move.state_size,
             move.size,
-            move.value,
+            lambda t, x, v, *p: move.value(t, x, v, p),
             move.noise,
-            weight=lambda t, x, v: (
-                move.weight(t, x, v) * reading.probability(t, move.value(t, x, v))
+            weight=lambda t, x, v, *p: (
+                move.weight(t, x, v, p) * reading.probability(t, move.value(t, x, v, p), p)
             ),
+            parameters=move.parameters,
         )
     next_state = dict(zip(sensor.state, move.expressions, strict=True))
     weight = move.weight_expression * probability.subs(next_state, simultaneous=True)
-    return StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
+    both = StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
+    return both.taking(move.parameters)
 
 
 def _depends_on_time(system, reading):
@@ -154,11 +155,11 @@ def _depends_on_time(system, reading):
 
     One that is not defined at all times depends on them.
     """
-    states = probe_points(system, 0.0, 1.0)[1:]
+    states, p = probe_points(system, 0.0, 1.0)[1:], system.nominal_values()
     try:
         with np.errstate(all="ignore"):
             first, *others = (
-                reading.probability(t, states) for t in (0.0, 1e-3, 0.37, 1.0, 7.3, 100.0)
+                reading.probability(t, states, p) for t in (0.0, 1e-3, 0.37, 1.0, 7.3, 100.0)
             )
     except Exception:
         return True

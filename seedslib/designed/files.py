@@ -109,7 +109,7 @@ def save(filter: DesignedFilter, path: str | PathLike[str]) -> None:
         "format": FORMAT,
         "version": VERSION,
         "versions": {"seedslib": seedslib.__version__, "numpy": np.__version__},
-        "filter": numbers.packed(filter, "", leave=("system", "rules")),
+        "filter": numbers.packed(filter, "", leave=("system",)),
         "model": model_text(filter.system),
         "sizes": numbers.packed(UnknownModel.of(filter.system), "sizes"),
         "points": numbers.packed(points, "points"),
@@ -160,10 +160,7 @@ def load(path: str | PathLike[str], system: AnySystem | None = None) -> Any:
             "line --system (only a filter of tables runs without)"
         )
     with _consistent(path):
-        given = {"system": system if known else sizes.bounded()}
-        if not issubclass(kind, OutputFilter):
-            given["rules"] = None  # they are compiled again
-        return _unpacked(tree, vectors, **given)
+        return _unpacked(tree, vectors, system=system if known else sizes.bounded())
 
 
 @contextmanager

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
-from seedslib.base.objects import by_fields
+from seedslib.base.values import Values
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
 from seedslib.designed.arrivals import ClassFits, fit_of, transitions, uncertain, with_history
 from seedslib.designed.base import (
@@ -94,20 +95,26 @@ class Rules:
         return cls(memory, components, sensor, velocity, system.sensor.period)
 
     def first(
-        self, state: FilterState, t: float, y: np.ndarray, start: Start, covariance: bool = True
+        self,
+        state: FilterState,
+        t: float,
+        y: np.ndarray,
+        p: Values,
+        start: Start,
+        covariance: bool = True,
     ) -> FilterState:
         """State after the first measurement, whose moments are fixed."""
         moments = start.moments_for(state.mean.ndim - 1)
-        return self._corrected(state, t, y, moments, covariance, start.mean)
+        return self._corrected(state, t, y, p, moments, covariance, start.mean)
 
     def correct(
-        self, state: FilterState, t: float, y: np.ndarray, covariance: bool = True
+        self, state: FilterState, t: float, y: np.ndarray, p: Values, covariance: bool = True
     ) -> FilterState:
         """State after a measurement, from the forecast; its covariance where that is wanted."""
-        moments = self.sensor(t, state.mean, state.cov)
-        return self._corrected(state, t, y, moments, covariance, state.mean)
+        moments = self.sensor(t, state.mean, state.cov, p)
+        return self._corrected(state, t, y, p, moments, covariance, state.mean)
 
-    def _corrected(self, state, t, y, moments, covariance, mean):
+    def _corrected(self, state, t, y, p, moments, covariance, mean):
         if self.periods:
             y = nearest(y, moments.mean, self.periods)
         n = self.components
@@ -116,7 +123,7 @@ class Rules:
             state.cov[:n, :n] if covariance else None,
             y,
             (moments.mean, moments.cross[:n], moments.cov),
-            noise=lambda: self.sensor(t, mean, np.zeros_like(state.cov)).cov,
+            noise=lambda: self.sensor(t, mean, np.zeros_like(state.cov), p).cov,
         )
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
@@ -134,31 +141,31 @@ class Rules:
             corrected=True,
         )
 
-    def move(self, fit: AffineFit, t: float, step: float, z: np.ndarray) -> np.ndarray:
+    def move(self, fit: AffineFit, t: float, step: float, z: np.ndarray, p: Values) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
         with np.errstate(over="ignore", invalid="ignore"):
-            rates, moved = self.velocity(t, list(fit.mean(z)), fit.cov), np.empty_like(z)
+            rates, moved = self.velocity(t, list(fit.mean(z)), fit.cov, p), np.empty_like(z)
             for k, rate in enumerate(rates[: self.components]):
                 moved[k] = z[k] + rate * step
         return moved
 
 
 def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[..., Any]:
-    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
+    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov, p) -> components``.
 
     The covariance is common to all paths, (n, n).
     """
     if not (system.symbolic and hasattr(linearization, "formulas")):
         moments = linearization.moments(system.drift_map, spread=False)
-        return lambda t, mean, cov: list(moments(t, np.stack(mean), cov).mean)
+        return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components
 
     n = system.state_size
     mean, lower, cov = gaussian_symbols(n)
     velocity = linearization.formulas(system.drift_map, list(mean), cov, spread=False)[0]
-    evaluate = compile_components((system.time, mean, lower), list(velocity))
+    evaluate = compile_components((system.time, mean, lower, system.parameters), list(velocity))
     rows, columns = np.tril_indices(n)
-    return lambda t, mean, cov: evaluate(t, mean, cov[rows, columns].tolist())
+    return lambda t, mean, cov, p: evaluate(t, mean, cov[rows, columns].tolist(), p)
 
 
 def gaussian_symbols(n: int) -> tuple[Any, ...]:
@@ -204,7 +211,7 @@ class FiniteOrderFilter(DesignedFilter):
     measured, availability : ndarray, optional
         See `DesignedFilter`.
     rules : Rules
-        The compiled steps; made from the other fields.
+        The compiled steps.
     """
 
     takes = ("covariances",)
@@ -227,19 +234,21 @@ class FiniteOrderFilter(DesignedFilter):
     cycle: int = 0
     measured: MaybeArray = None
     availability: MaybeArray = None
-    rules: Rules | None = None
 
     def __post_init__(self) -> None:
         require_kind("between", self.between)
         self.check_shapes()
-        parts = {"clock": Clock(self.times), "transitions": transitions(self.fits, self.cycle)}
-        if self.rules is None:
-            parts["rules"] = Rules.of(
-                self.system, self.memory, self.predictor, self.linearization, self.components
-            )
-        vars(self).update(parts)
+        vars(self).update(clock=Clock(self.times), transitions=transitions(self.fits, self.cycle))
+        _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
+
+    @cached_property
+    def rules(self) -> Rules:
+        """The compiled steps."""
+        return Rules.of(
+            self.system, self.memory, self.predictor, self.linearization, self.components
+        )
 
     def check_shapes(self) -> None:
         """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
@@ -281,9 +290,6 @@ class FiniteOrderFilter(DesignedFilter):
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    def __reduce__(self) -> tuple:
-        return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
-
     # Step by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
@@ -292,8 +298,8 @@ class FiniteOrderFilter(DesignedFilter):
         mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
         return FilterState(-1, mean, self.start.cov, loglik=0.0)
 
-    def predicted_state(
-        self, state: FilterState, t: float, interval: Interval | None = None
+    def propagate(
+        self, state: FilterState, t: float, p: Values, interval: Interval | None = None
     ) -> FilterState:
         """The forecast of the whole state for the next measurement; the first is the prior."""
         k = state.index + 1
@@ -302,25 +308,30 @@ class FiniteOrderFilter(DesignedFilter):
         if self.rules.velocity is None:
             u = state.past.vector
         else:  # the estimate has moved on
-            u = (interval or self.interval(state, with_before=False)).values[-1]
+            u = (interval or self.interval(state, p, with_before=False)).values[-1]
         mean, cov = fit_of(self.fits[self.served(k) - 1], state.history).forecast(u)
         before = state._replace(before=None)
         return FilterState(
             k, mean, cov, state.past, 0.0, before=before, gap=state.gap, history=state.history
         )
 
-    def corrected_state(
-        self, state: FilterState, y: np.ndarray, indicator: MaybeArray, covariance: bool = True
+    def update(
+        self,
+        state: FilterState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> FilterState:
         """The state after a measurement, with its covariance where that is wanted."""
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            state = self.rules.first(state, t, y, self.start, covariance)
+            state = self.rules.first(state, t, y, p, self.start, covariance)
         else:
-            state = self.rules.correct(state, t, y, covariance)
+            state = self.rules.correct(state, t, y, p, covariance)
         return state if self.transitions is None else with_history(self, state, y)
 
-    def expect(self, state: FilterState) -> Moments:
+    def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
 
         Raises
@@ -332,10 +343,11 @@ class FiniteOrderFilter(DesignedFilter):
         if state.index == 0:
             return self.start.moments_for(state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov)
+        p = self.system.values(inputs)
+        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov, p)
         return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 
-    def ahead(self, state: FilterState, row: int) -> list[np.ndarray]:
+    def ahead(self, state: FilterState, row: int, p: Values) -> list[np.ndarray]:
         """Estimates at the nodes of an interval and at its end; Euler's steps if continuous."""
         fits = self.node_fits[row] if self.node_fits else ()
         if self.rules.velocity is None:
@@ -346,7 +358,7 @@ class FiniteOrderFilter(DesignedFilter):
         stops = [start, *(self.node_times[row] + (start - self.times[row])), end]
         values = [state.mean]
         for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
-            values.append(self.rules.move(fit, t, after - t, values[-1]))
+            values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:

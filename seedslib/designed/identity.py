@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.values import looked_at
-from seedslib.models.kinds import AnySystem, in_steps, mentioned, switches
+from seedslib.base.values import Values
+from seedslib.models.kinds import AnySystem, in_steps, switches
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import SwitchingSystem
 
@@ -53,46 +53,46 @@ def probe(system: AnySystem, points: np.ndarray, likelihood: bool = False) -> di
     likelihood : bool
         Whether densities of measurements count, where the sensor has them.
     """
-    with looked_at(mentioned(system)):
-        if switches(system):
-            return _branches(system, points)
-        rows = [_values(system, t, np.array(x)[:, None], likelihood) for t, *x in points.T]
+    p = system.nominal_values()
+    if switches(system):
+        return _branches(system, points, p)
+    rows = [_values(system, t, np.array(x)[:, None], p, likelihood) for t, *x in points.T]
     values = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     values["mean0"], values["cov0"] = np.array([system.mean0]), np.array([system.cov0])
     return values
 
 
-def _values(system, t, x, likelihood):
+def _values(system, t, x, p, likelihood):
     """Values of one that does not switch at one time and state (n, 1)."""
     maps, values = {"sensor": system.sensor}, {}
     if in_steps(system):
         maps["dynamics"] = system.dynamics
     else:
-        matrix = system.diffusion(t, x)
-        values["drift"] = np.reshape(system.drift(t, x), -1)
+        matrix = system.diffusion(t, x, p)
+        values["drift"] = np.reshape(system.drift(t, x, p), -1)
         values["diffusion"] = np.einsum("ikN,jkN->ij", matrix, matrix)
-        values["intensity"] = np.reshape(system.intensity(t, x), ())
+        values["intensity"] = np.reshape(system.intensity(t, x, p), ())
         if system.jump is not None:
             maps["jump"] = system.jump
     for name, map in maps.items():
-        mean, cov = map.conditional_moments(t, x)
+        mean, cov = map.conditional_moments(t, x, p)
         values[f"{name} (mean)"] = np.reshape(mean, map.size)
         values[f"{name} (cov)"] = np.reshape(cov, (map.size, map.size))
     if likelihood and system.sensor.has_log_density:
-        values["likelihood"] = _likelihood(system.sensor, t, x)
+        values["likelihood"] = _likelihood(system.sensor, t, x, p)
     return {name: np.asarray(value, dtype=float) for name, value in values.items()}
 
 
-def _likelihood(sensor: StochasticMap, t: float, x: np.ndarray) -> np.ndarray:
+def _likelihood(sensor: StochasticMap, t: float, x: np.ndarray, p: Values) -> np.ndarray:
     """Log-densities of measurements up to two deviations from their mean at a state (n, 1)."""
-    mean, cov = sensor.conditional_moments(t, x)
+    mean, cov = sensor.conditional_moments(t, x, p)
     mean = np.reshape(mean, (-1, 1))
     deviation = np.sqrt(np.diagonal(np.reshape(cov, (len(mean), len(mean)))))[:, None]
     y = mean + deviation * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)))
+    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)), p)
 
 
-def _branches(system: SwitchingSystem, points: np.ndarray) -> dict[str, np.ndarray]:
+def _branches(system: SwitchingSystem, points: np.ndarray, p: Values) -> dict[str, np.ndarray]:
     """Values of a switching system: of all its branches, and of its initial modes."""
     # filters of the two drives differ even where the distributions do not
     values = {} if system.drives == "old" else {"drive by the new mode": np.ones((1, 1))}
@@ -111,7 +111,7 @@ def _branches(system: SwitchingSystem, points: np.ndarray) -> dict[str, np.ndarr
             if branch is None:
                 continue
             x = np.repeat(np.array(x)[:, None], len(weights), axis=1)
-            y, share = branch.map.value(t, x, v), branch.map.weight(t, x, v) * weights
+            y, share = branch.map.value(t, x, v, p), branch.map.weight(t, x, v, p) * weights
             prob[place], mean[place] = share.sum(), y @ share
             # about the mean: beside a large mean a small variance would not be seen
             residual = y - (mean[place] / prob[place])[:, None] if prob[place] else y

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -17,7 +17,6 @@ from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import AffineFit, PolynomialFit
 from seedslib.designed.tables import Output, OutputFilter, Step, prior
 from seedslib.models.discrete import DiscreteSystem
-from seedslib.models.kinds import elapsed
 
 Basic = Callable[..., np.ndarray]
 """A basic function of the user's."""
@@ -173,8 +172,8 @@ class Basics(NamedTuple):
         for age in range(1, self.estimates + 1):
             x = u[(age - 1) * n : age * n]
             for start, stop in pairwise(self.times[-age - 1 :]):
-                with elapsed(self.system, start, stop):
-                    x = self.system.dynamics.conditional_moments(start, x)[0]
+                p = self.system.values(dt=stop - start)
+                x = self.system.dynamics.conditional_moments(start, x, p)[0]
             parts.append(x)
         return np.concatenate([*parts, u[self.estimates * n :]])
 
@@ -186,7 +185,8 @@ class Basics(NamedTuple):
         if bounded is not None:
             return np.concatenate([forecast, y, bounded(np.concatenate([xi, y]))])
         if correction is None:
-            return y - self.system.sensor.conditional_moments(t, forecast)[0]
+            p = self.system.values()
+            return y - self.system.sensor.conditional_moments(t, forecast, p)[0]
         return _checked("correction", correction(t, forecast, y), y)
 
     def functions(self, fit: MinimaxFit) -> Step:
@@ -243,6 +243,10 @@ class MinimaxFilter(OutputFilter):
         vars(self).update(steps=steps)
         freeze(self.fits)
         super().__post_init__()
+
+    def bind(self, values: Any = None, /, **named: Any) -> MinimaxFilter:
+        """See `seedslib.filters.Filter.bind`; the output functions contain the model."""
+        return replace(self, system=self.system.bind(values, **named))
 
     def basics(self, k: int) -> Basics:
         """The basic functions of measurement k."""

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import warnings
-from functools import lru_cache
+from collections.abc import Sequence
+from functools import lru_cache, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -12,7 +13,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import outside
 from seedslib.base.circle import Periods
 from seedslib.base.linalg import nearest_psd, variances
-from seedslib.base.values import on_paths
+from seedslib.base.values import Values, of_paths
 from seedslib.designed.branches import (
     MomentFunction,
     constant_moments,
@@ -125,7 +126,6 @@ class SwitchingRules:
                 f"normalisation: wanted one of {', '.join(NORMALISATIONS)}, got {normalisation!r}"
             )
         self.system = system
-        self._arguments = (system, linearization, normalisation)
         self.periods: Periods = system.sensors[0].period
         # rules of points may have negative weights
         self.guarded: bool = isinstance(linearization, PointRule)
@@ -158,9 +158,6 @@ class SwitchingRules:
         if system.indicators:
             self.unlabelled = [constant_moments(s, linearization) for s in system.sensors]
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return compiled_rules, self._arguments
-
     def initial(self, batch: tuple[int, ...]) -> ModeLaw:
         """Mode and state before any measurement, one part for each mode."""
         parts, tail = self.system.initial, (1,) * len(batch)
@@ -179,12 +176,12 @@ class SwitchingRules:
         """State before any measurement."""
         return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
 
-    def predict(self, t: float, law: ModeLaw) -> ModeLaw:
+    def predict(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Forecast for the next time from the posterior at time t."""
         with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
-            return propagate(self.rows, t, self.switched(t, law))
+            return propagate(with_numbers(self.rows, p), t, self.switched(t, law, p))
 
-    def switched(self, t: float, law: ModeLaw) -> ModeLaw:
+    def switched(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Mode and state after the switch at time t and before the move.
 
         The mixing of the interacting multiple model filter, where the new mode drives the step;
@@ -192,11 +189,11 @@ class SwitchingRules:
         """
         if self.switch is None:
             return law
-        log_prob, mean, cov = propagate(self.switch, t, law)
+        log_prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
         cov = cov[:, :, :, 0]
         return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
-    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None) -> Sensed:
+    def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
         """Mode and state given the indicator, and moments of the measurement.
 
         Parameters
@@ -206,18 +203,20 @@ class SwitchingRules:
             A forecast, with parts.
         indicator : ndarray of int, shape (*batch), or None
             -1 where it is missing.
+        p : tuple
+            Numbers of the parameters.
         """
         if indicator is None:
-            return sense([row[0] for row in self.readings], t, law, self._column(law, 0))
+            return self._sense(t, law, 0, p)
         values = np.unique(indicator)
         if len(values) <= 1:
-            return self._sense(t, law, int(values[0]) if len(values) else 0)
+            return self._sense(t, law, int(values[0]) if len(values) else 0, p)
         batch, arrays = indicator.shape, []
         flat = ModeLaw(*(part.reshape(*part.shape[: part.ndim - len(batch)], -1) for part in law))
         for j in values:
             paths = np.flatnonzero(indicator.ravel() == j)
-            with on_paths(batch, paths):
-                piece = self._sense(t, ModeLaw(*(part[..., paths] for part in flat)), int(j))
+            law = ModeLaw(*(part[..., paths] for part in flat))
+            piece = self._sense(t, law, int(j), of_paths(p, batch, paths))
             parts = (*piece[:3], *piece.moments)
             arrays = arrays or [np.empty((*part.shape[:-1], indicator.size)) for part in parts]
             for array, part in zip(arrays, parts, strict=True):
@@ -225,33 +224,39 @@ class SwitchingRules:
         arrays = [part.reshape(*part.shape[:-1], *batch) for part in arrays]
         return Sensed(*arrays[:3], Moments(*arrays[3:]))
 
-    def _sense(self, t, law, j):
+    def _sense(self, t, law, j, p):
         """As `sense`, of one value of the indicator for all paths."""
         if j < 0:
-            return sense(self.unlabelled, t, law)
+            return sense(with_numbers(self.unlabelled, p), t, law)
         if not any(row[j] for row in self.readings):  # a value that no mode ever gives
-            sensed = sense(self.unlabelled, t, law)
+            sensed = sense(with_numbers(self.unlabelled, p), t, law)
             return sensed._replace(log_prob=np.full_like(sensed.log_prob, -np.inf))
-        return sense([row[j] for row in self.readings], t, law, self._column(law, j))
+        readings = [row[j] for row in self.readings]
+        return sense(with_numbers(readings, p), t, law, self._column(law, j))
 
     def _column(self, law, j):
         """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
         return j if self.printed and law.log_prob.shape[1] > 1 else None
 
-    def _noise(self, t, sensed):
+    def _noise(self, t, sensed, p):
         """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
         readings = self.unlabelled or [row[0] for row in self.readings]
         zero, depth = np.zeros_like(sensed.cov[:, :, 0]), sensed.log_prob.ndim - 1
         noise = np.empty_like(sensed.moments.cov)
         for i, reading in enumerate(readings):
-            cov = reading(t, sensed.mean[:, i, None], zero[:, :, None]).value.cov
+            cov = reading(t, sensed.mean[:, i, None], zero[:, :, None], p).value.cov
             cov = cov[:, :, 0] if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * depth)
             noise[:, :, i] = cov
         return noise
 
     @np.errstate(over="ignore", invalid="ignore", divide="ignore")
     def correct(
-        self, state: SwitchingState, y: np.ndarray, indicator: MaybeArray, memory: Memory | None
+        self,
+        state: SwitchingState,
+        y: np.ndarray,
+        indicator: MaybeArray,
+        memory: Memory | None,
+        p: Values = (),
     ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
         repaired = state.repaired
@@ -260,11 +265,11 @@ class SwitchingRules:
             scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
             state = state._replace(law=ModeLaw(scaled, state.law.mean, cov))
             repaired += count
-        sensed = self.sense(state.time, state.law, indicator)
+        sensed = self.sense(state.time, state.law, indicator, p)
         impossible = (sensed.log_prob == -np.inf).all(axis=0)
         if indicator is not None and impossible.any():  # in any mode: as if it were missing
             possible = np.where(impossible, -1, indicator)
-            sensed = self.sense(state.time, state.law, possible)
+            sensed = self.sense(state.time, state.law, possible, p)
         if self.printed:
             cov, count = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=cov))
@@ -272,7 +277,7 @@ class SwitchingRules:
         elif self.guarded:
             sensed, count = _semidefinite(sensed)
             repaired += count
-        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed), self.periods)
+        law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
         cov, count = nearest_psd(law.cov, variances(sensed.cov))
@@ -298,6 +303,11 @@ def compiled_rules(
 ) -> SwitchingRules:
     """Rules of a system and a linearization, the same object for the same arguments."""
     return SwitchingRules(system, linearization, normalisation)
+
+
+def with_numbers(rows: Sequence[MomentFunction | None], p: Values) -> list[Any]:
+    """Moment functions (t, mean, cov) of those that take the numbers of the parameters too."""
+    return [row and partial(row, p=p) for row in rows]
 
 
 def _pushed(memory, past, mean, mode, y, indicator, law, sensed) -> Past:

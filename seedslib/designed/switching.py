@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,6 +12,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
+from seedslib.base.values import Values
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, page
 from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
 from seedslib.designed.between import Interval
@@ -21,7 +23,7 @@ from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rul
 from seedslib.filters.base import Estimates, first_step
 from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import as_system, elapsed
+from seedslib.models.kinds import as_system
 from seedslib.models.switching import SwitchingSystem
 
 
@@ -193,7 +195,6 @@ class SwitchingFilter(DesignedFilter):
     design: Design | None = None
     cycle: int = 0
     held_out: HeldOut | None = None
-    rules: SwitchingRules | None = None
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
@@ -206,10 +207,13 @@ class SwitchingFilter(DesignedFilter):
             times = as_times("times", self.times)
             vars(self).update(times=times, clock=Clock(times))
             self.check_shapes()
-        if self.rules is None:
-            rules = compiled_rules(self.system, self.linearization, self.normalisation)
-            vars(self).update(rules=rules)
+        _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.predicted, self.held_out, self.fits))
+
+    @cached_property
+    def rules(self) -> SwitchingRules:
+        """The compiled steps."""
+        return compiled_rules(self.system, self.linearization, self.normalisation)
 
     def check_shapes(self) -> None:
         """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
@@ -237,7 +241,9 @@ class SwitchingFilter(DesignedFilter):
         """State before any measurement; the filter draws nothing from `seed`."""
         return self.rules.start(tuple(batch))
 
-    def predict(self, state: SwitchingState, t: float) -> SwitchingState:
+    def predict(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> SwitchingState:
         """Forecast for time t, the next measurement time; the first state is only given it.
 
         Raises
@@ -248,23 +254,23 @@ class SwitchingFilter(DesignedFilter):
         """
         t = float(t)
         if self.memory is not None:
-            return super().predict(state, t)
+            return super().predict(state, t, inputs=inputs)
         if state.index < 0:
-            return self.predicted_state(state, t)
+            return self.propagate(state, t, ())
         require_corrected(state)
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
         interval = first_step(state, t, self.system)
-        return self.predicted_state(state, t)._replace(interval=interval)
+        p = self.system.values(inputs, t - state.time)
+        return self.propagate(state, t, p)._replace(interval=interval)
 
-    def predicted_state(
-        self, state: SwitchingState, t: float, interval: Interval | None = None
+    def propagate(
+        self, state: SwitchingState, t: float, p: Values, interval: Interval | None = None
     ) -> SwitchingState:
-        """See `DesignedFilter.predicted_state`."""
+        """See `DesignedFilter.propagate`."""
         if state.index < 0:
             return state._replace(index=0, time=t)
-        with elapsed(self.system, state.time, t):
-            law = self.rules.predict(state.time, self.posterior(state))
+        law = self.rules.predict(state.time, self.posterior(state), p)
         return state._replace(
             index=state.index + 1,
             time=t,
@@ -283,11 +289,16 @@ class SwitchingFilter(DesignedFilter):
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
         return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
 
-    def corrected_state(
-        self, state: SwitchingState, y: np.ndarray, indicator: MaybeArray, covariance: bool = True
+    def update(
+        self,
+        state: SwitchingState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> SwitchingState:
-        """See `DesignedFilter.corrected_state`."""
-        return self.rules.correct(state, y, indicator, self.memory)
+        """See `DesignedFilter.update`."""
+        return self.rules.correct(state, y, indicator, self.memory, p)
 
     def batch_of(self, state: SwitchingState) -> tuple[int, ...]:
         """Batch axes of a forecast."""
@@ -303,9 +314,11 @@ class SwitchingFilter(DesignedFilter):
         cov = total_covariance(state.law) if covariance else None
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
-    def forecast(self, state: SwitchingState, t: float) -> Estimates:
+    def forecast(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> Estimates:
         """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
-        law = self.predict(state, t).law
+        law = self.predict(state, t, inputs=inputs).law
         parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
         mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
         prob = parts[0].sum(axis=1)

@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.conditioning import kalman_gain, update
 from seedslib.base.linalg import NEGATIVE, cholesky, nearest_psd, solve_psd, symmetrized
+from seedslib.base.values import Values
 from seedslib.designed.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
 from seedslib.designed.rules import SwitchingState
 from seedslib.filters.base import Estimates
@@ -48,27 +49,32 @@ class SwitchingSmoother(Smoother):
         return state.law
 
     def back(
-        self, state: SwitchingState, part: ModeLaw, link: Any, indicator: MaybeArray = None
+        self,
+        state: SwitchingState,
+        later: ModeLaw,
+        link: Any,
+        p: Values,
+        indicator: MaybeArray = None,
     ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if rules.switch is None:
-                return _back(rules, rules.rows, t, law, part, indicator)
+                return _back(rules, rules.rows, t, law, later, indicator, p)
             # the new mode drives the step: a switch of a state that does not move, then a move
-            part = _back(rules, rules.rows, t, rules.switched(t, law), part, indicator)
-            return _back(rules, rules.switch, t, law, part, None)
+            later = _back(rules, rules.rows, t, rules.switched(t, law, p), later, indicator, p)
+            return _back(rules, rules.switch, t, law, later, None, p)
 
-    def report(self, part: ModeLaw) -> Estimates:
+    def report(self, smoothed: ModeLaw) -> Estimates:
         """Mean, covariance over all modes, and the modes with their probabilities."""
-        modes, mean = decide(part)
-        return Estimates(mean, total_covariance(part), part.prob, modes=modes)
+        modes, mean = decide(smoothed)
+        return Estimates(mean, total_covariance(smoothed), smoothed.prob, modes=modes)
 
 
-def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
+def _back(rules, rows, t, law, later, indicator, p) -> ModeLaw:
     """Smoothed mode and state before the moves in `rows`, from those after them."""
     smoothed: list[list] = [[] for _ in rows]
-    moments = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+    moments = [row(t, law.mean[:, i], law.cov[:, :, i], p) for i, row in enumerate(rows)]
     for l in range(len(rows)):
         pairs = [
             (i, value, weighted)
@@ -87,7 +93,7 @@ def _back(rules, rows, t, law, later, indicator) -> ModeLaw:
         both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
         mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
         cov = nearest_psd(cov)[0] if rules.guarded else cov
-        result = _corrected(log_prob, mean, cov, ModeLaw(*(p[..., l, :] for p in later)))
+        result = _corrected(log_prob, mean, cov, ModeLaw(*(part[..., l, :] for part in later)))
         for k, (i, *_) in enumerate(pairs):
             smoothed[i].append([part[..., k, :] for part in result])
     merged = [

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
+from seedslib.base.values import Values
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
@@ -369,14 +370,16 @@ class OutputFilter(DesignedFilter):
         """State before any measurement; the filter draws nothing from `seed`."""
         return FilterState(-1, np.full((self.components, *batch), np.nan))
 
-    def predict(self, state: FilterState, t: float) -> FilterState:
+    def predict(
+        self, state: FilterState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> FilterState:
         """See `DesignedFilter.predict`."""
-        state = super().predict(state, t)
+        state = super().predict(state, t, inputs=inputs)
         mean, mode, prob = self._output(state, None, None)
         return state._replace(mean=mean, mode=mode, mode_prob=prob)
 
-    def predicted_state(
-        self, state: FilterState, t: float, interval: Interval | None = None
+    def propagate(
+        self, state: FilterState, t: float, p: Values, interval: Interval | None = None
     ) -> FilterState:
         """The state at the next measurement time, still with the estimate before it."""
         before = state._replace(before=None) if state.corrected else None
@@ -391,8 +394,13 @@ class OutputFilter(DesignedFilter):
         points = arguments(self.system, y, indicator, state.past)
         return function(points).on(state.mean.shape[1:])
 
-    def corrected_state(
-        self, state: FilterState, y: np.ndarray, indicator: MaybeArray, covariance: bool = True
+    def update(
+        self,
+        state: FilterState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> FilterState:
         """The state after a measurement."""
         missing = np.isnan(y)
@@ -425,14 +433,21 @@ class OutputFilter(DesignedFilter):
         pairs = zip(update, forecast, strict=True)
         return Output(*(None if a is None else np.where(absent, b, a) for a, b in pairs))
 
-    def ahead(self, state: FilterState, row: int) -> list[np.ndarray]:
+    def ahead(self, state: FilterState, row: int, p: Values) -> list[np.ndarray]:
         """Estimates at the nodes of an interval and at its end."""
         points = arguments(self.system, (), None, state.past)
         functions = [*(self.node_fits[row] if self.node_fits else ())]
         functions.append(self.steps[self.served(state.index + 1)].forecast)
         return [function(points).on(state.mean.shape[1:]).mean for function in functions]
 
-    def forecast(self, state: FilterState, t: float, kind: str | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: FilterState,
+        t: float,
+        kind: str | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """Estimate at a time up to the next measurement, see `DesignedFilter.forecast`.
 
         With modes, of the next measurement time only.
@@ -440,7 +455,7 @@ class OutputFilter(DesignedFilter):
         if switches(self.system):
             ahead = self.predict(state, t)
             return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
-        return super().forecast(state, t, kind)
+        return super().forecast(state, t, kind, inputs=inputs)
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Functions of the chosen steps."""

@@ -11,6 +11,7 @@ import numpy as np
 import sympy
 
 from seedslib.base.linalg import lower_triangle
+from seedslib.base.values import Values
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
     TINY,
@@ -111,9 +112,9 @@ class Formulas(Linearization):
         evaluate = _compiled(arguments, parts if spread else parts[:2])
         n, m = map.state_size, map.size
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             lower = _lower(cov)
-            y, cross, *square = evaluate(t, mean, lower)
+            y, cross, *square = evaluate(t, mean, lower, p)
             batch = batch_of(mean, lower)
             own = None if batch else ()  # covariances may lack the axes of a batch
             cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
@@ -159,11 +160,11 @@ class Formulas(Linearization):
             arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
         )
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             lower = _lower(cov)
             batch = batch_of(mean, lower)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                masses, *values = evaluate(t, mean, lower)
+                masses, *values = evaluate(t, mean, lower, p)
             arrays = [
                 stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
                 for value, (vector, part) in zip(values, parts, strict=True)
@@ -177,11 +178,14 @@ class Formulas(Linearization):
 
     def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
-        (time, mean, lower), vector, cov = _arguments(system.drift_map, type(self).__name__)
+        (time, mean, lower, parameters), vector, cov = _arguments(
+            system.drift_map, type(self).__name__
+        )
         velocity, change = self.rate_formulas(system, vector, cov)
         rows, columns = lower_triangle(len(mean))
         rates = [*velocity, *(change[int(i), int(j)] for i, j in zip(rows, columns, strict=True))]
-        return compile_components((time, (*mean, *lower)), rates)
+        evaluate = compile_components((time, (*mean, *lower), parameters), rates)
+        return lambda t, components, p=(): evaluate(t, components, p)
 
 
 @dataclass(frozen=True)
@@ -203,7 +207,8 @@ def _derived_once(
     if not getattr(settings, "frozen", False) or not all(map.symbolic for map in maps):
         return derive(rule, maps, *options)
     known = (
-        (m.state, m.time, m.period, *m.expressions, m.weight_expression, m.noise) for m in maps
+        (m.state, m.time, m.parameters, m.period, *m.expressions, m.weight_expression, m.noise)
+        for m in maps
     )
     written = (_Written(content, map) for content, map in zip(known, maps, strict=True))
     return _derived(rule, derive, tuple(written), *options)
@@ -217,7 +222,7 @@ def _derived(
 
 
 def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:
-    """Arguments (t, mean, lower covariance) and the SymPy mean and covariance made of them."""
+    """Arguments (t, mean, lower covariance, p) and the SymPy mean and covariance of them."""
     if not map.symbolic:
         raise NoClosedForm(
             f"{name}: wanted a symbolic map, got array functions; use Unscented, Cubature or "
@@ -231,7 +236,7 @@ def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol]
         entry = sympy.Dummy(f"P{i}{j}", real=True)
         lower.append(entry)
         cov[i, j] = cov[j, i] = entry
-    return (map.time, mean, tuple(lower)), list(mean), cov
+    return (map.time, mean, tuple(lower), map.parameters), list(mean), cov
 
 
 def _lower(cov: np.ndarray) -> list[np.ndarray]:

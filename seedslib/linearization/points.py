@@ -14,6 +14,7 @@ from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
+from seedslib.base.values import Values
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
 from seedslib.linearization.moments import (
     Gaussian,
@@ -75,9 +76,12 @@ class PointRule(Linearization):
         given = _conditional(map)
         noise = map.noise if given is None else None
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov, noise)
-            y = map.value(t, points.x, points.v) if given is None else given.mean(t, points.x)
+            if given is None:
+                y = map.value(t, points.x, points.v, p)
+            else:
+                y = given.mean(t, points.x, p)
             # about one of the values, so that equal ones are exactly their mean
             start = y[:, :1]
             y = nearest(y, start, map.period)
@@ -88,7 +92,7 @@ class PointRule(Linearization):
                 return Moments(h, cross, None)
             square = np.einsum("is...,js...,s->ij...", apart, apart, points.centred)
             if given is not None:
-                noise_cov = given.cov(t, points.x)
+                noise_cov = given.cov(t, points.x, p)
                 square = square + np.einsum("ijs...,s->ij...", noise_cov, points.weights)
             return Moments(h, cross, square)
 
@@ -98,12 +102,12 @@ class PointRule(Linearization):
         """See `Linearization.flow`; both means are taken at the same points."""
         none = np.empty((0, 1))
 
-        def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def rates(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov)
-            b = system.drift_map.value(t, points.x, none)
+            b = system.drift_map.value(t, points.x, none, p)
             velocity, spread = (
                 np.einsum("is...,s->i...", y, points.weights)
-                for y in (b, system.spread_map.value(t, points.x, none))
+                for y in (b, system.spread_map.value(t, points.x, none, p))
             )
             cross = points.cross(b - velocity[:, None])
             return Moments(velocity, cross, symmetric(spread, system.state_size))
@@ -119,7 +123,7 @@ class PointRule(Linearization):
         """
         branches = [(map, given := _conditional(map), _kind(map, bool(given))) for map in maps]
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             laid: dict[int | None, Points] = {}
             values: dict[object, tuple] = {}
             result = []
@@ -130,9 +134,9 @@ class PointRule(Linearization):
                 _, _, x, v, weights, _ = laid[space]
                 if kind not in values:
                     with np.errstate(divide="ignore", invalid="ignore"):  # points without weight
-                        known = (given.mean(t, x), given.cov(t, x)) if given else None
-                        values[kind] = known or (map.value(t, x, v), None)
-                share = given.weight(t, x) if given else map.weight(t, x, v)
+                        known = (given.mean(t, x, p), given.cov(t, x, p)) if given else None
+                        values[kind] = known or (map.value(t, x, v, p), None)
+                share = given.weight(t, x, p) if given else map.weight(t, x, v, p)
                 share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
                 result.append(_branch(x, share, *values[kind]))
             return result
