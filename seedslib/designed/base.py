@@ -15,7 +15,7 @@ from seedslib.base.checks import as_real, as_times, is_whole, outside, require_s
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
-from seedslib.designed.checks import check_array
+from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
 from seedslib.models.kinds import switches
@@ -213,7 +213,7 @@ class DesignedFilter(Filter):
             Arrays of another shape or kind, numbers that are not finite, times out of order,
             axes other than those of the memory.
         """
-        check_array("times", self.times, None)
+        check_fields("", self, times=(None,))
         as_times("times", self.times)
         if not (is_whole(self.cycle) and 0 <= self.cycle < len(self.times)):
             raise ValueError(
@@ -229,7 +229,6 @@ class DesignedFilter(Filter):
                 f"{len(self.node_fits)}"
             )
         for k, grid in enumerate(nodes):
-            check_array(f"node_times[{k}]", grid, None)
             if not (np.diff([self.times[k], *grid, self.times[k + 1]]) > 0).all():
                 raise ValueError(f"node_times[{k}]: outside of their interval or out of order")
 

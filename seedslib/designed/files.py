@@ -26,57 +26,28 @@ import numpy as np
 import seedslib
 from seedslib import linearization as linearizations
 from seedslib.base.atomic import replacing
-from seedslib.base.tables import Axis, Labels
-from seedslib.designed.accuracy import Design, HeldOut, Prediction
-from seedslib.designed.arrivals import ClassFits
+from seedslib.designed import arrivals, finite_order, minimax, predictors, switching, tables
 from seedslib.designed.base import DesignedFilter
-from seedslib.designed.finite_order import FiniteOrderFilter, Start
 from seedslib.designed.identity import difference, model_text, probe, probe_points
-from seedslib.designed.memory import Memory
-from seedslib.designed.minimax import (
-    BoundedFit,
-    BoundedPolynomial,
-    Minimax,
-    MinimaxFilter,
-    MinimaxFit,
-)
-from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
-from seedslib.designed.switching import CellFit, SwitchingFilter
-from seedslib.designed.tables import OutputFilter, Step, Table, TableFilter
-from seedslib.linearization.moments import Moments
+from seedslib.designed.tables import OutputFilter, TableFilter
 from seedslib.models.kinds import AnySystem, UnknownModel, switches
 
 FORMAT, VERSION = "seedslib designed filter", 5
-LINEARIZATIONS = ("Taylor", "ExactGaussian", "Unscented", "Cubature", "GaussHermite")
-FILTERS = (FiniteOrderFilter, TableFilter, SwitchingFilter, MinimaxFilter)
+FILTERS = (
+    finite_order.FiniteOrderFilter,
+    TableFilter,
+    switching.SwitchingFilter,
+    minimax.MinimaxFilter,
+)
 KNOWN = {
-    kind.__name__: kind
-    for kind in (
-        *FILTERS,
-        Affine,
-        Polynomial,
-        Continuous,
-        Axis,
-        Labels,
-        Memory,
-        Start,
-        Moments,
-        AffineFit,
-        PolynomialFit,
-        ClassFits,
-        CellFit,
-        Step,
-        Table,
-        Prediction,
-        HeldOut,
-        Design,
-        UnknownModel,
-        Minimax,
-        MinimaxFit,
-        BoundedFit,
-        BoundedPolynomial,
-    )
-}
+    name: kind
+    for module in (arrivals, finite_order, minimax, predictors, switching, tables)
+    for name, kind in vars(module).items()
+    if isinstance(kind, type) and (hasattr(kind, "_fields") or dataclasses.is_dataclass(kind))
+} | {"UnknownModel": UnknownModel}
+"""NamedTuples and dataclasses that filters consist of; linearizations come beside them."""
+
+LINEARIZATIONS = ("Taylor", "ExactGaussian", "Unscented", "Cubature", "GaussHermite")
 FAULTS = KeyError, TypeError, IndexError, ValueError, OverflowError, AttributeError, RecursionError
 """What the parts of a file raise that do not fit together."""
 

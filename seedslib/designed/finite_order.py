@@ -18,7 +18,7 @@ from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
-from seedslib.designed.arrivals import ClassFits, fit_of, transitions, uncertain, with_history
+from seedslib.designed.arrivals import ClassFits, fit_of, transitions, with_history
 from seedslib.designed.base import (
     DesignedFilter,
     FilterState,
@@ -27,7 +27,7 @@ from seedslib.designed.base import (
     require_forecast,
 )
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.checks import check_covariances, check_fields
+from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
 from seedslib.linearization.moments import Linearization, Moments
@@ -256,34 +256,19 @@ class FiniteOrderFilter(DesignedFilter):
         start, n, m = self.start, len(self.start.mean), len(self.start.moments.mean)
         check_fields("start", start, mean=(n,), cov=(n, n))
         check_fields("start.moments", start.moments, mean=(m,), cross=(n, m), cov=(m, m))
-        check_covariances("start", (start.cov, start.moments.cov))
         as_count("components", self.components, 1, n)
         if len(self.fits) != len(self.times) - 1:
             raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
-        continuous, known = isinstance(self.predictor, Continuous), []
+        continuous = isinstance(self.predictor, Continuous)
+        targets = n if continuous else self.components
         for k, fit in enumerate(self.fits):
             nodes = self.node_fits[k] if self.node_fits else ()
             if self.node_fits and len(nodes) != len(self.node_times[k]) + continuous:
                 raise ValueError(f"node_fits[{k}]: wanted one forecast a node, got {len(nodes)}")
             dimension = self.memory.dimension(k, self.components, m)
-            self._check_fit(f"fits[{k}]", fit, n, dimension, known)
-            for i, node in enumerate(nodes):
-                targets = n if continuous else self.components
-                self._check_fit(f"node_fits[{k}][{i}]", node, targets, dimension, known)
-        check_covariances("fits", known)
-
-    def _check_fit(self, name, fit, targets, dimension, covariances):
-        """Check one forecast, and note its covariance."""
-        if self.availability is not None:
-            patterns = 2 ** len(uncertain(self.availability))
-            if not isinstance(fit, ClassFits) or fit.table.shape[1:] != (patterns,):
-                raise ValueError(f"{name}: wanted classes of {patterns} patterns")
-        elif not isinstance(fit, AffineFit | PolynomialFit):
-            if not hasattr(fit, "forecast"):
-                raise TypeError(f"{name}: wanted a fitted forecast, got {type(fit).__name__}")
-            return
-        fit.check(name, targets, dimension)
-        covariances.append(fit.cov)
+            for one, rows in ((fit, n), *((node, targets) for node in nodes)):
+                if isinstance(one, AffineFit | PolynomialFit | ClassFits):
+                    one.check(f"fits[{k}]", rows, dimension)
 
     @property
     def order(self) -> int:

@@ -12,7 +12,6 @@ import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.designed.base import freeze
-from seedslib.designed.checks import check_covariances, check_fields
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import AffineFit, PolynomialFit
 from seedslib.designed.tables import Output, OutputFilter, Step, prior
@@ -119,21 +118,6 @@ class MinimaxFit(NamedTuple):
     forecast: AffineFit
     correction: AffineFit
     bounded: BoundedFit | None = None
-
-    def check(self, name: str, n: int, m: int, memory: int, method: Minimax) -> None:
-        """Refuse arrays that do not fit together, for so many remembered numbers."""
-        p, q = (fit.gain.shape[-1] for fit in self[:2])
-        if method.prediction is None or not memory:
-            p = memory
-        if not callable(method.correction):
-            q = 2 * n + m if method.bounded else m
-        self.forecast.check(f"{name}.forecast", n, p)
-        self.correction.check(f"{name}.correction", n, q)
-        if method.bounded != (self.bounded is not None):
-            raise ValueError(f"{name}.bounded: wanted with bounded polynomials, and only there")
-        if self.bounded is not None:
-            self.bounded.powers.check(f"{name}.bounded.powers", n, p + m)
-            check_fields(f"{name}.bounded", self.bounded, values=(2, n), states=(2, n))
 
 
 class Basics(NamedTuple):
@@ -251,15 +235,6 @@ class MinimaxFilter(OutputFilter):
     def basics(self, k: int) -> Basics:
         """The basic functions of measurement k."""
         return Basics.of(self.system, self.memory, self.method, self.times, k)
-
-    def check_shapes(self) -> None:
-        """See `DesignedFilter.check_shapes`."""
-        super().check_shapes()
-        n, m = self.components, self.system.measurement_size
-        for k, fit in enumerate(self.fits):
-            remembered = self.memory.dimension(k - 1, n, m)
-            fit.check(f"fits[{k}]", n, m, remembered, self.method)
-        check_covariances("fits", [part.cov for fit in self.fits for part in fit[:2]])
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Regressions of the chosen steps."""

@@ -160,10 +160,6 @@ class PolynomialFit(NamedTuple):
     def check(self, name: str, targets: int, dimension: int) -> None:
         """As `AffineFit.check`."""
         degrees = self.mean_degree, self.cov_degree
-        if not all(
-            type(d) is int and 0 <= d <= self.gain.size + self.cov_gain.size for d in degrees
-        ):
-            raise ValueError(f"{name}: gains that are not those of the degrees {degrees}")
         powers, others = (math.comb(dimension + degree, degree) - 1 for degree in degrees)
         entries = targets * (targets + 1) // 2
         check_fields(

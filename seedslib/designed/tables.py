@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import require_shape
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.checks import check_array
+from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
@@ -106,16 +107,12 @@ class Table(NamedTuple):
         )
         if labels != wanted:
             raise ValueError(f"{name} has other axes than the memory {memory}")
-        shape, mode = tuple(axis.count for axis in self.axes), self.mode
-        check_array(f"{name}.estimate", self.estimate, components, *shape)
+        shape = tuple(axis.count for axis in self.axes)
+        check_fields(name, self, estimate=(components, *shape))
         if self.prob is not None:
-            check_array(f"{name}.prob", self.prob, modes, *shape)
-        if mode is None:
-            return
-        if mode.shape != shape or mode.dtype != np.int8:
-            raise ValueError(f"{name}.mode: wanted bytes of shape {shape}")
-        if mode.size and not 0 <= mode.min() <= mode.max() < modes:
-            raise ValueError(f"{name}.mode: wanted modes below {modes}")
+            check_fields(name, self, prob=(modes, *shape))
+        if self.mode is not None:
+            require_shape(f"{name}.mode", self.mode, shape)
 
 
 class Step(NamedTuple):
@@ -323,15 +320,13 @@ class OutputFilter(DesignedFilter):
         steps, n, m = len(self.times), self.components, self.system.measurement_size
         if len(self.steps) != steps:
             raise ValueError(f"steps: wanted {steps}, got {len(self.steps)}")
-        check_array("covariances", self.covariances, steps, n, n)
+        check_fields("", self, covariances=(steps, n, n))
         for k, step in enumerate(self.steps):
             axes = step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
             tables = [("update", step.update, axes[0]), ("forecast", step.forecast, axes[1])]
             if k and self.node_fits:
                 tables += [("nodes", fit, axes[1]) for fit in self.node_fits[k - 1]]
             for name, table, wanted in tables:
-                if not callable(table):
-                    raise TypeError(f"steps[{k}].{name}: wanted a function, got {table!r}")
                 if isinstance(table, Table):
                     modes = getattr(self.system, "modes", 0)
                     table.check(f"steps[{k}].{name}", wanted, n, modes, self.memory)

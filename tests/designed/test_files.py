@@ -202,6 +202,7 @@ def test_only_designed_filters_of_descriptions_are_saved(tmp_path):
         ({}, "filter"),
         (bank, "filter"),
         (replace(made, predictor=object()), "predictor"),
+        (foreign, "linearization"),
         (
             synthesize(zoo.van_der_pol(), Memory(1), Mine(), TIMES, paths=500, seed=1),
             "linearization",
