@@ -203,10 +203,6 @@ def test_only_designed_filters_of_descriptions_are_saved(tmp_path):
         (bank, "filter"),
         (replace(made, predictor=object()), "predictor"),
         (foreign, "linearization"),
-        (
-            synthesize(zoo.van_der_pol(), Memory(1), Mine(), TIMES, paths=500, seed=1),
-            "linearization",
-        ),
         (own, "correction"),
     ):
         with pytest.raises(TypeError, match=name):
