@@ -20,7 +20,7 @@ if QUICK not in os.environ.get("PYTHONPATH", ""):
 
 
 LONGEST = (
-    "extra/test_export",
+    "export/test_export",
     "bookkit/test_sweeps",
     "extra/test_cluster",
     "bookkit/test_execution",

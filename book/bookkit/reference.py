@@ -30,7 +30,8 @@ ROOMS = {
     "pareto": "Compromise of two criteria",
     "riemann": "Riemann's problem",
     "zoo": "Systems of the papers, ready made",
-    "extra": "C, JavaScript, learning, clusters, plots",
+    "export": "Filters in C and JavaScript",
+    "extra": "Learning, clusters, plots",
 }
 """Rooms of the library with public names, and what each is for."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ from seedslib.designed.between import Interval, at
 from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
-from seedslib.models.kinds import switches
+from seedslib.models.kinds import inputs_of, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -234,6 +235,21 @@ class DesignedFilter(Filter):
 
     # Step by step
 
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """Inputs in the maps that a step evaluates; the others are in the design's own numbers."""
+        return inputs_of(self.system)
+
+    @cached_property
+    def _unused(self) -> dict[Any, float]:
+        return dict.fromkeys(inputs_of(self.system) - self.evaluated, np.nan)
+
+    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
+        """Numbers of the parameters; inputs that no step evaluates may be missing."""
+        if self._unused:
+            inputs = {**self._unused, **(inputs or {})}
+        return self.system.values(inputs, dt)
+
     def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
         """The forecast for the next measurement, at t; `interval` is the one before, if known."""
         raise NotImplementedError
@@ -274,7 +290,7 @@ class DesignedFilter(Filter):
         if k:
             require_corrected(state)
         dt = wanted - clock.moment(k - 1, self.cycle) if k else np.nan
-        return self.propagate(state, float(t), self.system.values(inputs, dt))
+        return self.propagate(state, float(t), self.values(inputs, dt))
 
     def correct(
         self,
@@ -309,7 +325,7 @@ class DesignedFilter(Filter):
         if indicator is not None or self.system.indicators:
             given = indicator if indicator is None else np.asarray(indicator)[None]
             indicator = as_indicators(given, self.system, (1, *batch), "indicator")[0]
-        corrected = self.update(state, y, self.system.values(inputs), indicator)
+        corrected = self.update(state, y, self.values(inputs), indicator)
         if self.memory is None:
             return corrected
         rows = None if indicator is None else indicator[None]
@@ -424,7 +440,7 @@ class DesignedFilter(Filter):
             A time outside the interval, an unknown kind, a state that was not corrected.
         """
         require_corrected(state)
-        interval = self.interval(state, self.system.values(inputs))
+        interval = self.interval(state, self.values(inputs))
         tolerance = self.clock.tolerance
         start, end = interval.times[0], interval.times[-1]
         if not start - tolerance <= t <= end + tolerance:
@@ -579,7 +595,7 @@ class DesignedFilter(Filter):
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
-        times, inputs, values = record.times, record.inputs, self.system.values
+        times, inputs, values = record.times, record.inputs, self.values
         last = 0  # row of the last measurement, whose inputs act until the next
         for j, k in enumerate(numbers):
             p = values(inputs.at(last), times[j] - times[last])

@@ -243,6 +243,13 @@ class FiniteOrderFilter(DesignedFilter):
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
 
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """See `DesignedFilter.evaluated`."""
+        continuous = isinstance(self.predictor, Continuous)
+        maps = (self.system.sensor, *((self.system.drift_map,) if continuous else ()))
+        return frozenset(p for map in maps for p in map.mentions)
+
     @cached_property
     def rules(self) -> Rules:
         """The compiled steps."""
@@ -328,7 +335,7 @@ class FiniteOrderFilter(DesignedFilter):
         if state.index == 0:
             return self.start.moments_for(state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        p = self.system.values(inputs)
+        p = self.values(inputs)
         mean, cross, cov = self.rules.sensor(t, state.mean, state.cov, p)
         return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 

@@ -17,7 +17,6 @@ import distributed
 from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
-from seedslib.base.values import carried
 from seedslib.design.paths import Executor
 
 PATIENCE = 30
@@ -105,7 +104,7 @@ class Cluster(Executor):
         lists = tuple(
             [next(part)] * count if isinstance(part, repeat) else list(part) for part in lists
         )
-        return Remote(self.client, self.client.map(carried(work), *lists, pure=False))
+        return Remote(self.client, self.client.map(work, *lists, pure=False))
 
     def share(self, thing: object) -> repeat[Any]:
         """Stand-in for a list that has the same thing for every bundle, sent once."""

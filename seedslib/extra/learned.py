@@ -90,7 +90,7 @@ class LearnedFilter(OutputFilter):
     """Filter of finite order whose output functions were learned; `learn` makes it.
 
     It is not written to files, since a regressor is a program; `tabulated` makes a filter of it
-    that is, and that `seedslib.extra.to_c` writes as C.
+    that is, and that `seedslib.export.to_c` writes as C.
     """
 
     def tabulated(self, *, y: Sequence[Any], z: Sequence[Any]) -> TableFilter:

@@ -12,7 +12,7 @@ import pytest
 from bookkit.live import filters, tables
 from bookkit.live.fragment import SCRIPTS, STATIC, data_of, unpooled
 from seedslib import zoo
-from seedslib.extra import to_js
+from seedslib.export import to_js
 
 ROOT = Path(__file__).resolve().parents[2]
 NODE = shutil.which("node")

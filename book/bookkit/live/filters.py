@@ -14,7 +14,7 @@ from bookkit.live.fragment import Figure, Slider, pooled
 from seedslib import zoo
 from seedslib.design import affine_synthesis, grid_synthesis, stationary, synthesize
 from seedslib.designed import SwitchingFilter, large_order
-from seedslib.extra import to_js
+from seedslib.export import to_js
 from seedslib.filters import extended_kalman
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap

@@ -16,7 +16,7 @@ import sympy
 
 import systems
 from seedslib import zoo
-from seedslib.base import ELAPSED, Input, assigned
+from seedslib.base import ELAPSED, Input
 from seedslib.design import (
     Continuous,
     Polynomial,
@@ -141,13 +141,13 @@ def shrinking():
 # Filters
 
 
-def design(system, memory, rule, *, lasting=None, between="interpolated", **options):
+def design(system, memory, rule, *, lasting=None, **options):
     """A designed filter, without an end where it is said how to make it so."""
     options = {"times": TIMES, "paths": 500, "seed": 1, "nodes": 1, **options}
     found = synthesize(system, memory, rule, options.pop("times"), **options)
     if lasting is not None:
         found = stationary(found, **{"tolerance": 9.0, "paths": 50, **lasting})
-    return found if between == "interpolated" else found.forecasting(between)
+    return found
 
 
 def tables(system, memory, *, steps=4, lasting=None, nodes=2):
@@ -172,7 +172,7 @@ def schedule(columns=2):
 EULER, CONTINUOUS = {"integrator": "euler", "step": 0.03}, {"predictor": Continuous()}
 ENDLESS = {"times": 0.5 * np.arange(13.0), "lasting": {"cycle": 4}}
 SHORT = ENDLESS | {"lasting": {"cycle": 4, "transient": 3}}
-PART = {"components": 1, "between": "piecewise constant"}
+PART = {"components": 1}
 SCHEDULE = {"measured": schedule()}
 LASTING_TABLE = {"steps": 8, "lasting": {"tolerance": 1.0}}
 LASTING_MODES = {"times": np.arange(12.0), "lasting": {"cycle": 2}}
@@ -201,7 +201,7 @@ FILTERS = {
     # designed
     "affine": (design, kicked, Memory(2, 1), ExactGaussian(), {"nodes": 2}),
     "affine, part of the state": (design, kicked, finite_memory(2), Taylor(), PART),
-    "affine, points": (design, kicked, Memory(2), Unscented(), {"between": "constant"}),
+    "affine, points": (design, kicked, Memory(2), Unscented(), {}),
     "affine, many points": (design, cart, Memory(1), GaussHermite(9), {}),
     "polynomial": (design, kicked, Memory(1), Taylor(), {"predictor": Polynomial(3, 2)}),
     "polynomial means": (design, kicked, Memory(2, 1), Taylor(), {"predictor": Polynomial(2, 0)}),
@@ -251,18 +251,9 @@ class Case:
         """Whether the filter carries mean and covariance."""
         return isinstance(self.filter, CovarianceFilter)
 
-    def later(self, k):
-        """Times after measurement k that the filter can forecast to, up to the next measurement."""
-        if hasattr(self.filter.system, "modes"):
-            return np.array([])
-        if self.carried:
-            return self.times[k] + np.array([0.0, 0.35, 1.1])
-        ahead = np.append(self.times, self.times[-1])[k + 1] - self.times[k]
-        return self.times[k] + ahead * np.array([0.0, 1 / 3, 0.45, 0.5, 2 / 3, 1.0])
-
     def at(self, k, i=0):
-        """The inputs at measurement k of a record, as a context."""
-        return assigned({p: values[k, i] for p, values in self.inputs.items()})
+        """The inputs at measurement k of a record."""
+        return {p: values[k, i] for p, values in self.inputs.items()}
 
 
 @lru_cache

@@ -10,7 +10,7 @@ import sympy
 from scipy import special
 
 from seedslib import zoo
-from seedslib.extra import to_js
+from seedslib.export import to_js
 from seedslib.filters import extended_kalman
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from systems import pendulum

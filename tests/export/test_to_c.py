@@ -12,7 +12,7 @@ import sympy
 
 from seedslib.design import synthesize
 from seedslib.designed import Memory
-from seedslib.extra import compiled, to_c
+from seedslib.export import compiled, to_c
 from seedslib.filters import extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -27,7 +27,7 @@ def test_equal_filters_give_equal_text_in_any_process(tmp_path):
     assert (tmp_path / "a.h").read_text() == text
     code = (
         "import sympy; [sympy.Dummy() for _ in range(2345)]\n"
-        "from seedslib.extra import to_c; from seedslib.filters import extended_kalman\n"
+        "from seedslib.export import to_c; from seedslib.filters import extended_kalman\n"
         "from systems import pendulum; print(to_c(extended_kalman(pendulum())), end='')"
     )
     line = [sys.executable, "-c", f"import sys; sys.path = {sys.path}\n{code}"]
