@@ -28,7 +28,8 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, outside
 from seedslib.base.objects import changed
 from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
-from seedslib.designed.base import dropouts, expected, unclaimed
+from seedslib.designed.base import with_gaps
+from seedslib.designed.tables import OutputFilter
 from seedslib.export.c import arguments, header
 from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
@@ -466,15 +467,15 @@ class CompiledFilter(Filter):
         indicators = as_indicators(indicators, self.system, (count, *batch))
         trajectory = as_trajectory(self.system, inputs, count, batch)
         if designed:
-            index = filter.placed(times, y)
-            if (index < 0).any():  # forecasts between measurements
+            numbers = filter.numbered(times, y)
+            if (numbers < 0).any():  # forecasts between measurements
                 return filter.run(
                     times, y, indicators=indicators, inputs=inputs, covariances=covariances
                 )
-            gaps = dropouts(y, index >= 0, indicators, expected(filter, index))
+            gaps = filter.record_gaps(y, indicators, numbers)
         carried = isinstance(filter, CovarianceFilter)
         n = self._form["mean"].shape[0]
-        sizes = Estimates((n,), (n, n), None, ()) if carried else filter.sizes(covariances)
+        sizes = self._sizes(n, carried or covariances)
         found = Estimates(*(s if s is None else room((count, *s), math.prod(batch)) for s in sizes))
         found = found._replace(diverged=np.empty(math.prod(batch), dtype=bool))
         self._fill(found, times, y, indicators, trajectory, workers)
@@ -484,10 +485,22 @@ class CompiledFilter(Filter):
         if carried:
             known = np.isfinite(found.cov[-1]).all(axis=(0, 1))
             return found._replace(diverged=found.diverged | ~known)
-        found = filter.finish(found, found.diverged, np.arange(count))
-        if not covariances:
-            found = found._replace(cov=None)
-        return unclaimed(found, gaps, times) if designed else found
+        if isinstance(filter, OutputFilter) and covariances:
+            found = found._replace(cov=filter.covariances[[filter.served(k) for k in numbers]])
+        if found.loglik is not None:
+            impossible = (found.loglik == -np.inf).any(axis=0)
+            found = found._replace(diverged=found.diverged | impossible)
+        return with_gaps(found, gaps, times) if designed else found
+
+    def _sizes(self, n: int, covariances: bool) -> Estimates:
+        """Shapes of what C writes at each time, without batch axes; None for no such thing."""
+        filter, modes = self.filter, getattr(self.system, "modes", 0)
+        if isinstance(filter, OutputFilter):
+            with_prob = filter.steps[0].update.prob is not None
+            prob = (modes,) if with_prob else None
+            return Estimates((n,), mode_prob=prob, modes=() if modes else None)
+        cov = (n, n) if covariances else None
+        return Estimates((n,), cov, (modes,) if modes else None, (), None, () if modes else None)
 
     def _fill(
         self,

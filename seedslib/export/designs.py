@@ -263,10 +263,10 @@ def table(step: Step) -> None:
     first: list[Any] = []
     if step.indicators:  # the label after the last value is a missing indicator
         first = [choose(step.indicator < 0.0, float(step.indicators), step.indicator)]
-    cases = [("output", ~some_missing, [*first, *step.y], [row.shown for row in filter.steps])]
+    cases = [("output", ~some_missing, [*first, *step.y], [row.update for row in filter.steps])]
     if not memory.measurements:
-        cases.append(("forecast", some_missing, first, [row.blind for row in filter.steps]))
-    prob_count = step.modes if filter.steps[0].shown.prob is not None else 0
+        cases.append(("forecast", some_missing, first, [row.forecast for row in filter.steps]))
+    prob_count = step.modes if filter.steps[0].update.prob is not None else 0
     result = step.array("result", (step.rows + prob_count + (step.modes > 0),))
     for name, condition, known, tables in cases:
         used = [

@@ -14,7 +14,7 @@ from seedslib.base.circle import Periods
 from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
 from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
 from seedslib.base.values import Values
-from seedslib.designed.finite_order import law_symbols
+from seedslib.designed.finite_order import gaussian_symbols
 from seedslib.export.tape import (
     Number,
     Scalar,
@@ -57,7 +57,7 @@ def map_moments(
     if isinstance(rule, PointRule):
         return _point_moments(tape, rule, map, t, mean, cov, p, spread)
     n, m = map.state_size, map.size
-    symbols, lower, matrix = law_symbols(n)
+    symbols, lower, matrix = gaussian_symbols(n)
     parts = rule.formulas(map, list(symbols), matrix, spread)[: 2 + spread]
     entries = [entry for part in parts for entry in part]
     evaluate = compile_components((map.time, symbols, lower, map.parameters), entries)
@@ -213,7 +213,7 @@ def moment_rates(
 ) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
     """Rates of mean and covariance as ``f(t, components) -> components``, for the integrators."""
     n = system.state_size
-    mean, lower, cov = law_symbols(n)
+    mean, lower, cov = gaussian_symbols(n)
     if not isinstance(rule, PointRule):
         velocity, change = rule.rate_formulas(system, list(mean), cov)
         entries = [change[i, j] for i in range(n) for j in range(i + 1)]

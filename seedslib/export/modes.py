@@ -10,10 +10,10 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from seedslib.base.values import Values
-from seedslib.designed.finite_order import law_symbols
-from seedslib.designed.switching.filter import CellFit
-from seedslib.designed.switching.lemmas import FAINT
-from seedslib.designed.switching.rules import SOFTEST
+from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.designed.lemmas import FAINT
+from seedslib.designed.rules import SOFTEST
+from seedslib.designed.switching import CellFit
 from seedslib.export.designs import places
 from seedslib.export.kernels import correct, lower_of, unpacked
 from seedslib.export.step import Step, any_of
@@ -368,7 +368,7 @@ def _moments(
 ) -> list[Any]:
     """Moments of the branches of one mode, None where there is no branch."""
     rule, n, names = step.filter.linearization, step.n, Names()
-    symbols, lower, matrix = law_symbols(n)
+    symbols, lower, matrix = gaussian_symbols(n)
     known = [branch for branch in branches if branch is not None]
     if all(branch.constant for branch in known):
         moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()

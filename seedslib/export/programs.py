@@ -11,8 +11,8 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import MOST_STEPS, SAME
 from seedslib.base.conditioning import update
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.output_filter import TableFilter
-from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.tables import TableFilter
 from seedslib.export.designs import finite_order, table
 from seedslib.export.kernels import (
     correct,

@@ -309,7 +309,8 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
                 column[k].T[...] = np.transpose(part)
     # what is no number once is none at the end, or on the way back at the beginning
     diverged = diverged | ~np.isfinite(columns["mean"]).all(axis=(0, 1))
-    diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if "cov" in columns:
+        diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
     if "loglik" in columns:
         diverged = diverged | (columns["loglik"] == -np.inf).any(axis=0)
     return Estimates(**columns, diverged=np.asarray(diverged))

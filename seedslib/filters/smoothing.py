@@ -34,7 +34,7 @@ def smooth(
     extended, of `unscented_kalman` the unscented one, and so on.
 
     A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian moments in each
-    mode; what that neglects stands in `seedslib.designed.switching.smoothing`. A
+    mode; what that neglects stands in `seedslib.designed.switching_smoother`. A
     `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters

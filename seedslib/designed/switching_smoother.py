@@ -1,4 +1,4 @@
-"""Smoothing of mode and state: the step back of a switching filter that carries whole laws."""
+"""Smoothing of mode and state: the step back of a switching filter without a memory."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.conditioning import kalman_gain, update
 from seedslib.base.linalg import NEGATIVE, cholesky, nearest_psd, solve_psd, symmetrized
 from seedslib.base.values import Values
-from seedslib.designed.switching.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
-from seedslib.designed.switching.rules import SwitchingState
+from seedslib.designed.lemmas import ModeLaw, decide, joined, mix_logs, total_covariance
+from seedslib.designed.rules import SwitchingState
 from seedslib.filters.base import Estimates
 from seedslib.filters.smoothing import Smoother, rts_step
 from seedslib.filters.weights import logarithm, normalised
@@ -22,22 +22,21 @@ rounding of a value divided by its root, are both of this size."""
 
 
 class SwitchingSmoother(Smoother):
-    """Smoothed laws of all modes, by interacting steps back.
+    """Smoothed distributions in all modes, by interacting steps back.
 
     Given the later mode and state, the earlier ones do not depend on later measurements. Within
     each later mode the filter knows the forecast as a mixture over the earlier modes, each with a
-    Gaussian law of both states. What later measurements say in that mode is taken as *one
-    Gaussian likelihood* of the later state, the one that makes the mode's smoothed law of its
-    forecast, both with matched moments. Every pair of modes is corrected by it and weighted by
-    it, takes a step of Rauch, Tung and Striebel back, and the pairs of an earlier mode are merged
-    with matched moments. Where a smoothed law is wider than its forecast, which no Gaussian
-    likelihood makes, the excess is added to the pairs.
+    joint Gaussian of both states. The later measurements act in that mode as *one Gaussian
+    likelihood* of the later state, the one that turns its forecast into its smoothed
+    distribution, both with matched moments. Every pair of modes is corrected by it and weighted
+    by it, takes a step of Rauch, Tung and Striebel back, and the pairs of an earlier mode are
+    merged with matched moments. Where a smoothed distribution is wider than its forecast, which no
+    Gaussian likelihood makes, the excess is added to the pairs.
 
     Two things are neglected: that the likelihood is a mixture itself, over the modes still to
-    come, and that the law within a mode is one. It is exact with one mode, with modes that move
-    and measure alike, with modes that never switch, and where no measurement follows; all for
-    linear dynamics. Where the state moves the modes, the pairs have the moments, and the
-    probability, of the filter's own branches.
+    come, and that the distribution within a mode is one. It is exact with one mode, with modes
+    that move and measure alike, with modes that never switch, and where no measurement follows;
+    all for linear dynamics.
 
     Parameters
     ----------
@@ -52,63 +51,61 @@ class SwitchingSmoother(Smoother):
     def back(
         self,
         state: SwitchingState,
-        part: ModeLaw,
+        later: ModeLaw,
         link: Any,
         p: Values,
         indicator: MaybeArray = None,
     ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
-        switch = rules.switch
-        if switch is None:
-            return self._back(rules.rows, t, law, indicator, part, p)
-        # the new mode drives the step: a switch of a state that stands still, and then a move
-        part = self._back(rules.rows, t, rules.switched(t, law, p), indicator, part, p)
-        return self._back(switch, t, law, None, part, p)
-
-    def report(self, part: ModeLaw) -> Estimates:
-        """Mean, covariance over all modes, and the modes with their probabilities."""
-        modes, mean = decide(part)
-        return Estimates(mean, total_covariance(part), part.prob, modes=modes)
-
-    def _back(self, rows, t, law, indicator, part, p):
-        """Smoothed law of mode and state before the moves in `rows`, from that after them."""
-        smoothed: list[list] = [[] for _ in rows]
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            made = [row(t, law.mean[:, i], law.cov[:, :, i], p) for i, row in enumerate(rows)]
-            for l in range(len(rows)):
-                pairs = [
-                    (i, value, moments)
-                    for i, row in enumerate(made)
-                    for value, moments in enumerate(row[l])
-                    if moments is not None
-                ]
-                if not pairs:
-                    continue
-                log_prob = np.stack([law.log_prob[i] + logarithm(w.mass) for i, _, w in pairs])
-                if self.filter.rules.split and indicator is not None:
-                    # a part is what one value of the indicator goes with
-                    fits = np.stack([(indicator < 0) | (indicator == j) for _, j, _ in pairs])
-                    possible = (fits & (log_prob > -np.inf)).any(axis=0)
-                    log_prob = np.where(fits | ~possible, log_prob, -np.inf)
-                both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
-                mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
-                if self.filter.rules.guarded:
-                    cov = nearest_psd(cov)[0]
-                later = ModeLaw(*(one[..., l, :] for one in part))
-                found = _corrected(log_prob, mean, cov, later)
-                for k, (i, *_) in enumerate(pairs):
-                    smoothed[i].append([one[..., k, :] for one in found])
-            merged = [
-                mix_logs(*(np.stack(parts, axis=-2) for parts in zip(*each, strict=True)))
-                for each in smoothed
-            ]
-        log_prob, mean, cov = (np.stack(parts, axis=-2) for parts in zip(*merged, strict=True))
-        return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
+            if rules.switch is None:
+                return _back(rules, rules.rows, t, law, later, indicator, p)
+            # the new mode drives the step: a switch of a state that does not move, then a move
+            later = _back(rules, rules.rows, t, rules.switched(t, law, p), later, indicator, p)
+            return _back(rules, rules.switch, t, law, later, None, p)
+
+    def report(self, smoothed: ModeLaw) -> Estimates:
+        """Mean, covariance over all modes, and the modes with their probabilities."""
+        modes, mean = decide(smoothed)
+        return Estimates(mean, total_covariance(smoothed), smoothed.prob, modes=modes)
+
+
+def _back(rules, rows, t, law, later, indicator, p) -> ModeLaw:
+    """Smoothed mode and state before the moves in `rows`, from those after them."""
+    smoothed: list[list] = [[] for _ in rows]
+    moments = [row(t, law.mean[:, i], law.cov[:, :, i], p) for i, row in enumerate(rows)]
+    for l in range(len(rows)):
+        pairs = [
+            (i, value, weighted)
+            for i, row in enumerate(moments)
+            for value, weighted in enumerate(row[l])
+            if weighted is not None
+        ]
+        if not pairs:
+            continue
+        log_prob = np.stack([law.log_prob[i] + logarithm(w.mass) for i, _, w in pairs])
+        if rules.split and indicator is not None:
+            # a part of the forecast goes with one value of the indicator
+            fits = np.stack([(indicator < 0) | (indicator == j) for _, j, _ in pairs])
+            possible = (fits & (log_prob > -np.inf)).any(axis=0)
+            log_prob = np.where(fits | ~possible, log_prob, -np.inf)
+        both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
+        mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
+        cov = nearest_psd(cov)[0] if rules.guarded else cov
+        result = _corrected(log_prob, mean, cov, ModeLaw(*(part[..., l, :] for part in later)))
+        for k, (i, *_) in enumerate(pairs):
+            smoothed[i].append([part[..., k, :] for part in result])
+    merged = [
+        mix_logs(*(np.stack(part, axis=-2) for part in zip(*pairs, strict=True)))
+        for pairs in smoothed
+    ]
+    log_prob, mean, cov = (np.stack(part, axis=-2) for part in zip(*merged, strict=True))
+    return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
 
 
 def _corrected(log_prob, both, joint, later):
-    """Pairs of one new mode, of which the smoothed law is known: weights and laws before it."""
+    """Pairs of one later mode, whose smoothed distribution is known: weights and moments before."""
     n = len(later.mean)
     mean, cov = both[n:], joint[n:, n:]
     _, forecast, total = mix_logs(log_prob, mean, cov)
@@ -135,7 +132,7 @@ def _corrected(log_prob, both, joint, later):
 
 
 def _likelihood(forecast, total, later):
-    """Measurement by which a forecast N(m, S) becomes the smoothed law N(m', P).
+    """Measurement by which a forecast N(m, S) becomes the smoothed N(m', P).
 
     In units of the forecast, u = L⁻¹ (x - m) with S = L Lᵀ, the covariance loses 1 - L⁻¹ P L⁻ᵀ,
     with eigenvalues d and eigenvectors v. For each of them sqrt(d) vᵀu and noise of variance 1 - d

@@ -8,33 +8,27 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import InputTrajectory
-from seedslib.designed.base import (
-    DesignedFilter,
-    freeze,
-    nan_where,
-    want_corrected,
-    want_forecast,
-    want_next,
-)
-from seedslib.designed.checks import check_array, check_covariances, check_fields, check_verbs
+from seedslib.base.values import Values
+from seedslib.designed.accuracy import Design, HeldOut, Prediction, page
+from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
+from seedslib.designed.between import Interval
+from seedslib.designed.checks import check_fields
+from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.prediction import Design, HeldOut, Prediction, page
-from seedslib.designed.switching.lemmas import ModeLaw, total_covariance
-from seedslib.designed.switching.rules import SwitchingRules, SwitchingState, compiled_rules
+from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.base import Estimates, first_step
 from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import AnySystem, as_system
+from seedslib.models.kinds import as_system
+from seedslib.models.switching import SwitchingSystem
 
 
 class CellFit(NamedTuple):
-    """Normal law of state and memory in each cell and mode.
+    """Normal distribution of state and memory in each cell and mode.
 
     With C cells, L modes and a memory of d numbers:
 
@@ -60,7 +54,7 @@ class CellFit(NamedTuple):
     cov: np.ndarray
 
     def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
-        """Law of mode and state given the memory: (6.32) to (6.34).
+        """Mode and state given the memory: (6.32) to (6.34).
 
         Parameters
         ----------
@@ -72,50 +66,39 @@ class CellFit(NamedTuple):
         ModeLaw
             Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
         """
-        with np.errstate(over="ignore", invalid="ignore"):  # lost paths show as NaN
-            return self._forecast(cell, z)
-
-    def _forecast(self, cell, z):
-        weight, centre, white, gain, offset, cov = (self._take(part, cell, z) for part in self)
-        apart = z[:, None] - centre
-        score = np.zeros(np.broadcast_shapes(weight.shape, (len(weight), *z.shape[1:])))
-        score += weight
-        for row in white:
-            residual = row[0] * apart[0]
-            for factor, part in zip(row[1:], apart[1:], strict=True):
-                residual = residual + factor * part
-            score -= 0.5 * residual * residual
-        score -= score.max(axis=0)
-        score -= np.log(np.exp(score).sum(axis=0))
-        mean = np.empty((len(offset), *score.shape))
-        for slot, row, start in zip(mean, gain, offset, strict=True):
-            slot[...] = start
-            for factor, part in zip(row, z, strict=True):
-                slot += factor * part
+        with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
+            weight, centre, white, gain, offset, cov = (self._of_cell(a, cell, z) for a in self)
+            residual = z[:, None] - centre
+            score = np.zeros(np.broadcast_shapes(weight.shape, (len(weight), *z.shape[1:])))
+            score += weight
+            for row in white:
+                square = row[0] * residual[0]
+                for factor, part in zip(row[1:], residual[1:], strict=True):
+                    square = square + factor * part
+                score -= 0.5 * square * square
+            score -= score.max(axis=0)
+            score -= np.log(np.exp(score).sum(axis=0))
+            mean = np.empty((len(offset), *score.shape))
+            for component, row, start in zip(mean, gain, offset, strict=True):
+                component[...] = start
+                for factor, part in zip(row, z, strict=True):
+                    component += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
-    def check(self, name: str, memory: Memory, system: AnySystem, k: int) -> None:
+    def check(self, name: str, memory: Memory, system: SwitchingSystem, k: int) -> None:
         """Refuse arrays that are not those of the memory after measurement k."""
         n, modes = system.state_size, system.modes
         d = memory.dimension(k, n, system.measurement_size, modes)
         tail = modes, cell_count(memory, system, k)
         check_fields(
-            name,
-            self,
-            gain=(n, d, *tail),
-            offset=(n, *tail),
-            cov=(n, n, *tail),
-            centre=(d, *tail),
-            white=(d, d, *tail),
+            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail), centre=(d, *tail)
         )
-        # a mode that is never met in a cell has the weight zero
-        check_array(f"{name}.log_weight", self.log_weight, *tail, finite=False)
-        check_covariances(name, [np.moveaxis(self.cov, (0, 1), (-2, -1))])
 
-    def _take(self, part, cell, z):
-        if part.shape[-1] == 1:
-            return part.reshape(*part.shape[:-1], *(1,) * (z.ndim - 1))
-        return part[..., cell]
+    @staticmethod
+    def _of_cell(array, cell, z):
+        if array.shape[-1] == 1:
+            return array.reshape(*array.shape[:-1], *(1,) * (z.ndim - 1))
+        return array[..., cell]
 
 
 def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:
@@ -128,14 +111,14 @@ def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...])
     return number
 
 
-def cell_count(memory: Memory, system: AnySystem, k: int) -> int:
+def cell_count(memory: Memory, system: SwitchingSystem, k: int) -> int:
     """Number of cells of the memory after measurement k."""
     return system.modes ** min(k + 1, memory.estimates) * system.indicators ** min(
         k + 1, memory.indicators
     )
 
 
-def require_memory(memory: Memory, system: AnySystem) -> None:
+def require_memory(memory: Memory, system: SwitchingSystem) -> None:
     """Refuse a memory of what a switching system does not have.
 
     Raises
@@ -153,14 +136,14 @@ def require_memory(memory: Memory, system: AnySystem) -> None:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class SwitchingFilter(DesignedFilter):
-    """Mode and state of a switching system, by Gaussian laws in each mode.
+    """Mode and state of a switching system, by a Gaussian distribution in each mode.
 
-    Without a memory it carries the posterior laws of all modes: the normal approximation of the
+    Without a memory it carries the posterior in all modes: the normal approximation of the
     optimal filter (AOF), an IMM filter with the timing of this model and state-dependent
     switching. With a memory it is the filter of theorem 3 of the switching paper: only the memory
     is carried (decided modes and estimates for the large-order filter, FBP; indicators and
-    measurements for the filter with finite memory, FKP), and the law given the memory comes from
-    a design; `seedslib.design.synthesize` makes it.
+    measurements for the filter with finite memory, FKP), and the distribution given the memory
+    comes from a design; `seedslib.design.synthesize` makes it.
 
     Parameters
     ----------
@@ -172,7 +155,7 @@ class SwitchingFilter(DesignedFilter):
     times : array_like, shape (K+1,), optional
         Times of the design.
     fits : sequence of CellFit, length K
-        What the memory says after each measurement but the last. Anything with
+        Mode and state given the memory after each measurement but the last. Anything with
         ``forecast(cell, z) -> ModeLaw`` will do.
     normalisation : {"consistent", "printed"}
         How the moments of a measurement are formed where the indicator depends on the state: from
@@ -191,7 +174,9 @@ class SwitchingFilter(DesignedFilter):
         The linearization has no formulas for a branch; the message offers one that works.
     """
 
-    system: object
+    node_times = node_fits = ()  # forecasts are for the next measurement only
+
+    system: SwitchingSystem
     linearization: Linearization
     memory: Memory | None = None
     times: MaybeArray = None
@@ -200,37 +185,32 @@ class SwitchingFilter(DesignedFilter):
     predicted: Prediction | None = None
     design: Design | None = None
     cycle: int = 0
-    held_out: HeldOut | Any = None
+    held_out: HeldOut | None = None
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
         as_linearization(self.linearization)
+        vars(self).update(fits=tuple(self.fits))
         if self.memory is not None:
-            self._check_memory()
-        _ = self.rules  # what has no formulas is refused now
-        object.__setattr__(self, "fits", tuple(self.fits))
-        freeze((self.predicted, self.held_out, self.fits))
+            require_memory(self.memory, self.system)
+            if self.times is None:
+                raise ValueError("times: wanted the times of the design with a memory")
+            times = as_times("times", self.times)
+            vars(self).update(times=times, clock=Clock(times))
+            self.check_shapes()
+        _ = self.rules  # a linearization without formulas is refused now
+        freeze((self.times, self.predicted, self.held_out, self.fits))
 
     @cached_property
     def rules(self) -> SwitchingRules:
         """The compiled steps."""
         return compiled_rules(self.system, self.linearization, self.normalisation)
 
-    def _check_memory(self):
-        require_memory(self.memory, self.system)
-        if self.times is None:
-            raise ValueError("times: wanted the times of the design with a memory")
-        times = as_times("times", self.times)
-        object.__setattr__(self, "times", times)
-        object.__setattr__(self, "clock", Clock(times))
-        if len(self.fits) != len(times) - 1:
-            raise ValueError(f"fits: wanted {len(times) - 1}, got {len(self.fits)}")
-        self.check_shapes()
-        freeze(times)
-
-    def check_parts(self) -> None:
-        """Laws of mode and state in the cells of the memory."""
-        check_verbs([(f"fits[{k}]", fit) for k, fit in enumerate(self.fits)], "forecast")
+    def check_shapes(self) -> None:
+        """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
+        super().check_shapes()
+        if len(self.fits) != len(self.times) - 1:
+            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
         for k, fit in enumerate(self.fits):
             if isinstance(fit, CellFit):
                 fit.check(f"fits[{k}]", self.memory, self.system, k)
@@ -253,7 +233,7 @@ class SwitchingFilter(DesignedFilter):
     def predict(
         self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
     ) -> SwitchingState:
-        """Forecast for time t, the next measurement time; a first state is only given it.
+        """Forecast for time t, the next measurement time; the first state is only given it.
 
         Raises
         ------
@@ -261,72 +241,66 @@ class SwitchingFilter(DesignedFilter):
             A time that is not later, or for a designed filter not the next one of the design; a
             state that was not corrected.
         """
-        t, k = float(t), state.index + 1
+        t = float(t)
         if self.memory is not None:
-            want_next(self.clock, k, t, self.cycle)
-        if k == 0:
-            return state._replace(index=0, time=t)
-        want_corrected(state)
+            return super().predict(state, t, inputs=inputs)
+        if state.index < 0:
+            return self.propagate(state, t, ())
+        require_corrected(state)
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
         interval = first_step(state, t, self.system)
         p = self.system.values(inputs, t - state.time)
-        law = self.rules.predict(state.time, self.known(state), p)
+        return self.propagate(state, t, p)._replace(interval=interval)
+
+    def propagate(
+        self, state: SwitchingState, t: float, p: Values, interval: Interval | None = None
+    ) -> SwitchingState:
+        """See `DesignedFilter.propagate`."""
+        if state.index < 0:
+            return state._replace(index=0, time=t)
+        law = self.rules.predict(state.time, self.posterior(state), p)
         return state._replace(
-            index=k,
+            index=state.index + 1,
             time=t,
             law=law,
             mean=None,
             mode=None,
             loglik=0.0,
             corrected=False,
-            interval=interval,
         )
 
-    def known(self, state: SwitchingState) -> ModeLaw:
-        """Law after a correction that the forecast starts from: given the memory, if any."""
+    def posterior(self, state: SwitchingState) -> ModeLaw:
+        """Mode and state after a correction, given the memory alone where there is one."""
         if self.memory is None:
             return state.law
         system, past = self.system, state.past
         cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
         return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
 
-    def correct(
+    def update(
         self,
         state: SwitchingState,
-        y: ArrayLike,
-        indicator: ArrayLike | None = None,
-        *,
-        inputs: Mapping[Any, Any] | None = None,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
     ) -> SwitchingState:
-        """Correct the forecast by a measurement and the indicator.
+        """See `DesignedFilter.update`."""
+        return self.rules.correct(state, y, indicator, self.memory, p)
 
-        Parameters
-        ----------
-        state : SwitchingState
-        y : array_like, shape (m, *batch)
-            NaN components are left out exactly; with a memory see `run`.
-        indicator : array_like of int, shape (*batch), optional
-            -1 where it is missing; wanted where the system has one.
+    def batch_of(self, state: SwitchingState) -> tuple[int, ...]:
+        """Batch axes of a forecast."""
+        return state.law.log_prob.shape[2:]
 
-        Raises
-        ------
-        TypeError, ValueError
-            A state without a forecast, a wrong shape, an infinite measurement, an indicator out
-            of range.
-        """
-        want_forecast(state)
-        y, seen, gap = self.admitted(y, indicator, state.law.log_prob.shape[2:], state.index)
-        p, gap = self.system.values(inputs), state.gap | gap
-        found = self.rules.correct(state, y, seen, self.memory, p)
-        if self.memory is None or not np.any(gap):
-            return found
-        law = found.law._replace(cov=nan_where(gap, found.law.cov))
-        return found._replace(law=law, loglik=np.where(state.gap, np.nan, found.loglik), gap=gap)
+    def without_claims(self, state: SwitchingState, before: Any, gap: Any) -> SwitchingState:
+        """See `DesignedFilter.without_claims`."""
+        law = state.law._replace(cov=nan_where(gap, state.law.cov))
+        return state._replace(law=law, loglik=np.where(before, np.nan, state.loglik), gap=gap)
 
-    def report(self, state: SwitchingState) -> Estimates:
+    def report(self, state: SwitchingState, covariance: bool = True) -> Estimates:
         """What is estimated after a correction."""
-        cov = total_covariance(state.law)
+        cov = total_covariance(state.law) if covariance else None
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
     def forecast(
@@ -341,60 +315,25 @@ class SwitchingFilter(DesignedFilter):
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
     def smoother(self) -> Any:
-        """See `Filter.smoother`: of whole laws, which a filter with a memory does not carry."""
+        """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""
         if self.memory is not None:
             return super().smoother()
-        from seedslib.designed.switching.smoothing import SwitchingSmoother
+        from seedslib.designed.switching_smoother import SwitchingSmoother
 
         return SwitchingSmoother(self)
-
-    def sizes(self, covariances: bool) -> Estimates:
-        """Shapes of what is found at each time."""
-        n = self.system.state_size
-        return Estimates((n,), (n, n) if covariances else None, (self.system.modes,), (), None, ())
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Fits of the chosen steps."""
         return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
 
-    def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """Number of the measurement at each time: there are none between."""
-        return np.arange(len(times))
-
-    def fill(
-        self,
-        rows: Estimates,
-        times: np.ndarray,
-        index: np.ndarray,
-        y: np.ndarray,
-        indicators: np.ndarray | None,
-        inputs: InputTrajectory,
-    ) -> int:
-        """Run over a block of records."""
-        state = self.initial(y.shape[2:])
-        for k, t in enumerate(times):
-            shown = None if indicators is None else indicators[k]
-            state = self.predict(state, t, inputs=inputs.at(max(k - 1, 0)))
-            p = self.system.values(inputs.at(k))
-            state = self.rules.correct(state, y[k], shown, self.memory, p)
-            rows.mean[k], rows.mode_prob[k] = state.mean, state.law.prob
-            rows.modes[k], rows.loglik[k] = state.mode, state.loglik
-            if rows.cov is not None:
-                rows.cov[k] = total_covariance(state.law)
-        return state.mended
-
-    def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
-        """What no mode can have shown is lost too."""
-        return found._replace(diverged=lost | (found.loglik == -np.inf).any(axis=0))
-
     def __repr__(self) -> str:
-        held = "laws of all modes" if self.memory is None else str(self.memory)
-        return f"<SwitchingFilter: {held}; {self.linearization}>"
+        carried = "laws of all modes" if self.memory is None else str(self.memory)
+        return f"<SwitchingFilter: {carried}; {self.linearization}>"
 
     def __str__(self) -> str:
-        held = "carries the laws of all modes" if self.memory is None else f"of {self.memory}"
+        carried = "carries the laws of all modes" if self.memory is None else f"of {self.memory}"
         return page(
             self,
-            f"Filter of {self.system.modes} modes, {held}; {self.linearization}",
+            f"Filter of {self.system.modes} modes, {carried}; {self.linearization}",
             f"order        {self.order}",
         )
