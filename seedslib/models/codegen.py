@@ -21,7 +21,7 @@ from sympy.printing.numpy import SciPyPrinter
 from seedslib.base.arrays import batch_shape
 from seedslib.base.checks import require_shape
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
-from seedslib.gaussian.special import difference, tilted_cdf
+from seedslib.gaussian.special import difference
 
 LARGEST_POWER = 40
 TERMS = 14
@@ -77,7 +77,7 @@ def sinc_ratio(k: int, x: Any) -> Any:
     return np.select([near], [series / math.prod(range(1, 2 * k + 2, 2))], ratio)
 
 
-OWN = {"sinc_ratio": sinc_ratio, "difference": difference, "tilted_cdf": tilted_cdf}
+OWN = {"sinc_ratio": sinc_ratio, "difference": difference}
 MODULES = [OWN, "scipy", "numpy"]
 
 
