@@ -147,7 +147,7 @@ def _filters(
     labels: Mapping[str, str],
     **data: Any,
 ) -> Figure:
-    """A figure of filters; `data` says what differs from a scalar state seen whole."""
+    """A figure of filters; `data` says what differs from a scalar state."""
     common = {"plant": name, "paths": PATHS, "size": 1, "parts": [0], "options": {}, "state": "x"}
     names = [{"key": key, "label": label} for key, label in labels.items()]
     modules = pooled({key: to_js(filter) for key, filter in filters.items()})

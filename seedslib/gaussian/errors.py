@@ -626,8 +626,8 @@ def _tilted_squares(
     # K = I + P M with M = diag(weight); symmetrised by the root of M it is I + R P R
     root = np.sqrt(weight)
     kernel = root[:, :, None] * cov * root[:, None, :]
-    # singular covariances need the rounding of the product covered; where it exceeds one (huge tilts)
-    # the integrand is below the rounding of the total
+    # the rounding of the product would make singular covariances indefinite; where what covers it
+    # exceeds one (huge tilts) the integrand is below the rounding of the total
     kernel += (1.0 + 1e-15 * weight.max(axis=1))[:, None, None] * np.eye(2 * n)
     lower = np.linalg.cholesky(kernel)
     half = np.linalg.solve(

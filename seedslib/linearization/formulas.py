@@ -10,6 +10,7 @@ import numpy as np
 import sympy
 
 from seedslib.base.linalg import symmetric
+from seedslib.base.values import Values
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
     TINY,
@@ -79,9 +80,9 @@ class Formulas(Linearization):
         evaluate = _compiled(arguments, parts if spread else parts[:2])
         n, m = map.state_size, map.size
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             lower = _lower(cov)
-            y, cross, *square = evaluate(t, mean, lower)
+            y, cross, *square = evaluate(t, mean, lower, p)
             batch = batch_of(mean, lower)
             own = None if batch else ()  # covariances may lack the axes of a batch
             cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
@@ -120,11 +121,11 @@ class Formulas(Linearization):
         masses = [branch.mass for branch in branches]
         evaluate = _compiled(arguments, [masses, *(part for _, part in parts)])
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             lower = _lower(cov)
             batch = batch_of(mean, lower)
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                masses, *values = evaluate(t, mean, lower)
+                masses, *values = evaluate(t, mean, lower, p)
             arrays = [
                 stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
                 for value, (vector, part) in zip(values, parts, strict=True)
@@ -138,9 +139,12 @@ class Formulas(Linearization):
 
     def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
-        (time, mean, lower), vector, cov = _arguments(system.drift_map, type(self).__name__)
+        arguments, vector, cov = _arguments(system.drift_map, type(self).__name__)
+        time, mean, lower, parameters = arguments
         velocity, change = self.rate_formulas(system, vector, cov)
-        return compile_components((time, (*mean, *lower)), [*velocity, *_lower(change)])
+        rates = [*velocity, *_lower(change)]
+        evaluate = compile_components((time, (*mean, *lower), parameters), rates)
+        return lambda t, components, p=(): evaluate(t, components, p)
 
 
 @lru_cache(maxsize=256)
@@ -150,7 +154,7 @@ def _derived_once(derive: Callable[..., Any], *arguments: Any) -> Any:
 
 
 def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:
-    """Arguments (t, mean, lower covariance) and the SymPy mean and covariance made of them."""
+    """Arguments (t, mean, lower covariance, p) and the SymPy mean and covariance of them."""
     if not map.symbolic:
         raise NoClosedForm(
             f"{name}: wanted a symbolic map, got array functions; use Unscented, Cubature or "
@@ -159,7 +163,8 @@ def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol]
     n = map.state_size
     mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
     lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
-    return (map.time, mean, lower), list(mean), sympy.Matrix(symmetric(lower, n))
+    arguments = map.time, mean, lower, map.parameters
+    return arguments, list(mean), sympy.Matrix(symmetric(lower, n))
 
 
 def _lower(cov: Any) -> list[Any]:

@@ -14,6 +14,7 @@ from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
+from seedslib.base.values import Values
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
 from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import (
@@ -76,9 +77,9 @@ class PointRule(Linearization):
         given = _conditional(map)
         noise = map.noise if given is None else None
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov, noise)
-            y = map.value(t, points.x, points.v) if given is None else given.mean(t, points.x)
+            y = given.mean(t, points.x, p) if given else map.value(t, points.x, points.v, p)
             # about one of the values, so that equal ones are exactly their mean
             start = y[:, :1]
             y = nearest(y, start, map.period)
@@ -89,7 +90,7 @@ class PointRule(Linearization):
                 return Moments(h, cross, None)
             square = np.einsum("is...,js...,s->ij...", deviations, deviations, points.centred)
             if given is not None:
-                noise_cov = given.cov(t, points.x)
+                noise_cov = given.cov(t, points.x, p)
                 square = square + np.einsum("ijs...,s->ij...", noise_cov, points.weights)
             return Moments(h, cross, square)
 
@@ -99,12 +100,12 @@ class PointRule(Linearization):
         """See `Linearization.flow`; both means are taken at the same points."""
         none = np.empty((0, 1))
 
-        def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
+        def rates(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov)
-            b = system.drift_map.value(t, points.x, none)
+            b = system.drift_map.value(t, points.x, none, p)
             velocity, diffusion = (
                 np.einsum("is...,s->i...", y, points.weights)
-                for y in (b, system.spread_map.value(t, points.x, none))
+                for y in (b, system.spread_map.value(t, points.x, none, p))
             )
             cross = points.cross(b - velocity[:, None])
             return Moments(velocity, cross, symmetric(diffusion, system.state_size))
@@ -120,7 +121,7 @@ class PointRule(Linearization):
         """
         branches = [(map, given := _conditional(map), _kind(map, bool(given))) for map in maps]
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> list[Weighted]:
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             clouds: dict[int | None, Points] = {}
             values: dict[object, tuple] = {}
             result = []
@@ -131,9 +132,9 @@ class PointRule(Linearization):
                 _, _, x, v, weights, _ = clouds[space]
                 if kind not in values:
                     with np.errstate(divide="ignore", invalid="ignore"):  # points without weight
-                        moments = (given.mean(t, x), given.cov(t, x)) if given else None
-                        values[kind] = moments or (map.value(t, x, v), None)
-                share = given.weight(t, x) if given else map.weight(t, x, v)
+                        moments = (given.mean(t, x, p), given.cov(t, x, p)) if given else None
+                        values[kind] = moments or (map.value(t, x, v, p), None)
+                share = given.weight(t, x, p) if given else map.weight(t, x, v, p)
                 share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
                 result.append(_branch(x, share, *values[kind]))
             return result

@@ -1,4 +1,4 @@
-"""What a design says of its filter, in numbers and words: errors that it predicts and finds."""
+"""The accuracy of a designed filter in numbers and as a page of text."""
 
 from __future__ import annotations
 
@@ -43,17 +43,16 @@ class Prediction(NamedTuple):
 
     def of(self, rows: np.ndarray, times: np.ndarray) -> Prediction:
         """Some rows, at other times."""
-        parts = {name: getattr(self, name) for name in ("rms", "error", "mode_rate", "mode_error")}
-        kept = {name: part if part is None else part[rows] for name, part in parts.items()}
-        return self._replace(times=times, **kept)
+        rate, error = (p if p is None else p[rows] for p in (self.mode_rate, self.mode_error))
+        return Prediction(times, self.rms[rows], self.error[rows], self.in_sample, rate, error)
 
 
 class Design(NamedTuple):
-    """How a filter was designed: paths, paths per block, seed, and what had to be mended.
+    """How a filter was designed: paths, paths per block, seed, and what had to be repaired.
 
     ``diverged`` paths were left out; an ``exact`` design took no paths. Of a switching system,
-    ``thin`` of ``pairs`` pairs of cell and mode had too few paths of their own, and the
-    eigenvalues of ``mended`` covariances were raised.
+    ``pooled`` of ``pairs`` pairs of cell and mode had too few paths of their own, and negative
+    eigenvalues of ``repaired`` covariances were raised.
     """
 
     paths: int
@@ -62,21 +61,22 @@ class Design(NamedTuple):
     spawn_key: tuple[Any, ...]
     diverged: int = 0
     exact: bool = False
-    thin: int = 0
+    pooled: int = 0
     pairs: int = 0
-    mended: int = 0
+    repaired: int = 0
 
     def __str__(self) -> str:
         if self.exact:
             return "exact moments or densities on a grid, without random numbers"
-        left_out = f", {self.diverged} diverged paths left out" if self.diverged else ""
-        mended = ""
+        text = f"{self.paths} paths, seed {self.entropy}"
+        if self.diverged:
+            text += f", {self.diverged} diverged paths left out"
         if self.pairs:
-            mended = (
-                f"; mended: {self.thin} of {self.pairs} thin pairs of cell and mode, "
-                f"{self.mended} covariances"
+            text += (
+                f"; mended: {self.pooled} of {self.pairs} thin pairs of cell and mode, "
+                f"{self.repaired} covariances"
             )
-        return f"{self.paths} paths, seed {self.entropy}{left_out}{mended}"
+        return text
 
 
 class HeldOut(NamedTuple):
@@ -109,20 +109,18 @@ def page(filter: Any, title: str, *lines: str) -> str:
 
     Parameters
     ----------
-    filter : filter
-        With `design` and `predicted`, which may be None, `held_out`, `cycle` and the `clock` of
-        its measurements.
+    filter : DesignedFilter
     title : str
     *lines : str
-        What this kind of filter has to say.
+        What is particular to this kind of filter.
     """
     design, predicted, text = filter.design, filter.predicted, [title, *lines]
     if filter.measured is not None:
-        read, whole = np.count_nonzero(filter.measured), filter.measured.size
-        text.append(f"schedule     {read} of {whole} components are read")
+        read, total = np.count_nonzero(filter.measured), filter.measured.size
+        text.append(f"schedule     {read} of {total} components are read")
     if filter.availability is not None:
         rates = ", ".join(f"{rate:g}" for rate in filter.availability)
-        most = max((len(part.prob) for part in filter.fits), default=1)
+        most = max((len(fit.prob) for fit in filter.fits), default=1)
         text.append(f"availability {rates}; up to {most} classes of histories")
     if filter.cycle == 1:
         text.append("later times  the last step serves all")
@@ -131,46 +129,48 @@ def page(filter: Any, title: str, *lines: str) -> str:
     if design is not None:
         text.append(f"designed on  {design}")
     if predicted is not None:
-        doubts = design is None or not design.exact
-        notes = ["in-sample"] * predicted.in_sample + ["with standard errors"] * doubts
+        simulated = design is None or not design.exact
+        notes = ["in-sample"] * predicted.in_sample + ["with standard errors"] * simulated
         modes = " and part of wrong modes" * (predicted.mode_rate is not None)
         notes = f" ({', '.join(notes)})" if notes else ""
-        text += [f"predicted root-mean-square errors{modes}{notes}", *_accuracy(filter, doubts)]
+        text += [f"predicted root-mean-square errors{modes}{notes}", *_accuracy(filter, simulated)]
     return "\n  ".join(text)
 
 
-def span(filter: Any) -> str:
+def measurement_line(filter: Any) -> str:
     """Line of a page: the measurements, and the nodes between them."""
     times, nodes = filter.times, sum(len(t) for t in filter.node_times)
     return f"measurements {len(times)}, from {when(times[0])} to {when(times[-1])}; {nodes} nodes"
 
 
-def _accuracy(designed, doubts):
+def _accuracy(filter, with_errors):
     """Lines of a page: predicted errors, and those on held-out paths beside or below them."""
-    predicted, held, lines = designed.predicted, designed.held_out, []
-    if held is not None:
-        lost = f", {held.diverged} of them diverged" if held.diverged else ""
-        lines.append(f"after the bar: on {held.paths} paths that the design has not seen{lost}")
-    at = designed.clock.rows(predicted.times)
-    for k in np.linspace(0, len(at) - 1, min(ROWS, len(at))).astype(int):
-        j = at[k]
-        row = f"  t = {when(predicted.times[j]):<8} {_errors(predicted, j, doubts)}"
-        if held is None:
-            lines.append(row)
+    predicted, held_out, lines = filter.predicted, filter.held_out, []
+    if held_out is not None:
+        diverged = f", {held_out.diverged} of them diverged" if held_out.diverged else ""
+        lines.append(
+            f"after the bar: on {held_out.paths} paths that the design has not seen{diverged}"
+        )
+    rows = filter.clock.rows(predicted.times)
+    for k in np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(int):
+        j = rows[k]
+        line = f"  t = {when(predicted.times[j]):<8} {_errors(predicted, j, with_errors)}"
+        if held_out is None:
+            lines.append(line)
             continue
-        other = _errors(held, k, True)
-        beside = len(row) + len(other) + 5 <= WIDTH
-        lines += [f"{row} | {other}"] if beside else [row, f"{'|':>15} {other}"]
+        other = _errors(held_out, k, True)
+        beside = len(line) + len(other) + 5 <= WIDTH
+        lines += [f"{line} | {other}"] if beside else [line, f"{'|':>15} {other}"]
     return lines
 
 
-def _errors(found, j, doubts):
+def _errors(accuracy, j, with_errors):
     """Errors and part of wrong modes at one time of a `Prediction` or `HeldOut`."""
 
     def number(value, error):
-        return f"{value:.4f} ± {error:.4f}" if doubts else f"{value:.4f}"
+        return f"{value:.4f} ± {error:.4f}" if with_errors else f"{value:.4f}"
 
-    row = [number(*pair) for pair in zip(found.rms[j], found.error[j], strict=True)]
-    if found.mode_rate is not None:
-        row.append("modes " + number(found.mode_rate[j], found.mode_error[j]))
-    return "  ".join(row)
+    parts = [number(*pair) for pair in zip(accuracy.rms[j], accuracy.error[j], strict=True)]
+    if accuracy.mode_rate is not None:
+        parts.append("modes " + number(accuracy.mode_rate[j], accuracy.mode_error[j]))
+    return "  ".join(parts)

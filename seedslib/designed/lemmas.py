@@ -2,11 +2,12 @@
 
 Layout: components first, then the mode, then (for forecasts) the parts of a mode's law, then any
 batch axes: probabilities (L, *batch), means (n, L, *batch), covariances (n, n, L, *batch).
-Probabilities are carried as logarithms, so that none is lost however small it becomes.
+Probabilities are carried as logarithms, so that none underflows.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,9 +23,9 @@ FAINT = 1e-200
 
 
 class ModeLaw(NamedTuple):
-    """Law of mode and state: for each mode its probability and the moments of the state in it.
+    """Distribution of mode and state: of each mode its probability and the moments of the state.
 
-    Forecasts have one more axis after the modes: the Gaussian parts of a mode's law, (6.19).
+    Forecasts have one more axis after the modes: the Gaussian parts within a mode, (6.19).
 
     Attributes
     ----------
@@ -39,7 +40,7 @@ class ModeLaw(NamedTuple):
 
     @classmethod
     def of(cls, prob: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> ModeLaw:
-        """Law from the probabilities themselves."""
+        """From the probabilities themselves."""
         return cls(logarithm(prob), mean, cov)
 
     @property
@@ -49,7 +50,7 @@ class ModeLaw(NamedTuple):
 
 
 class Sensed(NamedTuple):
-    """Law of mode and state given the indicator, and the moments of the measurement in each mode.
+    """Mode and state given the indicator, and the moments of the measurement in each mode.
 
     Attributes
     ----------
@@ -71,8 +72,8 @@ class Sensed(NamedTuple):
         return np.exp(self.log_prob)
 
 
-def propagate(rows: Any, t: float, law: ModeLaw) -> ModeLaw:
-    """Forecast of mode and state from their law: lemmas 4 and 6, (6.35).
+def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> ModeLaw:
+    """Forecast of mode and state: lemmas 4 and 6, (6.35).
 
     Parameters
     ----------
@@ -90,48 +91,52 @@ def propagate(rows: Any, t: float, law: ModeLaw) -> ModeLaw:
         Q (L, G, *batch), lambda (n, L, G, *batch), Psi (n, n, L, G, *batch).
     """
     n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[1:]
-    heavy, highest, lost = relative(law.log_prob, 0)
-    highest = np.where(lost, 0.0, highest)
-    made = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
-    parts = len(made[0][0])
+    weight, highest, infinite = relative(law.log_prob, 0)
+    highest = np.where(infinite, 0.0, highest)
+    moments = [row(t, law.mean[:, i], law.cov[:, :, i]) for i, row in enumerate(rows)]
+    parts = len(moments[0][0])
     log_prob = np.empty((modes, parts, *batch))
     mean = np.empty((n, modes, parts, *batch))
     cov = np.empty((n, n, modes, parts, *batch))
-    for l in range(modes):
-        for g in range(parts):
-            found = [(i, made[i][l][g]) for i in range(modes) if made[i][l][g] is not None]
-            if not found:
-                log_prob[l, g], mean[:, l, g] = -np.inf, 0.0
-                cov[:, :, l, g] = np.eye(n).reshape(n, n, *(1,) * len(batch))
-                continue
-            mass = np.empty((len(found), *batch))
-            means, covs = np.empty((n, len(found), *batch)), np.empty((n, n, len(found), *batch))
-            for p, (i, w) in enumerate(found):
-                mass[p] = heavy[i] * w.mass
-                means[:, p] = align(w.value.mean, 1, len(batch))
-                covs[:, :, p] = align(w.value.cov, 2, len(batch))
-            if len(found) == 1 and (mass > 0).all():
-                total, mean[:, l, g], cov[:, :, l, g] = mass[0], means[:, 0], covs[:, :, 0]
-            else:
-                total, mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
-            log_prob[l, g] = highest + logarithm(total)
-            faint = total < FAINT
-            if faint.any():
-                logs = np.stack([law.log_prob[i] + logarithm(w.mass) for i, w in found])
-                log_prob[l, g, faint], mean[:, l, g][..., faint], cov[:, :, l, g][..., faint] = (
-                    mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
-                )
+    for l, g in np.ndindex(modes, parts):
+        sources = [(i, moments[i][l][g]) for i in range(modes) if moments[i][l][g] is not None]
+        if not sources:
+            log_prob[l, g], mean[:, l, g] = -np.inf, 0.0
+            cov[:, :, l, g] = align(np.eye(n), 2, len(batch))
+            continue
+        mass = np.empty((len(sources), *batch))
+        means, covs = np.empty((n, *mass.shape)), np.empty((n, n, *mass.shape))
+        for p, (i, source) in enumerate(sources):
+            mass[p] = weight[i] * source.mass
+            means[:, p] = align(source.value.mean, 1, len(batch))
+            covs[:, :, p] = align(source.value.cov, 2, len(batch))
+        if len(sources) == 1 and (mass > 0).all():
+            total, mean[:, l, g], cov[:, :, l, g] = mass[0], means[:, 0], covs[:, :, 0]
+        else:
+            total, mean[:, l, g], cov[:, :, l, g] = mix(mass, means, covs)
+        log_prob[l, g] = highest + logarithm(total)
+        faint = total < FAINT
+        if faint.any():
+            logs = np.stack([law.log_prob[i] + logarithm(w.mass) for i, w in sources])
+            log_prob[l, g, faint], mean[:, l, g][..., faint], cov[:, :, l, g][..., faint] = (
+                mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
+            )
     return ModeLaw(log_prob, mean, cov)
 
 
-def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
+def sense(
+    readings: Sequence[Callable[..., Weighted] | None],
+    t: float,
+    law: ModeLaw,
+    column: int | None = None,
+) -> Sensed:
     """Moments of the measurement from the forecast: lemma 3 in its consistent form.
 
     Parameters
     ----------
-    readings : sequence of callable
+    readings : sequence of callable or None
         For each mode ``reading(t, mean, cov) -> Weighted``: the measurement together with the
-        value of the indicator that was seen.
+        observed value of the indicator; None where the mode never gives that value.
     t : float
     law : ModeLaw
         Forecast with its parts.
@@ -144,31 +149,27 @@ def sense(readings: Any, t: float, law: ModeLaw, column: Any = None) -> Sensed:
     Sensed
     """
     n, modes, batch = len(law.mean), len(law.log_prob), law.log_prob.shape[2:]
-    log_prob, laws = np.empty((modes, *batch)), []
+    log_prob, joint = np.full((modes, *batch), -np.inf), {}
     for i, reading in enumerate(readings):
-        mean, cov = law.mean[:, i], law.cov[:, :, i]
         if reading is None:
-            laws.append(None)
-            log_prob[i] = -np.inf
             continue
-        w = reading(t, mean, cov)
-        logs, (both, spread) = law.log_prob[i] + logarithm(w.mass), joined(w, mean.shape[1:])
+        mean, cov = law.mean[:, i], law.cov[:, :, i]
+        weighted = reading(t, mean, cov)
+        logs = law.log_prob[i] + logarithm(weighted.mass)
+        both, covs = joined(weighted, mean.shape[1:])
         if column is not None:
             part = ModeLaw(law.log_prob[i], mean, cov)
-            log_prob[i], *found = _printed(logs, both, spread, part, column)
+            log_prob[i], *joint[i] = _printed(logs, both, covs, part, column)
         elif len(logs) == 1 and (logs > -np.inf).all():
-            log_prob[i], found = logs[0], (both[:, 0], spread[:, :, 0])
+            log_prob[i], joint[i] = logs[0], (both[:, 0], covs[:, :, 0])
         else:
-            log_prob[i], *found = mix_logs(logs, both, spread)
-        laws.append(found)
-    size = next(len(found[0]) for found in laws if found is not None)
-    mean, cov = np.empty((size, modes, *batch)), np.empty((size, size, modes, *batch))
-    for i, found in enumerate(laws):
-        if found is None:
-            mean[:, i] = 0.0
-            cov[:, :, i] = np.eye(size).reshape(size, size, *(1,) * len(batch))
-        else:
-            mean[:, i], cov[:, :, i] = found
+            log_prob[i], *joint[i] = mix_logs(logs, both, covs)
+    size = len(next(iter(joint.values()))[0])
+    mean = np.zeros((size, modes, *batch))
+    cov = np.empty((size, size, modes, *batch))
+    cov[...] = align(np.eye(size), 2, 1 + len(batch))
+    for i, (one, its_cov) in joint.items():
+        mean[:, i], cov[:, :, i] = one, its_cov
     moments = Moments(mean[n:], cov[:n, n:], cov[n:, n:])
     return Sensed(log_prob, mean[:n], cov[:n, :n], moments)
 
@@ -186,34 +187,39 @@ def joined(moments: Weighted, batch: tuple[int, ...]) -> tuple[np.ndarray, np.nd
     return mean, cov
 
 
-def mix_logs(log_mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Any:
-    """As `mix`, from and to logarithms of masses, which may be too small for numbers."""
-    mass, highest, lost = relative(log_mass, 0)
+def mix_logs(
+    log_mass: np.ndarray, mean: np.ndarray, cov: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """As `mix`, from and to logarithms of masses, which may underflow as numbers."""
+    mass, highest, infinite = relative(log_mass, 0)
     total, mean, cov = mix(mass, mean, cov)
-    return np.where(lost, 0.0, highest) + logarithm(total), mean, cov
+    return np.where(infinite, 0.0, highest) + logarithm(total), mean, cov
 
 
-def _printed(logs, both, spread, part, column):
+def _printed(logs, both, covs, part, column):
     """(6.21) as printed, for one mode: sums over the parts, divided by the forecast Q^(ij)."""
     n = part.mean.shape[0]
     q = part.log_prob[column]
-    seen = q > -np.inf
-    share = np.where(seen & (logs > -np.inf), np.exp(logs - np.where(seen, q, 0.0)), 0.0)
-    both, spread = np.nan_to_num(both), np.nan_to_num(spread)
+    possible = q > -np.inf
+    share = np.exp(logs - np.where(possible, q, 0.0))
+    share = np.where(possible & (logs > -np.inf), share, 0.0)
+    both, covs = np.nan_to_num(both), np.nan_to_num(covs)
     x, mu = part.mean[:, column], (share * both[n:]).sum(axis=1)
-    raw = spread + both[:, None] * both[None, :]
-    second = (share * raw).sum(axis=2)
+    second = (share * (covs + both[:, None] * both[None, :])).sum(axis=2)
     mean = np.concatenate([x, mu])
     cov = second - mean[:, None] * mean[None, :]
     cov[:n, :n] = part.cov[:, :, column]
-    unit = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * q.ndim)
-    return q, np.where(seen, mean, 0.0), np.where(seen, cov, unit)
+    unit = align(np.eye(len(mean)), 2, q.ndim)
+    return q, np.where(possible, mean, 0.0), np.where(possible, cov, unit)
 
 
 def weigh(
-    sensed: Sensed, y: np.ndarray, noise: Any = None, periods: Periods = ()
+    sensed: Sensed,
+    y: np.ndarray,
+    noise: Callable[[], np.ndarray] | None = None,
+    periods: Periods = (),
 ) -> tuple[ModeLaw, np.ndarray]:
-    """Posterior law of mode and state: lemma 1, (6.15) to (6.17).
+    """Posterior of mode and state: lemma 1, (6.15) to (6.17).
 
     Parameters
     ----------
@@ -232,14 +238,14 @@ def weigh(
     loglik : ndarray, shape (*batch)
         Logarithm of the density of the measurement, indicator included.
     """
-    mean, cov, each = update(
+    mean, cov, mode_loglik = update(
         sensed.mean, sensed.cov, y[:, None], sensed.moments, noise=noise, periods=periods
     )
-    score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + each, -np.inf)
+    score = np.where(sensed.log_prob > -np.inf, sensed.log_prob + mode_loglik, -np.inf)
     log_prob, loglik = normalised(score, 0)
-    lost = ~np.isfinite(loglik)
-    if np.any(lost):  # no mode explains the measurement: keep what was forecast
-        log_prob = np.where(lost, normalised(sensed.log_prob, 0)[0], log_prob)
+    unexplained = ~np.isfinite(loglik)
+    if np.any(unexplained):  # by any mode: the forecast stays
+        log_prob = np.where(unexplained, normalised(sensed.log_prob, 0)[0], log_prob)
     return ModeLaw(log_prob, mean, cov), loglik
 
 

@@ -2,7 +2,8 @@
 
 What arrives is independent of state and noise: given the history of what arrived, a filter is one
 with that history for a schedule. Histories after which its errors have almost one covariance are a
-class. The class of a path is a letter that its patterns alone decide, by a table at each step.
+class. The class of a path is a discrete state that its patterns alone decide, by a table at each
+step.
 """
 
 from __future__ import annotations
@@ -12,11 +13,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.designed.checks import check_array, check_covariances
-from seedslib.designed.predictors import AffineFit, Fit, PolynomialFit
+from seedslib.designed.predictors import Fit
 
 
-class PatternFit(NamedTuple):
+class ClassFits(NamedTuple):
     """A forecast for each class of histories.
 
     Attributes
@@ -35,18 +35,18 @@ class PatternFit(NamedTuple):
     table: np.ndarray
     before: np.ndarray
     prob: np.ndarray
-    fits: Any
+    fits: Fit
 
     @classmethod
     def of(
         cls, table: np.ndarray, before: np.ndarray, prob: np.ndarray, fits: list[Fit]
-    ) -> PatternFit:
+    ) -> ClassFits:
         """From the fits of the classes, one by one."""
         columns = zip(*fits, strict=True)
         parts = (c[0] if isinstance(c[0], int) else np.stack(c) for c in columns)
         return cls(table, before, prob, type(fits[0])(*parts))
 
-    def one(self, c: int) -> Any:
+    def one(self, c: int) -> Fit:
         """Fit of a class."""
         return type(self.fits)(*(p if isinstance(p, int) else p[c] for p in self.fits))
 
@@ -61,36 +61,16 @@ class PatternFit(NamedTuple):
         return np.tensordot(self.prob, self.covs, 1)
 
     def check(self, name: str, targets: int, dimension: int) -> None:
-        """As `AffineFit.check`, class by class.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Classes that there are not, arrays that do not fit.
-        """
-        if not isinstance(self.fits, AffineFit | PolynomialFit):
-            raise TypeError(f"{name}: wanted fits of classes, got {type(self.fits).__name__}")
-        check_array(f"{name}.prob", self.prob, None)
-        check_array(f"{name}.before", self.before, None, targets, targets)
-        for part in self.fits:
-            if not isinstance(part, int) and len(part) != len(self.prob):
-                raise ValueError(f"{name}: wanted {len(self.prob)} classes, got {len(part)}")
-        rows = max(1, len(self.before))
-        table = self.table
-        if table.ndim != 2 or len(table) != rows or table.dtype.kind not in "iu":
-            raise ValueError(f"{name}.table: wanted classes for {rows}, got shape {table.shape}")
-        if table.size and not (table.min() >= 0 and table.max() < len(self.prob)):
-            raise ValueError(f"{name}.table: wanted classes below {len(self.prob)}")
-        check_covariances(name, self.covs)
+        """As `AffineFit.check`, class by class."""
         for c in range(len(self.prob)):
             self.one(c).check(f"{name}[{c}]", targets, dimension)
 
 
-class Chosen(NamedTuple):
-    """The forecast for paths whose classes are known."""
+class FitsOfPaths(NamedTuple):
+    """The forecast for paths whose classes, (*batch), are known."""
 
-    fit: PatternFit
-    group: Any
+    fits: ClassFits
+    history: np.ndarray
 
     def mean(self, u: np.ndarray) -> np.ndarray:
         """Forecast (n, *batch) from the memory (d, *batch)."""
@@ -98,56 +78,57 @@ class Chosen(NamedTuple):
 
     def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forecast (n, *batch) and its covariance (n, n, *batch) from the memory (d, *batch)."""
-        if np.ndim(self.group) == 0:
-            return self.fit.one(int(self.group)).forecast(u)
-        flat, group, n = u.reshape(len(u), -1), self.group.ravel(), self.fit.covs.shape[-1]
-        mean, cov = np.empty((n, group.size)), np.empty((n, n, group.size))
-        for c in np.unique(group):
-            here = group == c
-            mean[:, here], spread = self.fit.one(int(c)).forecast(flat[:, here])
-            cov[..., here] = spread.reshape(n, n, -1)
+        flat, history, n = u.reshape(len(u), -1), self.history.ravel(), self.fits.covs.shape[-1]
+        mean, cov = np.empty((n, history.size)), np.empty((n, n, history.size))
+        for c in np.unique(history):
+            paths = history == c
+            mean[:, paths], one = self.fits.one(int(c)).forecast(flat[:, paths])
+            cov[..., paths] = one.reshape(n, n, -1)
         return mean.reshape(-1, *u.shape[1:]), cov.reshape(n, n, *u.shape[1:])
 
 
-def chosen(fit: Any, group: Any) -> Any:
-    """The fit of a class, where there are such; any other fit is itself."""
-    return Chosen(fit, group) if type(fit) is PatternFit else fit
+def fit_of(fit: Any, history: np.ndarray | int) -> Any:
+    """The fit for a history or several, where there are classes; any other fit is itself."""
+    if type(fit) is not ClassFits:
+        return fit
+    return fit.one(int(history)) if np.ndim(history) == 0 else FitsOfPaths(fit, history)
 
 
-def loose(availability: np.ndarray) -> np.ndarray:
+def uncertain(availability: np.ndarray) -> np.ndarray:
     """Numbers of the components that may be missing."""
     return np.flatnonzero((availability > 0.0) & (availability < 1.0))
 
 
-def regrouped(filter: Any, state: Any, y: np.ndarray) -> Any:
+def with_history(filter: Any, state: Any, y: np.ndarray) -> Any:
     """A state after the measurement y (m, *batch), in its new class for the next forecast."""
     k, last = state.index, len(filter.times) - 1
     if k >= last and not filter.cycle:
         return state
-    turn = k >= last and (k - last) % filter.cycle == 0
-    table = filter.ways[-1 if turn else filter.served(k + 1) - 1]
-    there = ~np.isnan(y[loose(filter.availability)])
-    number = np.tensordot(2 ** np.arange(len(there)), there, 1)
-    return state._replace(group=table[state.group, number])
+    first_again = k >= last and (k - last) % filter.cycle == 0
+    table = filter.transitions[-1 if first_again else filter.served(k + 1) - 1]
+    arrived = ~np.isnan(y[uncertain(filter.availability)])
+    pattern = np.tensordot(2 ** np.arange(len(arrived)), arrived, 1)
+    return state._replace(history=table[state.history, pattern])
 
 
-def pattern_ways(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
+def transitions(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
     """Table into the classes of each fit from those of the fit before it, then those in a cycle.
 
     Steps that did not follow each other in the design are joined by the nearest covariances. The
     last table leads from the last fit to the first of the cycle. None without classes.
     """
-    if not fits or not isinstance(fits[0], PatternFit):
+    if not fits or not isinstance(fits[0], ClassFits):
         return None
-    found = [fits[0].table[:1]]  # from the most probable class
-    found += [_joined(one, other) for one, other in pairwise(fits)]
+    tables = [fits[0].table[:1]]  # from the most probable class
+    tables += [_joined(one, other) for one, other in pairwise(fits)]
     if cycle:
-        found.append(_joined(fits[-1], fits[len(fits) - cycle]))
-    return tuple(found)
+        tables.append(_joined(fits[-1], fits[len(fits) - cycle]))
+    return tuple(tables)
 
 
-def _joined(one, other):
-    if one.covs.shape == other.before.shape and (one.covs == other.before).all():
+def _joined(one: ClassFits, other: ClassFits) -> np.ndarray:
+    """Table from the classes of a fit into those of another."""
+    if np.array_equal(one.covs, other.before):
         return other.table
     if not len(other.before):
         return np.repeat(other.table, len(one.prob), axis=0)
