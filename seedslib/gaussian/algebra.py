@@ -102,7 +102,7 @@ def multiply(left: Terms, right: Terms) -> Terms:
     for key_a, a in left.items():
         for key_b, b in right.items():
             if key_a.plane and key_b.plane and _disjoint(key_a.plane, key_b.plane):
-                continue
+                continue  # the two sides of one plane
             poly = a * b
             exponent = dict(key_a.exponent)
             for monomial, c in key_b.exponent:
@@ -112,7 +112,7 @@ def multiply(left: Terms, right: Terms) -> Terms:
             if key_a.norm is not None and key_b.norm is not None:
                 if key_a.norm != key_b.norm:
                     raise Clash("wanted at most one norm to a term")
-                poly, norm = poly * key_a.norm, None
+                poly, norm = poly * key_a.norm, None  # a norm squared is a polynomial
             key = Key(
                 tuple(sorted((m, c) for m, c in exponent.items() if c != 0)),
                 _meet(key_a.plane, key_b.plane),
@@ -376,6 +376,7 @@ class Reader:
             return self.constant(sp.Heaviside(poly.as_expr(), edge))
         normal = [poly.coeff_monomial(x) for x in self.symbols]
         lead = next(c for c in normal if c != 0)
+        # a parameter of unknown sign cannot be divided by without turning the side
         scale = abs(lead) if lead.is_positive or lead.is_negative else sp.S.One
         plane = Plane(
             tuple(c / scale for c in normal), poly.coeff_monomial(sp.S.One) / scale, sp.S(edge)

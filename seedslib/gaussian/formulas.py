@@ -122,6 +122,7 @@ def covariance_expression(
     NoClosedForm
         A term of f, of g or of their product is outside the class.
     """
+    # exponentials are left whole: their factors may overflow where the product does not
     product = sp.expand(f * g, power_exp=False, power_base=False, log=False)
     components = (sp.sympify(f), sp.sympify(g), product), False
     variables = as_symbols("variables", variables)
@@ -162,6 +163,7 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
         for j in range(i, n)
     }
     cov = sp.Matrix(n, n, lambda i, j: upper[min(i, j), max(i, j)])
+    # the caller's own symbols come back only after everything real has been used
     back = dict(zip(parsed.parameters, parameters, strict=True))
     formulas = [
         sum((_term(*term, mean, cov) for term in terms.items()), sp.S.Zero).xreplace(back)
@@ -184,6 +186,7 @@ def _term(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     elif any(linear):
         exponent = (linear.T * m)[0] + (linear.T * p * linear)[0] / 2
         m = m + p * linear
+    # a tilted covariance is a ratio of determinants, which expanding would make longer
     tidy = (lambda value: value) if tilts else sp.expand
     means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One, tidy=tidy)
     value = tidy(sum((c * means[a] for a, c in poly.terms()), sp.S.Zero))
@@ -233,6 +236,7 @@ def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     direction = p * normal
     location = (normal.T * m)[0] + key.plane.offset
     variance = (normal.T * direction)[0]
+    # with a blur the variance is never zero
     variance = variance + 1 if key.plane.blurred else Divisor(variance)
     z = location / sp.sqrt(variance)
     height = sp.exp(-(z**2) / 2) / sp.sqrt(2 * sp.pi * variance)

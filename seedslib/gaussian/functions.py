@@ -25,7 +25,7 @@ from seedslib.gaussian.arguments import (
 from seedslib.gaussian.quadrature import gauss_hermite
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
-FAR = 100.0  # deviations beyond which no normal probability changes
+CERTAIN = 100.0  # deviations beyond which no normal probability changes
 # Panels on either side of a kink, with breaks in deviations of the estimate and of its error
 PANEL, REACH = np.polynomial.legendre.leggauss(18), 9.5
 WIDE = np.array([0.0, 2.0, 4.0, 6.5, REACH])
@@ -402,7 +402,7 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     """
     h, k = as_real("h", h, infinite=True), as_real("k", k, infinite=True)
     h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
-    h, k = np.clip(h, -FAR, FAR), np.clip(k, -FAR, FAR)
+    h, k = np.clip(h, -CERTAIN, CERTAIN), np.clip(k, -CERTAIN, CERTAIN)
     value = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho) - _owen(k, h, rho)
     value -= 0.5 * ((np.minimum(h, k) < 0) & (np.maximum(h, k) >= 0))
     value = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), value)

@@ -22,7 +22,7 @@ from seedslib.base.checks import as_count, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import gaussian_arguments
 
-MOST_POINTS = 2_000_000
+MOST_POINTS = 2_000_000  # of a product rule: tens of megabytes
 
 
 @dataclass(frozen=True, eq=False)
