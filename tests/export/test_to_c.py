@@ -91,7 +91,7 @@ def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
 
 def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick):
     """Two sensors without noise, twice at one time: what they said then is all that can be."""
-    shows = StochasticMap((a, b), [a, b + a**2 / 5], Noise(()))
+    shows = StochasticMap((a, b), [a, b + a / 5], Noise(()))
     move = StochasticMap((a, b), [a + b / 3 + v, 0.9 * b + w / 2], Noise((v, w)))
     filter = extended_kalman(DiscreteSystem(move, shows, [0.3, -0.2], [[0.5, 0.1], [0.1, 0.8]]))
     times, y = np.arange(3.0), np.array([[0.7, 0.2], [0.9, 0.3], [1.1, -0.4]])
