@@ -5,7 +5,7 @@ Run by hand, ``python benchmarks/switching_step.py`` (half a minute); writes
 correction by it, for a single path, as a program would do it that waits for measurements. Each
 filter makes ROUNDS runs of 31 steps, the rounds of all filters interleaved; `median` and `slowest`
 are over all its steps but those of the first round, in microseconds of the clock on the wall.
-Steps in C are in `benchmarks/native_step.csv`.
+Steps in C are in `benchmarks/native.csv`.
 """
 
 from __future__ import annotations

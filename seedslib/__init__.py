@@ -7,8 +7,9 @@ make a filter. The library is a core in layers, each of which uses only layers b
 ``evaluation``, ``zoo``, ``commands``,
 
 and one wing for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
-``pareto``, ``riemann`` (``zoo`` has their systems too). ``extra`` is what wants another package
-or another language; nothing uses it. A public name has one address, its room:
+``pareto``, ``riemann`` (``zoo`` has their systems too). ``export`` writes filters in C and
+JavaScript, ``extra`` is what wants another package; nothing uses them. A public name has one
+address, its room:
 ``from seedslib.models import Noise``. What a room may import stands in its opening lines.
 """
 
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from seedslib import design as design
     from seedslib import designed as designed
     from seedslib import evaluation as evaluation
+    from seedslib import export as export
     from seedslib import extra as extra
     from seedslib import filters as filters
     from seedslib import gaussian as gaussian

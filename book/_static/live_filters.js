@@ -1,5 +1,5 @@
 // Real filters on new paths, in the page: numbers by chance, systems, modules of
-// seedslib.extra.to_js, which are kept as text because a file can not be imported from a file.
+// seedslib.export.to_js, which are kept as text because a file can not be imported from a file.
 "use strict";
 const paths = (() => {
   // Seeded uniform (mulberry32) and normal (Box-Muller) numbers.

@@ -178,18 +178,18 @@ def disagreements(root: Path, recorded: dict[str, dict[str, dict]]) -> list[str]
         What `read_verdicts` reads.
     """
     claims, recorded = read_ledger(root / LEDGER), dict(recorded)
-    found = []
+    errors = []
     for claim in claims:
-        found += [f"{claim.id}: {error}" for error in claim.errors()]
+        errors += [f"{claim.id}: {error}" for error in claim.errors()]
         if claim.source and not (root / claim.source).is_file():
-            found.append(f"{claim.id}: no source {claim.source}")
+            errors.append(f"{claim.id}: no source {claim.source}")
         entries = recorded.pop(claim.id, {})
         if set(entries) != {claim.notebook}:
             where = ", ".join(entries) or "no notebook"
-            found.append(f"{claim.id}: ledger says {claim.notebook}, recorded by {where}")
+            errors.append(f"{claim.id}: ledger says {claim.notebook}, recorded by {where}")
         else:
-            found += [f"{claim.id}: {text}" for text in _differences(claim, *entries.values())]
-    return found + [f"{name}: recorded, but not in the ledger" for name in recorded]
+            errors += [f"{claim.id}: {text}" for text in _differences(claim, *entries.values())]
+    return errors + [f"{name}: recorded, but not in the ledger" for name in recorded]
 
 
 def _differences(claim: Claim, entry: dict) -> Iterable[str]:

@@ -21,7 +21,7 @@ from seedslib import zoo
 from seedslib.base.atomic import write_whole
 from seedslib.design import affine_synthesis, grid_synthesis, stationary, synthesize
 from seedslib.designed import SwitchingFilter, large_order
-from seedslib.extra import to_js
+from seedslib.export import to_js
 from seedslib.filters import extended_kalman
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
@@ -147,7 +147,7 @@ def _filters(
     labels: Mapping[str, str],
     **data: Any,
 ) -> Figure:
-    """A figure of filters; `data` says what differs from a scalar state seen whole."""
+    """A figure of filters; `data` says what differs from a scalar state."""
     common = {"plant": name, "paths": PATHS, "size": 1, "parts": [0], "options": {}, "state": "x"}
     names = [{"key": key, "label": label} for key, label in labels.items()]
     modules = pooled({key: to_js(filter) for key, filter in filters.items()})

@@ -52,7 +52,7 @@ FAMILIES = {
 """Colour, dash and marker by what a filter's name says; the first that fits, longest first."""
 
 FIRST = ("log-odds", "indicator")
-"""What is remembered beside estimates: it tells filters apart before their number of estimates."""
+"""What is remembered beside estimates: it is looked for before the number of estimates."""
 
 DOTS = 110
 """A figure's dots to the inch on the page; its picture has twice as many."""

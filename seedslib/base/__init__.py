@@ -19,6 +19,5 @@ if TYPE_CHECKING:
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import Nodes as Nodes
     from seedslib.base.tables import interpolate as interpolate
-    from seedslib.base.values import assigned as assigned
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

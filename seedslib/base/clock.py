@@ -50,6 +50,8 @@ class Clock:
     Attributes
     ----------
     times : list of float
+    interval : float
+        The shortest between two of them.
     tolerance : float
         How far apart two times are the same.
     """
@@ -59,12 +61,12 @@ class Clock:
         last = self.times[-1] if end is None else max(float(end), self.times[-1])
         steps = np.diff([*self.times, last] if len(self.times) == 1 else self.times)
         # one time alone has no interval: what is left is the rounding of its size
-        self._interval = float(steps.min()) if steps.any() else 4.0 * ROUNDING * abs(last)
-        self.tolerance: float = slack(self._interval, max(abs(self.times[0]), abs(last)))
+        self.interval = float(steps.min()) if steps.any() else 4.0 * ROUNDING * abs(last)
+        self.tolerance: float = slack(self.interval, max(abs(self.times[0]), abs(last)))
 
     def same(self, t: float, other: float) -> bool:
         """Whether two times are one, also where they lie beyond the grid."""
-        return abs(t - other) <= max(self.tolerance, slack(self._interval, abs(other)))
+        return abs(t - other) <= max(self.tolerance, slack(self.interval, abs(other)))
 
     def prolonged(self, end: float, cycle: int) -> Clock:
         """The same clock, which goes on to a later time with its last `cycle` intervals in turn.
@@ -79,7 +81,7 @@ class Clock:
         step_count(last, end, span / cycle)
         most = count + cycle * max(0, math.ceil((end - last) / span) + 1)
         later = [self.moment(k, cycle) for k in range(count, most)]
-        later = [t for t in later if t <= end + slack(self._interval, abs(end))]
+        later = [t for t in later if t <= end + slack(self.interval, abs(end))]
         return Clock(np.array(self.times + later)) if later else self
 
     def moment(self, k: int, cycle: int) -> float:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,18 +12,19 @@ from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
-from seedslib.base.objects import Shown
-from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.base.objects import Pickled, changed
+from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import (
     AnySystem,
     as_grid,
-    course_of,
-    elapsed,
     in_even_steps,
     require_even,
     switches,
 )
+
+if TYPE_CHECKING:
+    from typing import Self
 
 State = TypeVar("State", bound=Any)
 
@@ -246,7 +246,7 @@ class Record(NamedTuple):
     y: np.ndarray  # (K+1, m, *records)
     indicators: MaybeArray  # (K+1, *records)
     modes: MaybeArray  # (K+1, *records)
-    inputs: Course
+    inputs: InputTrajectory
 
     def of(self, own: slice) -> Record:
         """Some of the records."""
@@ -268,7 +268,7 @@ def walk(
     seed : object
         Of a filter that draws.
     predict : callable, optional
-        ``predict(state, t)`` in the place of the filter's own.
+        ``predict(state, t, inputs=...)`` in the place of the filter's own.
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}
@@ -277,10 +277,8 @@ def walk(
         mode = () if record.modes is None else (record.modes[k],)
         indicator = () if record.indicators is None else (record.indicators[k],)
         # inputs of a time act in the dynamics from there on, and in the sensor at that time
-        with record.inputs.at(max(k - 1, 0)):
-            state = predict(state, t, *mode)
-        with record.inputs.at(k):
-            state = filter.correct(state, record.y[k], *indicator)
+        state = predict(state, t, *mode, inputs=record.inputs.at(max(k - 1, 0)))
+        state = filter.correct(state, record.y[k], *indicator, inputs=record.inputs.at(k))
         yield state
 
 
@@ -311,7 +309,8 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
                 column[k].T[...] = np.transpose(part)
     # what is no number once is none at the end, or on the way back at the beginning
     diverged = diverged | ~np.isfinite(columns["mean"]).all(axis=(0, 1))
-    diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if "cov" in columns:
+        diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
     if "loglik" in columns:
         diverged = diverged | (columns["loglik"] == -np.inf).any(axis=0)
     return Estimates(**columns, diverged=np.asarray(diverged))
@@ -345,14 +344,14 @@ def clean(batch: tuple[int, ...]) -> dict[str, np.ndarray]:
     return {"loglik": np.zeros(batch), "diverged": np.zeros(batch, dtype=bool)}
 
 
-class Filter(Shown):
+class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``propagate(state, t)`` and
-    ``update(state, y)``, with an indicator as third argument where its system has one, and
-    `report` where the fields of its states are not called as in `Estimates`. `predict` and
-    `correct` check their arguments and call these. States are frozen, so every verb gives a new
-    one. Whole records are run here, many at once.
+    A filter writes ``initial(batch=(), seed=None)``, ``propagate(state, t, p)`` and
+    ``update(state, y, p)``, with the numbers p of the system's parameters, and an indicator as
+    fourth argument where its system has one; and `report` where the fields of its states are not
+    called as in `Estimates`. `predict` and `correct` check their arguments and call these. States
+    are frozen, so every verb gives a new one. Whole records are run here, many at once.
 
     Attributes
     ----------
@@ -371,6 +370,19 @@ class Filter(Shown):
     records: int = BLOCK
     alone: bool = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r})"
+
+    def bind(self, values: Mapping[Any, ArrayLike] | None = None, /, **named: Any) -> Self:
+        """The same filter with other numbers of its model's parameters; nothing is compiled again.
+
+        Parameters
+        ----------
+        values, **named
+            As `bind` of the system; an array (*batch) gives each record its own number.
+        """
+        return changed(self, system=self.system.bind(values, **named))
+
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
 
@@ -378,7 +390,9 @@ class Filter(Shown):
         """
         raise NotImplementedError
 
-    def predict(self, state: State, t: float, *modes: ArrayLike) -> State:
+    def predict(
+        self, state: State, t: float, *modes: ArrayLike, inputs: Mapping[Any, Any] | None = None
+    ) -> State:
         """Forecast to time t; a state without a time is only given one.
 
         Parameters
@@ -388,25 +402,34 @@ class Filter(Shown):
         t : float
         *modes : array_like of int, shape (*batch)
             The mode at that time, for a filter that knows it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs that act from the time of the state on.
 
         Raises
         ------
         ValueError
             A time before that of the state; of a system in discrete time that does not mention
-            the elapsed time, a step of another length than the first.
+            the elapsed time, a step of another length than the first; an input without a value.
         """
         if stays(state, t):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
-        with elapsed(self.system, state.time, t):
-            later = self.propagate(state, float(t), *modes)
+        p = self.system.values(inputs, t - state.time)
+        later = self.propagate(state, float(t), p, *modes)
         return later._replace(time=float(t), interval=interval)
 
-    def propagate(self, state: State, t: float) -> State:
+    def propagate(self, state: State, t: float, p: Values) -> State:
         """State at a later time, but for its fields `time` and `interval`."""
         raise NotImplementedError
 
-    def correct(self, state: Any, y: ArrayLike, indicator: ArrayLike | None = None) -> Any:
+    def correct(
+        self,
+        state: Any,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Any:
         """Correct by a measurement at the time of the state.
 
         Parameters
@@ -417,19 +440,26 @@ class Filter(Shown):
             NaN marks a missing component.
         indicator : array_like of int, shape (*batch), optional
             Of a system that has one; -1 where it is missing.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs at that time.
 
         Raises
         ------
         TypeError, ValueError
             A state without a time: `predict` gives it one. An indicator of a system without, or
-            out of range; a measurement of another size.
+            out of range; a measurement of another size; an input without a value.
         """
         require_time(state)
         y = np.asarray(y, dtype=float)
         indicator = as_indicators(indicator, self.system, y.shape[1:], "indicator")
-        return self.update(state, y) if indicator is None else self.update(state, y, indicator)
+        p = self.system.values(inputs)
+        if indicator is None:
+            return self.update(state, y, p)
+        return self.update(state, y, p, indicator)
 
-    def update(self, state: Any, y: np.ndarray, indicator: np.ndarray | None = None) -> Any:
+    def update(
+        self, state: Any, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
+    ) -> Any:
         """State given a measurement and an indicator; arguments as `correct`, checked."""
         raise NotImplementedError
 
@@ -449,18 +479,15 @@ class Filter(Shown):
         indicator: ArrayLike | None = None,
         *,
         mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> Any:
         """Forecast to time t and correct there.
 
-        A model with inputs takes those that act from the time of the state on for the forecast,
-        and those of time t for the correction::
+        Where the inputs that act from the time of the state on, in the forecast, are not those of
+        time t, which act in the correction, both verbs are called::
 
-            with assigned({u: 0.3}):
-                state = filter.predict(state, t)
-            with assigned({u: 0.5}):
-                state = filter.correct(state, y)
-
-        and likewise `forecast`; where they are the same, one block around `step` will do.
+            state = filter.predict(state, t, inputs={u: 0.3})
+            state = filter.correct(state, y, inputs={u: 0.5})
 
         Parameters
         ----------
@@ -473,6 +500,8 @@ class Filter(Shown):
             Of a system that has one; -1 where it is missing.
         mode : array_like of int, shape (*batch), optional
             The true mode at time t, for a filter that knows it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs of the step and of the measurement.
 
         Raises
         ------
@@ -481,12 +510,20 @@ class Filter(Shown):
         """
         modes = () if mode is None else (mode,)
         indicators = () if indicator is None else (indicator,)
-        return self.correct(self.predict(state, t, *modes), y, *indicators)
+        state = self.predict(state, t, *modes, inputs=inputs)
+        return self.correct(state, y, *indicators, inputs=inputs)
 
-    def forecast(self, state: Any, t: float, *, mode: ArrayLike | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        *,
+        mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """What the filter expects at a later time, without a measurement; arguments as `step`."""
         modes = () if mode is None else (mode,)
-        later = self.report(self.predict(state, t, *modes))
+        later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
 
     def smoother(self) -> Any:
@@ -571,7 +608,7 @@ class Filter(Shown):
         """Batch axes, and the records of a run, checked."""
         times, y = self.record(times, measurements)
         batch, shape = y.shape[2:], (len(times), *y.shape[2:])
-        inputs = course_of(self.system, inputs, len(times), batch)
+        trajectory = as_trajectory(self.system, inputs, len(times), batch)
         indicators = as_indicators(indicators, self.system, shape)
         if "modes" in self.takes:
             modes = as_modes("modes", modes, shape, self.system.modes)
@@ -582,7 +619,8 @@ class Filter(Shown):
             None if part is None else part.reshape(len(times), *axes)
             for part in (indicators, modes)
         )
-        return batch, Record(times, y.reshape(*y.shape[:2], *axes), indicators, modes, inputs)
+        y = y.reshape(*y.shape[:2], *axes)
+        return batch, Record(times, y, indicators, modes, trajectory)
 
     def in_blocks(
         self,
@@ -595,9 +633,7 @@ class Filter(Shown):
         """Estimates by ``work(record, stream)`` in each block of records, on threads."""
 
         def block(start: int, stop: int, stream: Any) -> Estimates:
-            own = slice(start, stop)
-            with on_paths(batch, own) if batch else nullcontext():
-                return work(record.of(own), stream)
+            return work(record.of(slice(start, stop)), stream)
 
         paths = record.y[0, 0].size
         size = self.block(record.times, paths, workers)

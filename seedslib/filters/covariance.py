@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
@@ -15,7 +15,7 @@ from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import step_count
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
-from seedslib.base.objects import Remade
+from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter
 from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.linearization.points import PointRule
@@ -69,7 +69,7 @@ class SensorUpdate:
     Attributes
     ----------
     moments : callable
-        ``moments(t, mean, cov) -> Moments`` of the measurement that is expected.
+        ``moments(t, mean, cov, p) -> Moments`` of the measurement that is expected.
     """
 
     def __init__(self, sensor: StochasticMap, linearization: Linearization) -> None:
@@ -84,6 +84,7 @@ class SensorUpdate:
         mean: np.ndarray,
         cov: np.ndarray,
         y: ArrayLike,
+        p: Values,
         moments: Moments | None = None,
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Mean, covariance and log-likelihood given y, (8.2) of the jump-diffusion paper.
@@ -94,17 +95,19 @@ class SensorUpdate:
         mean, cov : ndarray, shapes (n, *batch) and (n, n) or (n, n, *batch)
         y : array_like, shape (m, *batch)
             NaN marks a missing component.
+        p : tuple
+            Numbers of the parameters.
         moments : Moments, optional
             Those of a branch of the sensor, in the place of the whole one's.
         """
         if moments is None:
-            moments = self.moments(t, mean, cov)
+            moments = self.moments(t, mean, cov, p)
         new_mean, new_cov, loglik = update(
             mean,
             cov,
             y,
             moments,
-            noise=lambda: self.moments(t, mean, np.zeros_like(cov)).cov,
+            noise=lambda: self.moments(t, mean, np.zeros_like(cov), p).cov,
             periods=self._periods,
             exact=True,
         )
@@ -113,7 +116,7 @@ class SensorUpdate:
         return new_mean, new_cov, loglik
 
 
-class CovarianceFilter(Filter, Remade):
+class CovarianceFilter(Filter):
     """Approximate posterior mean and covariance, N(m, P) between and at the measurements.
 
     Forecast: the moment equations (8.1) of the jump-diffusion paper, with the jumps, or for a
@@ -146,7 +149,6 @@ class CovarianceFilter(Filter, Remade):
     """
 
     _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
-    _shown = "linearization", "integrator", "integration_step", "bound"
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
@@ -169,11 +171,22 @@ class CovarianceFilter(Filter, Remade):
         self.integration_step: float = as_positive("step", step, infinite=True)
         self.bound: float = np.inf if bound is None else as_positive("bound", bound, infinite=True)
         self.n: int = len(system.mean0)
-        self._sensor = SensorUpdate(system.sensor, linearization)
-        if self.continuous:
-            self._rate = linearization.rate(system)
-        else:
-            self._dynamics = linearization.moments(system.dynamics)
+        _ = self._sensor, self._rate if self.continuous else self._dynamics  # refused now or never
+
+    @cached_property
+    def _sensor(self) -> SensorUpdate:
+        return SensorUpdate(self.system.sensor, self.linearization)
+
+    @cached_property
+    def _dynamics(self) -> Callable[..., Moments]:
+        return self.linearization.moments(self.system.dynamics)
+
+    @cached_property
+    def _rate(self) -> Callable[..., list[Any]]:
+        return self.linearization.rate(self.system)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r}, {self.linearization})"
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
         """State before any measurement: the moments of the initial distribution.
@@ -189,19 +202,21 @@ class CovarianceFilter(Filter, Remade):
         mean = np.broadcast_to(mean, (self.n, *batch)).copy()
         return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
 
-    def propagate(self, state: FilterState, t: float) -> FilterState:
+    def propagate(self, state: FilterState, t: float, p: Values) -> FilterState:
         """Mean and covariance at time t, by the moment equations or the dynamics map."""
         if not self.continuous:
-            return self.propagate_jointly(state, t)[0]
+            return self.propagate_jointly(state, t, p)[0]
         mean, lower = state.mean, state.cov[lower_triangle(self.n)]
         if mean.ndim == 1:  # plain floats are faster than arrays without axes
             mean, lower = mean.tolist(), lower.tolist()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            later = self._integrate(self._rate, [*mean, *lower], state.time, t)
+            later = self._integrate(
+                lambda t, parts: self._rate(t, parts, p), [*mean, *lower], state.time, t
+            )
         mean = _filled(later[: self.n], state.mean.shape[1:])
         return state._replace(mean=mean, cov=symmetric(_filled(later[self.n :]), self.n))
 
-    def propagate_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
         """What `propagate` gives, and the covariance of the state now with the one at time t.
 
         Between measurements that covariance C obeys dC/dt = C P⁻¹ cov(x, b), with the mean
@@ -209,7 +224,7 @@ class CovarianceFilter(Filter, Remade):
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov)
+                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov, p)
                 return state._replace(mean=mean, cov=cov), cross
             n, (rows, columns) = self.n, lower_triangle(self.n)
             lower = slice(n, n + len(rows))
@@ -221,7 +236,7 @@ class CovarianceFilter(Filter, Remade):
 
             def rate(t: float, parts: list[Any]) -> list[Any]:
                 mean, cov, cross = split(parts)
-                b, *squares = self._flow(t, mean, cov)
+                b, *squares = self._flow(t, mean, cov, p)
                 with_b, diffusion = (align(part, 2, mean.ndim - 1) for part in squares)
                 change = with_b + np.swapaxes(with_b, 0, 1) + diffusion
                 joint = np.einsum("ij...,jk...->ik...", cross, solve_psd(cov, with_b))
@@ -257,16 +272,22 @@ class CovarianceFilter(Filter, Remade):
         """The filter whose states `smooth` goes back through."""
         return self
 
-    def update(self, state: FilterState, y: np.ndarray, indicator: Any = None) -> FilterState:
+    def update(
+        self, state: FilterState, y: np.ndarray, p: Values, indicator: Any = None
+    ) -> FilterState:
         """See `Filter.update`."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            mean, cov, loglik = self._sensor(state.time, state.mean, state.cov, y)
+            mean, cov, loglik = self._sensor(state.time, state.mean, state.cov, y, p)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
-    def expect(self, state: FilterState) -> Moments:
+    def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
+        return self.expected(state, self.system.values(inputs))
+
+    def expected(self, state: FilterState, p: Values) -> Moments:
+        """The same with the numbers of all parameters."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return Moments(*self._sensor.moments(state.time, state.mean, state.cov))
+            return Moments(*self._sensor.moments(state.time, state.mean, state.cov, p))
 
     def report(self, state: FilterState) -> Estimates:
         """Mean and covariance; a path diverges where its mean is beyond the bound."""

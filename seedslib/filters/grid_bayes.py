@@ -10,6 +10,7 @@ import numpy as np
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import outside
 from seedslib.base.tables import Axis, Grid, Nodes
+from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
@@ -83,7 +84,6 @@ class GridBayesFilter(Filter):
         coarse for the noise.
     """
 
-    _shown = ("axes",)
     takes: ClassVar[tuple[str, ...]] = ("indicators",)
     records: int = 512
 
@@ -111,9 +111,9 @@ class GridBayesFilter(Filter):
         parts = {"log_prob": log_prob, "node_prob": node_prob}
         return GridState(None, **parts, **self._estimate(**parts), **clean(batch))
 
-    def propagate(self, state: GridState, t: float) -> GridState:
+    def propagate(self, state: GridState, t: float, p: Values) -> GridState:
         """The distribution one step of the system later."""
-        shape, transition = state.node_prob.shape, self.chain.transition(state.time, t)
+        shape, transition = state.node_prob.shape, self.chain.transition(state.time, t, p)
         weight, highest, _ = relative(state.log_prob, 0)
         joint = weight[:, None] * state.node_prob
         log_prob, node_prob = _split(
@@ -142,13 +142,13 @@ class GridBayesFilter(Filter):
         return np.where(empty, 0.0, highest) + total[0], mixed[0]
 
     def update(
-        self, state: GridState, y: np.ndarray, indicator: np.ndarray | None = None
+        self, state: GridState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> GridState:
         """Weight the distribution by the measurement; see `Filter.update`."""
         if indicator is not None:
             y = np.concatenate([indicator[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            score = self.chain.log_likelihood(state.time, y.reshape(len(y), -1)).T
+            score = self.chain.log_likelihood(state.time, y.reshape(len(y), -1), p).T
         score = np.where(np.isfinite(score), score, -np.inf).reshape(state.node_prob.shape)
         weight, highest, impossible = relative(np.moveaxis(score, 1, 0), 0)
         evidence, node_prob = _split(np.moveaxis(weight, 0, 1) * state.node_prob)
@@ -220,17 +220,22 @@ class GridSmoother(Smoother):
     N records.
     """
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the transition."""
-        later, _ = super().forecast(state, t)
-        return later, None if state.time is None else self.filter.chain.transition(state.time, t)
+        later, _ = super().forecast(state, t, inputs)
+        if state.time is None:
+            return later, None
+        p = self.filter.system.values(inputs, t - state.time)
+        return later, self.filter.chain.transition(state.time, t, p)
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
         joint = np.exp(state.log_prob)[:, None] * state.node_prob
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-    def back(self, state: Any, later: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """See `Smoother.back`."""
         now = self.last(state)
         predicted = link @ now

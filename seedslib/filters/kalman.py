@@ -9,7 +9,7 @@ import numpy as np
 from seedslib.base.arrays import align
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
-from seedslib.base.values import looked_at
+from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.linearization.moments import Matrices
@@ -109,31 +109,31 @@ class KalmanFilter(CovarianceFilter):
         effect[diffuse, range(q)] = 1.0
         return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
 
-    def propagate(self, state: Any, t: float) -> Any:
+    def propagate(self, state: Any, t: float, p: Values) -> Any:
         """See `CovarianceFilter.propagate`; given what is unknown."""
         if isinstance(state, DiffuseState):
-            return self.propagate_jointly(state, t)[0]
-        return super().propagate(state, t)
+            return self.propagate_jointly(state, t, p)[0]
+        return super().propagate(state, t, p)
 
-    def propagate_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
+    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
         """See `CovarianceFilter.propagate_jointly`; both given what is unknown."""
-        later, cross = super().propagate_jointly(state, t)
+        later, cross = super().propagate_jointly(state, t, p)
         if isinstance(state, DiffuseState):
-            transition = self.system.dynamics.slope_at(state.time)
+            transition = self.system.dynamics.slope_at(state.time, p)
             effect = np.einsum("ij...,jq...->iq...", transition, state.effect)
             later = later._replace(effect=effect)
         return later, cross
 
-    def update(self, state: Any, y: np.ndarray, indicator: Any = None) -> Any:
+    def update(self, state: Any, y: np.ndarray, p: Values, indicator: Any = None) -> Any:
         """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
-            return super().update(state, y)
-        corrected = super().update(FilterState(*state[:5]), y)  # given that d is zero
-        expected, cross, S = self.expect(state)
+            return super().update(state, y, p)
+        corrected = super().update(FilterState(*state[:5]), y, p)  # given that d is zero
+        expected, cross, S = self.expected(state, p)
         depth = state.mean.ndim - 1
         innovation = y - align(expected, 1, depth)
         observed = np.isfinite(innovation)
-        sensor = self.system.sensor.slope_at(state.time)
+        sensor = self.system.sensor.slope_at(state.time, p)
         effect = np.einsum("ij...,jq...->iq...", sensor, state.effect)  # on y
         # a missing component weighs nothing and is uncorrelated with the others
         columns = np.where(observed, innovation, 0.0), np.where(observed[:, None], effect, 0.0)
@@ -162,9 +162,9 @@ class KalmanFilter(CovarianceFilter):
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
 
-    def expect(self, state: Any) -> Any:
+    def expected(self, state: Any, p: Values) -> Any:
         """Moments of the measurement that the filter expects, given what is unknown."""
-        return super().expect(FilterState(*state[:5]))
+        return super().expected(FilterState(*state[:5]), p)
 
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
@@ -180,11 +180,9 @@ def _deviations(system: LinearSystem) -> np.ndarray:
     That of the noise of its own, or of what it is measured by; else the smallest of the others.
     """
     try:
-        with looked_at(system.mentions):
-            Q, R = (
-                np.sqrt(np.diagonal(part.cov_at(0.0))) for part in (system.dynamics, system.sensor)
-            )
-            H = np.abs(system.sensor.slope_at(0.0))
+        p, maps = system.nominal_values(), (system.dynamics, system.sensor)
+        Q, R = (np.sqrt(np.diagonal(map.cov_at(0.0, p))) for map in maps)
+        H = np.abs(system.sensor.slope_at(0.0, p))
     except LookupError:  # matrices from a table that may lack this time
         return np.ones(system.state_size)
     noisy = (H > 0) & (R > 0)[:, None]

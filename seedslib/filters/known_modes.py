@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
+from seedslib.base.values import Values, of_paths
 from seedslib.filters.base import Estimates, Filter, as_modes
 from seedslib.filters.covariance import SensorUpdate
 from seedslib.linearization.moments import Linearization, as_linearization
@@ -32,7 +32,7 @@ class KnownModeState(NamedTuple):
     interval: float | None = None
 
 
-class KnownModeFilter(Filter, Remade):
+class KnownModeFilter(Filter):
     """Mean and covariance of the state given measurements and the true modes.
 
     For a jump-linear system it is the Kalman filter with known modes, and no filter that has to
@@ -54,7 +54,6 @@ class KnownModeFilter(Filter, Remade):
         The linearization has no formulas for this system; the message offers one that works.
     """
 
-    _shown = ("linearization",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "modes")
 
     def __init__(self, system: AnySystem, linearization: Any = None) -> None:
@@ -65,14 +64,25 @@ class KnownModeFilter(Filter, Remade):
             linearization = Taylor()
         self.system: Any = system
         self.linearization: Linearization = as_linearization(linearization)
-        self._transitions = [
+        _ = self._transitions, self._sensors, self._readings  # what has no formulas is refused now
+
+    @cached_property
+    def _transitions(self) -> list[list[Any]]:
+        return [
             [self._transition(i, l, branch) for l, branch in enumerate(row)]
-            for i, row in enumerate(system.branches)
+            for i, row in enumerate(self.system.branches)
         ]
-        self._sensors = [SensorUpdate(map, linearization) for map in system.sensors]
-        self._readings = [
-            [None if b is None or b.constant else linearization.weighted(b.map) for b in row]
-            for row in system.readings
+
+    @cached_property
+    def _sensors(self) -> list[SensorUpdate]:
+        return [SensorUpdate(map, self.linearization) for map in self.system.sensors]
+
+    @cached_property
+    def _readings(self) -> list[list[Any]]:
+        weighted = self.linearization.weighted
+        return [
+            [None if b is None or b.constant else weighted(b.map) for b in row]
+            for row in self.system.readings
         ]
 
     def _transition(
@@ -87,8 +97,8 @@ class KnownModeFilter(Filter, Remade):
             return whole
         weighted = self.linearization.weighted((branch.still if new else branch).map)
         if new:  # given the switch, and then the dynamics
-            return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
-        return lambda t, mean, cov: weighted(t, mean, cov).value
+            return lambda t, mean, cov, p: whole(t, *weighted(t, mean, cov, p).state, p)
+        return lambda t, mean, cov, p: weighted(t, mean, cov, p).value
 
     def initial(
         self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
@@ -103,7 +113,7 @@ class KnownModeFilter(Filter, Remade):
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
     def propagate(
-        self, state: KnownModeState, t: float, mode: ArrayLike | None = None
+        self, state: KnownModeState, t: float, p: Values, mode: ArrayLike | None = None
     ) -> KnownModeState:
         """Moments one step of the system later, where the mode is `mode` (*batch).
 
@@ -123,13 +133,13 @@ class KnownModeFilter(Filter, Remade):
                     continue
                 if transition is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
-                with on_paths(mask.shape, mask):
-                    moments = transition(state.time, state.mean[:, mask], state.cov[:, :, mask])
+                own = of_paths(p, mask.shape, mask)
+                moments = transition(state.time, state.mean[:, mask], state.cov[:, :, mask], own)
                 _put(mean, cov, mask, moments)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
     def update(
-        self, state: KnownModeState, y: np.ndarray, indicator: np.ndarray | None = None
+        self, state: KnownModeState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> KnownModeState:
         """See `Filter.update`; an indicator is used only where it depends on the state."""
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
@@ -140,12 +150,11 @@ class KnownModeFilter(Filter, Remade):
                 if not mask.any():
                     continue
                 prior, moments = (state.mean[:, mask], state.cov[:, :, mask]), None
-                with on_paths(mask.shape, mask):
-                    if branch is not None:
-                        _, prior, moments = branch(state.time, *prior)
-                    *posterior, loglik[mask] = self._sensors[i](
-                        state.time, *prior, y[:, mask], moments
-                    )
+                own = of_paths(p, mask.shape, mask)
+                if branch is not None:
+                    _, prior, moments = branch(state.time, *prior, own)
+                sensor = self._sensors[i]
+                *posterior, loglik[mask] = sensor(state.time, *prior, y[:, mask], own, moments)
                 _put(mean, cov, mask, posterior)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 

@@ -12,6 +12,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
+from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
@@ -67,7 +68,6 @@ class ParticleFilter(Filter):
     A mode whose last particle is gone does not come back unless the system can switch to it.
     """
 
-    _shown = "particles", "options"
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
     def __init__(self, system: AnySystem, particles: Count = 1000, **options: Any) -> None:
@@ -94,14 +94,14 @@ class ParticleFilter(Filter):
         mean, cov, prob = self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
         return ParticleState(None, x, seed, 1, mean, cov, **clean(batch), mode_prob=prob)
 
-    def propagate(self, state: ParticleState, t: float) -> ParticleState:
+    def propagate(self, state: ParticleState, t: float, p: Values) -> ParticleState:
         """The particles at time t."""
         rng = stream(state.seed, state.draws)
-        x = self._moving.advance(state.particles, state.time, t, rng, **self.options)
+        x = self._moving.advance(state.particles, state.time, t, rng, p, **self.options)
         return state._replace(particles=x, draws=state.draws + 1)
 
     def update(
-        self, state: ParticleState, y: np.ndarray, indicator: np.ndarray | None = None
+        self, state: ParticleState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> ParticleState:
         """Weight by the measurement, estimate, resample; see `Filter.update`.
 
@@ -114,7 +114,7 @@ class ParticleFilter(Filter):
         if indicator is not None:
             y = np.concatenate([y, np.where(indicator < 0, np.nan, indicator)[None]])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            log_weight = self._moving.sensor.log_density(state.time, y[:, None], x)
+            log_weight = self._moving.sensor.log_density(state.time, y[:, None], x, p)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
         weight, highest, unexplained = relative(log_weight, 0)
         weight = np.where(unexplained, 1.0, weight)
@@ -136,9 +136,9 @@ class ParticleFilter(Filter):
         estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
         return state._replace(particles=x, draws=state.draws + 1, diverged=diverged, **estimate)
 
-    def forecast(self, state: ParticleState, t: float) -> Estimates:
+    def forecast(self, state: ParticleState, t: float, *, inputs: Any = None) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
-        x = self.predict(state, t).particles
+        x = self.predict(state, t, inputs=inputs).particles
         return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
 
     def estimate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -9,8 +10,7 @@ import numpy as np
 from seedslib.base.arrays import Count, align
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
+from seedslib.base.values import Values, of_paths
 from seedslib.filters.base import Filter, clean
 from seedslib.filters.covariance import SensorUpdate
 from seedslib.filters.particle import resampled, stream
@@ -42,7 +42,7 @@ class RaoBlackwellState(NamedTuple):
     interval: float | None = None
 
 
-class RaoBlackwellFilter(Filter, Remade):
+class RaoBlackwellFilter(Filter):
     """Posterior of mode and state as a mixture over histories of modes.
 
     Given the history of the modes a jump-linear system is linear and the Kalman filter is exact;
@@ -68,19 +68,25 @@ class RaoBlackwellFilter(Filter, Remade):
     A mode whose last history is gone does not come back unless the system can switch to it.
     """
 
-    _shown = ("particles",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
     def __init__(self, system: AnySystem, particles: Count = 100) -> None:
         require_jump_linear(system)
-        from seedslib.linearization.taylor_and_exact import Taylor
-
         self.system: Any = system
         self.particles: int = as_count("particles", particles)
         self.records: int = max(1, 2 * BLOCK // self.particles)
-        exact = Taylor()
-        self._dynamics = [exact.moments(map) for map in system.dynamics]
-        self._sensors = [SensorUpdate(map, exact) for map in system.sensors]
+
+    @cached_property
+    def _dynamics(self) -> list[Any]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [Taylor().moments(map) for map in self.system.dynamics]
+
+    @cached_property
+    def _sensors(self) -> list[SensorUpdate]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [SensorUpdate(map, Taylor()) for map in self.system.sensors]
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
@@ -96,7 +102,7 @@ class RaoBlackwellFilter(Filter, Remade):
             None, prob, mean, cov, seed, 0, **_estimate(prob, mean, cov), **clean(batch)
         )
 
-    def propagate(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+    def propagate(self, state: RaoBlackwellState, t: float, p: Values) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
         log_prob, mean, cov = _flattened(state.log_prob, state.means, state.covs)
@@ -115,18 +121,18 @@ class RaoBlackwellFilter(Filter, Remade):
             mask = mode == i
             for l, branch in enumerate(row):
                 if branch is not None:
-                    chance = logarithm(_chance(branch, state.time, n, batch))
+                    chance = logarithm(_chance(branch, state.time, n, batch, p))
                     log_switch[l, mask] = np.broadcast_to(chance, mask.shape)[mask]
         if self.system.drives == "new":  # each history moves in every mode that continues it
-            moments = [dynamics(state.time, mean, cov) for dynamics in self._dynamics]
+            moments = [dynamics(state.time, mean, cov, p) for dynamics in self._dynamics]
             means = np.stack([y for y, _, _ in moments], axis=1)
             covs = np.stack([_batched(square, y) for y, _, square in moments], axis=2)
         else:
             new_mean, new_cov = np.empty(mean.shape), np.empty(cov.shape)
             for i, dynamics in enumerate(self._dynamics):
                 mask = mode == i
-                with on_paths(mask.shape, mask):
-                    y, _, square = dynamics(state.time, mean[:, mask], cov[:, :, mask])
+                own = of_paths(p, mask.shape, mask)
+                y, _, square = dynamics(state.time, mean[:, mask], cov[:, :, mask], own)
                 new_mean[:, mask], new_cov[:, :, mask] = y, _batched(square, y)
             means = np.broadcast_to(new_mean[:, None], (n, modes, *log_prob.shape))
             covs = np.broadcast_to(new_cov[:, :, None], (n, n, modes, *log_prob.shape))
@@ -135,7 +141,11 @@ class RaoBlackwellFilter(Filter, Remade):
         return state._replace(draws=draws, **parts, **_estimate(**parts))
 
     def update(
-        self, state: RaoBlackwellState, y: np.ndarray, indicator: np.ndarray | None = None
+        self,
+        state: RaoBlackwellState,
+        y: np.ndarray,
+        p: Values,
+        indicator: np.ndarray | None = None,
     ) -> RaoBlackwellState:
         """Correct every history by the measurement and weight it; see `Filter.update`."""
         system, t = self.system, state.time
@@ -143,12 +153,12 @@ class RaoBlackwellFilter(Filter, Remade):
         score = np.empty(state.log_prob.shape)
         for i, sensor in enumerate(self._sensors):
             prior = state.means[:, i], state.covs[:, :, i]
-            means[:, i], cov, score[i] = sensor(t, *prior, y[:, None])
+            means[:, i], cov, score[i] = sensor(t, *prior, y[:, None], p)
             covs[:, :, i] = _batched(cov, prior[0])
             if indicator is not None:
                 none, size = np.zeros(y.shape[1:]), system.state_size
                 row = system.readings[i]
-                chances = [none if b is None else _chance(b, t, size, none.shape) for b in row]
+                chances = [none if b is None else _chance(b, t, size, none.shape, p) for b in row]
                 chances.append(none + 1.0)  # of a missing one
                 score[i] += logarithm(np.take_along_axis(np.stack(chances), indicator[None], 0)[0])
         score = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
@@ -194,9 +204,9 @@ def _affine(map) -> bool:
     return all(sympy.simplify(second) == 0 for second in seconds)
 
 
-def _chance(branch, t, n, batch) -> np.ndarray:
+def _chance(branch, t, n, batch, p) -> np.ndarray:
     """Probability of a branch at any state, (*batch): records may have inputs of their own."""
-    return branch.probability(t, np.zeros((n, *batch)))
+    return branch.probability(t, np.zeros((n, *batch)), p)
 
 
 def _batched(cov: np.ndarray, mean: np.ndarray) -> np.ndarray:

@@ -11,10 +11,9 @@ from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_count
 from seedslib.base.conditioning import kalman_gain
 from seedslib.base.linalg import symmetrized
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
 from seedslib.filters.kalman import marginalized
-from seedslib.models.kinds import elapsed
 
 
 def smooth(
@@ -35,7 +34,7 @@ def smooth(
     extended, of `unscented_kalman` the unscented one, and so on.
 
     A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian moments in each
-    mode; what that neglects stands in `seedslib.designed.switching.smoothing`. A
+    mode; what that neglects stands in `seedslib.designed.switching_smoother`. A
     `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters
@@ -74,8 +73,8 @@ def smooth(
     def work(record: Record, stream: object) -> Estimates:
         links: list[Any] = []
 
-        def predict(state: Any, t: float) -> Any:
-            state, link = smoother.forecast(state, t)
+        def predict(state: Any, t: float, inputs: Any) -> Any:
+            state, link = smoother.forecast(state, t, inputs)
             links.append(link)
             return state
 
@@ -85,8 +84,8 @@ def smooth(
         def back(k: int, later: Any) -> Any:
             """The smoothed state at time k from that at the next."""
             indicator = () if record.indicators is None else (record.indicators[k + 1],)
-            with record.inputs.at(k), elapsed(filter.system, times[k], times[k + 1]):
-                return smoother.back(states[k], later, links[k + 1], *indicator)
+            p = filter.system.values(record.inputs.at(k), times[k + 1] - times[k])
+            return smoother.back(states[k], later, links[k + 1], p, *indicator)
 
         smoothed: list[Any] = []  # from the last time to the first
         for k in range(last, -1, -1):
@@ -122,15 +121,17 @@ class Smoother:
     def __init__(self, filter: Any) -> None:
         self.filter: Any = filter
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """The filter's prediction, as by `predict`, and what `back` has to know of the step."""
-        return self.filter.predict(state, t), None
+        return self.filter.predict(state, t, inputs=inputs), None
 
     def last(self, state: Any) -> Any:
         """Smoothed state at the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(self, state: Any, later: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """Smoothed state at the time of a state, from that at the next time.
 
         Parameters
@@ -141,6 +142,8 @@ class Smoother:
             Smoothed state at the next time.
         link : object
             From `forecast` of the step between them.
+        p : tuple
+            Numbers of the parameters in that step.
         indicator : ndarray of int, optional
             At the next time.
         """
@@ -164,12 +167,12 @@ class RauchTungStriebel(Smoother):
     def __init__(self, filter: Any) -> None:
         super().__init__(filter.for_smoothing())
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
         """See `Smoother.forecast`; the link is the prediction and the gain of the step back."""
         if state.time is None:
-            return super().forecast(state, t)
-        with elapsed(self.filter.system, state.time, t):
-            later, cross = self.filter.propagate_jointly(state, t)
+            return super().forecast(state, t, inputs)
+        p = self.filter.system.values(inputs, t - state.time)
+        later, cross = self.filter.propagate_jointly(state, t, p)
         depth = state.mean.ndim - 1
         cov = align(later.cov, 2, depth)
         link = _columns(later), cov, kalman_gain(align(cross, 2, depth), cov)
@@ -179,7 +182,9 @@ class RauchTungStriebel(Smoother):
         """See `Smoother.last`."""
         return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
-    def back(self, state: Any, later: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """See `Smoother.back`."""
         cov = align(state.cov, 2, state.mean.ndim - 1)
         return *rts_step(_columns(state), cov, *link, *later[:2]), later[2]

@@ -112,7 +112,6 @@ class PiecewiseLinearFilter(Filter):
     """
 
     alone = True  # a measurement that no branch explains is an error there
-    _shown = ("prune",)
 
     def __init__(self, system: PiecewiseLinearSystem, *, prune: float = 0.0) -> None:
         as_system("system", system, "PiecewiseLinearSystem")
@@ -132,7 +131,7 @@ class PiecewiseLinearFilter(Filter):
         state = PiecewiseState(None, none, none, none, clean, none, clean, clean > 0.0, whole)
         return self._weighed(whole.pieces(*pieces), state)
 
-    def predict(self, state: PiecewiseState, t: float) -> PiecewiseState:
+    def predict(self, state: PiecewiseState, t: float, *, inputs: None = None) -> PiecewiseState:
         """State at time t without a measurement; a state without a time is only given one.
 
         Raises
@@ -145,7 +144,7 @@ class PiecewiseLinearFilter(Filter):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))
         return self._weighed(self._moved(state), state._replace(time=float(t)))
 
-    def correct(self, state: PiecewiseState, y: object) -> PiecewiseState:
+    def correct(self, state: PiecewiseState, y: object, *, inputs: None = None) -> PiecewiseState:
         """State after the measurement y, (m, *batch), at the time of `state`; NaN is missing.
 
         Raises

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Array
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.values import Parametrized
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from seedslib.models.kinds import as_steps
 from seedslib.models.simulation import Simulation
@@ -59,7 +60,7 @@ class Tangents:
         gain, mean = value.jacobian(symbols), value.subs(dict.fromkeys(symbols, 0))
         if gain.free_symbols & set(symbols):
             raise ValueError(f"noise: wanted one that enters linearly, got {list(value)}")
-        given = self.map.time, self.map.state
+        given = self.map.time, self.map.state, self.map.parameters
         parts = list(mean), mean.jacobian(self.map.state), gain
         vars(self).update(functions=[compile_array(given, part) for part in parts])
 
@@ -70,12 +71,13 @@ class Tangents:
             points = np.repeat(points[:, :, None], estimate.shape[1], axis=2)
             points[lead:, :, sound] = estimate[lead:, None, sound]
             points[:, self.cells.locate(estimate[:lead, sound]), sound] = estimate[:, sound]
-        value, slope, noise = (function(t, points) for function in vars(self)["functions"])
+        p = tuple(parameter.value for parameter in self.map.parameters)
+        value, slope, noise = (function(t, points, p) for function in vars(self)["functions"])
         return value - np.einsum("ij...,j...->i...", slope, points), slope, noise
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewiseLinearSystem:
+class PiecewiseLinearSystem(Parametrized):
     """State and sensor that are affine on every cell Q_i of a partition.
 
     In cell i: ``x(t+1) = a_i(t) + A_i(t) x(t) + G_i(t) w(t)`` where x(t) lies in Q_i, and

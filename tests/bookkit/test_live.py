@@ -11,7 +11,7 @@ import pytest
 
 from bookkit import live
 from seedslib import zoo
-from seedslib.extra import to_js
+from seedslib.export import to_js
 
 ROOT = Path(__file__).resolve().parents[2]
 NODE = shutil.which("node")

@@ -1,0 +1,409 @@
+"""A recorded step as one C99 header."""
+
+from __future__ import annotations
+
+import math
+import os
+import re
+import textwrap
+from collections import Counter
+from collections.abc import Callable
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from seedslib.base.atomic import write_whole
+from seedslib.designed.identity import model_text
+from seedslib.designed.tables import TableFilter
+from seedslib.export.programs import recorded
+from seedslib.export.step import Step
+from seedslib.export.tape import (
+    SIGNS,
+    Array,
+    Let,
+    Load,
+    Loop,
+    Number,
+    Refuse,
+    Scalar,
+    Store,
+    When,
+    walk,
+)
+from seedslib.filters.covariance import CovarianceFilter
+from seedslib.models.kinds import switches
+
+WIDTH = 100
+PER_LINE = 4
+"""Numbers of a table in a line."""
+
+LONGEST = 60
+"""Characters of a value that is written where it is used."""
+
+SHAPES = {"neg": "-{}", "!": "!{}", "choose": "{} ? {} : {}"}
+
+
+class C:
+    """How C spells a program.
+
+    Parameters
+    ----------
+    name : str
+        Prefix of the names of tables and types.
+    """
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+        self.types = {"real": f"{name}_real", "time": "double", "int": "int", "truth": "int"}
+        self.inlined: dict[str, str] = {}
+        self.compound: set[str] = set()
+
+    def constant(self, value: float) -> str:
+        """A number that is read back exactly."""
+        if math.isnan(value):
+            return "(double)NAN"
+        return repr(float(value)) if math.isfinite(value) else "-HUGE_VAL"[value > 0 :]
+
+    def whole(self, value: Number) -> str:
+        """A name, an expression in its place, or a constant."""
+        if type(value) is not Scalar:
+            return self.constant(value)
+        return self.inlined.get(value.name, value.name)
+
+    def number(self, value: Number) -> str:
+        """The same where it is a part of an expression."""
+        part = type(value) is Scalar and value.name in self.compound
+        return f"({self.whole(value)})" if part else self.whole(value)
+
+    def operation(self, operation: str, operands: tuple[Number, ...]) -> str:
+        """An expression."""
+        parts = [self.number(x) for x in operands]
+        if operation in SIGNS:
+            return f"{parts[0]} {operation} {parts[1]}"
+        if operation in SHAPES:
+            return SHAPES[operation].format(*parts)
+        return f"{operation}({', '.join(map(self.whole, operands))})"
+
+    def place(self, array: Array, index: tuple[Number, ...]) -> str:
+        """A place in memory; arrays of which all places are known are one variable a place."""
+        if array.owner == "local" and not array.indexed:
+            return "_".join([array.name, *(str(int(x)) for x in index)])
+        lead = {"state": "s->", "table": f"{self.name}_"}.get(array.owner, "")
+        places = (f"(int){self.number(x)}" if type(x) is Scalar else str(int(x)) for x in index)
+        return lead + array.name + "".join(f"[{place}]" for place in places)
+
+    def load(self, array: Array, index: tuple[Number, ...]) -> str:
+        """A number from memory."""
+        return self.place(array, index)
+
+    def let(self, result: Scalar, text: str) -> str:
+        """A named value."""
+        return f"const {self.types[result.kind]} {result.name} = {text};"
+
+    def store(self, array: Array, place: str, value: Number) -> str:
+        """A value put into memory."""
+        value = f"(int){self.number(value)}" if array.kind == "int" else self.whole(value)
+        return f"{place} = {value};"
+
+    def head(self, statement: When | Loop) -> str:
+        """What stands before a block."""
+        (operand,) = statement.operands
+        if isinstance(statement, When):
+            return f"if ({self.whole(operand)})"
+        i = statement.index.name
+        return f"for (double {i} = 0.0; {i} < {self.number(operand)}; {i} += 1.0)"
+
+    def refuse(self, condition: Number, code: str) -> str:
+        """The end of the step with a code."""
+        return f"if ({self.whole(condition)}) return {self.name.upper()}_{code};"
+
+    def local(self, array: Array) -> list[str]:
+        """Declarations of memory for one step, which is zero at first."""
+        kind = self.types[array.kind]
+        if array.indexed:
+            return [f"{kind} {array.name}{shape(array)} = {{ 0 }};"]
+        places = (self.place(array, index) for index in np.ndindex(*array.shape))
+        return [f"{kind} {place} = 0.0;" for place in places]
+
+    def body(self, step: Step) -> list[str]:
+        """The lines of a step: its memory, then the statements."""
+        block = step.program()
+        uses = Counter(x.name for one in walk(block) for x in one.operands if type(x) is Scalar)
+        self.once = {name for name, count in uses.items() if count == 1}
+        lines = self.lines(block)
+        used = set(re.findall(r"\w+", "\n".join(lines)))
+        local = [a for a in step.arrays.values() if a.owner == "local"]
+        memory = [line for a in local for line in self.local(a)]
+        memory = [line for line in memory if re.split(r"[ \[]", line)[1] in used]
+        return [f"    {line}" for line in memory] + lines
+
+    def lines(self, block: list[Any], indent: str = "    ") -> list[str]:
+        """The statements of a block."""
+        result = []
+        own = {
+            x.name
+            for one in block
+            if not isinstance(one, Loop)
+            for x in one.operands
+            if type(x) is Scalar
+        }
+        for one in block:
+            if isinstance(one, Let | Load):
+                text = (
+                    self.operation(one.operation, one.operands)
+                    if isinstance(one, Let)
+                    else self.load(one.array, one.operands)
+                )
+                fixed = isinstance(one, Let) or one.array.owner in {"argument", "table"}
+                if fixed and one.result.name in self.once & own and len(text) <= LONGEST:
+                    self.inlined[one.result.name] = text
+                    if isinstance(one, Let) and one.operation in SIGNS | SHAPES.keys():
+                        self.compound.add(one.result.name)
+                    continue
+                text = self.let(one.result, text)
+            elif isinstance(one, Store):
+                *index, value = one.operands
+                text = self.store(one.array, self.place(one.array, tuple(index)), value)
+            elif isinstance(one, Refuse):
+                text = self.refuse(one.operands[0], one.code)
+            else:
+                result.append(f"{indent}{self.head(one)} {{")
+                result += [*self.lines(one.block, indent + "    "), indent + "}"]
+                continue
+            result.append(indent + text)
+        return result
+
+
+def shape(array: Array) -> str:
+    """The sizes of an array in a declaration."""
+    return "".join(f"[{n}]" for n in array.shape)
+
+
+def _braces(values: np.ndarray, written: Callable[[Any], str], indent: str = "") -> str:
+    if not values.ndim:
+        return written(values.item())
+    inner = indent + "    "
+    if values.ndim > 1:
+        rows = ",\n".join(inner + _braces(part, written, inner) for part in values)
+        return "{\n" + rows + "\n" + indent + "}"
+    words = list(map(written, values.tolist()))
+    if len(words) <= PER_LINE:
+        return "{ " + ", ".join(words) + " }"
+    lines = (", ".join(words[i : i + PER_LINE]) for i in range(0, len(words), PER_LINE))
+    return "{\n" + ",\n".join(inner + line for line in lines) + "\n" + indent + "}"
+
+
+def tables(step: Step, writer: C) -> list[str]:
+    """The tables of a step."""
+    result = []
+    for a in step.arrays.values():
+        if a.owner == "table":
+            written = str if a.kind == "int" else writer.constant
+            values = a.values.astype(int) if a.kind == "int" else a.values
+            head = f"static const {writer.types[a.kind]} {writer.name}_{a.name}{shape(a)}"
+            result.append(f"{head} = {_braces(values, written)};")
+    return result
+
+
+def signature(step: Step, writer: C) -> str:
+    """Head of the step in C."""
+    real = f"const {writer.types['real']} *"
+    kinds = {"time": "double ", "y": real, "indicator": "int ", "held": real, "u": real, "p": real}
+    given = [f"{writer.name}_state *s", *(kinds[a] + a for a in arguments(step))]
+    head = f"static inline int {writer.name}_step("
+    lines = [head]
+    for part in given:
+        if len(lines[-1]) + len(part) + 2 > WIDTH:
+            lines[-1] = lines[-1].rstrip()
+            lines.append(" " * len(head))
+        lines[-1] += part + ", "
+    return "\n".join(lines)[:-2] + ")"
+
+
+def arguments(step: Step) -> list[str]:
+    """Names of the arguments of a step in their order."""
+    known = [step.arrays.get(name) for name in ("time", "y", "indicator", "held", "u", "p")]
+    return [a.name for a in known if a is not None and a.owner == "argument"]
+
+
+def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "filter") -> str:
+    """Write a filter as a C99 header that needs <math.h> and <string.h> only.
+
+    Tables of a design are constants, everything else is the library's own formulas, recorded.
+    All functions are ``static inline``. The header holds ``<name>_state``,
+    ``<name>_init(state *)`` and
+
+    - for a designed filter ``<name>_step(state *, const real *y)``, one measurement;
+    - for one that carries its distribution ``<name>_step(state *, double time, const real *y)``,
+      and, where that is a mean and a covariance, the halves ``<name>_predict(state *, double
+      time)`` and ``<name>_correct(state *, const real *y)``.
+
+    The last arguments are, as far as the model has them, ``int indicator``, and the inputs in the
+    order of their names: ``const real *held``, those since the last time, and ``const real *u``,
+    those at this time. All but the first return ``<NAME>_OK`` (zero) or why they refused.
+
+    Parameters
+    ----------
+    filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
+        With `Taylor`, `ExactGaussian`, or with one mode a rule with points. A learned filter is
+        read off as tables first, by its `tabulated`.
+    path : path_like, optional
+        Where to write the header as well.
+    name : str
+        Prefix of all names.
+
+    Returns
+    -------
+    str
+        The header. Equal filters give equal text.
+
+    Raises
+    ------
+    TypeError, ValueError
+        A filter or a part of it that has no C; the message says what is wanted.
+    NoClosedForm
+        A mean of the model has no closed form.
+
+    Warns
+    -----
+    UserWarning
+        A prior so wide that a variance loses its digits in C.
+
+    Notes
+    -----
+    Without contraction of products and sums (-ffp-contract=off) C and Python differ by the
+    rounding of what Python leaves to BLAS and LAPACK: from one state a step is the same within
+    1e-13 of the largest value, where the covariance of the measurement is far from singular.
+    Along a record a difference is carried on as any error of an estimate is: a filter that
+    forgets its past keeps it small, one whose sensor leaves a direction almost unseen can make it
+    a million times larger in a hundred steps. The same holds in Python of records filtered alone
+    and in a batch.
+
+    The type ``<name>_real`` of all numbers but times is double; with float in its place the
+    header is still correct C.
+
+    Examples
+    --------
+    >>> from seedslib.export import to_c
+    >>> from seedslib.filters import extended_kalman
+    >>> from seedslib import zoo
+    >>> text = to_c(extended_kalman(zoo.van_der_pol()), name="oscillator")
+    >>> "oscillator_step" in text
+    True
+    """
+    text = header(recorded(filter), checked_name(name))
+    if path is not None:
+        write_whole(path, text.encode("ascii"))
+    return text
+
+
+def header(step: Step, name: str) -> str:
+    """The header of a recorded step."""
+    writer, upper = C(name), name.upper()
+    state = [a for a in step.arrays.values() if a.owner == "state"]
+    sizes = (f"#define {upper}_{key} {value}\n" for key, value in dimensions(step).items())
+    start = (
+        f"    {writer.place(step.arrays[field], index)} = {writer.constant(value)};\n"
+        for field, values in step.start().items()
+        for index, value in np.ndenumerate(values)
+    )
+    untold = f"    if (held == NULL || u == NULL) return {upper}_UNTOLD;"
+    lines = [untold] * bool(step.inputs) + writer.body(step)
+    names = {"name": name, "NAME": upper}
+    inputs = (f", const {name}_real *u", ", u, u") if step.inputs else ("", "")
+    halves = filled("halves.h", {**names, "INPUTS": inputs[0], "PASSED": inputs[1]})
+    marks = {
+        **names,
+        "SIZES": "".join(sizes),
+        "TABLES": "\n".join(tables(step, writer)),
+        "FIELDS": "\n".join(f"    {writer.types[a.kind]} {a.name}{shape(a)};" for a in state),
+        "START": "".join(start),
+        "SIGNATURE": signature(step, writer),
+        "LINES": "\n".join(lines),
+        "HALVES": halves if carries_cov(step) and not step.parameters else "",
+    }
+    return about(step, "C").replace("@name", name).replace("@NAME", upper) + filled(
+        "header.h", marks
+    )
+
+
+def filled(file: str, marks: dict[str, Any]) -> str:
+    """A text of this package with its marks, such as ``@name``, filled in."""
+    names = "|".join(sorted(marks, key=len, reverse=True))
+    text = files("seedslib.export").joinpath(file).read_text()
+    return re.sub(f"@({names})", lambda found: str(marks[found[1]]), text)
+
+
+def checked_name(name: object) -> str:
+    """A prefix that C can take.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No text, or no identifier of C.
+    """
+    if not isinstance(name, str):
+        raise TypeError(f"name: wanted text, got {name!r}")
+    if not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise ValueError(
+            f"name: wanted a letter, then letters, digits and underscores, got {name!r}"
+        )
+    return name
+
+
+def dimensions(step: Step) -> dict[str, int]:
+    """Sizes that a caller wants to know."""
+    known = {"STATE": step.n, "MEASUREMENT": step.m, "ESTIMATE": step.rows}
+    known |= {"MODES": step.modes, "INDICATORS": step.indicators, "INPUTS": len(step.inputs)}
+    if step.designed:
+        known |= {"TIMES": len(step.filter.times), "CYCLE": step.filter.cycle or 0}
+        memory = step.arrays.get("memory")
+        known["MEMORY"] = 0 if memory is None else math.prod(memory.shape)
+    return {key: value for key, value in known.items() if value}
+
+
+def about(step: Step, language: str) -> str:
+    """The comment that a program begins with: the filter, the model, what people must know."""
+    filter, which = step.filter, ", ".join(map(str, step.inputs))
+    known = filled("notes.txt", {"WHICH": which}).strip().split("\n\n")
+    notes = dict(paragraph.split(": ", 1) for paragraph in known)
+    table = isinstance(filter, TableFilter)
+    chosen = [language, "WHOLE" if table else "REDUNDANT"]
+    chosen += ["MODES"] * (step.modes > 0 and not table) + ["INPUTS"] * bool(step.inputs)
+    described = str(filter)
+    if carries_cov(step):  # it prints as its class and its arguments
+        described = f"Filter that carries mean and covariance: {filter.linearization}"
+        if filter.continuous:
+            described += f"\n  {filter.integrator}, steps of {filter.integration_step:g}"
+    return comment([described, model_lines(filter.system), *(notes[name] for name in chosen)])
+
+
+def carries_cov(step: Step) -> bool:
+    """Whether the state of the filter is a time, a mean and a covariance."""
+    return isinstance(step.filter, CovarianceFilter)
+
+
+def comment(paragraphs: list[str]) -> str:
+    """A C comment of ASCII text; a paragraph's own line breaks are kept."""
+    lines = []
+    for paragraph in paragraphs:
+        for line in paragraph.replace("±", "+-").splitlines():
+            own = len(line) - len(line.lstrip())
+            depth = " " * (own + 4 if own else 0)
+            lines += textwrap.wrap(line, WIDTH - 4, subsequent_indent=depth) or [""]
+        lines.append("")
+    text = "\n".join(f" * {line}".rstrip() for line in lines[:-1])
+    text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
+    return "/*\n" + text.encode("ascii", "replace").decode() + "\n */\n"
+
+
+def model_lines(system: Any) -> str:
+    """The model in words."""
+    parts = {**model_text(system), "initial mean": system.mean0.tolist()}
+    parts["initial covariance"] = system.cov0.tolist()
+    noise = system.sensor_noise if switches(system) else system.sensor.noise
+    if noise.size:
+        names = noise.size if noise.symbols is None else ", ".join(map(str, noise.symbols))
+        parts["sensor noise"] = f"{names}: mean {noise.mean.tolist()}, cov {noise.cov.tolist()}"
+    return "Model:\n" + "\n".join(f"  {key:18s} {value}" for key, value in parts.items())

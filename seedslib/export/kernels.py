@@ -1,0 +1,326 @@
+"""What all filters do with moments, recorded: maps by every rule, factor, correction, mixtures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import reduce
+from operator import add, mul, or_
+from typing import Any
+
+import numpy as np
+import sympy
+
+from seedslib.base.circle import Periods
+from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
+from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
+from seedslib.base.values import Values
+from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.export.tape import (
+    Number,
+    Scalar,
+    Tape,
+    choose,
+    isnan,
+    stacked,
+)
+from seedslib.linearization.moments import Linearization
+from seedslib.linearization.points import PointRule
+from seedslib.models.codegen import compile_components
+from seedslib.models.linear import LinearMap
+from seedslib.models.maps import StochasticMap
+
+MOST_UNROLLED = 300
+"""Products of points and of numbers at each up to which points are written one after another."""
+
+
+def lower_of(cov: np.ndarray) -> np.ndarray:
+    """Entries on and below the diagonal, row by row."""
+    return cov[np.tril_indices(len(cov))]
+
+
+def map_moments(
+    tape: Tape,
+    rule: Linearization,
+    map: StochasticMap,
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    p: Values,
+    spread: bool = True,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+    """E y (m,), cov(x, y) (n, m) and, if wanted, cov y (m, m) of a map of a Gaussian state.
+
+    The numbers p of the map's parameters are constants or recorded themselves.
+    """
+    if isinstance(map, LinearMap) and not (map.symbolic and isinstance(rule, PointRule)):
+        return _linear_moments(map, t, mean, cov, p)
+    if isinstance(rule, PointRule):
+        return _point_moments(tape, rule, map, t, mean, cov, p, spread)
+    n, m = map.state_size, map.size
+    symbols, lower, matrix = gaussian_symbols(n)
+    parts = rule.formulas(map, list(symbols), matrix, spread)[: 2 + spread]
+    entries = [entry for part in parts for entry in part]
+    evaluate = compile_components((map.time, symbols, lower, map.parameters), entries)
+    y, cross, square = np.split(
+        stacked(evaluate(t, list(mean), list(lower_of(cov)), p)), [m, m + n * m]
+    )
+    return y, cross.reshape(n, m), square.reshape(m, m) if spread else None
+
+
+def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray, p: Values) -> Any:
+    """Moments of A x + B u + v: A m + B u, P A' and A P A' + S."""
+    slope, noise, push, inputs = map.formulas
+    push = np.zeros((map.size, 0)) if push is None else push
+    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
+    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
+    evaluate = compile_components([sympy.Symbol("t"), map.parameters], entries)
+    found = stacked(evaluate(t, p))
+    A, S, B, u = np.split(found, np.cumsum([part.size for part in parts]))
+    A, S, B = (one.reshape(part.shape) for one, part in zip((A, S, B), parts, strict=True))
+    cross = cov @ A.T
+    return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
+
+
+def wrapped(value: Any, near: Any, period: float) -> Any:
+    """A value on a circle, within half a turn of another."""
+    return value - period * np.floor((value - near) / period + 0.5)
+
+
+def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
+    """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
+
+    A pivot is judged by its variance, and one that is negative by `scale`, see
+    `seedslib.base.linalg.cholesky`.
+    """
+    n, rest, root = len(cov), cov.copy(), np.zeros(cov.shape, dtype=object)
+    for j in range(n):
+        pivot, variance = rest[j, j], abs(cov[j, j])
+        regular = pivot > RELATIVE * variance + ABSOLUTE
+        least = -(INDEFINITE * (variance if scale is None else scale[j]))
+        zero = choose(pivot >= least, 0.0, np.nan)
+        root[j, j] = choose(regular, np.sqrt(pivot), zero)
+        root[j + 1 :, j] = rest[j + 1 :, j] * choose(regular, 1.0 / root[j, j], zero)
+        for k in range(j + 1, n):
+            rest[k, j + 1 : k + 1] = rest[k, j + 1 : k + 1] - root[k, j] * root[j + 1 : k + 1, j]
+    return root
+
+
+def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
+    """A corrected covariance without what rounding has left of directions known exactly."""
+    root = cholesky(cov, np.diagonal(before))
+    singular = reduce(lambda a, b: a | b, [r == 0.0 for r in np.diagonal(root)])
+    return choose(singular, root @ root.T, cov)
+
+
+def _at_points(map: StochasticMap) -> tuple[Sequence[Any], np.ndarray, Any]:
+    """What is evaluated at a point: mean and covariance of y there, and the noise points cover."""
+    try:
+        mean, cov, _ = map.conditional_expressions
+    except ValueError:
+        return map.expressions, np.zeros((map.size, map.size), dtype=object), map.noise
+    return mean, np.asarray(cov, dtype=object), None
+
+
+def _point_moments(
+    tape: Tape,
+    rule: PointRule,
+    map: StochasticMap,
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    p: Values,
+    spread: bool,
+) -> Any:
+    n, m = map.state_size, map.size
+    expressions, noise_cov, noise = _at_points(map)
+    unit, weight, centred = rule.rule(n + (0 if noise is None else noise.size))
+    root, arguments = cholesky(cov), [map.time, tuple(map.state)]
+    points = unit.T
+    if noise is not None:
+        arguments.append(tuple(noise.symbols))
+        points = np.hstack([unit[:n].T, (noise.mean[:, None] + noise.root @ unit[n:]).T])
+    arguments.append(map.parameters)
+    evaluate = compile_components(arguments, [*expressions, *lower_of(noise_cov)])
+
+    def at(point: np.ndarray) -> np.ndarray:
+        x = list(mean + root @ point[:n])
+        return stacked(evaluate(t, x, *([] if noise is None else [list(point[n:])]), p))
+
+    if len(weight) * (n + m) > MOST_UNROLLED:
+        h, slope, square = _looped(tape, map, at, points, weight, centred)
+        return h, root @ slope, symmetric(square, m) if spread else None
+    values = np.array([at(point) for point in points], dtype=object).T
+    y = values[:m]
+    for k, period in map.period:
+        y[k, 1:] = [wrapped(part, y[k, 0], period) for part in y[k, 1:]]
+    h = y[:, 0] + (y - y[:, :1]) @ weight
+    deviation = y - h[:, None]
+    cross = root @ ((unit[:n] * centred) @ deviation.T)
+    if not spread:
+        return h, cross, None
+    noise_part = stacked([row[0] if _alike(row) else row @ weight for row in values[m:]])
+    return h, cross, (deviation * centred) @ deviation.T + symmetric(noise_part, m)
+
+
+def _looped(
+    tape: Tape,
+    map: StochasticMap,
+    at: Callable[[np.ndarray], np.ndarray],
+    points: np.ndarray,
+    weight: np.ndarray,
+    centred: np.ndarray,
+) -> tuple[np.ndarray, ...]:
+    """Sums over many points, in loops: E y, its slope and its covariance on and below the diagonal.
+
+    Without loops a rule of 81 points has 100,000 characters of C.
+    """
+    count, n, m = len(points), map.state_size, map.size
+    points, weight, centred = (
+        tape.table(name, part)
+        for name, part in (("points", points), ("weights", weight), ("centred_weights", centred))
+    )
+    values = tape.array("values", (count, m + m * (m + 1) // 2))
+    sizes = {"sum_mean": (m,), "sum_slope": (n, m), "sum_square": (m * (m + 1) // 2,)}
+    mean, slope, square = (tape.array(name, size) for name, size in sizes.items())
+    for array in (mean, slope, square):
+        array.store(np.zeros(array.shape))
+    with tape.loop(count) as p:
+        values.store(at(points[p]), p)
+    first = values[0][:m]
+    with tape.loop(count) as p:
+        y = values[p][:m]
+        for k, period in map.period:
+            y[k] = wrapped(y[k], first[k], period)
+            values.store(y[k], p, k)
+        mean.store(mean.all + (y - first) * weight[p])
+    h = first + mean.all
+    with tape.loop(count) as p:
+        deviation = values[p][:m] - h
+        scaled = deviation * centred[p]
+        slope.store(slope.all + np.outer(points[p][:n], scaled))
+        products = lower_of(np.outer(scaled, deviation))
+        square.store(square.all + (products + values[p][m:] * weight[p]))
+    return h, slope.all, square.all
+
+
+def _alike(row: Sequence[Number]) -> bool:
+    name = [value.name if type(value) is Scalar else value for value in row]
+    return all(one == name[0] for one in name)
+
+
+def moment_rates(
+    tape: Tape, rule: Linearization, system: Any, p: Values
+) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
+    """Rates of mean and covariance as ``f(t, components) -> components``, for the integrators."""
+    n = system.state_size
+    mean, lower, cov = gaussian_symbols(n)
+    if not isinstance(rule, PointRule):
+        velocity, change = rule.rate_formulas(system, list(mean), cov)
+        entries = [change[i, j] for i in range(n) for j in range(i + 1)]
+        arguments = (system.drift_map.time, (*mean, *lower), system.parameters)
+        evaluate = compile_components(arguments, [*velocity, *entries])
+        return lambda t, z: evaluate(t, z, p)
+
+    def rates(t: Scalar, z: Sequence[Any]) -> list[Any]:
+        mean, cov = unpacked(stacked(z), n)
+        b, cross, _ = _point_moments(tape, rule, system.drift_map, t, mean, cov, p, False)
+        spread = _point_moments(tape, rule, system.spread_map, t, mean, cov, p, False)[0]
+        return [*b, *(lower_of(cross + cross.T) + spread)]
+
+    return rates
+
+
+def correct(
+    mean: np.ndarray,
+    cov: np.ndarray | None,
+    y: np.ndarray,
+    moments: Any,
+    rows: int,
+    periods: Periods = (),
+    exact: bool = False,
+) -> tuple[np.ndarray, np.ndarray | None, Number, np.ndarray]:
+    """Correct the leading rows by a measurement of which components may be missing (NaN).
+
+    A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
+    component that those before it determine has the gain zero; one whose variance given them is
+    clearly negative gives NaN. Where it is `exact` that there is no other noise, a determined
+    component with another value has the log-likelihood minus infinity.
+
+    Returns
+    -------
+    mean, cov : ndarray, shapes (rows,) and (rows, rows)
+        The covariance is None where none was given.
+    loglik : Scalar
+    filled : ndarray, shape (m,)
+        The measurement, missing components replaced by their predictions.
+    """
+    predicted, cross, spread = moments
+    m, y = len(y), y.copy()
+    for k, period in periods:
+        y[k] = wrapped(y[k], predicted[k], period)
+    observed = ~isnan(y)
+    innovation = list(choose(observed, y - predicted, 0.0))
+    cross = choose(observed, cross[:rows], 0.0).tolist()
+    spread = [
+        [choose(observed[i] & observed[j], spread[i, j], float(i == j)) for j in range(i + 1)]
+        for i in range(m)
+    ]
+    regular = []
+
+    def reciprocal(pivot: Number, variance: Number) -> tuple[Number, Number]:
+        least = ABSOLUTE if pivot is variance else RELATIVE * variance + ABSOLUTE
+        regular.append(pivot > least)
+        redundant = choose(pivot >= -(INDEFINITE * variance + ABSOLUTE), 0.0, np.nan)
+        return choose(regular[-1], 1.0 / pivot, redundant), choose(regular[-1], pivot, 1.0)
+
+    prior, variances = mean, [spread[j][j] for j in range(m)]
+    mean, lower = list(mean[:rows]), None
+    if cov is not None:
+        lower = [list(cov[k, : k + 1]) for k in range(rows)]
+    terms, pivots = eliminate(mean, lower, innovation, cross, spread, reciprocal)
+    counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
+    terms += [_log_product(pivots), reduce(add, counted) * LOG_2PI]
+    if exact:
+        redundant = [seen & ~sound for seen, sound in zip(observed, regular, strict=True)]
+        components = zip(redundant, innovation, y, predicted, variances, strict=True)
+        terms.append(_impossible(prior, list(components)))
+    if lower is not None:
+        cov = symmetric(stacked([e for row in lower for e in row]), rows)
+    return stacked(mean), cov, -0.5 * reduce(add, terms), choose(observed, y, predicted)
+
+
+def _impossible(mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Number:
+    """Infinity where a redundant component is not what those before it say, zero elsewhere.
+
+    Of each component whether it is redundant, its innovation, value, prediction and variance.
+    """
+    any_redundant = reduce(or_, [redundant for redundant, *_ in components])
+    tape = any_redundant.tape
+    result = tape.array(f"impossible_{any_redundant.name}")
+    with tape.when(any_redundant):  # which is rare
+        largest, parts = reduce(np.maximum, [abs(x) for x in mean]), []
+        for redundant, innovation, y, predicted, variance in components:
+            beyond = abs(innovation) - LEVEL * (abs(y) + abs(predicted) + largest)
+            # beyond > FAINT times the deviation, without a root
+            impossible = (beyond > 0.0) & (beyond * beyond > FAINT**2 * abs(variance))
+            parts.append(choose(redundant & impossible, np.inf, 0.0))
+        result.store(reduce(add, parts))
+    return result.all
+
+
+def _log_product(pivots: Sequence[Number]) -> Number:
+    """Logarithm of a product; of its factors one by one where it is out of range, which is rare."""
+    product = reduce(mul, pivots)
+    if len(pivots) == 1 or type(product) is not Scalar:
+        return np.log(product)
+    tape = product.tape
+    result = tape.array(f"log_{product.name}")
+    result.store(np.log(product))
+    with tape.when(~((product > ABSOLUTE) & (product < np.inf))):
+        result.store(reduce(add, [np.log(p) for p in pivots]))
+    return result.all
+
+
+def unpacked(components: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
+    """Mean and covariance from the components of both."""
+    return components[:n], symmetric(components[n:], n)

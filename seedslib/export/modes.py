@@ -1,0 +1,478 @@
+"""Programs of filters of modes: a Gaussian distribution in each mode, carried or from a memory."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import reduce
+from operator import add
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+
+from seedslib.base.values import Values
+from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.designed.lemmas import FAINT
+from seedslib.designed.rules import SOFTEST
+from seedslib.designed.switching import CellFit
+from seedslib.export.designs import places
+from seedslib.export.kernels import correct, lower_of, unpacked
+from seedslib.export.step import Step, any_of
+from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
+from seedslib.filters.weights import TIE, logarithm
+from seedslib.linearization.formulas import mentions
+from seedslib.linearization.moments import TINY
+from seedslib.models.codegen import compile_components
+from seedslib.models.kinds import inputs_of
+from seedslib.models.maps import StochasticMap
+from seedslib.models.switching import Branch
+
+Gaussian: TypeAlias = tuple[np.ndarray, np.ndarray]
+"""Mean (n,) and covariance (n, n)."""
+
+
+class BranchMoments(NamedTuple):
+    """Probability of a branch, and moments of the state and of a value in it.
+
+    Attributes
+    ----------
+    mass : Scalar or float
+    state_mean, state_cov : ndarray, shapes (n,) and (n, n)
+    mean, cross, cov : ndarray, shapes (d,), (n, d) and (d, d)
+    varies : bool
+        Whether the mass depends on the state: where it is zero the moments are no numbers.
+    """
+
+    mass: Number
+    state_mean: np.ndarray
+    state_cov: np.ndarray
+    mean: np.ndarray
+    cross: np.ndarray
+    cov: np.ndarray
+    varies: bool
+
+    @property
+    def joint(self) -> Gaussian:
+        """Mean and covariance of the state and, below it, the value."""
+        cov = np.block([[self.state_cov, self.cross], [self.cross.T, self.cov]])
+        return np.concatenate([self.state_mean, self.mean]), cov
+
+
+class Mixture(NamedTuple):
+    """Room for weighted Gaussian distributions.
+
+    Attributes
+    ----------
+    log_prob : Array, shape (rows,)
+    moments : Array, shape (rows, n (n + 3) / 2)
+        Mean, and covariance on and below the diagonal.
+    """
+
+    log_prob: Array
+    moments: Array
+
+    @classmethod
+    def of(cls, step: Step, name: str, rows: int, n: int, owner: str = "local") -> Mixture:
+        """Arrays for so many distributions of n components."""
+        log_prob = step.array(f"{name}_log_prob", (rows,), owner=owner)
+        return cls(log_prob, step.array(f"{name}_moments", (rows, n * (n + 3) // 2), owner=owner))
+
+    def store(self, row: int, log_prob: Number, mean: np.ndarray, cov: np.ndarray) -> None:
+        """Fill a row."""
+        self.log_prob.store(log_prob, row)
+        self.moments.store([*mean, *lower_of(cov)], row)
+
+    def parts(self, n: int) -> tuple[list[Number], list[Gaussian]]:
+        """Logarithms of the weights, and the distributions."""
+        return list(self.log_prob.all), [unpacked(row, n) for row in self.moments.all]
+
+
+def switching(step: Step) -> None:
+    """Record a `SwitchingFilter`: forecast of mode and state, then a correction in each mode.
+
+    Raises
+    ------
+    TypeError, ValueError
+        Moments without formulas, fits that are no `CellFit`, inputs of a design.
+    """
+    filter, system, n, modes = step.filter, step.filter.system, step.n, step.modes
+    _check(filter)
+    if step.designed:
+        k, t = step.begin()
+        gap_before, gap = step.gap(k)
+        if filter.memory.indicators:
+            step.refuse(step.indicator < 0.0, "PARTLY")
+        first, past = k < 1.0, _memory(step)
+        log_prob = step.array("log_prob", (modes,)) if filter.memory.log_odds else None
+    else:
+        t = step.timed()
+        first = step.started.all < 1.0
+        carried = Mixture.of(step, "carried", modes, n, "state")
+        log_prob = carried.log_prob
+    parts = step.indicators if filter.rules.split else 1
+    ahead = Mixture.of(step, "ahead", modes * parts, n)
+    with step.when(first):
+        for i, start in enumerate(system.initial):
+            logs = logarithm(start.probability * np.eye(1, parts)[0])
+            for part, log in enumerate(logs):  # all of it is in the first part
+                ahead.store(i * parts + part, log, start.mean, start.cov)
+    with step.when(~first):
+        if step.designed:
+            last = step.moment(k - 1.0)
+            logs, gaussians = _recalled(step, k, past)
+        else:
+            last = step.last_time.all
+            logs, gaussians = carried.parts(n)
+        _forecast(step, last, logs, gaussians, ahead, step.since(t - last))
+    sensed = Mixture.of(step, "sensed", modes, n + step.m)
+    possible = _sense(step, t, ahead, sensed)
+    before, joints = sensed.parts(n + step.m)
+    logs, means, covs = [], [], []
+    for log, (mean, cov) in zip(before, joints, strict=True):
+        moments = mean[n:], cov[:n, n:], cov[n:, n:]
+        mean, cov, loglik, _ = correct(
+            mean[:n], cov[:n, :n], step.y, moments, n, filter.rules.periods
+        )
+        logs.append(choose(log > -np.inf, log + loglik, -np.inf))
+        means.append(mean)
+        covs.append(cov)
+    prob = step.array("prob", (modes,), owner="state")
+
+    def store_weights(logs: Sequence[Number], probs: Sequence[Number], total: Number) -> Number:
+        prob.store(probs)
+        if log_prob is not None:
+            log_prob.store(logs)
+        return total
+
+    loglik = store_weights(*normalised(logs))
+    with step.when(~isfinite(loglik)):  # no mode explains the measurement: the forecast stays
+        store_weights(*normalised(before))
+    loglik = choose(possible, loglik, -np.inf)
+    probs = list(prob.all)
+    mean = reduce(add, [p * x for p, x in zip(probs, means, strict=True)])
+    cov = mix(probs, means, covs, False)[2] if modes > 1 else covs[0]
+    mode = _most_probable(probs)
+    step.array("mode", (), "int", "state").store(mode)
+    step.mean.store(mean)
+    if not step.designed:
+        step.cov.store(cov)
+        step.loglik.store(loglik)
+        carried.moments.store([[*x, *lower_of(p)] for x, p in zip(means, covs, strict=True)])
+        step.last_time.store(t)
+        step.started.store(1.0)
+        return
+    step.cov.store(choose(gap, np.nan, cov))
+    step.loglik.store(choose(gap_before, np.nan, loglik))
+    _remember(step, past, mean, mode, log_prob, (before, joints))
+    step.end(k)
+
+
+def _check(filter: Any) -> None:
+    system, fits = filter.system, filter.fits
+    if not hasattr(filter.linearization, "formulas"):
+        raise TypeError(
+            "linearization: wanted formulas, Taylor or ExactGaussian, to write modes in C, got "
+            f"{filter.linearization!r}"
+        )
+    if filter.rules.printed:
+        raise ValueError("normalisation: wanted 'consistent' for C, got 'printed'")
+    if not system.symbolic:
+        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
+    if filter.memory is None:
+        return
+    if not fits or not all(isinstance(fit, CellFit) for fit in fits):
+        raise TypeError("fits: wanted laws in cells, for at least two measurements, to write in C")
+    if inputs_of(system):
+        raise ValueError("filter: wanted a model without inputs, C has none of a design with modes")
+
+
+# Weights and mixtures, from logarithms of weights
+
+
+def relative(logs: Sequence[Number]) -> tuple[list[Number], Number]:
+    """Weights relative to the largest, and its logarithm, zero where that is not finite."""
+    largest = reduce(np.maximum, logs)
+    largest = choose(isfinite(largest), largest, 0.0)
+    return [np.exp(log - largest) for log in logs], largest
+
+
+def normalised(logs: Sequence[Number]) -> tuple[list[Number], list[Number], Number]:
+    """Logarithms of weights whose sum is one, these weights, and the logarithm of the sum before.
+
+    Where nothing has a finite weight, the logarithms as they are and the largest of them.
+    """
+    weights, largest = relative(logs)
+    highest = reduce(np.maximum, logs)
+    total = choose(isfinite(highest), reduce(add, weights), 1.0)
+    log_total = np.log(total)
+    shares = [weight / total for weight in weights]
+    return [log - largest - log_total for log in logs], shares, highest + log_total
+
+
+def mix(
+    mass: Sequence[Number],
+    means: Sequence[np.ndarray],
+    covs: Sequence[np.ndarray],
+    may_be_empty: bool,
+) -> tuple[Number, np.ndarray, np.ndarray]:
+    """Mass, mean and covariance of a mixture; of no mass, mean zero and unit covariance."""
+    total = reduce(add, mass)
+    empty = total == 0.0 if may_be_empty else False
+    if may_be_empty:
+        means = [choose(m > 0.0, x, 0.0) for m, x in zip(mass, means, strict=True)]
+        covs = [choose(m > 0.0, p, 0.0) for m, p in zip(mass, covs, strict=True)]
+    shares = [m / choose(empty, 1.0, total) for m in mass]
+    mean = reduce(add, [share * x for share, x in zip(shares, means, strict=True)])
+    deviations = [x - mean for x in means]
+    within = reduce(add, [share * p for share, p in zip(shares, covs, strict=True)])
+    between = [(s * d)[:, None] * d for s, d in zip(shares, deviations, strict=True)]
+    return total, mean, choose(empty, np.eye(len(mean)), within + reduce(add, between))
+
+
+def _most_probable(probs: Sequence[Number]) -> Number:
+    """Number of the most probable mode, the first of those that are equal but for rounding."""
+    mode: Number = 0.0
+    for i in reversed(range(len(probs))):
+        mode = choose(probs[i] >= (1.0 - TIE) * reduce(np.maximum, probs), float(i), mode)
+    return mode
+
+
+# Forecast and measurement
+
+
+def _forecast(
+    step: Step,
+    t: Scalar,
+    logs: list[Number],
+    gaussians: list[Gaussian],
+    ahead: Mixture,
+    p: Values,
+) -> None:
+    """Forecast of mode and state from their distribution at time t: lemmas 4 and 6."""
+    system, rules, modes = step.filter.system, step.filter.rules, range(step.modes)
+    if rules.switch is not None:  # the new mode drives the step: a switch, then a move
+        switched = Mixture.of(step, "switched", step.modes, step.n)
+        at_rest = [[branch and branch.still for branch in row] for row in system.branches]
+        rows = [_moments(step, at_rest[i], t, *gaussians[i], p) for i in modes]
+        _combine(step, logs, rows, switched)
+        logs, gaussians = switched.parts(step.n)
+    rows = []
+    for i in modes:
+        branches = system.branches[i]
+        if rules.switch is not None:
+            branches = [Branch(system.dynamics[i]) if i == l else None for l in modes]
+        if rules.split:
+            branches = [
+                branch and reading and _with_indicator(branch.map, reading)
+                for branch, readings in zip(branches, system.readings, strict=True)
+                for reading in readings
+            ]
+        rows.append(_moments(step, branches, t, *gaussians[i], p))
+    _combine(step, logs, rows, ahead)
+
+
+def _with_indicator(move: StochasticMap, reading: Branch) -> Branch:
+    """Move to the next state together with what the indicator will be there, (6.19)."""
+    state = dict(zip(reading.map.state, move.expressions, strict=True))
+    probability = reading.probability_expression.subs(state, simultaneous=True)
+    weight = move.weight_expression * probability
+    return Branch(StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time))
+
+
+def _combine(
+    step: Step,
+    logs: Sequence[Number],
+    rows: Sequence[Sequence[BranchMoments | None]],
+    into: Mixture,
+) -> None:
+    """Mixtures over the old modes: `rows` has for each of them the branches to the new ones."""
+    weights, largest = relative(logs)
+    for new, column in enumerate(zip(*rows, strict=True)):
+        old = [i for i, branch in enumerate(column) if branch is not None]
+        branches = [column[i] for i in old]
+        means, covs = [b.mean for b in branches], [b.cov for b in branches]
+        if not branches:
+            into.store(new, -np.inf, np.zeros(step.n), np.eye(step.n))
+            continue
+        if len(branches) == 1:
+            (branch,), log = branches, logs[old[0]] + np.log(branches[0].mass)
+            into.store(new, log, *_where_possible(branch.varies, log, means[0], covs[0]))
+            continue
+        mass = [weights[i] * branch.mass for i, branch in zip(old, branches, strict=True)]
+        sure = len(old) == len(rows) and all(
+            type(b.mass) is not Scalar and b.mass > FAINT for b in branches
+        )
+        total, mean, cov = mix(mass, means, covs, not sure)
+        into.store(new, largest + np.log(total), mean, cov)
+        if sure:
+            continue
+        with step.when(total < FAINT):  # so little that it is formed again by itself
+            mass, most = relative(
+                [logs[i] + np.log(b.mass) for i, b in zip(old, branches, strict=True)]
+            )
+            total, mean, cov = mix(mass, means, covs, True)
+            into.store(new, most + np.log(total), mean, cov)
+
+
+def _where_possible(varies: bool, log: Number, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
+    """Moments of a branch, where it has none mean zero and unit covariance."""
+    if not varies:
+        return mean, cov
+    possible = log > -np.inf
+    return choose(possible, mean, 0.0), choose(possible, cov, np.eye(len(mean)))
+
+
+def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
+    """State and measurement in each mode, given the indicator; whether any mode can have it."""
+    if not step.indicators:
+        _sense_value(step, t, ahead, sensed, 0)
+        return True
+    for value in range(step.indicators):
+        with step.when(step.indicator == float(value)):
+            _sense_value(step, t, ahead, sensed, value)
+    possible = any_of([log != -np.inf for log in sensed.log_prob.all])
+    with step.when((step.indicator < 0.0) | ~possible):  # an impossible one says nothing
+        _sense_value(step, t, ahead, sensed, None)
+    return possible
+
+
+def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None) -> None:
+    """The same for a value of the indicator, None where it is missing: lemma 3."""
+    system, n, p = step.filter.system, step.n, step.at_time()
+    log_prob, gaussians = ahead.parts(n)
+    parts, size = len(log_prob) // step.modes, n + step.m
+    for i in range(step.modes):
+        reading = Branch(system.sensors[i]) if value is None else system.readings[i][value]
+        if reading is None:
+            sensed.store(i, -np.inf, np.zeros(size), np.eye(size))
+            continue
+        rows = range(i * parts, (i + 1) * parts)
+        branches = [_moments(step, [reading], t, *gaussians[row], p)[0] for row in rows]
+        logs = [log_prob[row] + np.log(b.mass) for row, b in zip(rows, branches, strict=True)]
+        means, covs = zip(*(branch.joint for branch in branches), strict=True)
+        if parts == 1:
+            moments = _where_possible(branches[0].varies, logs[0], means[0], covs[0])
+            sensed.store(i, logs[0], *moments)
+        else:
+            mass, largest = relative(logs)
+            total, mean, cov = mix(mass, means, covs, True)
+            sensed.store(i, largest + np.log(total), mean, cov)
+
+
+def _moments(
+    step: Step,
+    branches: Sequence[Branch | None],
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    numbers: Values,
+) -> list[Any]:
+    """Moments of the branches of one mode, None where there is no branch."""
+    rule, n = step.filter.linearization, step.n
+    symbols, lower, matrix = gaussian_symbols(n)
+    known = [branch for branch in branches if branch is not None]
+    if all(branch.constant for branch in known):
+        moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()
+        state = list(symbols), matrix
+        formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
+    else:
+        formulas = [rule.branch(branch.map, list(symbols), matrix) for branch in known]
+    flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
+    system = step.filter.system
+    arguments = system.time, symbols, lower, system.parameters
+    evaluate = compile_components(arguments, [e for row in flat for e in row])
+    values = iter(evaluate(t, list(mean), list(lower_of(cov)), numbers))
+    result: list[BranchMoments | None] = []
+    for branch in branches:
+        if branch is None:
+            result.append(None)
+            continue
+        mass, *parts = formulas.pop(0)
+        varies, value = mentions(mass, {*symbols, *lower}), next(values)
+        x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
+        d = len(y)
+        shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)
+        result.append(
+            BranchMoments(choose(value < TINY, 0.0, value) if varies else value, *shaped, varies)
+        )
+    return result
+
+
+# Memory
+
+
+def _memory(step: Step) -> dict[str, Array]:
+    """Numbers, decided modes and indicators that are remembered, newest first."""
+    memory, numbers = step.filter.memory, step.filter.memory.order(step.n, step.m, step.modes)
+    arrays = {"memory": step.array("memory", (numbers,), owner="state")}
+    for name, count in (("modes", memory.estimates), ("indicators", memory.indicators)):
+        if count:
+            arrays[name] = step.array(name, (count,), "int", "state")
+    return arrays
+
+
+def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Number], list[Gaussian]]:
+    """Distribution of mode and state given the memory: (6.32) to (6.34)."""
+    row, cell, u = k - 1.0, 0.0, past["memory"].all
+    for name, count in (("modes", step.modes), ("indicators", step.indicators)):
+        for j, value in enumerate(past[name].all if name in past else ()):
+            # while the memory fills, what is not yet in it does not count
+            cell = choose(k > float(j), cell * float(count) + value, cell)
+    fits = {name: step.table(f"cell_{name}", v) for name, v in _cell_tables(step).items()}
+    logs, gaussians = [], []
+    for i in range(step.modes):
+        at = row, cell, float(i)
+        log, centre, white, gain, offset, cov = (fits[name][at] for name in CellFit._fields)
+        deviation = u - centre
+        for line in white:  # in the order of `CellFit.forecast`
+            residual = reduce(add, [a * b for a, b in zip(line, deviation, strict=True)])
+            log = log - 0.5 * residual * residual
+        logs.append(log)
+        mean = [reduce(add, [start, *line * u]) for start, line in zip(offset, gain, strict=True)]
+        gaussians.append((stacked(mean), cov))
+    largest = reduce(np.maximum, logs)
+    logs = [log - largest for log in logs]
+    log_total = np.log(reduce(add, [np.exp(log) for log in logs]))
+    return [log - log_total for log in logs], gaussians
+
+
+def _cell_tables(step: Step) -> dict[str, np.ndarray]:
+    """Parts of the fits by measurement, cell and mode, for the numbers of the full memory."""
+    filter, memory, n, modes = step.filter, step.filter.memory, step.n, step.modes
+    size, estimate = memory.order(n, step.m, modes), n + (modes - 1) * memory.log_odds
+    cells = max(fit.log_weight.shape[-1] for fit in filter.fits)
+    shapes = CellFit((), (size,), (size, size), (n, size), (n,), (n, n))
+    tables = [np.zeros((len(filter.fits), cells, modes, *shape)) for shape in shapes]
+    for row, fit in enumerate(filter.fits):
+        used, all_rows = places(memory, estimate, step.m, row + 1), range(n)
+        entries = CellFit(
+            [], [used], [used, used], [all_rows, used], [all_rows], [all_rows, all_rows]
+        )
+        for table, values, where in zip(tables, fit, entries, strict=True):
+            by_cell = np.moveaxis(values, (-1, -2), (0, 1))
+            table[np.ix_([row], range(len(by_cell)), range(modes), *where)] = by_cell
+    return dict(zip(CellFit._fields, tables, strict=True))
+
+
+def _remember(
+    step: Step,
+    past: dict[str, Array],
+    mean: np.ndarray,
+    mode: Number,
+    log_prob: Array,
+    sensed: tuple[list[Number], list[Gaussian]],
+) -> None:
+    """Put estimate, measurement, mode and indicator on the memory."""
+    memory, y = step.filter.memory, step.y
+    log_odds = []
+    for log in log_prob.all[1:] if memory.log_odds else ():
+        odds = log - log_prob[0]
+        cut = np.minimum(np.maximum(odds, -SOFTEST), SOFTEST)
+        log_odds.append(choose(isnan(odds), 0.0, cut))
+    if memory.measurements:  # a missing one is remembered as what was expected
+        logs, joints = sensed
+        parts = zip(normalised(logs)[1], joints, strict=True)
+        y = choose(isnan(y), reduce(add, [share * joint[0][step.n :] for share, joint in parts]), y)
+    step.push(past["memory"], [*mean, *log_odds], y)
+    for name, newest in (("modes", mode), ("indicators", step.indicator)):
+        if name in past:
+            past[name].store([newest, *past[name].all[:-1]])

@@ -1,1 +1,0 @@
-"""Shelf: a designed filter as one C header."""

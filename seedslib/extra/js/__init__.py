@@ -1,1 +1,0 @@
-"""Shelf: the same filters as one ECMAScript module, translated from their C."""
