@@ -204,7 +204,7 @@ def main() -> None:
             design = grid_synthesis(truth, Memory(order), times[:count], x=dense(161, 34), z=z, y=y)
             spent = time.process_time() - begin
             filter = design if count == STEPS else by_phase(design, STEPS)
-            room = sum(s.shown.estimate.nbytes + s.blind.estimate.nbytes for s in design.steps)
+            room = sum(s.update.estimate.nbytes + s.forecast.estimate.nbytes for s in design.steps)
             foretold = (design.predicted.rms[:, 0] ** 2).mean()
             told = f"{foretold:.6f}", f"{room / 1e6:.1f}", f"{spent:.1f}"
             filter.run(times[:3], shown[:3])

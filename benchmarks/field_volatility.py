@@ -68,7 +68,7 @@ def predictive(system, order):
     """Logarithm of the density of a measurement given the memory, (1, Y, memory...), and axes."""
     law = JointLaw(system, Memory(order), np.arange(float(DESIGNED)), **TABLES[order])
     *_, last = optimal_steps(law)
-    likely = np.exp(law.chain.log_likelihood(0.0, law.shown))
+    likely = np.exp(law.chain.log_likelihood(0.0, law.y_grid))
     axes = law.measurement_axes + law.block_axes * order
     found = np.maximum(likely @ last.law.T, 1e-300)
     return axes, np.log(found).reshape(1, *(axis.count for axis in axes))
@@ -132,7 +132,7 @@ def main() -> None:
     for order in TABLES:
         filter, design, spent = frozen(system, order)
         axes, logs = predictive(system, order)
-        room = filter.steps[-1].shown.estimate.nbytes / 1e6
+        room = filter.steps[-1].update.estimate.nbytes / 1e6
         told = f"{design.predicted.rms[-1, 0] ** 2:.8f}", f"{room:.2f}", f"{spent:.2f}"
         filter.run(times[:9], y[:9])
         begin = time.process_time()

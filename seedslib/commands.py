@@ -43,7 +43,7 @@ Other arguments are those of the filter's run, such as seed=3, with --smooth tho
 
 FIT = """\
 Find parameters of a model by maximum likelihood. free=[...] says which; all that MODEL.py names,
-by default. Values are printed, and written as JSON for filter --assigned.
+by default. Values are printed, and written as JSON for filter --values.
   python -m seedslib fit model.py data.csv "filter=KalmanFilter(system)" --out values.json"""
 
 TABLE = """\
@@ -160,23 +160,25 @@ def run_filter(options: argparse.Namespace) -> int:
     """Run or smooth, and write; 1 where the filter diverged."""
     path = options.system if options.source.endswith(".npz") else options.source
     names = {} if path is None else load_model(path)
-    arguments = evaluated(options.arguments, names)
+    arguments, values = evaluated(options.arguments, names), {}
+    if options.values is not None:
+        with open(options.values, encoding="utf-8") as file:
+            written = json.load(file)
+        values = {p: written[str(p)] for p in _parameters(names) if str(p) in written}
     if options.source.endswith(".npz"):
         filter = designed.load(options.source, names.get("system"))
     else:
         filter = _filter(arguments, names)
-        filter = filter if hasattr(filter, "run") else filter()
-    values = {}
-    if options.assigned is not None:
-        with open(options.assigned, encoding="utf-8") as file:
-            written = json.load(file)
-        values = {p: written[str(p)] for p in _parameters(names) if str(p) in written}
+    if not hasattr(filter, "run"):  # a function of the values that makes one
+        filter = filter(values)
+    elif values:
+        filter = filter.bind({p: v for p, v in values.items() if p in filter.system.parameters})
     record = read_record(options.data, filter.system, options)
     arguments |= record.options
     if not options.smooth and "covariances" in getattr(filter, "takes", ()):
         arguments.setdefault("covariances", True)
     # numbers that are lost in a filter that diverges are said in one line below, not in many
-    with base.assigned(values), np.errstate(all="ignore"):
+    with np.errstate(all="ignore"):
         if options.smooth:
             found = filters.smooth(filter, record.times, record.measurements, **arguments)
         else:
@@ -249,7 +251,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             add("--unit", help="of the model's time, where the table has dates: D, h, min, s")
         if name == "filter":
             add("--system", metavar="MODEL.py", help="model of a design in a file")
-            add("--assigned", metavar="FILE.json", help="values of parameters, written by fit")
+            add("--values", metavar="FILE.json", help="values of parameters, written by fit")
             add("--smooth", action="store_true", help="each estimate from later measurements too")
         add("--out", required=name != "fit", metavar="FILE")
     return run_command(parser, "seedslib", arguments)

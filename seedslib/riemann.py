@@ -20,7 +20,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape
+from seedslib.base.checks import as_count, as_covariance, as_real
 
 __all__ = ["RiemannSolution", "WienerGain", "circle", "solve_riemann", "wiener_gain", "winding"]
 
@@ -230,7 +230,7 @@ def wiener_gain(
     if a.ndim != 3 or 0 in a.shape or a.shape[1] != a.shape[2]:
         raise ValueError(f"transition: wanted (n, n) or (N + 1, n, n), got {a.shape}")
     size = a.shape[1]
-    c = as_shape("sensor", np.ravel(sensor), (size,))
+    c = as_real("sensor", np.ravel(sensor), (size,))
     q = as_covariance("state_noise", state_noise, size)
     r = as_covariance("sensor_noise", sensor_noise, 1, definite=True).item()
     count = max(256, 2 ** int(np.ceil(np.log2(16 * len(a) * size))))

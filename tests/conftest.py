@@ -2,7 +2,6 @@
 
 import csv
 import gc
-import json
 import os
 import re
 import subprocess
@@ -10,16 +9,9 @@ import sys
 from pathlib import Path
 from unittest.mock import patch
 
-import numpy as np
 import pytest
 
 from seedslib import zoo
-
-QUICK = str(Path(__file__).with_name("quick"))  # what tests' own processes had better not import
-if QUICK not in os.environ.get("PYTHONPATH", ""):
-    given = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = os.pathsep.join([QUICK, given] if given else [QUICK])
-
 
 LONGEST = (
     "export/test_export",
@@ -59,41 +51,6 @@ def environment_as_it_was():
     """What a module does to the environment, such as a cluster of Dask, is not for the next one."""
     with patch.dict(os.environ):
         yield
-
-
-@pytest.fixture
-def rewrite():
-    """Function that replaces arrays of a file (None takes one away)."""
-
-    def rewritten(path, head=None, **changes):
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-        known = json.loads(arrays["header"].tobytes().decode())
-        known = {k: v for k, v in (known | (head or {})).items() if v is not None}
-        arrays["header"] = np.frombuffer(json.dumps(known).encode(), dtype=np.uint8)
-        arrays.update(changes)
-        np.savez(path, **{k: v for k, v in arrays.items() if v is not None})
-
-    return rewritten
-
-
-@pytest.fixture
-def header(rewrite):
-    """Function that replaces entries in the header of a file (None takes one away).
-
-    Those of the filter, of another part, such as ``header(path, "sizes", modes=3)``, or of the
-    whole, ``header(path, None, version=1)``.
-    """
-
-    def changed(path, part="filter", **changes):
-        with np.load(path, allow_pickle=False) as archive:
-            known = json.loads(archive["header"].tobytes().decode())
-        if part is None:
-            return rewrite(path, changes)
-        tree = {k: v for k, v in (known[part] | changes).items() if v is not None}
-        return rewrite(path, {part: tree})
-
-    return changed
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import sympy
 
-from seedslib.base import correct
+from seedslib.base import update
 from seedslib.design import Polynomial, synthesize
 from seedslib.designed import Memory
 from seedslib.gaussian import (
@@ -68,7 +68,7 @@ def designed():
 def redundant_sensor():
     spread = np.diag([1.0, 1.0, 0.0]) + np.outer([1, 1, 0], [1, 1, 0])
     joint = Moments(np.zeros(3), 0.5 * spread, spread)
-    return tuple(correct(np.zeros(3), EYE, np.array([1.0, -1.0, 0.0]), joint))
+    return tuple(update(np.zeros(3), EYE, np.array([1.0, -1.0, 0.0]), joint))
 
 
 FUNCTIONS = x**2 * y + z, sympy.sqrt(x**2 + y**2 + z**2), abs(x + y) * z

@@ -1,8 +1,9 @@
-"""The ground floor: what several rooms need and no subject owns.
+"""What several packages need and no subject owns.
 
-Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, parameters and inputs, how objects show themselves and
-travel, and the lazy names of these doors. No model, no filter.
+Checks of arguments, batch axes, blocks and bundles of paths with their seeds, positive
+semidefinite matrices (`linalg`), Gaussian moments given a measurement (`conditioning`), tables and
+their look-up, parameters and inputs, how objects print and are pickled, and the lazy names of
+these packages. No model, no filter.
 
 May import: none.
 """
@@ -11,13 +12,12 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.base.correction import correct as correct
+    from seedslib.base.conditioning import update as update
     from seedslib.base.parameters import ELAPSED as ELAPSED
     from seedslib.base.parameters import Input as Input
     from seedslib.base.parameters import Parameter as Parameter
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import Nodes as Nodes
     from seedslib.base.tables import interpolate as interpolate
-    from seedslib.base.values import assigned as assigned
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
 from itertools import pairwise
 from typing import Any
 
@@ -88,9 +87,8 @@ def in_blocks(
     jobs = [(a, min(a + block, total), s) for a, s in zip(starts, streams, strict=True)]
     if workers == 1 or len(jobs) == 1:
         return [work(*job) for job in jobs]
-    here = [copy_context() for _ in jobs]  # threads know nothing of what is assigned here
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda context, job: context.run(work, *job), here, jobs))
+        return list(pool.map(lambda job: work(*job), jobs))
 
 
 class Bundle:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import numpy as np
 
@@ -15,7 +16,7 @@ NEGATIVE_EIGENVALUE = 1e-10
 def as_real(
     name: str,
     value: object,
-    shape: tuple[int | None, ...] | None = None,
+    shape: tuple[Any, ...] | None = None,
     *,
     ndim: int | None = None,
     nan: bool = False,
@@ -28,8 +29,8 @@ def as_real(
     name : str
         The caller's name of the argument, for the message.
     value : array_like
-    shape : tuple of int, optional
-        Wanted lengths of the axes; -1 leaves one free.
+    shape : tuple, optional
+        Wanted lengths of the axes, see `require_shape`.
     ndim : int, optional
         Wanted number of axes.
     nan, infinite : bool
@@ -64,36 +65,23 @@ def as_real(
     return array
 
 
-def as_bound(name: str, value: object) -> np.ndarray:
-    """`as_real` in which infinities are legal."""
-    return as_real(name, value, infinite=True)
+def require_shape(name: str, array: np.ndarray, shape: tuple[Any, ...]) -> None:
+    """Refuse an array of another shape.
 
-
-def as_shape(name: str, value: object, shape: tuple[int, ...], *, nan: bool = False) -> np.ndarray:
-    """`as_real` of exactly the given shape; -1 leaves an axis free."""
-    return as_real(name, value, shape, nan=nan)
-
-
-def require_shape(name: str, array: np.ndarray, shape: tuple[int | None, ...]) -> None:
-    """Refuse an array of another shape; -1 or None leaves an axis free.
+    -1 or None leaves the length of an axis free; ``...`` at the end stands for any batch axes.
 
     Raises
     ------
     ValueError
         Another number of axes, or another length of one.
     """
-    free = (-1, None)
-    if array.ndim != len(shape) or any(
-        want not in (*free, got) for want, got in zip(shape, array.shape, strict=True)
-    ):
-        wanted = ", ".join("any" if size in free else str(size) for size in shape)
+    core = len(shape) - (shape[-1:] == (...,))
+    fits = array.ndim == core if core == len(shape) else array.ndim >= core
+    pairs = zip(shape[:core], array.shape, strict=False)
+    if not fits or any(wanted not in (-1, None, got) for wanted, got in pairs):
+        words = {-1: "any", None: "any", ...: "..."}
+        wanted = ", ".join(words.get(size, str(size)) for size in shape)
         raise ValueError(f"{name}: wanted shape ({wanted}), got {array.shape}")
-
-
-def as_vectors(name: str, value: object, size: int) -> np.ndarray:
-    """`as_real` of vectors of `size` components, (size, *batch)."""
-    array = as_real(name, value)
-    return as_real(name, array, (size, *array.shape[1:]))
 
 
 def as_covariance(
@@ -158,21 +146,6 @@ def require_semidefinite(name: str, matrices: np.ndarray) -> float:
     return smallest
 
 
-def require_one_size(names: str, mean: np.ndarray, cov: np.ndarray) -> None:
-    """Refuse a mean and a square matrix of two sizes, without saying which of them is wrong.
-
-    Raises
-    ------
-    ValueError
-        The message names both arguments.
-    """
-    square = cov.ndim >= 2 and cov.shape[0] == cov.shape[1]
-    if square and mean.ndim and mean.shape[0] != cov.shape[0]:
-        raise ValueError(
-            f"{names}: wanted shapes (n, ...) and (n, n, ...), got {mean.shape} and {cov.shape}"
-        )
-
-
 def is_whole(value: object) -> bool:
     """Whether a value is a whole number, of Python or NumPy; True and False are none."""
     return isinstance(value, int | np.integer) and not isinstance(value, bool)
@@ -224,8 +197,7 @@ def as_whole(name: str, value: object, shape: tuple[int, ...]) -> np.ndarray:
     numbers = np.asarray(value)
     if numbers.dtype.kind not in "iu":
         raise TypeError(f"{name}: wanted whole numbers, got an array of dtype {numbers.dtype}")
-    if numbers.shape != shape:
-        raise ValueError(f"{name}: wanted shape {shape}, got {numbers.shape}")
+    require_shape(name, numbers, shape)
     return numbers
 
 

@@ -1,14 +1,17 @@
 """Parameters of a model: numbers with a name, whose values can change without compiling again.
 
-Some have no value of their own: inputs are told with the data, and a map in discrete time is told
-how long its step is. Which values they have at present is in `seedslib.base.values`.
+Some have no value of their own: inputs come with the data, and a map in discrete time is given the
+length of its step. In which order functions take the numbers of all is in `seedslib.base.values`.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, ClassVar, NoReturn
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import sympy
+
+from seedslib.base.values import in_order
 
 if TYPE_CHECKING:
     from typing import Self
@@ -21,7 +24,7 @@ class Parameter(sympy.Symbol):
     ----------
     name : str
     value : float
-        What it is unless `assigned` says otherwise.
+        Its number unless a model or a filter is bound to another, see `bind` there.
     **assumptions : bool
         As of SymPy, such as ``positive=True``.
     """
@@ -38,10 +41,6 @@ class Parameter(sympy.Symbol):
         self.value = float(value)
         return self
 
-    def default(self) -> float:
-        """What it is where nothing else was assigned."""
-        return self.value
-
     def _hashable_content(self) -> tuple[Any, ...]:
         return (*super()._hashable_content(), self.value)
 
@@ -51,10 +50,10 @@ class Parameter(sympy.Symbol):
 
 
 class Input(Parameter):
-    """A number that is told with the data: a control, a known disturbance, a last measurement.
+    """A number that comes with the data: a control, a known disturbance, a last measurement.
 
-    It has no value of its own. Whole records are told it by ``inputs=``, single steps by
-    `assigned`. Where a model is only looked at, to check its probabilities or to know it again,
+    It has no value of its own: records, and single steps, have it in ``inputs=``; a model may be
+    bound to one. Where a model is only looked at, to check its probabilities or to know it again,
     an input is 0.37.
 
     Parameters
@@ -74,18 +73,6 @@ class Input(Parameter):
     def __getnewargs_ex__(self) -> Any:
         return (self.name,), super().__getnewargs_ex__()[1]
 
-    def default(self) -> NoReturn:
-        """There is none.
-
-        Raises
-        ------
-        ValueError
-        """
-        raise ValueError(
-            f"{self}: wanted a value of this input, got none; tell it by inputs= of what takes "
-            "whole records, or by assigned"
-        )
-
 
 class Elapsed(Input):
     """The length of the step that a map in discrete time makes; `ELAPSED` is the only one."""
@@ -100,24 +87,12 @@ class Elapsed(Input):
     def __getnewargs_ex__(self) -> Any:
         return (), {}
 
-    def default(self) -> NoReturn:
-        """There is none but in a step.
-
-        Raises
-        ------
-        ValueError
-        """
-        raise ValueError(
-            "dt: the elapsed time is known only while a map in discrete time moves the state; a "
-            "sensor or a system in continuous time has none"
-        )
-
 
 ELAPSED: Elapsed = Elapsed()
-"""Time that passes in a step of a map in discrete time; who moves a state assigns it."""
+"""Time that passes in a step of a map in discrete time; a sensor has none."""
 
 
-def parameters_of(expressions: Any) -> tuple[Parameter, ...]:
-    """The parameters that expressions mention, in the order of their names."""
+def parameters_of(expressions: Iterable[Any]) -> tuple[Parameter, ...]:
+    """The parameters that expressions mention, in the order in which functions take them."""
     found = set().union(*(e.free_symbols for e in expressions))
-    return tuple(sorted((s for s in found if isinstance(s, Parameter)), key=str))
+    return in_order(s for s in found if isinstance(s, Parameter))

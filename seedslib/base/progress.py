@@ -22,7 +22,7 @@ Step = TypeVar("Step")
 
 
 def followed(steps: Any, what: str) -> Any:
-    """The same steps, in a loop whose progress is told where somebody listens.
+    """The same steps, in a loop whose progress is logged where somebody listens.
 
     Parameters
     ----------
@@ -34,20 +34,20 @@ def followed(steps: Any, what: str) -> Any:
 
 
 def _followed(steps: Iterable[Step], what: str, count: int) -> Iterator[Step]:
-    begin = told = time.monotonic()
+    begin = logged = time.monotonic()
     for done, step in enumerate(steps, 1):
         yield step
         now = time.monotonic()
         if done == count:
             LOG.info("%s: all %d steps in %.1f s", what, count, now - begin)
-        elif now - told >= EVERY:
-            told, left = now, (now - begin) * (count - done) / done
+        elif now - logged >= EVERY:
+            logged, left = now, (now - begin) * (count - done) / done
             LOG.info("%s: step %d of %d, about %.0f s left", what, done, count, left)
 
 
 @contextmanager
 def listening(wanted: bool = True) -> Iterator[None]:
-    """What is told goes to standard error inside, if that is wanted."""
+    """What is logged goes to standard error inside, if that is wanted."""
     if not wanted:
         yield
         return

@@ -1,174 +1,192 @@
-"""The present values of parameters and inputs: of a block of code, of paths, of times.
+"""Numbers of parameters and inputs, and the order in which functions of a model take them.
 
+Every array function of a model takes them as one argument p, a tuple of numbers or of arrays
+(*batch), in the order of the model's `parameters`: parameters, inputs, and last the elapsed time.
 Nothing here needs SymPy: a filter that was read from a file runs without it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import AbstractContextManager, contextmanager, nullcontext
-from contextvars import ContextVar
+import math
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import partial
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real
+from seedslib.base.objects import changed
 
 if TYPE_CHECKING:
+    from typing import Self
+
     from seedslib.base.parameters import Input, Parameter
 
 Inputs: TypeAlias = "Mapping[Input, ArrayLike]"
 
-_CURRENT: ContextVar[Mapping[Parameter, Any]] = ContextVar("values of parameters")
-_NONE: Mapping[Parameter, Any] = {}
-_NOTHING: AbstractContextManager[None] = nullcontext()
+Values: TypeAlias = tuple[Any, ...]
+"""A number or an array (*batch) of each parameter of a model, in its order."""
+
+ROLES = "parameter", "input", "elapsed"
 
 
-@contextmanager
-def assigned(values: Mapping[Parameter, Any]) -> Iterator[None]:
-    """Let parameters have other values within a block of code.
-
-    Parameters
-    ----------
-    values : mapping of Parameter to number or array, shape (*batch)
-        An array gives each path its own value. Inputs are parameters too.
-    """
-    token = _CURRENT.set({**_CURRENT.get(_NONE), **values})
-    try:
-        yield
-    finally:
-        _CURRENT.reset(token)
-
-
-def current(parameters: Iterable[Parameter]) -> list[Any]:
-    """The present values of parameters.
-
-    Raises
-    ------
-    ValueError
-        An input that was not told.
-    """
-    table = _CURRENT.get(_NONE)
-    return [table[p] if p in table else p.default() for p in parameters]
-
-
-def present(parameters: Iterable[Parameter]) -> tuple[float, ...]:
-    """Present values of parameters in the order of their names, a number each: a key.
-
-    Raises
-    ------
-    ValueError
-        A parameter that has a value for each path, an input that was not told.
-    """
-    known = sorted(parameters, key=str)
-    values = current(known)
-    for parameter, value in zip(known, values, strict=True):
-        if np.ndim(value):
-            raise ValueError(
-                f"{parameter}: wanted one value on a grid, got {np.shape(value)}; make the filter "
-                "anew for each, as fit does with a function that makes it"
-            )
-    return tuple(map(float, values))
-
-
-def looked_at(parameters: Iterable[Parameter]) -> AbstractContextManager[None]:
-    """Values for what has none of its own, where a model is looked at and not used."""
-    values = {p: p.value for p in parameters if p.role != "parameter"}
-    return assigned(values) if values else _NOTHING
-
-
-def on_paths(shape: tuple[int, ...], chosen: Any = slice(None)) -> AbstractContextManager[None]:
-    """Values of some paths of a batch laid in one row, where paths have their own.
-
-    Parameters
-    ----------
-    shape : tuple of int
-        Of the batch.
-    chosen : slice or ndarray
-        Of the paths in one row, or a mask in the shape of the batch.
-    """
-    table = _CURRENT.get(_NONE)
-    own = {p: v for p, v in table.items() if np.ndim(v)} if table else table
-    if not own:
-        return _NOTHING
-    if isinstance(chosen, np.ndarray) and chosen.dtype == bool:
-        chosen = chosen.ravel()
-    return assigned({p: np.broadcast_to(v, shape).reshape(-1)[chosen] for p, v in own.items()})
-
-
-def with_values(parameters: Iterable[Any], *functions: Any) -> tuple[Any, ...]:
-    """Functions that are given the present values of parameters after their other arguments.
-
-    Parameters
-    ----------
-    parameters : sequence of Parameter
-    *functions : callable or None
+def in_order(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """Distinct parameters in the order in which functions take their numbers.
 
     Raises
     ------
     TypeError
-        Something else among the parameters.
+        Something else among them.
     """
-    told = tuple(parameters)
-    if not all(hasattr(p, "role") for p in told):
-        raise TypeError(f"parameters: wanted a sequence of Parameter, got {parameters!r}")
-    return tuple(f and partial(_given, f, told) for f in functions) if told else functions
+    parameters = tuple(parameters)
+    for p in parameters:
+        if getattr(p, "role", None) not in ROLES:
+            raise TypeError(f"parameters: wanted a sequence of Parameter, got {p!r}")
+    return tuple(sorted(set(parameters), key=lambda p: (ROLES.index(p.role), str(p), p.value)))
 
 
-def _given(function: Callable[..., Any], parameters: tuple[Parameter, ...], *given: Any) -> Any:
-    return function(*given, *current(parameters))
+def require_no_step(name: str, parameters: Iterable[Parameter]) -> None:
+    """Refuse the elapsed time where no step is made: in a sensor, or in continuous time.
+
+    Raises
+    ------
+    ValueError
+    """
+    if any(p.role == "elapsed" for p in parameters):
+        raise ValueError(f"{name}: wanted no elapsed time; only a map in discrete time has it")
 
 
-def carried(work: Callable[..., Any]) -> Callable[..., Any]:
-    """Work that takes the present values of all parameters with it to another process."""
-    table = _CURRENT.get(_NONE)
-    return partial(_worked, dict(table), work) if table else work
+class Parametrized:
+    """A model that has parameters and carries their numbers.
+
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        What its formulas mention: parameters, inputs, elapsed time.
+    numbers : mapping of Parameter to number or ndarray, shape (*batch)
+        Those that were bound; the others have the value that they were made with.
+    """
+
+    parameters: tuple[Parameter, ...] = ()
+    numbers: Mapping[Parameter, Any] = {}
+
+    def bind(self, values: Mapping[Parameter, ArrayLike] | None = None, /, **named: Any) -> Self:
+        """The same model with other numbers; nothing is compiled again.
+
+        Parameters
+        ----------
+        values : mapping of Parameter to number or array_like, shape (*batch), optional
+            An array gives each record or path its own number. An input may be bound too, where
+            it is the same at all times.
+        **named : number or array_like
+            The same by the names of the parameters.
+
+        Raises
+        ------
+        TypeError, ValueError
+            What the model does not mention; no numbers.
+        """
+        own = {str(p): p for p in self.parameters if p.role != "elapsed"}
+        wanted = ", ".join(own) or "none"
+        if unknown := named.keys() - own.keys():
+            raise ValueError(f"{min(unknown)}: wanted parameters of the model, {wanted}")
+        given = {**(values or {}), **{own[name]: value for name, value in named.items()}}
+        for p in given:
+            if p not in own.values():
+                raise ValueError(f"{p}: wanted parameters of the model, {wanted}")
+        numbers = {p: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()}
+        return changed(self, numbers={**self.numbers, **numbers})
+
+    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = math.nan) -> Values:
+        """What p is in a step of length `dt`, with some inputs; a sensor has no such length.
+
+        Raises
+        ------
+        ValueError
+            An input without a value, or one that the model does not mention.
+        """
+        if inputs and (unknown := [u for u in inputs if u not in self.parameters]):
+            raise ValueError(f"inputs: wanted those of the model, got {unknown[0]}")
+        if not self.parameters:
+            return ()
+        table = {**self.numbers, **inputs} if inputs else self.numbers
+        return tuple(table[p] if p in table else _own_value(p, dt) for p in self.parameters)
+
+    def __repr__(self) -> str:
+        sizes = f"state_size={self.state_size}, measurement_size={self.measurement_size}"
+        return f"{type(self).__name__}({sizes})"
+
+    def nominal_values(self) -> Values:
+        """What p is where the model is only looked at: any input, step or path will do."""
+        known = ((p, self.numbers.get(p, p.value)) for p in self.parameters)
+        return tuple(p.value if np.ndim(value) else value for p, value in known)
 
 
-def _worked(values: Mapping[Parameter, Any], work: Callable[..., Any], *given: Any) -> Any:
-    with assigned(values):
-        return work(*given)
+def _own_value(p: Parameter, dt: float) -> float:
+    if p.role == "input":
+        raise ValueError(f"{p}: wanted a value of this input, got none; see inputs= and bind")
+    return dt if p.role == "elapsed" else p.value
+
+
+def of_paths(p: Values, batch: tuple[int, ...], chosen: Any = slice(None)) -> Values:
+    """Numbers of some paths of a batch laid in one row, where paths have their own.
+
+    Parameters
+    ----------
+    p : tuple
+    batch : tuple of int
+        Shape of the batch.
+    chosen : slice or ndarray
+        Of the paths in one row, or a mask in the shape of the batch.
+    """
+    if all(np.ndim(value) == 0 for value in p):
+        return p
+    if isinstance(chosen, np.ndarray) and chosen.dtype == bool:
+        chosen = chosen.ravel()
+    return tuple(
+        np.broadcast_to(value, batch).reshape(-1)[chosen] if np.ndim(value) else value
+        for value in p
+    )
 
 
 @dataclass(frozen=True)
-class Course:
+class InputTrajectory:
     """Inputs on a grid of times, each value held until the next time.
 
     Attributes
     ----------
     values : mapping of Input to ndarray, shape (K+1,) or (K+1, *batch)
+    constant : mapping of Parameter to ndarray, shape (*batch)
+        Parameters that were bound to a number of each path, and so are cut with the batch.
     """
 
-    values: Mapping[Input, np.ndarray] = field(default_factory=dict)
+    values: Mapping[Any, np.ndarray] = field(default_factory=dict)
+    constant: Mapping[Any, np.ndarray] = field(default_factory=dict)
 
-    def at(self, k: int) -> AbstractContextManager[None]:
-        """Let the inputs be those of one time within a block of code."""
-        if not self.values:
-            return _NOTHING
-        rows = ((u, v[k]) for u, v in self.values.items())
-        return assigned({u: row if row.ndim else float(row) for u, row in rows})
+    def at(self, k: int) -> dict[Any, Any]:
+        """Values at one time, as `Parametrized.values` takes them."""
+        rows = ((u, value[k]) for u, value in self.values.items())
+        return {**self.constant, **{u: row if row.ndim else float(row) for u, row in rows}}
 
-    def of(self, paths: slice) -> Course:
+    def of(self, paths: slice) -> InputTrajectory:
         """Inputs of some of the paths, laid in one row."""
-        if not self.values:
-            return self
-        flat = ((u, v if v.ndim == 1 else v.reshape(len(v), -1)) for u, v in self.values.items())
-        return Course({u: v if v.ndim == 1 else v[:, paths] for u, v in flat})
+        values = {
+            u: v if v.ndim == 1 else v.reshape(len(v), -1)[:, paths] for u, v in self.values.items()
+        }
+        return InputTrajectory(values, {p: v.ravel()[paths] for p, v in self.constant.items()})
 
 
-def as_course(
-    inputs: Inputs | None, wanted: frozenset[Input], count: int, batch: tuple[int, ...] = ()
-) -> Course:
-    """Inputs of a model on a grid of times, checked.
+def as_trajectory(
+    model: Any, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
+) -> InputTrajectory:
+    """Inputs of a model on a grid of times, checked, and what is bound to a number of each path.
 
     Parameters
     ----------
+    model : Parametrized
+        What is bound may be left out.
     inputs : mapping of Input to array_like, shape (count,) or (count, *batch), or None
-    wanted : frozenset of Input
-        Those that the model mentions; what is `assigned` may be left out.
     count : int
         Times.
     batch : tuple of int
@@ -178,10 +196,32 @@ def as_course(
     ------
     TypeError, ValueError
         No mapping of inputs, an input that the model does not mention, one that it mentions and
-        that is not told, values that are not finite or of another shape.
+        that has no value, values that are not finite or of another shape.
     """
-    if inputs is None and not wanted:
-        return _STILL
+    constant = {}
+    for p, value in model.numbers.items():
+        if np.ndim(value):
+            if value.shape != batch:
+                raise ValueError(f"{p}: wanted a number or shape {batch}, got {value.shape}")
+            constant[p] = value
+    wanted = {p for p in model.parameters if p.role == "input"}
+    return InputTrajectory(input_values(inputs, wanted, model.numbers, count, batch), constant)
+
+
+def input_values(
+    inputs: Inputs | None,
+    wanted: Iterable[Input],
+    bound: Iterable[Parameter],
+    count: int,
+    batch: tuple[int, ...] = (),
+) -> dict[Any, np.ndarray]:
+    """Values of the wanted inputs, (count,) or (count, *batch); those that are bound may lack.
+
+    Raises
+    ------
+    TypeError, ValueError
+        As `as_trajectory`.
+    """
     inputs = {} if inputs is None else inputs
     if not isinstance(inputs, Mapping) or not all(
         getattr(u, "role", None) == "input" for u in inputs
@@ -190,8 +230,7 @@ def as_course(
     names = ", ".join(sorted(map(str, wanted))) or "none"
     if unknown := [u for u in inputs if u not in wanted]:
         raise ValueError(f"inputs: wanted those of the model, {names}, got {unknown[0]}")
-    table = _CURRENT.get(_NONE)
-    if missing := [str(u) for u in wanted if u not in inputs and u not in table]:
+    if missing := [str(u) for u in wanted if u not in inputs and u not in bound]:
         raise ValueError(f"inputs: wanted values of {', '.join(sorted(missing))}, got none")
     values = {}
     for u, given in inputs.items():
@@ -199,7 +238,4 @@ def as_course(
         if value.shape not in {(count,), (count, *batch)}:
             known = f"({count},)" + (f" or {(count, *batch)}" if batch else "")
             raise ValueError(f"inputs[{u}]: wanted shape {known}, got {value.shape}")
-    return Course(values)
-
-
-_STILL = Course()
+    return values

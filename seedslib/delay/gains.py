@@ -24,8 +24,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.blas import dsyr2k
 
-from seedslib.base.checks import as_count, as_shape
-from seedslib.base.semidefinite import square_root, symmetrized
+from seedslib.base.checks import as_count, as_real
+from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.delay.system import DelaySystem
 
 
@@ -296,7 +296,7 @@ def apply_gains(system: DelaySystem, gains: StructureGains, measurements: ArrayL
     """
     gains, y = _checked(system, gains), np.asarray(measurements, dtype=float)
     flat = y.reshape(*y.shape[:2], -1)
-    as_shape("measurements", flat[1:], (len(gains.gain) - 1, system.measurement_size, -1))
+    as_real("measurements", flat[1:], (len(gains.gain) - 1, system.measurement_size, -1))
     reach, n = system.max_delay, system.state_size
     estimates = np.zeros((reach + len(y), n, flat.shape[2]))  # of x_{-N}, ..., x_K
     estimates[reach] = system.mean0[:, None]
@@ -372,13 +372,13 @@ def _errors(
     x_{k-N}; it returns K_k (n, m) and the L_{k,j}, (J, n, m).
     """
     reach, n, m = system.max_delay, system.state_size, system.measurement_size
-    drive = system.noise_input @ square_root(system.noise_cov)
+    drive = system.noise_input @ cholesky(system.noise_cov)
     sensor_root, q = np.linalg.cholesky(system.sensor_cov), drive.shape[1]
     size = (reach + 1) * n + steps * (q + m)
     errors = list(np.zeros((reach + 1, n, size)))  # newest first, as the past innovations
     past = np.zeros((0, m, size))
-    for j, root in enumerate(square_root(system.start_blocks())):
-        errors[j][:, j * n : (j + 1) * n] = root
+    for j, block in enumerate(system.start_blocks()):
+        errors[j][:, j * n : (j + 1) * n] = cholesky(block)
     gains, past_gains = np.zeros((steps + 1, n, m)), np.zeros((steps + 1, reach, n, m))
     cov = np.tile(system.cov0, (steps + 1, 1, 1))
     for k in range(1, steps + 1):
@@ -407,6 +407,6 @@ def _regression(target: np.ndarray, rows: np.ndarray) -> np.ndarray:
 
 def _checked(system: DelaySystem, gains: StructureGains) -> StructureGains:
     sizes = system.state_size, system.measurement_size
-    gain = as_shape("gains.gain", gains.gain, (-1, *sizes))
-    past = as_shape("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
+    gain = as_real("gains.gain", gains.gain, (-1, *sizes))
+    past = as_real("gains.past", gains.past, (len(gain), system.max_delay, *sizes))
     return StructureGains(gain, past, gains.corrected)

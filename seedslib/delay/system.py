@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, is_whole
-from seedslib.base.semidefinite import square_root
+from seedslib.base.checks import as_count, as_covariance, as_real, is_whole
+from seedslib.base.linalg import cholesky
 from seedslib.models.linear import LinearSystem
 from seedslib.models.simulation import Simulation
 
@@ -80,14 +80,14 @@ class DelaySystem:
             as_covariance("history_cov", block)
         blocks = {d: _filled("dynamics", self.dynamics[d]) for d in delays}
         vars(self).update(
-            dynamics={d: as_shape("dynamics", block, (n, n)) for d, block in blocks.items()},
-            sensor=as_shape("sensor", _filled("sensor", self.sensor), (len(sensor_cov), n)),
+            dynamics={d: as_real("dynamics", block, (n, n)) for d, block in blocks.items()},
+            sensor=as_real("sensor", _filled("sensor", self.sensor), (len(sensor_cov), n)),
             noise_cov=noise_cov,
             sensor_cov=sensor_cov,
             cov0=cov0,
-            history_cov=as_shape("history_cov", history, (reach, n, n)),
-            mean0=as_shape("mean0", _filled("mean0", self.mean0, np.ones(n)), (n,)),
-            noise_input=as_shape("noise_input", drive, (n, len(noise_cov))),
+            history_cov=as_real("history_cov", history, (reach, n, n)),
+            mean0=as_real("mean0", _filled("mean0", self.mean0, np.ones(n)), (n,)),
+            noise_input=as_real("noise_input", drive, (n, len(noise_cov))),
         )
 
     @property
@@ -158,8 +158,8 @@ class DelaySystem:
         n, m, reach = self.state_size, self.measurement_size, self.max_delay + 1
         states = np.empty((reach + steps, n, paths))  # x_{-N}, ..., x_K
         measurements = np.full((steps + 1, m, paths), np.nan)
-        start = square_root(self.start_blocks())
-        drive = self.noise_input @ square_root(self.noise_cov)
+        start = np.stack([cholesky(block) for block in self.start_blocks()])
+        drive = self.noise_input @ cholesky(self.noise_cov)
         sensor_root = np.linalg.cholesky(self.sensor_cov)
 
         def draw(first: int, last: int, stream: np.random.SeedSequence) -> None:

@@ -1,8 +1,8 @@
-"""How designed filters are made: on simulated paths, on the exact law, as tables.
+"""How designed filters are made: on simulated paths, from exact moments and densities, as tables.
 
-Regressions on simulated paths (`finite_order`, `switching`, `minimax`), the exact law of state and
-memory (`exact_moments`, `grids`, `plane`), tables of simulated paths (`tables`, `binned`). Nothing
-here runs on data; what a fit is and does there is in `designed`.
+Regressions on simulated paths (`finite_order`, `switching`, `minimax`), the exact distribution of
+state and memory (`exact_moments`, `grids`, `plane`), tables from simulated paths (`tables`,
+`binned`). Nothing here runs on data; what a fit is and how it runs is in `designed`.
 
 May import: base, models, linearization, filters, designed, evaluation.
 """
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from seedslib.design.law import GridRisk as GridRisk
     from seedslib.design.law import JointLaw as JointLaw
     from seedslib.design.minimax import minimax_synthesis as minimax_synthesis
-    from seedslib.design.paths import Crew as Crew
+    from seedslib.design.paths import Executor as Executor
     from seedslib.design.plane import PlaneStep as PlaneStep
     from seedslib.design.plane import plane_steps as plane_steps
     from seedslib.design.steady_state import stationary as stationary

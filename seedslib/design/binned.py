@@ -1,25 +1,23 @@
-"""Synthesis by plain histograms, as the papers say it: cells, majorities, means, step by step."""
+"""Design by plain histograms, as the papers have it: cells, majorities, means, step by step."""
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray, Seed
-from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
 from seedslib.base.tables import Labels
-from seedslib.design.carriers import prediction_of
-from seedslib.design.held_out import with_held_out
-from seedslib.designed.memory import Memory, Past
-from seedslib.designed.output_filter import OutputFilter
-from seedslib.designed.prediction import Design
-from seedslib.designed.tables import Output, Step, arguments, step_axes
+from seedslib.design.samples import MemoryPaths, Sample
+from seedslib.designed.memory import Memory
+from seedslib.designed.tables import Output, OutputFilter, Step, step_axes
 from seedslib.filters.weights import most_probable
-from seedslib.models.kinds import KINDS, AnySystem, as_grid, as_system, switches
+from seedslib.models.kinds import KINDS, AnySystem, as_system
 
 METHOD = "histogram of cells of equal probability"
 
@@ -42,7 +40,7 @@ class BinnedOutput(NamedTuple):
     mean: np.ndarray
     mode: MaybeArray
 
-    def __call__(self, points: Any) -> Output:
+    def __call__(self, points: Sequence[np.ndarray]) -> Output:
         """Values at arguments whose shapes broadcast; without batch axes where there are none."""
         if not self.labels:
             return Output(self.mean[:, 0], None if self.mode is None else self.mode[0])
@@ -50,18 +48,20 @@ class BinnedOutput(NamedTuple):
         return Output(self.mean[:, cell], None if self.mode is None else self.mode[cell])
 
 
-def cells(labels: tuple[int, ...], edges: tuple[np.ndarray, ...], points: Any) -> np.ndarray:
+def cells(
+    labels: tuple[int, ...], edges: tuple[np.ndarray, ...], points: Sequence[np.ndarray]
+) -> np.ndarray:
     """Number of the cell of each point; the first continuous argument runs fastest."""
     points = np.broadcast_arrays(*points)
     group = _group(labels, points)
-    cell, given = np.zeros(group.shape, dtype=np.intp), iter(reversed(edges))
-    for count, point in zip(reversed(labels), reversed(points), strict=True):
-        if not count:
-            rows, place = next(given), np.zeros(group.shape, dtype=np.intp)
-            for number, row in enumerate(rows):
-                here = group == number
-                place[here] = np.searchsorted(row, point[here])
-            cell = cell * (rows.shape[1] + 1) + place
+    cell = np.zeros(group.shape, dtype=np.intp)
+    continuous = [point for count, point in zip(labels, points, strict=True) if not count]
+    for rows, point in zip(reversed(edges), reversed(continuous), strict=True):
+        bin = np.zeros(group.shape, dtype=np.intp)
+        for number, row in enumerate(rows):
+            members = group == number
+            bin[members] = np.searchsorted(row, point[members])
+        cell = cell * (rows.shape[1] + 1) + bin
     for rows in edges:
         group = group * (rows.shape[1] + 1)
     return group + cell
@@ -131,70 +131,51 @@ def binned_synthesis(
     as_system("system", system, *KINDS)
     if system.measurement_size != 1:
         raise ValueError("system: wanted one measured component for a histogram")
-    paths, bins = as_count("paths", paths), as_count("bins", bins, 2)
-    least, times = as_count("least", least), as_grid("times", times, system)
-    root = as_seed_sequence(seed)
-    data = system.simulate(times, paths, root, workers=workers)
-    modes = data.modes if switches(system) else [None] * len(times)
-    told = data.indicators if system.indicators else [None] * len(times)
-    past, steps, scores, errors, wrong = Past(), [], [], [], []
-    for k in followed(range(len(times)), "design of tables"):
-        lesson = data.states[k], modes[k]
-        n = len(lesson[0])
-        axes = step_axes(system, memory, (None,), (None,) * n, k)
-        kinds = [tuple(a.count if isinstance(a, Labels) else 0 for a in part) for part in axes]
-        shown, blind = (
-            _fitted(system, kind, arguments(system, y, told[k], past), lesson, bins, least)
-            for kind, y in zip(kinds, (data.measurements[k], ()), strict=True)
-        )
-        steps.append(Step(shown, blind))
-        found = shown(arguments(system, data.measurements[k], told[k], past))
-        error = found.mean - lesson[0]
-        scores.append((float(times[k]), error**2))
-        errors.append(error @ error.T / paths)
-        if found.mode is not None:
-            wrong.append(found.mode != lesson[1])
-        past = memory.push(
-            past,
-            estimate=found.mean,
-            measurement=data.measurements[k],
-            mode=found.mode,
-            indicator=told[k],
-        )
-    filter = OutputFilter(
-        system=system,
-        memory=memory,
-        times=times,
-        steps=tuple(steps),
-        method=METHOD,
-        predicted=prediction_of(scores, wrong, in_sample=True),
-        design=Design(paths, BLOCK, *seed_record(root)),
-        covariances=np.array(errors),
-    )
-    return with_held_out(filter, root, paths, workers)
+    bins, least = as_count("bins", bins, 2), as_count("least", least)
+    samples, steps = MemoryPaths(system, memory, times, None, paths, 1, 0, seed, workers), []
+    for k in followed(range(len(samples.times)), "design of tables"):
+        sample = samples.sample()
+        axes = step_axes(system, memory, (None,), (None,) * system.state_size, k)
+        functions = [
+            _fitted(system, sample, _label_counts(part), measured, bins, least)
+            for part, measured in zip(axes, (True, False), strict=True)
+        ]
+        steps.append(Step(*functions))
+        samples.apply(steps[-1].update)
+    return samples.designed(OutputFilter, steps=tuple(steps), method=METHOD)
 
 
-def _fitted(system, labels, points, lesson, bins, least) -> BinnedOutput:
+def _label_counts(axes) -> tuple[int, ...]:
+    return tuple(axis.count if isinstance(axis, Labels) else 0 for axis in axes)
+
+
+def _fitted(
+    system: AnySystem,
+    sample: Sample,
+    labels: tuple[int, ...],
+    measured: bool,
+    bins: int,
+    least: int,
+) -> BinnedOutput:
     """The function of one step: means and majorities in cells of its arguments."""
-    (states, modes), count = lesson, len(lesson[0][0])
+    points, states, modes = sample.arguments(system, measured), sample.states, sample.modes
+    count = states.shape[1]
     group = _group(labels, points) if points else np.zeros(count, dtype=np.intp)
-    groups = int(np.prod([c for c in labels if c], dtype=int))
-    levels = np.arange(1, bins) / bins
+    groups, levels = math.prod(c for c in labels if c), np.arange(1, bins) / bins
     edges = tuple(
         np.stack([_levels(point[group == g], point, levels) for g in range(groups)])
         for c, point in zip(labels, points, strict=True)
         if not c
     )
     cell = cells(labels, edges, points) if points else group
-    size = groups * bins ** len(edges)
-    rows = list(states)
+    rows = [np.ones(count), *states]
     if modes is not None:
         rows += [modes == i for i in range(system.modes)]
-    sums = np.stack([np.bincount(cell, row, size) for row in (np.ones(count), *rows)])
+    sums = np.stack([np.bincount(cell, row, groups * bins ** len(edges)) for row in rows])
     # the measurement runs fastest: few paths in a cell take all memories with its measurement
-    apart = sums.reshape(len(sums), groups, -1, bins if edges else 1)
-    wide = np.broadcast_to(apart.sum(axis=2, keepdims=True), apart.shape).reshape(sums.shape)
-    sums = np.where(sums[0] < least, wide, sums)
+    by_bin = sums.reshape(len(sums), groups, -1, bins if edges else 1)
+    pooled = np.broadcast_to(by_bin.sum(axis=2, keepdims=True), by_bin.shape).reshape(sums.shape)
+    sums = np.where(sums[0] < least, pooled, sums)
     sums = np.where(sums[0] < least, sums.sum(axis=1, keepdims=True), sums)
     values = sums[1:] / np.maximum(sums[0], 1.0)
     if modes is None:

@@ -7,8 +7,10 @@ online; before each step the forecast it needs is fitted to the paths. Paths are
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
+from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -17,28 +19,34 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
 from seedslib.base.clock import step_count, when
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
-from seedslib.design.paths import Walk, crew, require_range
+from seedslib.design.paths import Executor, PathSimulator, executor, require_range
 from seedslib.design.regression import coefficients_of
+from seedslib.designed.accuracy import Design
 from seedslib.designed.finite_order import FiniteOrderFilter, Rules
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design
 from seedslib.designed.predictors import Affine, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.models.kinds import KINDS, as_grid, as_system, course_of, in_steps, switches
+from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
+    from seedslib.designed.switching import SwitchingFilter
     from seedslib.models.kinds import AnySystem
 
 PATHS_PER_COEFFICIENT = 50
 """Fewer design paths than this for each dimension of the memory are worth a warning."""
 
 
-def check_kinds(memory: Memory, predictor: Any, exact_moments: bool, availability: bool) -> None:
+def check_kinds(
+    memory: Memory,
+    predictor: Affine | Polynomial | Continuous,
+    exact_moments: bool,
+    availability: bool,
+) -> None:
     """Refuse a memory, a predictor and options that do not go together.
 
     Raises
@@ -60,7 +68,7 @@ def check_kinds(memory: Memory, predictor: Any, exact_moments: bool, availabilit
         raise ValueError("availability: wanted Affine or Polynomial forecasts on simulated paths")
 
 
-def check_paths(paths: int, memory: Memory, predictor: Any, components: int, measured: int) -> None:
+def check_paths(paths: int, coefficients: int) -> None:
     """Refuse fewer paths than coefficients, and warn of few.
 
     Raises
@@ -68,7 +76,6 @@ def check_paths(paths: int, memory: Memory, predictor: Any, components: int, mea
     ValueError
         Too few.
     """
-    coefficients = coefficients_of(predictor, memory.order(components, measured))
     if paths <= coefficients + 1:
         raise ValueError(
             f"paths: wanted more than {coefficients + 1} for {coefficients} coefficients, "
@@ -82,7 +89,9 @@ def check_paths(paths: int, memory: Memory, predictor: Any, components: int, mea
         )
 
 
-def node_times(times: np.ndarray, nodes: Any, step: float | None) -> tuple[np.ndarray, ...]:
+def node_times(
+    times: np.ndarray, nodes: int | Sequence[ArrayLike], step: float | None
+) -> tuple[np.ndarray, ...]:
     """Node times within each interval; every integration step where there is a `step`.
 
     Raises
@@ -90,26 +99,24 @@ def node_times(times: np.ndarray, nodes: Any, step: float | None) -> tuple[np.nd
     TypeError, ValueError
         Nodes outside of their intervals.
     """
-    whole = is_whole(nodes)
-    if whole:
-        as_count("nodes", nodes, 0)
-    elif step is None:
-        nodes = list(nodes)
-        if len(nodes) != len(times) - 1:
-            raise ValueError(f"nodes: wanted {len(times) - 1} lists of times, got {len(nodes)}")
-    grids = []
-    for k, (start, end) in enumerate(pairwise(times)):
-        if step is not None or whole:
-            parts = nodes + 1 if step is None else step_count(start, end, step)
+    if is_whole(nodes) or step is not None:
+        count = 0 if step is not None else as_count("nodes", nodes, 0)
+        grids = []
+        for start, end in pairwise(times):
+            parts = count + 1 if step is None else step_count(start, end, step)
             grids.append(start + (end - start) * np.arange(1, parts) / parts)
-            continue
-        grid = as_times(f"nodes[{k}]", nodes[k]) if len(nodes[k]) else np.empty(0)
+        return tuple(grids)
+    if len(nodes) != len(times) - 1:
+        raise ValueError(f"nodes: wanted {len(times) - 1} lists of times, got {len(nodes)}")
+    grids = [
+        as_times(f"nodes[{k}]", one) if len(one) else np.empty(0) for k, one in enumerate(nodes)
+    ]
+    for (start, end), grid in zip(pairwise(times), grids, strict=True):
         if len(grid) and not (start < grid[0] and grid[-1] < end):
             raise ValueError(
                 f"nodes: wanted times between {when(start)} and {when(end)}, "
                 f"got {grid[0]:g} to {grid[-1]:g}"
             )
-        grids.append(grid)
     return tuple(grids)
 
 
@@ -122,12 +129,12 @@ def synthesize(
     linearization: Linearization,
     times: ArrayLike,
     *,
-    predictor: Any = _AFFINE,
-    nodes: Any = 4,
+    predictor: Affine | Polynomial | Continuous = _AFFINE,
+    nodes: int | Sequence[ArrayLike] = 4,
     components: int | None = None,
     paths: Count | None = None,
     seed: Seed | None = None,
-    workers: Any = 1,
+    workers: int | Executor = 1,
     exact_moments: bool = False,
     step: float | None = None,
     scheme: str = "euler",
@@ -135,7 +142,7 @@ def synthesize(
     measured: ArrayLike | None = None,
     availability: ArrayLike | None = None,
     inputs: Inputs | None = None,
-) -> Any:
+) -> FiniteOrderFilter | SwitchingFilter:
     """Design a filter of finite order for a system.
 
     Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a
@@ -165,9 +172,9 @@ def synthesize(
     seed : int, SeedSequence or Generator
         The design paths are ``system.simulate(stops, paths, seed)`` with all measurement times
         and nodes as stops; those held out have a stream of their own.
-    workers : int or Crew
-        Threads, or a crew such as `seedslib.extra.cluster` makes; the filter does not depend on
-        it, bit by bit.
+    workers : int or Executor
+        Threads, or an executor such as `seedslib.extra.cluster` makes; the filter does not depend
+        on it, bit by bit.
     exact_moments : bool
         Take exact moments instead of simulated ones, for a linear system with a linear sensor;
         `paths` and `seed` are then not used, and nothing is held out: the errors are exact.
@@ -201,7 +208,7 @@ def synthesize(
     TypeError, ValueError
         An argument that does not fit; too few paths; moments that are not finite.
     RuntimeError
-        A crew elsewhere was lost, or has other versions of the libraries.
+        A cluster was lost, or has other versions of the libraries.
     NoClosedForm
         The linearization has no formulas for this sensor; the message offers one that works.
 
@@ -220,17 +227,18 @@ def synthesize(
     if switches(system):
         from seedslib.design.switching import synthesize_switching
 
-        for name, given in (
-            ("predictor", predictor != _AFFINE),
-            ("components", components is not None),
-            ("exact_moments", exact_moments),
-            ("step", step is not None),
-            ("scheme", scheme != "euler"),
-            ("measured", measured is not None),
-            ("availability", availability is not None),
-        ):
-            if given:
-                raise ValueError(f"{name}: wanted none for a switching system")
+        given = {
+            "predictor": predictor != _AFFINE,
+            "components": components is not None,
+            "exact_moments": exact_moments,
+            "step": step is not None,
+            "scheme": scheme != "euler",
+            "measured": measured is not None,
+            "availability": availability is not None,
+        }
+        if any(given.values()):
+            name = next(name for name in given if given[name])
+            raise ValueError(f"{name}: wanted none for a switching system")
         return synthesize_switching(
             system,
             memory,
@@ -248,7 +256,7 @@ def synthesize(
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     mask, availability = certain(schedule)
     check_kinds(memory, predictor, exact_moments, availability is not None)
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
     options, size = {}, None
@@ -261,38 +269,31 @@ def synthesize(
         options = {"step": size, "scheme": scheme}
     grid = node_times(times, nodes, size if isinstance(predictor, Continuous) else None)
     rules = Rules.of(system, memory, predictor, linearization, components)
-
-    def made(start, fits, node_fits, predicted, design):
-        return FiniteOrderFilter(
-            system=system,
-            memory=memory,
-            predictor=predictor,
-            linearization=linearization,
-            times=times,
-            node_times=grid,
-            components=components,
-            start=start,
-            fits=fits,
-            node_fits=node_fits,
-            predicted=predicted,
-            design=design,
-            rules=rules,
-            measured=None if mask.all() else mask,
-            availability=availability,
-        )
-
+    filter = partial(
+        FiniteOrderFilter,
+        system=system,
+        memory=memory,
+        predictor=predictor,
+        linearization=linearization,
+        times=times,
+        node_times=grid,
+        components=components,
+        measured=None if mask.all() else mask,
+        availability=availability,
+    )
     if exact_moments:
         from seedslib.design.exact_moments import linear_design
 
-        return made(*linear_design(system, rules, times, grid, mask, course))
+        return filter(**linear_design(system, rules, times, grid, mask, trajectory))
     paths = as_count("paths", paths)
-    check_paths(paths, memory, predictor, components, system.sensor.size)
+    check_paths(paths, coefficients_of(predictor, memory.order(components, system.sensor.size)))
     root = as_seed_sequence(seed)
-    stops = np.concatenate([times, *grid])
-    with crew(workers) as each:
-        walk = Walk(system, paths, root, len(stops), each, options)
-        forward = ForwardPass(walk, rules, predictor, mask, availability, course)
-        found = forward.design(times, grid)
-        designed = made(*found, Design(paths, BLOCK, *seed_record(root), walk.warn_of_lost()))
-    del walk, forward  # their paths are not wanted any more
-    return with_held_out(designed, root, paths, workers, inputs=course.values, **options)
+    stops = len(times) + sum(map(len, grid))
+    with executor(workers) as each:
+        simulator = PathSimulator(system, paths, root, stops, each, options)
+        forward = ForwardPass(simulator, rules, predictor, mask, availability, trajectory)
+        parts = forward.design(times, grid)
+        design = Design(paths, BLOCK, *seed_record(root), simulator.warn_of_diverged())
+    del simulator, forward  # their paths are not needed any more
+    designed = filter(**parts, design=design)
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values, **options)

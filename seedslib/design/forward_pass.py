@@ -3,8 +3,8 @@
 Where components of a measurement arrive with probabilities, no pattern of them is waited for: each
 class of histories goes on with every pattern of the next measurement on all the paths at once.
 Patterns after which the errors are alike are put into one class, where each path draws one of them
-in their proportions; so the paths of a class have the law of state and memory given the class, see
-`seedslib.design.histories`. A design whose measurements all arrive has one class.
+in their proportions; so the paths of a class have the distribution of state and memory given the
+class, see `seedslib.design.histories`. A design whose measurements all arrive has one class.
 """
 
 from __future__ import annotations
@@ -16,18 +16,21 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.checks import outside
 from seedslib.base.clock import when
+from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.semidefinite import lower_triangle
-from seedslib.base.values import Course
+from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
+from seedslib.design.paths import PathSimulator
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
-from seedslib.designed.finite_order import FiniteOrderState, Start
+from seedslib.designed.accuracy import Prediction
+from seedslib.designed.arrivals import ClassFits
+from seedslib.designed.base import FilterState
+from seedslib.designed.finite_order import Rules, Start
 from seedslib.designed.memory import Past
-from seedslib.designed.patterns import PatternFit
-from seedslib.designed.prediction import Prediction
-from seedslib.designed.predictors import Affine
-from seedslib.linearization.moments import Moments, symmetric
+from seedslib.designed.predictors import Affine, Continuous, Fit, Polynomial
+from seedslib.linearization.moments import Moments
 from seedslib.models.simulation import ARRIVALS
 
 _estimate = attrgetter("mean")
@@ -38,40 +41,40 @@ class ForwardPass:
 
     Parameters
     ----------
-    walk : Walk
+    simulator : PathSimulator
     rules : Rules
     predictor : Affine, Polynomial or Continuous
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
     availability : ndarray, shape (m,), or None
         Probability that a component that is measured arrives; None where all do.
-    inputs : Course
+    inputs : InputTrajectory
         At the measurement times.
     """
 
     def __init__(
         self,
-        walk: Any,
-        rules: Any,
-        predictor: Any,
+        simulator: PathSimulator,
+        rules: Rules,
+        predictor: Affine | Polynomial | Continuous,
         measured: np.ndarray,
         availability: np.ndarray | None,
-        inputs: Course,
+        inputs: InputTrajectory,
     ) -> None:
-        self.walk, self.predictor, self.measured, self.inputs = walk, predictor, measured, inputs
+        self.simulator, self.predictor = simulator, predictor
+        self.measured, self.inputs = measured, inputs
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
-        self.rules: Any = walk.each.share(rules)
+        self.rules: Any = simulator.executor.share(rules)
         self.one_class: bool = availability is None
         self.availability = np.ones(measured.shape[1]) if availability is None else availability
         self.histories = Histories(self.availability)
-        self.states: list[Any] = []
-        self.start: Any = None
+        self.states: list[Any] = []  # of the filter in each class, of all bundles
         self.fits, self.node_fits, self.scores = [], [], []
         self.size = np.zeros(self.components)  # root mean squares of the estimated components
-        self.covs_before = np.empty((0, walk.n, walk.n))
+        self.covs_before = np.empty((0, simulator.n, simulator.n))
 
-    def design(self, times: np.ndarray, grid: tuple[np.ndarray, ...]) -> tuple[Any, ...]:
+    def design(self, times: np.ndarray, grid: tuple[np.ndarray, ...]) -> dict[str, Any]:
         """Start, fits for the measurements, fits for the nodes, and the predicted errors.
 
         Parameters
@@ -80,89 +83,91 @@ class ForwardPass:
         grid : tuple of ndarray, length K
             Node times.
         """
-        with self.inputs.at(0):
-            self._start(times[0])
+        start = self._start(times[0], self.inputs.at(0))
         for k in followed(range(len(grid)), "design"):
-            t, stop = times[k], times[k + 1]
-            with self.inputs.at(k):
-                if self.continuous:
-                    between, memories = self._moves(t, [*grid[k], stop])
-                else:
-                    between, memories = self._nodes(k, t, grid[k])
-                self.walk.advance(self.scores[-1][0], stop)
-            self.node_fits.append(tuple(between))
-            with self.inputs.at(k + 1):
-                self._measurement(k + 1, stop, memories)
-        stamps, rms, error = (np.array(part) for part in zip(*self.scores, strict=True))
-        predicted = Prediction(stamps, rms, error, True)
-        return self.start, tuple(self.fits), tuple(self.node_fits), predicted
+            t, stop, inputs = times[k], times[k + 1], self.inputs.at(k)
+            if self.continuous:
+                fits, memories = self._steps(t, [*grid[k], stop], inputs)
+            else:
+                fits, memories = self._nodes(k, t, grid[k], inputs)
+            self.simulator.advance(self.scores[-1][0], stop, inputs)
+            self.node_fits.append(tuple(fits))
+            self._measurement(k + 1, stop, memories, self.inputs.at(k + 1))
+        scores = (np.array(part) for part in zip(*self.scores, strict=True))
+        return {
+            "start": start,
+            "fits": tuple(self.fits),
+            "node_fits": tuple(self.node_fits),
+            "predicted": Prediction(*scores, in_sample=True),
+        }
 
-    def _start(self, t):
-        walk, n = self.walk, self.walk.n
-        walk.begin(t)
-        y = walk.measure(t)
-        joint = walk.gather(lambda x, y: np.concatenate([x, y]), y)
+    def _start(self, t, inputs) -> Start:
+        """Moments of the first state and measurement, and the first estimates."""
+        simulator, n = self.simulator, self.simulator.n
+        simulator.begin()
+        y, p = simulator.measure(t, inputs), simulator.system.values(inputs)
+        joint = simulator.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = joint.mean, joint.cov
         start = Start(mean[:n], cov[:n, :n], Moments(mean[n:], cov[:n, n:], cov[n:, n:]))
 
         def initial(y):
             prior = np.broadcast_to(start.mean[:, None], (n, y.shape[1]))
-            return FiniteOrderState(0, prior, start.cov, Past(), 0.0, None, False)
+            return FilterState(0, prior, start.cov, loglik=0.0)
 
         def correct(rules, state, y):
-            return rules.first(state, t, y, start, spread=False)
+            return rules.first(state, t, y, p, start, covariance=False)
 
-        self.start = start
-        self._correct(0, t, y, [walk.each(initial, y)], correct)
+        self._correct(0, t, y, [simulator.executor(initial, y)], correct)
+        return start
 
-    def _fit(self, predictor, u, targets, size):
+    def _fit(self, predictor, u, targets, size) -> Fit:
         """Fit a forecast of the first `targets` components from u, (d, paths) in each bundle."""
         return fit_forecast(
             predictor,
-            lambda rows: self.walk.gather(lambda x, u: rows(x[:targets], u), u),
+            lambda rows: self.simulator.gather(lambda x, u: rows(x[:targets], u), u),
             targets,
             size,
         )
 
-    def _of_classes(self, fits, table, covs_before):
+    def _of_classes(self, fits, table, covs_before) -> Fit | ClassFits:
         """One fit of those of the classes."""
         if self.one_class:
             return fits[0]
-        return PatternFit.of(table, covs_before, self.histories.prob, fits)
+        return ClassFits.of(table, covs_before, self.histories.prob, fits)
 
-    def _nodes(self, k, t, nodes):
+    def _nodes(self, k, t, nodes, inputs):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
-        walk, n, fits = self.walk, self.components, []
-        memories = [walk.each(_memory, state) for state in self.states]
+        simulator, n, node_fits = self.simulator, self.components, []
+        memories = [simulator.executor(_memory, state) for state in self.states]
         size, table = self._sizes(k), self.histories.classes.table[:1]
         for node in nodes:
-            walk.advance(t, node)
+            simulator.advance(t, node, inputs)
             t = node
-            found = [self._fit(Affine(), u, n, size) for u in memories]
-            fits.append(self._of_classes(found, table, np.empty((0, n, n))))
-            pairs = zip(found, memories, strict=True)
-            self._score(t, *(walk.kept(fit.mean, u) for fit, u in pairs))
-        return fits, memories
+            fits = [self._fit(Affine(), u, n, size) for u in memories]
+            node_fits.append(self._of_classes(fits, table, np.empty((0, n, n))))
+            pairs = zip(fits, memories, strict=True)
+            self._score(t, *(simulator.finite(fit.mean, u) for fit, u in pairs))
+        return node_fits, memories
 
-    def _moves(self, t, stops):
+    def _steps(self, t, stops, inputs):
         """Fits of the continuous forecast at each integration step, and where it leads."""
-        walk, fits = self.walk, []
-        (state,) = self.states
-        z = walk.each(_estimate, state)
+        simulator, fits = self.simulator, []
+        (state,), p = self.states, simulator.system.values(inputs)
+        z = simulator.executor(_estimate, state)
         for stop in stops:
-            fit = self._fit(self.predictor, z, walk.n, self.size)
-            z = walk.kept(_mover(fit, t, stop - t), self.rules, z)
-            fits.append(fit)
+            fits.append(self._fit(self.predictor, z, simulator.n, self.size))
+            z = simulator.finite(_euler_step(fits[-1], t, stop - t, p), self.rules, z)
             if stop != stops[-1]:
-                walk.advance(t, stop)
+                simulator.advance(t, stop, inputs)
                 self._score(stop, z)
                 t = stop
         return fits, [z]
 
-    def _measurement(self, k, t, memories):
+    def _measurement(self, k, t, memories, inputs):
         """Fit the forecasts for a measurement, and correct them."""
-        walk, size = self.walk, self._sizes(k - 1)
-        fits = [self._fit(self.predictor, u, walk.n, size) for u in memories]
+        simulator, size = self.simulator, self._sizes(k - 1)
+        p = simulator.system.values(inputs)
+        fits = [self._fit(self.predictor, u, simulator.n, size) for u in memories]
         self.fits.append(self._of_classes(fits, self.histories.classes.table, self.covs_before))
         if not self.one_class:
             self.covs_before = self.fits[-1].covs
@@ -172,43 +177,45 @@ class ForwardPass:
             return state._replace(index=k, mean=mean, cov=cov, corrected=False)
 
         def correct(rules, state, y):
-            return rules.correct(state, t, y, spread=False)
+            return rules.correct(state, t, y, p, covariance=False)
 
         forecasts = [
-            walk.each(partial(forecast, fit=fit), *pair)
+            simulator.executor(partial(forecast, fit=fit), *pair)
             for fit, *pair in zip(fits, self.states, memories, strict=True)
         ]
-        self._correct(k, t, walk.measure(t), forecasts, correct)
+        self._correct(k, t, simulator.measure(t, inputs), forecasts, correct)
 
     def _correct(self, k, t, y, forecasts, correct):
         """Correct each class with each pattern, and find the classes that this makes."""
-        walk, cells, moments, prob = self.walk, {}, {}, {}
+        simulator, cells, moments, prob = self.simulator, {}, {}, {}
         for c, state in enumerate(forecasts):
             for number, arrived, chance in patterns(self.measured[k], self.availability):
 
                 def corrected(rules, state, y, arrived=arrived):
-                    return correct(rules, state, as_read(arrived, y))
+                    return correct(rules, state, only_arrived(arrived, y))
 
                 cell = c, number
-                cells[cell] = walk.kept(corrected, self.rules, state, y, array=_estimate)
-                moments[cell] = _second_moments(walk, self.components, cells[cell])
+                cells[cell] = simulator.finite(corrected, self.rules, state, y, array=_estimate)
+                moments[cell] = _second_moments(simulator, self.components, cells[cell])
                 prob[cell] = chance * self.histories.prob[c]
         classes, self.states = self.histories.take(t, moments, prob), []
         several = any(len(members) > 1 for members in classes.members)
-        uniform = walk.uniform(ARRIVALS) if several else None
+        uniform = simulator.uniform(ARRIVALS) if several else None
         for members in classes.members:
             states = [cells[cell] for cell in members]
             if len(states) > 1:
-                states = [walk.each(partial(_mixed, shares(members, prob)), uniform, *states)]
+                drawn = partial(_drawn, shares(members, prob))
+                states = [simulator.executor(drawn, uniform, *states)]
             self.states += states
         informed = self.one_class and self.measured[: k + 1].any()
-        self._score(t, *(walk.each(_estimate, state) for state in self.states), informed=informed)
+        estimates = (simulator.executor(_estimate, state) for state in self.states)
+        self._score(t, *estimates, informed=informed)
 
     def _sizes(self, k):
-        """Magnitudes of the components of U_k; measurements are measured by themselves."""
-        known = np.tile(self.size, min(k + 1, self.memory.estimates))
+        """Magnitudes of the components of U_k; measurements are compared with themselves."""
+        estimates = np.tile(self.size, min(k + 1, self.memory.estimates))
         total = self.memory.dimension(k, self.components, self.measured.shape[1])
-        return np.concatenate([known, np.zeros(total - len(known))])
+        return np.concatenate([estimates, np.zeros(total - len(estimates))])
 
     def _score(self, t, *estimates, informed=False):
         """Note the error of the estimates of the classes, and how large state and estimate are."""
@@ -222,27 +229,27 @@ class ForwardPass:
                     square += chance * (x[:n] - other) ** 2
             return np.concatenate([square, x[:n] ** 2, x[:n], z])
 
-        moments = self.walk.gather(rows, *estimates)
-        rms, error, spread = root_mean_squares(moments, n)
+        moments = self.simulator.gather(rows, *estimates)
+        rms, error, deviation = root_mean_squares(moments, n)
         self.size = np.sqrt(moments.mean[n : 2 * n])
         if np.any(error > DOMINATED * rms):
             warnings.warn(
                 f"paths: the errors at time {when(t)} rest on very few paths ({rms.max():.3g} ± "
                 f"{error.max():.3g}); some of them diverge",
-                stacklevel=2,
+                stacklevel=outside(),
             )
         if informed:
-            moving = spread[2 * n : 3 * n] > ABSOLUTE * self.size
-            for i in np.flatnonzero(moving & (spread[3 * n :] <= ABSOLUTE * self.size)):
+            moving = deviation[2 * n : 3 * n] > ABSOLUTE * self.size
+            for i in np.flatnonzero(moving & (deviation[3 * n :] <= ABSOLUTE * self.size)):
                 warnings.warn(
                     f"memory: the estimate of component {i} at time {when(t)} is the same on all "
                     "paths; it carries no information",
-                    stacklevel=2,
+                    stacklevel=outside(),
                 )
         self.scores.append((t, rms, error))
 
 
-def as_read(arrived: np.ndarray, y: np.ndarray) -> np.ndarray:
+def only_arrived(arrived: np.ndarray, y: np.ndarray) -> np.ndarray:
     """Measurements (m, paths), NaN in the components that have not arrived, (m,)."""
     return y if arrived.all() else np.where(arrived[:, None], y, np.nan)
 
@@ -251,12 +258,12 @@ def _memory(state):
     return state.past.vector
 
 
-def _mover(fit, t, h):
+def _euler_step(fit, t, h, p):
     """Step of the continuous forecast, without anything else of the pass in it."""
-    return lambda rules, z: rules.move(fit, t, h, z)
+    return lambda rules, z: rules.move(fit, t, h, z, p)
 
 
-def _second_moments(walk, n, states):
+def _second_moments(simulator, n, states):
     """Second moments of the errors of the estimates of n components, (n, n)."""
     rows, columns = lower_triangle(n)
 
@@ -264,16 +271,16 @@ def _second_moments(walk, n, states):
         error = x[:n] - state.mean
         return error[rows] * error[columns]
 
-    return symmetric(walk.gather(products, states).mean, n)
+    return symmetric(simulator.gather(products, states).mean, n)
 
 
-def _mixed(parts, uniform, first, *others):
+def _drawn(parts, uniform, first, *others):
     """State whose paths are those of several, by uniform numbers and parts that sum to one."""
     for end, other in zip(np.cumsum(parts), others, strict=False):
-        other_path = uniform >= end
+        from_other = uniform >= end
 
-        def either(a, b, other_path=other_path):
-            return np.where(other_path, b, a)
+        def either(a, b, from_other=from_other):
+            return np.where(from_other, b, a)
 
         past = (tuple(map(either, *blocks)) for blocks in zip(first.past, other.past, strict=True))
         first = first._replace(mean=either(first.mean, other.mean), past=Past(*past))

@@ -1,4 +1,4 @@
-"""Deterministic synthesis of filters of scalar systems: theorems 1 and 2 on a grid."""
+"""Deterministic design of filters of scalar systems: theorems 1 and 2 on a grid."""
 
 from __future__ import annotations
 
@@ -11,16 +11,15 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.checks import as_count
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
-from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, seen
+from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, likelihood_of
 from seedslib.design.regression import regress
 from seedslib.designed.finite_order import FiniteOrderFilter, Start
 from seedslib.designed.memory import Memory
-from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Affine
-from seedslib.designed.switching.filter import SwitchingFilter
-from seedslib.designed.tables import Output, Step, Table, prior, recalled
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.tables import Output, OutputFilter, Step, Table, TableFilter, prior, recalled
 from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.models.kinds import AnySystem, in_steps
 
@@ -96,12 +95,12 @@ def grid_synthesis(
     if probabilities and not law.switching:
         raise ValueError("probabilities: wanted False, the system has no modes")
     nodes = 0 if in_steps(system) else nodes
-    steps, changes, between, before = [], [], [], None
-    for k, found in enumerate(optimal_steps(law, nodes)):
-        changes.append(_change(before, found))
-        steps.append(_tables(law, k, found, probabilities))
-        between.append(found.between)
-        before = found
+    steps, changes, node_fits, before = [], [], [], None
+    for k, optimal in enumerate(optimal_steps(law, nodes)):
+        changes.append(_change(before, optimal))
+        steps.append(_tables(law, k, optimal, probabilities))
+        node_fits.append(optimal.between)
+        before = optimal
     stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
     return TableFilter(
         system=law.system,
@@ -110,10 +109,10 @@ def grid_synthesis(
         steps=tuple(steps),
         method=METHOD,
         predicted=law.prediction(),
-        covariances=law.errors(),
+        covariances=law.covariances(),
         design=BY_GRID,
         node_times=tuple(stops),
-        node_fits=tuple(between[1:]),
+        node_fits=tuple(node_fits[1:]),
         changes=np.array(changes).T,
     )
 
@@ -159,15 +158,15 @@ def optimal_steps(law: JointLaw, nodes: int = 0) -> Iterator[Optimal]:
     ------
     Optimal
     """
-    for k, _, sight, between in law.steps(nodes):
+    for k, _, likelihood, between in law.steps(nodes):
         blocks, given = law.filled, conditional(law.joint)
-        found = law.posterior(sight.relative, given)
-        mass = law.take(k, found.mean, sight, found.mode)
-        yield Optimal(blocks, given, *found, mass, between)
+        output = law.posterior(likelihood.relative, given)
+        mass = law.take(k, output.mean, likelihood, output.mode)
+        yield Optimal(blocks, given, *output, mass, between)
 
 
 def _change(before, now):
-    """How far estimates and modes are from those before, over the law of their arguments."""
+    """How far estimates and modes are from those before, over their arguments."""
     if before is None or before.means.shape != now.means.shape:
         return np.nan, np.nan
     square = np.vdot(now.mass, (now.means[0] - before.means[0]) ** 2)
@@ -177,21 +176,23 @@ def _change(before, now):
 
 def _tables(law, k, optimal, probabilities) -> Step:
     """Tables of a step: on the grid, with the indicator missing, with the measurement missing."""
-    given, found, t = optimal.law, Output(optimal.means, optimal.modes, optimal.prob), law.times[k]
+    given, t = optimal.law, law.times[k]
+    output = Output(optimal.means, optimal.modes, optimal.prob)
     axes, values = law.measurement_axes, law.chain.indicators
     labels, memory = (Labels(values + 1),) * bool(values), law.block_axes * optimal.blocks
     if values:
-        axes, y = axes[1:], law.shown[1:, : len(law.weights) // values]
-        unseen = law.chain.log_likelihood(t, np.concatenate([np.full((1, y.shape[1]), -1.0), y]))
-        more = law.posterior(seen(unseen, law.weights[: y.shape[1]]).relative, given)
-        found = Output(*(np.concatenate(pair, axis=-2) for pair in zip(found, more, strict=True)))
-
-    shown = Table.of(labels + axes + memory, found, probabilities)
+        axes, y = axes[1:], law.y_grid[1:, : len(law.weights) // values]
+        without = np.concatenate([np.full((1, y.shape[1]), -1.0), y])
+        missing = likelihood_of(law.chain.log_likelihood(t, without), law.weights[: y.shape[1]])
+        more = law.posterior(missing.relative, given)
+        output = Output(*(np.concatenate(pair, axis=-2) for pair in zip(output, more, strict=True)))
+    update = Table.of(labels + axes + memory, output, probabilities)
     if law.switching:
-        more = law.posterior(law.chain.told(t), given)
-        return Step(shown, Table.of(labels + memory, more, probabilities))
-    blind = Table.of(memory, Output(given @ law.values[0]))
-    return Step(shown, blind if k else prior(law.system, 1))
+        forecast = law.posterior(law.chain.told(t), given)
+        return Step(update, Table.of(labels + memory, forecast, probabilities))
+    if k == 0:
+        return Step(update, prior(law.system, 1))
+    return Step(update, Table.of(memory, Output(given @ law.values[0])))
 
 
 def optimal_risk(
@@ -258,17 +259,17 @@ def affine_synthesis(
     as_linearization(linearization)
     law = JointLaw(system, memory, times, x, z, y)
     sensor, start, fits = linearization.moments(system.sensor), None, []
-    for k, t, sight, _ in law.steps():
+    for k, t, likelihood, _ in law.steps():
         if k == 0:
-            start = _sensed(law, t)
+            start = _start(law, t)
             mean, cov, moments = start
             mean = mean[:, None]
             moments = moments._replace(mean=moments.mean[:, None])
         else:
             fits.append(regress(*_moments(law), 1))
             mean, cov = fits[-1].forecast(law.memory_points)
-            moments = sensor(float(t), mean, cov)
-        law.take(k, corrected(law, mean, cov, moments), sight)
+            moments = sensor(float(t), mean, cov, system.values())
+        law.take(k, corrected(law, mean, cov, moments), likelihood)
     none = tuple(np.empty(0) for _ in fits)
     designed = FiniteOrderFilter(
         system=system,
@@ -291,38 +292,35 @@ def _moments(law: JointLaw) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of state and memory together."""
     points, x = law.memory_points, law.values[0]
     mass, state = law.joint.sum(axis=1), law.joint.sum(axis=0)
-    centre = np.concatenate([[state @ x], points @ mass])
-    apart, within = points - centre[1:, None], x - centre[0]
-    cov = np.empty((len(centre), len(centre)))
-    cov[0, 0] = state @ within**2
-    cov[0, 1:] = cov[1:, 0] = apart @ (law.joint @ within)
-    cov[1:, 1:] = (apart * mass) @ apart.T
-    return centre, cov
+    mean = np.concatenate([[state @ x], points @ mass])
+    residual, state_residual = points - mean[1:, None], x - mean[0]
+    cov = np.empty((len(mean), len(mean)))
+    cov[0, 0] = state @ state_residual**2
+    cov[0, 1:] = cov[1:, 0] = residual @ (law.joint @ state_residual)
+    cov[1:, 1:] = (residual * mass) @ residual.T
+    return mean, cov
 
 
-def _sensed(law: JointLaw, t: float) -> Start:
+def _start(law: JointLaw, t: float) -> Start:
     """Moments of the state and the measurement before anything is remembered."""
     state, x = law.joint.sum(axis=0), law.values
-    shown, noise = law.system.sensor.conditional_moments(float(t), x)
-    shown = np.broadcast_to(shown, (len(shown), x.shape[1]))
-    noise = np.broadcast_to(
-        noise if noise.ndim == 3 else noise[..., None], (*noise.shape[:2], x.shape[1])
-    )
-    mean, expected = x @ state, shown @ state
-    apart, around = shown - expected[:, None], x - mean[:, None]
-    cross, spread = (around * state) @ apart.T, noise @ state + (apart * state) @ apart.T
-    return Start(mean, (around * state) @ around.T, Moments(expected, cross, spread))
+    y, noise = law.system.sensor.conditional_moments(float(t), x, law.system.values())
+    y = np.broadcast_to(y, (len(y), x.shape[1]))
+    noise = noise if noise.ndim == 3 else noise[..., None]
+    noise = np.broadcast_to(noise, (*noise.shape[:2], x.shape[1]))
+    mean, predicted = x @ state, y @ state
+    residual, innovation = x - mean[:, None], y - predicted[:, None]
+    cross = (residual * state) @ innovation.T
+    cov = noise @ state + (innovation * state) @ innovation.T
+    return Start(mean, (residual * state) @ residual.T, Moments(predicted, cross, cov))
 
 
 def corrected(law: JointLaw, mean: np.ndarray, cov: np.ndarray, moments: Moments) -> np.ndarray:
     """Estimates (1, Y, cells) by the common correction, from forecasts in each cell."""
-    moments = Moments(moments.mean[:, None], _apart(moments.cross), _apart(moments.cov))
-    return correct(mean[:, None], None, law.shown[:, :, None], moments)[0]
-
-
-def _apart(array):
-    """The same array with an axis for measurements before the one for cells, if it has that."""
-    return array if array.ndim == 2 else np.expand_dims(array, 2)
+    # an axis for measurements before the one for cells, where there is that
+    cross, cov = (a if a.ndim == 2 else np.expand_dims(a, 2) for a in moments[1:])
+    moments = Moments(moments.mean[:, None], cross, cov)
+    return update(mean[:, None], None, law.y_grid[:, :, None], moments)[0]
 
 
 def grid_risk(
@@ -357,48 +355,41 @@ def grid_risk(
         Probability at the ends of an axis.
     """
     if filter.memory is None:
-        raise ValueError("filter: wanted one with a memory, got one that carries whole laws")
+        raise ValueError("filter: wanted one with a memory, got one without")
     if filter.measured is not None or filter.availability is not None:
         raise ValueError(
             "filter: wanted one whose measurements all arrive, got one with a schedule"
         )
     law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
-    for k, _, sight, _ in law.steps():
-        found = _decided(filter, law, k)
-        law.take(k, found.mean, sight, found.mode)
+    for k, _, likelihood, _ in law.steps():
+        output = _output(filter, law, k)
+        law.take(k, output.mean, likelihood, output.mode)
     return law.risk()
 
 
-def _decided(filter, law, k) -> Output:
-    """What a filter makes of each measurement in each cell of its memory: (1, Y, cells)."""
-    known, t = law.memory_points, float(law.times[k])
-    cells = known.shape[1]
+def _output(filter, law, k) -> Output:
+    """Estimates (1, Y, cells) and modes of a filter, by measurement and cell of its memory."""
+    memory, t = law.memory_points, float(law.times[k])
+    cells, shape = memory.shape[1], (law.y_grid.shape[1], memory.shape[1])
     if isinstance(filter, OutputFilter):
-        found = filter.output(k, law.shown[:, :, None], known[:, None, :])
-        shape = law.shown.shape[1], cells
-        mode = None if found.mode is None else np.broadcast_to(found.mode, shape)
-        return Output(np.broadcast_to(found.mean, (1, *shape)), mode)
+        output = filter.output(k, law.y_grid[:, :, None], memory[:, None, :])
+        mode = None if output.mode is None else np.broadcast_to(output.mode, shape)
+        return Output(np.broadcast_to(output.mean, (1, *shape)), mode)
     state = filter.initial((cells,))
     if k:
-        past = recalled(filter.system, filter.memory, 1, k - 1, known)
-        known = {"mean": known[:1], "cov": None}
+        past = recalled(filter.system, filter.memory, 1, k - 1, memory)
+        parts = {"mean": memory[:1], "cov": None}
         if law.switching:
             mode = past.modes[0] if past.modes else np.zeros(cells, dtype=int)
-            known = {"time": float(law.times[k - 1]), "mode": mode}
-        state = state._replace(index=k - 1, past=past, corrected=True, **known)
-    return _corrected(filter, law, filter.predict(state, t), cells)
-
-
-def _corrected(filter, law, state, cells) -> Output:
+            parts = {"time": float(law.times[k - 1]), "mode": mode}
+        state = state._replace(index=k - 1, past=past, corrected=True, **parts)
+    state = filter.predict(state, t)
     if not law.switching:
         return Output(corrected(law, state.mean, state.cov, filter.expect(state)))
-    told, y = None, law.shown
-    if law.chain.indicators:
-        told, y = y[0].astype(int), y[1:]
-    means = np.empty((1, y.shape[1], cells))
-    modes = np.empty(means.shape[1:], dtype=int)
-    for row in range(y.shape[1]):
-        seen = None if told is None else np.full(cells, told[row])
-        found = filter.correct(state, np.repeat(y[:, row, None], cells, axis=1), seen)
-        means[0, row], modes[row] = found.mean[0], found.mode
+    means, modes, y = np.empty((1, *shape)), np.empty(shape, dtype=int), law.y_grid
+    for row in range(shape[0]):
+        record = np.repeat(y[:, row, None], cells, axis=1)
+        indicator = record[0].astype(int) if law.chain.indicators else None
+        after = filter.correct(state, record[len(y) - filter.system.measurement_size :], indicator)
+        means[0, row], modes[row] = after.mean[0], after.mode
     return Output(means, modes)

@@ -1,10 +1,11 @@
-"""What a finished filter is worth on paths that its design has not seen."""
+"""The accuracy of a finished filter on paths that its design has not seen."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 import warnings
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.design.paths import LARGEST
 from seedslib.design.regression import DOMINATED
-from seedslib.designed.prediction import HeldOut
+from seedslib.designed.accuracy import HeldOut, Prediction
 from seedslib.evaluation import evaluate
 
 SHARE, LEAST = 8, 512
@@ -46,8 +47,8 @@ def with_held_out(
         Of the design; the design paths do not depend on what is done here.
     paths : int
         Design paths.
-    workers : int or Crew
-        Threads; a crew that works elsewhere is left alone.
+    workers : int or Executor
+        Threads; an executor elsewhere is left alone.
     **options
         As `seedslib.evaluation.compare` takes them.
 
@@ -57,14 +58,12 @@ def with_held_out(
         Errors that differ from the predicted ones, or that rest on few paths.
     """
     count, system = max(LEAST, -(-paths // SHARE)), filter.system
-    if filter.availability is not None:
-        options["availability"] = filter.availability
     nothing = np.full_like(filter.predicted.rms[: len(filter.times)], np.nan)
-    held = HeldOut(filter.times, nothing, nothing, count, count)
+    held_out = HeldOut(filter.times, nothing, nothing, count, count)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
-        warnings.simplefilter("ignore", UserWarning)  # of the run: the design has said its own
-        try:
-            found = evaluate(
+        warnings.simplefilter("ignore", UserWarning)  # of the run: the design has given its own
+        with suppress(ValueError):  # of less than two paths on which it has not diverged
+            scores = evaluate(
                 filter,
                 system,
                 filter.times,
@@ -72,63 +71,61 @@ def with_held_out(
                 child(root, STREAM),
                 bound=LARGEST,
                 measured=filter.measured,
+                availability=filter.availability,
                 workers=workers if isinstance(workers, int) else 1,
                 **options,
             )
-        except ValueError:
-            pass  # on less than two paths it has not diverged
-        else:
-            held = HeldOut(
+            held_out = HeldOut(
                 filter.times,
-                found.rms,
-                found.rms_error,
+                scores.rms,
+                scores.rms_error,
                 count,
-                found.diverged,
-                found.mode_error,
-                found.mode_error_error,
+                scores.diverged,
+                scores.mode_error,
+                scores.mode_error_error,
             )
     size = np.abs(system.mean0) + np.sqrt(np.diagonal(system.cov0))
-    _warn(filter.predicted, held, ROUNDING * size, math.sqrt(paths / count))
-    return dataclasses.replace(filter, held_out=held)
+    _warn(filter.predicted, held_out, ROUNDING * size, math.sqrt(paths / count))
+    return dataclasses.replace(filter, held_out=held_out)
 
 
-def _warn(predicted, held, rounding, share):
-    """Tell of errors that are not the predicted ones.
+def _warn(
+    predicted: Prediction, held_out: HeldOut, rounding: np.ndarray, more_paths: float
+) -> None:
+    """Warn of errors that are not the predicted ones.
 
-    `share` is the root of the number of design paths by that of held-out paths.
+    `rounding` is the size of errors that do not count, `more_paths` the root of the number of
+    design paths by that of held-out paths.
     """
-    at = np.searchsorted(predicted.times, held.times)
-    n = held.rms.shape[1]
-    wanted, wanted_error, rms, error = predicted.rms[at], predicted.error[at], held.rms, held.error
-    rounding = rounding[:n]
-    if held.mode_rate is not None:
-        wanted, wanted_error, rms, error = (
-            np.column_stack(pair)
-            for pair in (
-                (wanted, predicted.mode_rate[at]),
-                (wanted_error, predicted.mode_error[at]),
-                (rms, held.mode_rate),
-                (error, held.mode_error),
-            )
-        )
-        rounding = np.append(rounding, 0.0)
+    rows, n = np.searchsorted(predicted.times, held_out.times), held_out.rms.shape[1]
+    wanted, wanted_error = (part[rows] for part in _with_modes(predicted))
+    rms, error = _with_modes(held_out)
+    rounding = np.append(rounding[:n], np.zeros(rms.shape[1] - n))
     # the same chance of a false alarm whatever the number of comparisons
     doubt = math.sqrt(DOUBT**2 + 2.0 * math.log(rms.size))
-    # few paths that miss the large errors believe themselves too much
-    both = np.hypot(wanted_error, np.maximum(error, share * wanted_error))
+    # few paths that miss the large errors have standard errors that are too small
+    both = np.hypot(wanted_error, np.maximum(error, more_paths * wanted_error))
     difference = np.abs(rms - wanted)
     bad = difference > doubt * both
     bad[:, :n] |= ((error > DOMINATED * rms) & (rms > wanted))[:, :n]
     bad &= (difference > SOME * wanted) & (np.maximum(rms, wanted) > rounding)
-    if bad.any() or held.diverged:
+    if bad.any() or held_out.diverged:
         ratio = np.where(bad, difference / np.maximum(wanted, np.finfo(float).tiny), -1.0)
         k, i = np.unravel_index(ratio.argmax(), ratio.shape)
-        diverged = f"; on {held.diverged} of them the filter diverged" * bool(held.diverged)
+        diverged = f"; on {held_out.diverged} of them the filter diverged" * bool(held_out.diverged)
         warnings.warn(
-            f"held out: errors on {held.paths} other paths are not the predicted ones at "
+            f"held out: errors on {held_out.paths} other paths are not the predicted ones at "
             f"{np.count_nonzero(bad.any(axis=1))} of {len(bad)} times, most at "
-            f"{when(held.times[k])}: {rms[k, i]:.4g} ± {error[k, i]:.2g} for {wanted[k, i]:.4g}"
+            f"{when(held_out.times[k])}: {rms[k, i]:.4g} ± {error[k, i]:.2g} for {wanted[k, i]:.4g}"
             f"{diverged}; take more design paths, or forecasts of a lower degree or a shorter "
             "memory",
             stacklevel=outside(),
         )
+
+
+def _with_modes(accuracy: Prediction | HeldOut) -> tuple[np.ndarray, np.ndarray]:
+    """Errors and standard errors, with the part of wrong modes as last column where it is known."""
+    if accuracy.mode_rate is None:
+        return accuracy.rms, accuracy.error
+    rms = np.column_stack([accuracy.rms, accuracy.mode_rate])
+    return rms, np.column_stack([accuracy.error, accuracy.mode_error])

@@ -19,7 +19,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
-from seedslib.designed.patterns import distances, loose
+from seedslib.designed.arrivals import distances, uncertain
 
 ALIKE = 0.04
 """Histories are of one class where the variances of their errors differ by less than this part."""
@@ -85,11 +85,11 @@ class Histories:
     """
 
     def __init__(self, rates: np.ndarray) -> None:
-        self.count = 2 ** len(loose(rates))
+        self.count = 2 ** len(uncertain(rates))
         if self.count > 2**LOOSE:
             raise ValueError(
                 f"availability: wanted at most {LOOSE} components that may be missing, for "
-                f"{2**LOOSE} patterns, got {len(loose(rates))}"
+                f"{2**LOOSE} patterns, got {len(uncertain(rates))}"
             )
         self.classes: Any = None
         self.prob: np.ndarray = np.ones(1)
@@ -120,12 +120,12 @@ def certain(schedule: Any) -> tuple[np.ndarray, np.ndarray | None]:
     mask, rates = schedule
     if rates is None:
         return mask.copy(), None
-    return mask & (rates > 0.0), rates.copy() if len(loose(rates)) else None
+    return mask & (rates > 0.0), rates.copy() if len(uncertain(rates)) else None
 
 
 def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, Any, float]]:
     """Numbers, components (m,) and probabilities of what may arrive of those that are read."""
-    may = loose(availability)
+    may = uncertain(availability)
     for bits in product((False, True), repeat=len(may)):
         there = read & (availability > 0.0)
         bits = np.array(bits[::-1], dtype=bool)

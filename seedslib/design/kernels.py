@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import product
-from typing import Any
 
 import numpy as np
 
-from seedslib.base.tables import Labels, locate
+from seedslib.base.tables import Axis, Labels, locate
+
+Axes = tuple[Axis | Labels, ...]
+
+LogDensity = Callable[[slice], np.ndarray]
+"""Log-density of measurements for a slice of the paths: (paths, nodes of the measured axes)."""
 
 METHODS = {"likelihood": "likelihood-weighted regression", "histogram": "smoothed histogram"}
 
@@ -22,15 +26,16 @@ WIDER = (1.0, 2.0, 4.0, 8.0)
 CHUNK = 2048
 """Paths whose likelihoods are formed at a time."""
 
-NOTHING = 1e-290
+NEGLIGIBLE = 1e-290
+"""A sum of weights that is no more than this cannot be divided by."""
 
 
 def likelihood_table(
-    log_density: Callable[..., Any] | None,
-    targets: Any,
-    points: Any,
-    measured: Any,
-    axes: Any,
+    log_density: LogDensity,
+    targets: np.ndarray,
+    points: np.ndarray,
+    measured: Axes,
+    axes: Axes,
     kernel: float,
 ) -> np.ndarray:
     """M[X | y, u] with the known likelihood of y: the Rao-Blackwellised estimate of section 5.
@@ -41,7 +46,6 @@ def likelihood_table(
     Parameters
     ----------
     log_density : callable
-        ``log_density(part)`` for a slice of the paths: (paths, nodes of the measured axes).
     targets : ndarray, shape (p, N)
         X.
     points : ndarray, shape (d, N)
@@ -60,12 +64,12 @@ def likelihood_table(
     sums = likelihood_sums(log_density, size, rows, points, axes)
     shape = [axis.count for axis in measured + axes]
     counts = path_sums(targets[:0], points, axes)[0]
-    wide = widths(points, axes, kernel)
-    return smoothed_ratio(sums.reshape(-1, *shape), counts, wide, len(measured))
+    sums = sums.reshape(-1, *shape)
+    return smoothed_ratio(sums, counts, widths(points, axes, kernel), len(measured))
 
 
 def histogram_table(
-    targets: Any, points: Any, axes: Any, kernel: float, pooled: bool = False
+    targets: np.ndarray, points: np.ndarray, axes: Axes, kernel: float, pooled: bool = False
 ) -> np.ndarray:
     """M[X | arguments] from simulated arguments: the smoothed histogram of section 5.
 
@@ -92,43 +96,42 @@ def histogram_table(
 
 
 def likelihood_sums(
-    log_density: Callable[..., Any] | None, size: int, rows: Any, u: Any, axes_u: Any
+    log_density: LogDensity, size: int, rows: np.ndarray, u: np.ndarray, axes: Axes
 ) -> np.ndarray:
     """Sums over paths of each row times the likelihood, (rows, points, cells), paths split.
 
     Parameters
     ----------
     log_density : callable
-        ``log_density(part)`` for a slice of the paths: (paths, points).
     size : int
         Number of points of the grid of measurements.
     rows : ndarray, shape (R, N)
     u : ndarray, shape (d, N)
         Memory of the paths.
-    axes_u : tuple of Axis or Labels
+    axes : tuple of Axis or Labels
     """
     from scipy.sparse import csr_array
 
-    cells = math.prod(axis.count for axis in axes_u)
+    cells = math.prod(axis.count for axis in axes)
     sums = np.zeros((len(rows), cells, size))
-    corners = list(_corners(u, axes_u))
+    corners = list(_corners(u, axes))
     # relative to the likeliest of some paths, so that far measurements do not vanish
     peak = log_density(slice(0, CHUNK)).max(axis=0)
     peak[np.isneginf(peak)] = 0.0
     for a in range(0, u.shape[1], CHUNK):
         part = slice(a, a + CHUNK)
-        likely = log_density(part) - peak
-        likely = np.exp(np.minimum(likely, 600.0, out=likely), out=likely)
-        columns = np.tile(np.arange(len(likely)), len(corners))
+        likelihood = log_density(part) - peak
+        np.exp(np.minimum(likelihood, 600.0, out=likelihood), out=likelihood)
+        columns = np.tile(np.arange(len(likelihood)), len(corners))
         numbers = np.concatenate([number[part] for number, _ in corners])
         weights = np.concatenate([weight[part] for _, weight in corners])
         for total, row in zip(sums, rows[:, part], strict=True):
             spread = (weights * row[columns], (numbers, columns))
-            total += csr_array(spread, shape=(cells, len(likely))) @ likely
+            total += csr_array(spread, shape=(cells, len(likelihood))) @ likelihood
     return np.moveaxis(sums, 1, 2)
 
 
-def path_sums(targets: Any, points: Any, axes: Any) -> Any:
+def path_sums(targets: np.ndarray, points: np.ndarray, axes: Axes) -> np.ndarray:
     """Sums (1 + p, nodes...) of one and of the targets, each path split between its nodes."""
     shape = tuple(axis.count for axis in axes)
     rows = np.concatenate([np.ones((1, points.shape[1])), targets])
@@ -139,7 +142,7 @@ def path_sums(targets: Any, points: Any, axes: Any) -> Any:
     return sums.reshape(len(rows), *shape)
 
 
-def widths(points: Any, axes: Any, kernel: float) -> Any:
+def widths(points: np.ndarray, axes: Axes, kernel: float) -> list[float]:
     """Widths of the kernel, in nodes of each axis: the normal reference rule; labels have none."""
     labels = [isinstance(axis, Labels) for axis in axes]
     size, count = len(axes) - sum(labels), points.shape[1]
@@ -153,7 +156,7 @@ def widths(points: Any, axes: Any, kernel: float) -> Any:
     ]
 
 
-def _corners(points, axes):
+def _corners(points: np.ndarray, axes: Axes) -> Iterator[tuple[np.ndarray, np.ndarray]]:
     """Number and weight of each of the nodes around the points."""
     place = locate(axes, points)
     index = np.broadcast_to(place.index, points.shape[1:])
@@ -165,7 +168,9 @@ def _corners(points, axes):
         yield number, weight
 
 
-def smoothed_ratio(sums: Any, counts: Any, widths: Any, lead: Any) -> Any:
+def smoothed_ratio(
+    sums: np.ndarray, counts: np.ndarray, widths: list[float], lead: int
+) -> np.ndarray:
     """Smoothed sums over smoothed weights, with a wider kernel where few paths are.
 
     Parameters
@@ -178,30 +183,30 @@ def smoothed_ratio(sums: Any, counts: Any, widths: Any, lead: Any) -> Any:
         Of the kernel, in nodes.
     lead : int
     """
-    everywhere = sums.reshape(*sums.shape[: 1 + lead], -1).sum(axis=-1)
-    everywhere = _quotient(everywhere, np.zeros_like(everywhere[1:]))
+    total = sums.reshape(*sums.shape[: 1 + lead], -1).sum(axis=-1)
+    mean = _quotient(total, np.zeros_like(total[1:]))
     result = np.empty((len(sums) - 1, *sums.shape[1:]))
-    result[...] = everywhere.reshape(*everywhere.shape, *(1,) * len(widths))
+    result[...] = mean.reshape(*mean.shape, *(1,) * len(widths))
     if not widths:
         return result
-    unsettled = np.ones(counts.shape, dtype=bool)
+    sparse = np.ones(counts.shape, dtype=bool)
     for factor in WIDER:
-        wide = [factor * width for width in widths]
+        wider = [factor * width for width in widths]
         # paths together under the kernel: a Gaussian of width s weighs like a box of 2 s sqrt(pi)
-        box = math.prod(max(1.0, 2.0 * math.sqrt(math.pi) * width) for width in wide)
-        good = unsettled & (_smoothed(counts, wide, 0) * box >= ENOUGH)
-        if good.any():
-            found = _quotient(_smoothed(sums, wide, 1 + lead), result)
-            result = np.where(good, found, result)
-            unsettled &= ~good
-        if not unsettled.any():
+        box = math.prod(max(1.0, 2.0 * math.sqrt(math.pi) * width) for width in wider)
+        enough = sparse & (_smoothed(counts, wider, 0) * box >= ENOUGH)
+        if enough.any():
+            ratio = _quotient(_smoothed(sums, wider, 1 + lead), result)
+            result = np.where(enough, ratio, result)
+            sparse &= ~enough
+        if not sparse.any():
             break
     return result
 
 
 def _quotient(sums, otherwise):
     """Sums over weights, `otherwise` where there is no weight."""
-    return np.divide(sums[1:], sums[:1], out=otherwise.copy(), where=sums[:1] > NOTHING)
+    return np.divide(sums[1:], sums[:1], out=otherwise.copy(), where=sums[:1] > NEGLIGIBLE)
 
 
 def _smoothed(array, widths, lead):

@@ -1,4 +1,4 @@
-"""One step of the joint law of the state and the filter's memory, (4.5) and (4.10)."""
+"""The joint distribution of the state and the filter's memory on a grid, (4.5) and (4.10)."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
+from seedslib.designed.accuracy import Design, Prediction
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design, Prediction
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains import chain_of
-from seedslib.models.kinds import AnySystem, as_grid, as_system, elapsed, switches
+from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 NEGLIGIBLE = 1e-290
 """Probabilities below this are set to zero: they cannot be divided by."""
@@ -35,7 +35,7 @@ CHUNK = 1 << 18
 """Numbers formed at a time in the push-forward: they stay in the processor's cache."""
 
 
-class Seen(NamedTuple):
+class Likelihood(NamedTuple):
     """Likelihood of a grid of measurements.
 
     Attributes
@@ -76,7 +76,7 @@ class GridRisk(NamedTuple):
     mode_error: MaybeArray = None
 
 
-def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:
+def likelihood_of(log_likelihood: np.ndarray, weights: np.ndarray) -> Likelihood:
     """Likelihoods from their logarithms (Y, S) and the quadrature weights (Y,).
 
     Raises
@@ -91,7 +91,7 @@ def seen(log_likelihood: np.ndarray, weights: np.ndarray) -> Seen:
     total = mass.sum(axis=0)
     if not (total > NEGLIGIBLE).all():
         raise ValueError("y: wanted axes that hold the measurements of every state on the grid")
-    return Seen(relative / total, mass / total, np.abs(total - 1.0))
+    return Likelihood(relative / total, mass / total, np.abs(total - 1.0))
 
 
 def default_axes(mean: np.ndarray, deviation: np.ndarray) -> tuple[Axis, ...]:
@@ -103,15 +103,14 @@ def default_axes(mean: np.ndarray, deviation: np.ndarray) -> tuple[Axis, ...]:
 
 
 def conditional(joint: np.ndarray) -> np.ndarray:
-    """Law of the state in each cell of the memory, (C, S), from joint probabilities (C, S).
+    """Distribution of the state in each cell of the memory, (C, S), from joint ones (C, S).
 
-    Where a cell has no probability the optimal function is arbitrary: the unconditional law is
+    Where a cell has no probability the optimal function is arbitrary: the unconditional one is
     taken there, so that the estimate uses the measurement alone.
     """
-    mass = joint.sum(axis=1, keepdims=True)
-    everywhere = joint.sum(axis=0)
+    mass, total = joint.sum(axis=1, keepdims=True), joint.sum(axis=0)
     law = np.divide(joint, mass, out=np.zeros_like(joint), where=mass > NEGLIGIBLE)
-    law[mass[:, 0] <= NEGLIGIBLE] = everywhere / everywhere.sum()
+    law[mass[:, 0] <= NEGLIGIBLE] = total / total.sum()
     return law
 
 
@@ -120,24 +119,15 @@ def mode_masses(joint: np.ndarray, likelihood: np.ndarray, modes: int) -> np.nda
 
     The states of the chain are those of the first mode, then those of the next.
     """
-    size = joint.shape[1] // modes
-    found = np.empty((modes, len(likelihood), len(joint)))
-    for i, mass in enumerate(found):
-        block = slice(i * size, (i + 1) * size)
-        np.matmul(likelihood[:, block], joint[:, block].T, out=mass)
-    return found
+    pairs = zip(np.split(likelihood, modes, axis=1), np.split(joint, modes, axis=1), strict=True)
+    return np.stack([given @ block.T for given, block in pairs])
 
 
 def posterior_modes(law: np.ndarray, masses: np.ndarray) -> np.ndarray:
     """P(i | y, u) of theorem 2 of the switching paper, (L, Y, C), from `mode_masses` of the law."""
-    modes, total = len(masses), masses.sum(axis=0)
-    known = total > NEGLIGIBLE
-    found = np.empty_like(masses)
-    prior = law.reshape(len(law), modes, -1).sum(axis=2)
-    for row, mass, before in zip(found, masses, prior.T, strict=True):
-        row[:] = before
-        np.divide(mass, total, out=row, where=known)
-    return found
+    total, prob = masses.sum(axis=0), np.empty_like(masses)
+    prob[:] = law.reshape(len(law), len(masses), -1).sum(axis=2).T[:, None]
+    return np.divide(masses, total, out=prob, where=total > NEGLIGIBLE)
 
 
 def posterior_means(
@@ -155,16 +145,15 @@ def posterior_means(
         ``relative @ law.T``, where it is known.
     """
     mass = relative @ law.T if mass is None else mass
-    known = mass > NEGLIGIBLE
-    found = np.empty((len(values), *mass.shape))
-    for row, value in zip(found, values, strict=True):
-        row[:] = law @ value
-        np.divide(relative @ (law * value).T, mass, out=row, where=known)
-    return found
+    means = np.empty((len(values), *mass.shape))
+    for mean, value in zip(means, values, strict=True):
+        mean[:] = law @ value
+        np.divide(relative @ (law * value).T, mass, out=mean, where=mass > NEGLIGIBLE)
+    return means
 
 
 def remember(joint: np.ndarray, likelihood: np.ndarray, dropped: int) -> np.ndarray:
-    """Joint law of the state and the new memory where a measurement is remembered itself.
+    """Joint distribution of the state and the new memory where a measurement is remembered.
 
     Parameters
     ----------
@@ -195,7 +184,7 @@ def push_forward(
     least: float = 0.0,
     mass: np.ndarray | None = None,
 ) -> np.ndarray:
-    """Joint law of the state and the new memory: (4.10).
+    """Joint distribution of the state and the new memory: (4.10).
 
     The probability of a measurement y in a cell of the old memory goes to the block `lower`
     and the next one, in the proportion that keeps the mean of the estimate. Cells are numbered
@@ -216,8 +205,8 @@ def push_forward(
         How many cells of the old memory become one when its oldest block drops out; 1 while
         the memory fills.
     least : float
-        Events (y, cell) of this probability or less are left out; the law of the state is mended
-        afterwards.
+        Events (y, cell) of this probability or less are left out; the distribution of the state
+        is restored afterwards.
     mass : ndarray, shape (Y, C), optional
         ``likelihood @ joint.T``, where it is known.
 
@@ -234,7 +223,7 @@ def push_forward(
     step = max(1, CHUNK // (size * dropped))
     for tail in range(tails):
         block = slice(tail * dropped, (tail + 1) * dropped)
-        law, into = joint[block], np.zeros((blocks, size))
+        law, total = joint[block], np.zeros((blocks, size))
         for a in range(0, len(likelihood), step):
             part = slice(a, a + step)
             used = happens[part, block].any(axis=0).nonzero()[0]
@@ -245,33 +234,33 @@ def push_forward(
             targets = np.stack([below, np.minimum(below + 1, blocks - 1)], axis=1).ravel()
             weights = np.stack([1.0 - up, up], axis=1).ravel()
             starts = np.arange(0, targets.size + 1, 2)
-            into += csc_array((weights, targets, starts), shape=(blocks, len(below))) @ events
-        result[:, tail] = into
+            total += csc_array((weights, targets, starts), shape=(blocks, len(below))) @ events
+        result[:, tail] = total
     result[result < NEGLIGIBLE] = 0.0
     result = result.reshape(blocks * tails, size)
     if least > 0:
-        found = result.sum(axis=0)
-        result *= np.divide(joint.sum(axis=0), found, out=np.zeros(size), where=found > 0)
+        total = result.sum(axis=0)
+        result *= np.divide(joint.sum(axis=0), total, out=np.zeros(size), where=total > 0)
     return result
 
 
-LOST = 1e-6
+MISSED = 1e-6
 """Probability of measurements beyond the axes that is worth a warning."""
 
 LARGEST = 1 << 27
-"""Numbers in the joint law, or in a table, beyond which a grid is refused."""
+"""Numbers in the joint distribution, or in a table, beyond which a grid is refused."""
 
 CLAMPED = 1e-4
 """Probability of estimates beyond the axis that is worth a warning."""
 
 BY_GRID = Design(0, 0, 0, (), 0, True)
 
-UNSEEN = 1e-15
+IMPROBABLE = 1e-15
 """Events of this probability or less are left out where a memory holds modes."""
 
 
 class JointLaw:
-    """Joint law of state and memory on a grid, and what was found on the way.
+    """Joint distribution of state and memory on a grid, and the errors at each measurement.
 
     Parameters
     ----------
@@ -284,7 +273,7 @@ class JointLaw:
         Probabilities of the cells of the memory, newest block first, and the state's nodes.
     values : ndarray, shape (1, S)
         The nodes of the state.
-    shown : ndarray, shape (m, Y)
+    y_grid : ndarray, shape (m, Y)
         The grid of measurements, with the indicator as first row if there is one.
     modes : int
         Modes of the system; 1 for one that does not switch.
@@ -317,7 +306,7 @@ class JointLaw:
         axes = default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes
-        self.shown: np.ndarray = mesh(self.measurement_axes)
+        self.y_grid: np.ndarray = mesh(self.measurement_axes)
         self.weights: np.ndarray = np.ones(1)
         for axis in self.measurement_axes:
             self.weights = np.outer(self.weights, axis.weights).ravel()
@@ -329,7 +318,7 @@ class JointLaw:
         self.blocks: int = int(np.prod([axis.count for axis in self.block_axes]))
         self.depth: int = memory.depth
         self.filled: int = 0
-        size = max(self.values.shape[1], self.shown.shape[1])
+        size = max(self.values.shape[1], self.y_grid.shape[1])
         entries = float(self.blocks) ** self.depth * size
         if entries > LARGEST:
             raise ValueError(
@@ -337,8 +326,8 @@ class JointLaw:
                 "nodes or a shorter memory"
             )
         self.joint: np.ndarray = self.chain.start()[None]
-        self.found: list[Any] = []
-        self.scores: list[Any] = []
+        self.errors: list[tuple] = []  # mse, bias, clamped, wrong at each measurement
+        self.scores: list[tuple[float, float]] = []  # time and mse, nodes included
 
     @property
     def memory_axes(self) -> tuple[Axis, ...]:
@@ -350,7 +339,7 @@ class JointLaw:
         """The memory at each cell, (d, cells)."""
         return mesh(self.memory_axes)
 
-    def steps(self, nodes: int = 0) -> Iterator[tuple[int, float, Seen, tuple[Table, ...]]]:
+    def steps(self, nodes: int = 0) -> Iterator[tuple[int, float, Likelihood, tuple[Table, ...]]]:
         """Number, time and likelihoods of each measurement, and the forecasts at nodes before it.
 
         Between measurements the state moves; `take` is the caller's.
@@ -361,27 +350,26 @@ class JointLaw:
             if k + 1 < len(self.times):
                 stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
                 for a, b in pairwise(stops):
-                    with elapsed(self.system, a, b):
-                        self.move(a, b)
+                    self.move(a, b)
                     if b != stops[-1]:
                         between.append(self._forecast(b))
         self._warn_of_memory()
 
-    def likelihood(self, t: float) -> Seen:
+    def likelihood(self, t: float) -> Likelihood:
         """Likelihood of the measurements on the grid."""
-        sight = seen(self.chain.log_likelihood(float(t), self.shown), self.weights)
-        if self.chain.loses:  # given that it is on the axis still, whose ends are looked at
+        likelihood = likelihood_of(self.chain.log_likelihood(float(t), self.y_grid), self.weights)
+        if self.chain.loses:  # given that it is still on the axis, whose ends are looked at
             self.joint /= self.joint.sum()
         law = self.joint.sum(axis=0)
         self.chain.look_at_ends(law)
-        missed = float(law @ sight.defect)
-        if missed > LOST:
+        missed = float(law @ likelihood.defect)
+        if missed > MISSED:
             warnings.warn(
                 f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
                 f"{when(t)}; they are too short or too coarse",
                 stacklevel=outside(),
             )
-        return sight
+        return likelihood
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
         """Optimal estimates (1, Y, cells), decided modes (Y, cells) and probabilities.
@@ -400,14 +388,16 @@ class JointLaw:
         prob = posterior_modes(given, masses)
         return Output(means, most_probable(prob).astype(np.int8), prob)
 
-    def take(self, k: int, means: Any, sight: Any, modes: Any = None) -> Any:
+    def take(
+        self, k: int, means: np.ndarray, likelihood: Likelihood, modes: MaybeArray = None
+    ) -> np.ndarray:
         """Score estimates (1, Y, cells) and put them, or the measurements, in the memory.
 
         Parameters
         ----------
         k : int
         means : ndarray, shape (1, Y, cells)
-        sight : Seen
+        likelihood : Likelihood
         modes : ndarray of int, shape (Y, cells), optional
             Decided modes, for a switching system.
 
@@ -417,13 +407,14 @@ class JointLaw:
             Probability of each measurement and memory.
         """
         joint, estimate, x = self.joint, means[0], self.values[0]
-        masses = mode_masses(joint, sight.mass, self.modes)
+        masses = mode_masses(joint, likelihood.mass, self.modes)
         mass, law = masses.sum(axis=0), joint.sum(axis=0)
-        first = sight.mass @ (joint * x).T
+        first = likelihood.mass @ (joint * x).T
         mse = law @ x**2 - 2.0 * np.vdot(estimate, first) + np.vdot(estimate**2, mass)
         bias = np.vdot(estimate, mass) - law @ x
-        right = (part[modes == i].sum() for i, part in enumerate(masses))
-        wrong = None if modes is None else 1.0 - sum(right)
+        wrong = None
+        if modes is not None:
+            wrong = 1.0 - sum(part[modes == i].sum() for i, part in enumerate(masses))
         clamped, dropped = 0.0, self.blocks if self.filled == self.depth else 1
         if self.memory.estimates:
             axis = self.block_axes[-1]
@@ -432,22 +423,22 @@ class JointLaw:
             if modes is not None:
                 label = modes.astype(np.intp)
                 if self.memory.indicators:
-                    label = label * self.chain.indicators + self.shown[0].astype(np.intp)[:, None]
+                    label = label * self.chain.indicators + self.y_grid[0].astype(np.intp)[:, None]
                 lower = lower + label * axis.count
             self.joint = push_forward(
                 joint,
-                sight.mass,
+                likelihood.mass,
                 lower,
                 share,
                 self.blocks,
                 dropped,
-                least=UNSEEN if self.switching else 0.0,
+                least=IMPROBABLE if self.switching else 0.0,
                 mass=mass,
             )
         else:
-            likelihood = sight.mass.reshape(-1, self.blocks, sight.mass.shape[1]).sum(axis=0)
-            self.joint = remember(joint, likelihood, dropped)
-        self.found.append((mse, bias, clamped, wrong))
+            of_blocks = likelihood.mass.reshape(-1, self.blocks, joint.shape[1]).sum(axis=0)
+            self.joint = remember(joint, of_blocks, dropped)
+        self.errors.append((mse, bias, clamped, wrong))
         self.scores.append((self.times[k], mse))
         self.filled = min(self.filled + 1, self.depth)
         return mass
@@ -475,18 +466,18 @@ class JointLaw:
             times, rms, np.zeros_like(rms), mode_rate=wrong, mode_error=np.zeros(len(rms))
         )
 
-    def errors(self) -> np.ndarray:
+    def covariances(self) -> np.ndarray:
         """Error covariances (K+1, 1, 1) after each measurement."""
-        return np.array([row[0] for row in self.found])[:, None, None]
+        return np.array([row[0] for row in self.errors])[:, None, None]
 
     def risk(self) -> GridRisk:
-        """What was found at the measurements."""
-        mse, bias, clamped, wrong = (np.array(part) for part in zip(*self.found, strict=True))
+        """Errors at the measurements."""
+        mse, bias, clamped, wrong = (np.array(part) for part in zip(*self.errors, strict=True))
         return GridRisk(self.times, mse, bias, clamped, wrong if self.switching else None)
 
     def _warn_of_memory(self) -> None:
         """Warn where the axis of the estimates is too short to remember them."""
-        if (clamped := max(row[2] for row in self.found)) > CLAMPED:
+        if (clamped := max(row[2] for row in self.errors)) > CLAMPED:
             warnings.warn(
                 f"z: probability {clamped:.2g} of an estimate outside of the axis, where it "
                 "is remembered as the end",

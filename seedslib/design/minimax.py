@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK
+from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
-from seedslib.design.carriers import Carriers, Lesson
 from seedslib.design.regression import Scatter, combine, fit_affine, fit_forecast, scatter
+from seedslib.design.samples import MemoryPaths, Sample
 from seedslib.designed.memory import Memory
 from seedslib.designed.minimax import (
     Basic,
@@ -22,8 +22,6 @@ from seedslib.designed.minimax import (
     Minimax,
     MinimaxFilter,
     MinimaxFit,
-    basics_of,
-    output_functions,
 )
 from seedslib.designed.predictors import AffineFit, Polynomial
 from seedslib.models.discrete import DiscreteSystem
@@ -89,58 +87,47 @@ def minimax_synthesis(
         As `binned_synthesis`; paths that diverged and were left out.
     """
     as_system("system", system, "DiscreteSystem")
-    method, fits = Minimax(prediction, correction), []
-    carriers = Carriers(system, memory, times, None, paths, sets, 0, seed, workers)
-    for k in followed(range(len(carriers.times)), "regressions"):
-        basics = basics_of(system, memory, method, carriers.times, k)
-        fits.append(_fitted(basics, carriers.lesson()))
-        carriers.take(output_functions(basics, fits[-1]).shown)
-    return carriers.examined(
-        MinimaxFilter(
-            system=system,
-            memory=memory,
-            times=carriers.times,
-            fits=tuple(fits),
-            method=method,
-            predicted=carriers.prediction(),
-            covariances=carriers.covariances,
-            design=carriers.design(),
-        )
-    )
+    method, fits, sets = Minimax(prediction, correction), [], as_count("sets", sets, 2)
+    samples = MemoryPaths(system, memory, times, None, paths, sets, 0, seed, workers)
+    for k in followed(range(len(samples.times)), "regressions"):
+        basics = Basics.of(system, memory, method, samples.times, k)
+        fits.append(_fitted(basics, samples.sample()))
+        samples.apply(basics.functions(fits[-1]).update)
+    return samples.designed(MinimaxFilter, fits=tuple(fits), method=method)
 
 
-def _fitted(basics: Basics, lesson: Lesson) -> MinimaxFit:
+def _fitted(basics: Basics, sample: Sample) -> MinimaxFit:
     """The regressions of one measurement."""
     system, n = basics.system, basics.system.state_size
-    x, y, xi = lesson.states, lesson.measurements, basics.prediction(lesson.memory)
+    x, y, xi = sample.states, sample.measurements, basics.prediction(sample.memory)
     if len(basics.times) == 1:
         forecast = AffineFit(np.zeros((n, 0)), system.mean0, system.cov0)
     else:
-        forecast = fit_affine(_over(x, xi), n, np.zeros(len(xi)))
-    ahead, bounded = forecast.mean(xi), None
-    rest = x - ahead
-    if isinstance(basics.method.correction, BoundedPolynomial):
-        bounded = _bounded(basics.method.correction, x, ahead, xi, y)
-    zeta = basics.correction(ahead, xi, y, bounded)
-    return MinimaxFit(forecast, fit_affine(_over(rest, zeta), n, np.zeros(len(zeta))), bounded)
+        forecast = _affine(x, xi)
+    predicted, bounded = forecast.mean(xi), None
+    if basics.method.bounded:
+        bounded = _bounded(basics.method.correction.degree, x, predicted, xi, y)
+    zeta = basics.correction(predicted, xi, y, bounded)
+    return MinimaxFit(forecast, _affine(x - predicted, zeta), bounded)
 
 
-def _bounded(chosen, x, ahead, xi, y) -> BoundedFit:
+def _bounded(degree, x, predicted, xi, y) -> BoundedFit:
     """The polynomial of what an affine map leaves, and the ranges."""
-    given, points = np.concatenate([ahead, y]), np.concatenate([xi, y])
-    n, count = x.shape
-    line = fit_affine(_over(x - ahead, given), n, np.zeros(len(given)))
-    rest = x - ahead - line.mean(given)
-    powers: Any = fit_forecast(
-        Polynomial(chosen.degree, 0), _over(rest, points), n, np.zeros(len(points))
-    )
-    values = np.concatenate(
-        [powers.mean(points[:, a : a + BLOCK]) for a in range(0, count, BLOCK)], axis=1
-    )
+    given, points = np.concatenate([predicted, y]), np.concatenate([xi, y])
+    rest = x - predicted - _affine(x - predicted, given).mean(given)
+    zero = np.zeros(len(points))
+    powers = fit_forecast(Polynomial(degree, 0), _over(rest, points), len(x), zero)
+    blocks = [powers.mean(points[:, a : a + BLOCK]) for a in range(0, x.shape[1], BLOCK)]
+    values = np.concatenate(blocks, axis=1)
     return BoundedFit(powers, *(np.stack([v.min(axis=1), v.max(axis=1)]) for v in (values, x)))
 
 
-def _over(x: np.ndarray, u: np.ndarray) -> Callable[[Callable[..., Any]], Scatter]:
+def _affine(x: np.ndarray, u: np.ndarray) -> AffineFit:
+    """Regression of x (n, N) on u (d, N)."""
+    return fit_affine(_over(x, u), len(x), np.zeros(len(u)))
+
+
+def _over(x: np.ndarray, u: np.ndarray) -> Callable[[Callable[..., np.ndarray]], Scatter]:
     """Moments of rows of two arrays over the paths, block by block."""
     parts = [slice(a, a + BLOCK) for a in range(0, x.shape[1], BLOCK)]
     return lambda rows: combine(scatter(rows(x[:, part], u[:, part])) for part in parts)

@@ -1,12 +1,11 @@
-"""Simulated paths of a design, in bundles that may be anywhere, and paths that it has not seen."""
+"""Simulated paths of a design, in bundles that may be on other machines."""
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from contextvars import copy_context
 from functools import partial
 from itertools import repeat
 from typing import Any
@@ -26,7 +25,7 @@ REACH = 6.0
 
 
 def require_range(system: AnySystem) -> None:
-    """Refuse a first law of which paths would be left out as too far.
+    """Refuse a first distribution of which paths would be left out as too far.
 
     Raises
     ------
@@ -40,8 +39,8 @@ def require_range(system: AnySystem) -> None:
         )
 
 
-class Crew:
-    """Map over bundles: who works on a design. This one is here; another may be elsewhere.
+class Executor:
+    """Map over the bundles of a design. This one works here; another may work elsewhere.
 
     Parameters
     ----------
@@ -49,7 +48,7 @@ class Crew:
         As the built-in one.
     """
 
-    def __init__(self, map: Any = map) -> None:
+    def __init__(self, map: Callable[..., Iterable[Any]] = map) -> None:
         self._map = map
 
     def __call__(self, work: Callable[..., Any], *lists: Any) -> list[Any]:
@@ -60,49 +59,49 @@ class Crew:
         """Stand-in for a list that has the same thing for every bundle."""
         return repeat(thing)
 
-    def unzip(self, pairs: Any) -> list[Any]:
+    def unzip(self, pairs: Iterable[tuple[Any, Any]]) -> list[Any]:
         """Lists of the first and of the second parts of the entries of a list."""
         return [list(part) for part in zip(*pairs, strict=True)]
 
 
 @contextmanager
-def crew(workers: int | Crew) -> Iterator[Crew]:
-    """Map over bundles on a pool of threads, or the crew that was given.
+def executor(workers: int | Executor) -> Iterator[Executor]:
+    """An executor on a pool of threads, or the one that was given.
 
     Parameters
     ----------
-    workers : int or Crew
-        Threads, or who does the work instead.
+    workers : int or Executor
+        Number of threads, or who does the work instead.
     """
-    if isinstance(workers, Crew):
+    if isinstance(workers, Executor):
         yield workers
         return
     if not is_whole(workers):
-        raise TypeError(f"workers: wanted a whole number or a Crew, got {workers!r}")
+        raise TypeError(f"workers: wanted a whole number or an Executor, got {workers!r}")
     if (workers := as_count("workers", workers)) == 1:
-        yield Crew()
+        yield Executor()
         return
     with ThreadPoolExecutor(workers - 1) as pool:
-        yield Crew(partial(_side_by_side, pool, workers))
+        yield Executor(partial(_on_threads, pool, workers))
 
 
-def _side_by_side(pool, workers, work, *lists) -> list:
+def _on_threads(pool, workers, work, *lists) -> list:
     """Map in which each thread, this one among them, takes the next job until none is left."""
     jobs = list(zip(*lists, strict=False))  # what is shared has no end
-    found, places = [None] * len(jobs), iter(range(len(jobs)))
+    results, numbers = [None] * len(jobs), iter(range(len(jobs)))
 
     def run():
-        for place in places:
-            found[place] = work(*jobs[place])
+        for number in numbers:
+            results[number] = work(*jobs[number])
 
-    others = [pool.submit(copy_context().run, run) for _ in range(min(workers, len(jobs)) - 1)]
+    others = [pool.submit(run) for _ in range(min(workers, len(jobs)) - 1)]
     run()
     for other in others:
         other.result()
-    return found
+    return results
 
 
-class Walk:
+class PathSimulator:
     """Paths bundle by bundle, with the random streams of `seedslib.models.simulation`.
 
     The states at the stops are those of ``system.simulate(stops, paths, seed)``. A path that
@@ -116,8 +115,8 @@ class Walk:
     root : SeedSequence
     stops : int
         Number of times to stop at, the first included.
-    each : Crew
-        Map over bundles, see `crew`.
+    executor : Executor
+        Map over bundles.
     options : mapping
         Of ``system.advance``.
 
@@ -136,52 +135,51 @@ class Walk:
         self,
         system: AnySystem,
         paths: int,
-        root: Any,
-        stops: Any,
-        each: Any,
-        options: Any,
+        root: np.random.SeedSequence,
+        stops: int,
+        executor: Executor,
+        options: Mapping[str, Any],
     ) -> None:
-        self.system, self.each, self.options = system, each, options
+        self.system, self.executor, self.options = system, executor, options
         self.n: int = system.state_size
         self.counts: list[Any] = bundles(paths)
         self.stops, self.stop = stops, -1
         self.states, self.alive = [], []
         self._roots = [root.spawn(len(counts)) for counts in self.counts]
-        self._shared = each.share(system)
+        self._shared = executor.share(system)
 
-    @property
-    def lost(self) -> int:
-        """Number of paths left out."""
-        return sum(self.each(lambda alive: int(np.count_nonzero(~alive)), self.alive))
-
-    def warn_of_lost(self) -> int:
-        """Number of paths left out; of a design that lost some, they are told to its caller."""
-        if lost := self.lost:
+    def warn_of_diverged(self) -> int:
+        """Number of paths left out, of which the design's caller is warned if there are any."""
+        diverged = sum(self.executor(lambda alive: int(np.count_nonzero(~alive)), self.alive))
+        if diverged:
             paths = sum(map(sum, self.counts))
             warnings.warn(
-                f"paths: {lost} of {paths} design paths diverged and were left out",
+                f"paths: {diverged} of {paths} design paths diverged and were left out",
                 stacklevel=outside(),
             )
-        return lost
+        return diverged
 
-    def begin(self, t: float) -> None:
+    def begin(self) -> None:
         """Draw the initial states."""
         sizes = [sum(counts) for counts in self.counts]
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def advance(self, start: float, stop: float) -> None:
+    def advance(self, start: float, stop: float, inputs: Mapping[Any, Any] | None = None) -> None:
         """Move all paths to a later time."""
-        options = self.options
-        self._go(lambda system, rng, x: system.advance(x, start, stop, rng, **options), self.states)
+        options, p = self.options, self.system.values(inputs, stop - start)
+        self._go(
+            lambda system, rng, x: system.advance(x, start, stop, rng, p, **options), self.states
+        )
 
-    def measure(self, t: float) -> list[Any]:
-        """What the sensor shows, (m, paths) for each bundle; once at a stop."""
+    def measure(self, t: float, inputs: Mapping[Any, Any] | None = None) -> list[Any]:
+        """Measurements, (m, paths) for each bundle; once at a stop."""
+        p = self.system.values(inputs)
 
-        def shown(system, streams, counts, x):
-            return system.sensor.sample(t, x, _generator(streams, counts))
+        def sampled(system, streams, counts, x):
+            return system.sensor.sample(t, x, _generator(streams, counts), p)
 
-        return self.kept(shown, self._shared, self._streams(1), self.counts, self.states)
+        return self.finite(sampled, self._shared, self._streams(1), self.counts, self.states)
 
     def uniform(self, purpose: int) -> list[Any]:
         """A number from 0 to 1 for each path of a bundle at this stop, for a purpose of its own."""
@@ -193,9 +191,9 @@ class Walk:
                 [np.random.default_rng(child(root, purpose, stop)).random(c) for root, c in pairs]
             )
 
-        return self.each(drawn, self._roots, self.counts)
+        return self.executor(drawn, self._roots, self.counts)
 
-    def kept(self, work: Callable[..., Any], *lists: Any, array: Any = None) -> list[Any]:
+    def finite(self, work: Callable[..., Any], *lists: Any, array: Any = None) -> list[Any]:
         """Map over bundles; paths whose column of the result is not finite are left out.
 
         Parameters
@@ -211,10 +209,10 @@ class Walk:
         """Moments of ``rows(x, *others)``, (p, paths), over the paths that are left."""
 
         def reduce(x, alive, *others):
-            found = rows(x, *others)
-            return scatter(found if alive.all() else found[:, alive])
+            values = rows(x, *others)
+            return scatter(values if alive.all() else values[:, alive])
 
-        total = combine(self.each(reduce, self.states, self.alive, *lists))
+        total = combine(self.executor(reduce, self.states, self.alive, *lists))
         if total.count < 2:
             raise ValueError(f"paths: wanted at least 2 that stay finite, got {total.count}")
         return total
@@ -228,14 +226,13 @@ class Walk:
         self.stop += 1
         if self.stop >= self.stops:
             raise ValueError(f"stops: wanted at most the {self.stops} that were announced")
-        spare = self.system.mean0[:, None]
 
         def moved(system, streams, counts, *parts):
             return work(system, _generator(streams, counts), *parts)
 
         self.states = self._guarded(
             lambda x: (np.abs(x) <= LARGEST).all(axis=0),
-            spare,
+            self.system.mean0[:, None],
             None,
             moved,
             self._shared,
@@ -244,21 +241,21 @@ class Walk:
             *lists,
         )
 
-    def _guarded(self, good, spare, array, work, *lists):
-        # the functions hold nothing of the walk, so that a cluster can be given them
+    def _guarded(self, good, harmless, array, work, *lists):
+        # the functions refer to nothing of the simulator, so that a cluster can be given them
         def guarded(alive, *parts):
-            found = work(*parts)
-            if array is None and not found.flags.forc:
-                found = found.copy(order="K")  # no other layout outlives a file or a wire
-            values = found if array is None else array(found)
+            result = work(*parts)
+            if array is None and not result.flags.forc:
+                result = result.copy(order="K")  # no other layout outlives a file or a wire
+            values = result if array is None else array(result)
             with np.errstate(invalid="ignore"):
                 alive = alive & good(values)
             if not alive.all():
-                values[:, ~alive] = spare
-            return found, alive
+                values[:, ~alive] = harmless
+            return result, alive
 
-        found, self.alive = self.each.unzip(self.each(guarded, self.alive, *lists))
-        return found
+        results, self.alive = self.executor.unzip(self.executor(guarded, self.alive, *lists))
+        return results
 
 
 def _generator(streams, counts):

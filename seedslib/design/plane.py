@@ -1,4 +1,4 @@
-"""Joint law of a state in the plane and one remembered estimate: theorems 1 and 2 for n = 2."""
+"""A state in the plane and one remembered estimate on a grid: theorems 1 and 2 for n = 2."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_times
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, as_axes, locate, mesh
-from seedslib.design.law import NEGLIGIBLE, posterior_means, seen
+from seedslib.design.law import NEGLIGIBLE, likelihood_of, posterior_means
 from seedslib.filters.weights import most_probable
 
 FAINT = 1e-7
@@ -79,7 +79,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
     """
     times, z = as_times("times", times), as_axes("z", z, 2)
     y = as_axes("y", y, chain.system.measurement_size)
-    shown, weights = mesh(y), np.ones(1)
+    points, weights = mesh(y), np.ones(1)
     for axis in y:
         weights = np.outer(weights, axis.weights).ravel()
     law, cells = chain.start()[:, None], np.zeros(1, dtype=np.intp)
@@ -87,7 +87,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
         if k:
             law = chain.move(law, float(times[k - 1]), float(t))
             law /= law.sum()
-        likelihood = seen(chain.log_likelihood(float(t), shown), weights).mass
+        likelihood = likelihood_of(chain.log_likelihood(float(t), points), weights).mass
         step = _optimal(chain, float(t), cells, law, likelihood)
         yield step
         cells, law = _remembered(chain, step, z)
@@ -96,17 +96,17 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
 def _optimal(chain, t, cells, law, likelihood) -> PlaneStep:
     """Conditional means and modes, and what they cost."""
     used = law.sum(axis=1) > FAINT * law.sum()
-    part, sight, x = law[used], likelihood[:, used], chain.values[:, used]
-    mass = sight @ part
-    mean = posterior_means(x, part.T, sight, mass)
-    whole = part.sum(axis=1)
-    mse = (x**2 @ whole - (mean**2 * mass).sum(axis=(1, 2))) / whole.sum()
+    part, given, x = law[used], likelihood[:, used], chain.values[:, used]
+    mass, total = given @ part, part.sum(axis=1)
+    mean = posterior_means(x, part.T, given, mass)
+    mse = (x**2 @ total - (mean**2 * mass).sum(axis=(1, 2))) / total.sum()
     if chain.modes == 1:
         return PlaneStep(t, cells, law, likelihood, mean, None, mass, mse, 0.0)
-    label = np.repeat(np.arange(chain.modes), len(used) // chain.modes)[used]
-    each = np.stack([sight[:, label == i] @ part[label == i] for i in range(chain.modes)])
-    wrong = 1.0 - each.max(axis=0).sum() / whole.sum()
-    return PlaneStep(t, cells, law, likelihood, mean, most_probable(each), mass, mse, float(wrong))
+    modes = np.repeat(np.arange(chain.modes), len(used) // chain.modes)[used]
+    masses = np.stack([given[:, modes == i] @ part[modes == i] for i in range(chain.modes)])
+    wrong = float(1.0 - masses.max(axis=0).sum() / total.sum())
+    mode = most_probable(masses)
+    return PlaneStep(t, cells, law, likelihood, mean, mode, mass, mse, wrong)
 
 
 def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:
@@ -114,7 +114,7 @@ def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:
     from scipy.sparse import csr_array
 
     size = axes[0].count * axes[1].count
-    found = np.zeros((chain.modes * size, len(step.law)))
+    memory = np.zeros((chain.modes * size, len(step.law)))
     for cell in np.flatnonzero(step.mass.sum(axis=0) > NEGLIGIBLE):
         mass, column = step.mass[:, cell], step.law[:, cell]
         events = np.flatnonzero(mass > FAINT * mass.max())
@@ -132,6 +132,6 @@ def _remembered(chain, step: PlaneStep, axes) -> tuple[np.ndarray, np.ndarray]:
         scatter = csr_array(
             (shares.ravel(), (rows.ravel(), columns)), shape=(len(into), len(events))
         )
-        found[np.ix_(into, states)] += scatter @ joint
-    kept = found.sum(axis=1) > FAINT * 1e-2 * found.sum()
-    return np.flatnonzero(kept), np.ascontiguousarray(found[kept].T)
+        memory[np.ix_(into, states)] += scatter @ joint
+    probable = memory.sum(axis=1) > FAINT * 1e-2 * memory.sum()
+    return np.flatnonzero(probable), np.ascontiguousarray(memory[probable].T)

@@ -12,7 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.semidefinite import LOST, lower_triangle
+from seedslib.base.linalg import lower_triangle
 from seedslib.designed.predictors import (
     AffineFit,
     Fit,
@@ -169,6 +169,9 @@ def _semidefinite(residual, total):
     clipped = (vectors * np.maximum(values, 0.0)) @ vectors.T
     return 0.5 * (clipped + clipped.T)
 
+
+LOST = 1e-12
+"""A variance that falls below this part of itself has lost all the digits that matter."""
 
 ROUNDING = 4e-15
 """A deviation below this part of that of the state is rounding."""

@@ -1,4 +1,4 @@
-"""A design that goes on for ever: its last steps serve all later ones, where it has settled."""
+"""A design without an end: its last steps serve all later ones, where they have converged."""
 
 from __future__ import annotations
 
@@ -9,9 +9,9 @@ import numpy as np
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
-from seedslib.design.carriers import prediction_of
+from seedslib.design.samples import prediction_of
+from seedslib.designed.accuracy import HeldOut
 from seedslib.designed.base import DesignedFilter
-from seedslib.designed.prediction import HeldOut
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
@@ -21,7 +21,7 @@ SURE = 4.0
 
 
 def stationary(
-    filter: Any,
+    filter: DesignedFilter,
     tolerance: float = 0.02,
     *,
     cycle: Count = 1,
@@ -49,7 +49,7 @@ def stationary(
         So many steps in turn, for a system, times or a schedule with a period.
     transient : int, optional
         Keep only so many steps of the design before those that go on for ever; by default all.
-        A small filter uses the functions of the end before the law of the start is forgotten.
+        A small filter uses the functions of the end before the start is forgotten.
     paths : int
     seed : int, SeedSequence or Generator
     **options
@@ -58,14 +58,14 @@ def stationary(
     Returns
     -------
     filter
-        Of the same kind. Where steps were left out, `held_out` is what was found here, and of
-        `predicted` the rows of the steps that are left.
+        Of the same kind. Where steps were left out, `held_out` are the errors on the paths of this
+        test, and of `predicted` only the rows of the other steps remain.
 
     Raises
     ------
     TypeError, ValueError
         No designed filter, one that was loaded without its model, arguments that do not fit; a
-        design that has not settled, or a filter that does not keep its error: the message has the
+        design that has not converged, or a filter that does not keep its error: the message has the
         numbers.
     """
     if not isinstance(filter, DesignedFilter) or filter.memory is None:
@@ -81,52 +81,52 @@ def stationary(
             f"times: wanted a design of {depth + cycle + span} steps or more, for a memory of "
             f"depth {depth} and a cycle of {cycle}, got {last}"
         )
-    made = replace(filter, cycle=cycle)
-    times = np.array([made.clock.moment(k, cycle) for k in range(2 * last + 1)])
-    pattern = _schedule(made, 2 * last + 1)
-    turn = slice(last + 1 - span, None)
-    if (pattern[turn] != pattern[turn.start - cycle : -cycle]).any():
+    endless = replace(filter, cycle=cycle)
+    times = np.array([endless.clock.moment(k, cycle) for k in range(2 * last + 1)])
+    pattern = _schedule(endless, 2 * last + 1)
+    period = slice(last + 1 - span, None)
+    if (pattern[period] != pattern[period.start - cycle : -cycle]).any():
         raise ValueError(f"cycle: wanted the period of the schedule of the design, got {cycle}")
     data = filter.system.simulate(
         times, paths, seed, measured=pattern, availability=filter.availability, **options
     )
-    found = _on(made, data)
-    early = _on(replace(filter.taking([*range(last + 1 - span)]), cycle=cycle), data)
-    settled = slice(last + 1 - span, last + 1)
-    scale = (_errors(found, data)[settled] ** 2).mean(axis=(0, 2)) ** 0.5
-    moved = ((found.mean - early.mean)[settled] ** 2).mean(axis=(0, 2)) ** 0.5 / scale
-    moved, modes, said = float(moved.max()), 0.0, ""
+    estimates = _run(endless, data)
+    earlier = _run(replace(filter.taking([*range(last + 1 - span)]), cycle=cycle), data)
+    end = slice(last + 1 - span, last + 1)
+    scale = (_errors(estimates, data)[end] ** 2).mean(axis=(0, 2)) ** 0.5
+    moved = ((estimates.mean - earlier.mean)[end] ** 2).mean(axis=(0, 2)) ** 0.5 / scale
+    moved, modes, of_modes = float(moved.max()), 0.0, ""
     if data.modes is not None:
-        modes = float((found.modes != early.modes)[settled].mean())
-        said = f" and {modes:.3g} in the probability of another mode"
+        modes = float((estimates.modes != earlier.modes)[end].mean())
+        of_modes = f" and {modes:.3g} in the probability of another mode"
     if not max(moved, modes) <= tolerance:
         raise ValueError(
             f"tolerance: wanted estimates that change by at most {tolerance:g} of their error "
-            f"over the last {span} steps, got {moved:.3g}{said}; design for more times, or on "
+            f"over the last {span} steps, got {moved:.3g}{of_modes}; design for more times, or on "
             "more paths"
         )
     if transient is not None:
         transient = as_count("transient", transient, depth, last - cycle)
-        kept = [*range(transient), *range(last + 1 - cycle, last + 1)]
-        made = replace(filter.taking(kept), cycle=cycle)
-        if (_schedule(made, 2 * last + 1) != pattern).any():
+        steps = [*range(transient), *range(last + 1 - cycle, last + 1)]
+        endless = replace(filter.taking(steps), cycle=cycle)
+        if (_schedule(endless, 2 * last + 1) != pattern).any():
             raise ValueError(
                 f"transient: wanted {(last + 1) % cycle} and a multiple of the cycle of {cycle}, "
                 f"since the schedule goes on in turn, got {transient}"
             )
-        found = _on(made, data)
-        made = replace(made, held_out=_held_out(made, found, data))
-    square = _errors(found, data) ** 2
-    change = square[last + 1 :].mean(axis=0) - square[settled].mean(axis=0)
-    change /= 2.0 * scale[:, None] ** 2
-    grown, doubt = change.mean(axis=1), change.std(axis=1) / np.sqrt(paths)
-    if not np.all(grown <= tolerance + SURE * doubt):
-        worst = int(np.argmax(np.where(np.isnan(grown), np.inf, grown - SURE * doubt)))
+        estimates = _run(endless, data)
+        endless = replace(endless, held_out=_held_out(endless, estimates, data))
+    square = _errors(estimates, data) ** 2
+    growth = square[last + 1 :].mean(axis=0) - square[end].mean(axis=0)
+    growth /= 2.0 * scale[:, None] ** 2
+    growth, error = growth.mean(axis=1), growth.std(axis=1) / np.sqrt(paths)
+    if not np.all(growth <= tolerance + SURE * error):
+        worst = int(np.argmax(np.where(np.isnan(growth), np.inf, growth - SURE * error)))
         raise ValueError(
             f"filter: wanted an error that stays, got one of component {worst} that grows by "
-            f"{grown[worst]:.3g} ± {doubt[worst]:.2g} of itself over {last} steps after the design"
+            f"{growth[worst]:.3g} ± {error[worst]:.2g} of itself over {last} steps after the design"
         )
-    return made
+    return endless
 
 
 def _schedule(filter, count):
@@ -134,21 +134,21 @@ def _schedule(filter, count):
     return filter.schedule.mask[[filter.served(k) for k in range(count)]]
 
 
-def _on(filter: Any, data: Simulation) -> Estimates:
+def _run(filter: DesignedFilter, data: Simulation) -> Estimates:
     """The filter's estimates on paths that go on beyond its design."""
-    told = {} if data.indicators is None else {"indicators": data.indicators}
     with np.errstate(over="ignore", invalid="ignore"):  # what diverges grows too much
-        return filter.run(data.times, data.measurements, **told)
+        return filter.run(data.times, data.measurements, indicators=data.indicators)
 
 
-def _errors(found: Estimates, data: Simulation) -> np.ndarray:
-    return found.mean - data.states[:, : found.mean.shape[1]]
+def _errors(estimates: Estimates, data: Simulation) -> np.ndarray:
+    return estimates.mean - data.states[:, : estimates.mean.shape[1]]
 
 
-def _held_out(filter: Any, found: Estimates, data: Simulation) -> HeldOut:
+def _held_out(filter: DesignedFilter, estimates: Estimates, data: Simulation) -> HeldOut:
     """Accuracy at the filter's own times."""
-    squares = _errors(found, data) ** 2
-    wrong = () if data.modes is None else (found.modes != data.modes)[: len(filter.times)]
-    now = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
+    squares = _errors(estimates, data) ** 2
+    wrong = () if data.modes is None else (estimates.modes != data.modes)[: len(filter.times)]
+    errors = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
     paths = data.states.shape[2]
-    return HeldOut(filter.times, now.rms, now.error, paths, 0, now.mode_rate, now.mode_error)
+    rates = errors.mode_rate, errors.mode_error
+    return HeldOut(filter.times, errors.rms, errors.error, paths, 0, *rates)

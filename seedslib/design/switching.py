@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import warnings
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
@@ -14,32 +15,35 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
+from seedslib.base.linalg import NEGATIVE
 from seedslib.base.progress import followed
-from seedslib.base.semidefinite import NEGATIVE
-from seedslib.base.values import Inputs
+from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.design.held_out import with_held_out
-from seedslib.design.paths import Crew, Walk, crew
+from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
-from seedslib.designed.base import warn_of_mended
+from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.base import warn_of_repairs
 from seedslib.designed.memory import Memory
-from seedslib.designed.prediction import Design, Prediction
-from seedslib.designed.switching.filter import (
+from seedslib.designed.rules import SwitchingRules, compiled_rules
+from seedslib.designed.switching import (
     CellFit,
     SwitchingFilter,
     cell_count,
     cell_number,
     require_memory,
 )
-from seedslib.designed.switching.rules import compiled_rules
 from seedslib.linearization.moments import Linearization
-from seedslib.models.kinds import as_grid, course_of, elapsed
+from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem
 
 JITTER = 1e-8
 """Added to the covariance of the whitened memory before it is inverted."""
 
 FEWEST = 50
-"""Fewer samples than this make a cell thin."""
+"""Fewer samples than this are too few for moments of their own."""
+
+OFTEN = 0.05
+"""Part of pooled pairs of cell and mode above which the design warns."""
 
 
 def cells_from_moments(
@@ -73,12 +77,12 @@ def cells_from_moments(
 
 
 def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[CellFit, int, int]:
-    """Fit from samples, with the rules for thin cells.
+    """Fit from samples, with pooled moments where a cell has few.
 
     Moments of a mode in a cell with fewer than max(50, 3 (r + 1)) samples, r the rank of the
-    memory there, are pooled over the modes of the cell; where that is thin too, over the cells of
-    the mode; where even that is thin, over everything. No probability is zero: a cell never met
-    in the design works online.
+    memory there, are pooled over the modes of the cell; where those are few too, over the cells of
+    the mode; where even those are few, over everything. No probability is zero: a cell that
+    never occurred in the design works online.
 
     Parameters
     ----------
@@ -92,34 +96,31 @@ def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[Cel
     Returns
     -------
     fit : CellFit
-    thin : int
-        Pairs of cell and mode that borrowed their moments.
-    mended : int
-        Covariances T whose eigenvalues were raised.
+    pooled : int
+        Pairs of cell and mode whose moments are pooled ones.
+    repaired : int
+        Covariances T whose negative eigenvalues were raised.
     """
     modes = len(scatters[0])
     everything = combine([part for row in scatters for part in row])
     by_mode = [combine([row[i] for row in scatters]) for i in range(modes)]
-    cells, thin, raised = [], 0, 0
+    cells, borrowed, repaired = [], 0, 0
     for row in scatters:
         pooled = combine(row)
         basis = pooled if pooled.count >= FEWEST else everything
         rank = inverse_root(basis.cov[size:, size:], _sizes(basis, size)).shape[1]
         least = max(FEWEST, 3 * (rank + 1))
         basis = pooled if pooled.count >= least else everything
+        borrowed += sum(part.count < least for part in row)
         moments = []
         for i, part in enumerate(row):
-            if part.count < least:
-                thin += 1
-                part = next(
-                    (p for p in (pooled, by_mode[i], everything) if p.count >= least), everything
-                )
-            moments.append(part)
+            candidates = part, pooled, by_mode[i]
+            moments.append(next((p for p in candidates if p.count >= least), everything))
         weights = np.array([max(part.count, 0.5) for part in row]) / total
-        cell, floors = _cell(weights, moments, basis, size, JITTER)
+        cell, count = _cell(weights, moments, basis, size, JITTER)
         cells.append(cell)
-        raised += floors
-    return _stacked(cells), thin, raised
+        repaired += count
+    return _stacked(cells), borrowed, repaired
 
 
 def _stacked(cells):
@@ -131,39 +132,34 @@ def _sizes(part, n):
 
 
 def _cell(weights, moments, basis, n, jitter):
-    """Arrays of one cell, and how many covariances were mended."""
+    """Arrays of one cell, and how many covariances were repaired."""
     d = len(basis.mean) - n
     root = inverse_root(basis.cov[n:, n:], _sizes(basis, n))
     rank, modes = root.shape[1], len(weights)
     log_weight, centre = np.empty(modes), np.empty((d, modes))
     white, gain = np.zeros((d, d, modes)), np.zeros((n, d, modes))
     offset, cov = np.empty((n, modes)), np.empty((n, n, modes))
-    raised = 0
+    repaired = 0
     for i, (weight, part) in enumerate(zip(weights, moments, strict=True)):
         inner = root.T @ part.cov[n:, n:] @ root + jitter * np.eye(rank)
         cross = part.cov[:n, n:] @ root
         lower = np.linalg.cholesky(inner)
         half = np.linalg.solve(lower, cross.T)
-        scaled = np.linalg.solve(lower, root.T)
-        gain[:, :, i] = half.T @ scaled
-        white[:rank, :, i] = scaled
+        white[:rank, :, i] = np.linalg.solve(lower, root.T)
+        gain[:, :, i] = half.T @ white[:rank, :, i]
         centre[:, i] = part.mean[n:]
         offset[:, i] = part.mean[:n] - gain[:, :, i] @ part.mean[n:]
-        rest = part.cov[:n, :n] - half.T @ half
+        residual = part.cov[:n, :n] - half.T @ half
         # a function of the matrix: the same for every basis of its eigenvectors
-        values, vectors = np.linalg.eigh(0.5 * (rest + rest.T))
+        values, vectors = np.linalg.eigh(0.5 * (residual + residual.T))
         least = NEGATIVE * max(np.trace(part.cov[:n, :n]), 0.0)
         negative = values < -least
-        raised += int(negative.any())
+        repaired += int(negative.any())
         values = np.where(negative, least, np.maximum(values, 0.0))
         cov[:, :, i] = (vectors * values) @ vectors.T
         with np.errstate(divide="ignore"):
             log_weight[i] = np.log(weight) - np.log(np.diagonal(lower)).sum()
-    return (log_weight, centre, white, gain, offset, cov), raised
-
-
-OFTEN = 0.05
-"""Part of thin pairs of cell and mode above which the design warns."""
+    return (log_weight, centre, white, gain, offset, cov), repaired
 
 
 def synthesize_switching(
@@ -174,7 +170,7 @@ def synthesize_switching(
     *,
     paths: int,
     seed: object,
-    workers: int | Crew = 1,
+    workers: int | Executor = 1,
     normalisation: str = "consistent",
     inputs: Inputs | None = None,
 ) -> SwitchingFilter:
@@ -194,9 +190,9 @@ def synthesize_switching(
         Design paths.
     seed : int, SeedSequence or Generator
         The design paths are ``system.simulate(times, paths, seed)``.
-    workers : int or Crew
-        Threads, or a crew such as `seedslib.extra.cluster` makes; the filter does not depend on
-        it, bit by bit.
+    workers : int or Executor
+        Threads, or an executor such as `seedslib.extra.cluster` makes; the filter does not depend
+        on it, bit by bit.
     normalisation
         As `SwitchingFilter`.
     inputs : mapping of Input to array_like, shape (K+1,), optional
@@ -216,9 +212,9 @@ def synthesize_switching(
     Warns
     -----
     UserWarning
-        More than a twentieth of the pairs of cell and mode are thin; covariances were mended;
-        paths of the system or of the filter diverged and were left out. What held-out paths
-        say against the design, see `seedslib.design.held_out`.
+        More than a twentieth of the pairs of cell and mode have few paths; covariances were
+        repaired; paths of the system or of the filter diverged and were left out; errors on
+        held-out paths are not the predicted ones.
     """
     times = as_grid("times", times, system)
     require_memory(memory, system)
@@ -227,101 +223,158 @@ def synthesize_switching(
     paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
-    course = course_of(system, inputs, len(times))
+    trajectory = as_trajectory(system, inputs, len(times))
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
-    with crew(workers) as each:
-        walk = Walk(system.hybrid, paths, root, len(times), each, {})
-        fits, scores, thin, pairs, mended = _pass(walk, system, memory, rules, times, course)
-        if thin > OFTEN * pairs:
+    with executor(workers) as each:
+        simulator = PathSimulator(system.hybrid, paths, root, len(times), each, {})
+        forward = SwitchingPass(simulator, system, memory, rules, trajectory)
+        forward.design(times)
+        pooled, pairs = forward.pooled, forward.pairs
+        if pooled > OFTEN * pairs:
             warnings.warn(
-                f"paths: {thin} of {pairs} pairs of cell and mode had too few paths of their own",
+                f"paths: {pooled} of {pairs} pairs of cell and mode had too few paths of their own",
                 stacklevel=outside(),
             )
-        warn_of_mended(mended)
-        rms, error, rate, rate_error = (np.array(part) for part in zip(*scores, strict=True))
+        warn_of_repairs(forward.repaired)
+        rms, error, rate, rate_error = (
+            np.array(part) for part in zip(*forward.scores, strict=True)
+        )
         designed = SwitchingFilter(
             system,
             linearization,
             memory,
             times,
-            tuple(fits),
+            tuple(forward.fits),
             normalisation,
             Prediction(times, rms, error, True, rate, rate_error),
             Design(
-                paths, BLOCK, *seed_record(root), walk.warn_of_lost(), False, thin, pairs, mended
+                paths,
+                BLOCK,
+                *seed_record(root),
+                simulator.warn_of_diverged(),
+                pooled=pooled,
+                pairs=pairs,
+                repaired=forward.repaired,
             ),
-            rules=rules,
         )
-    del walk  # its paths are not wanted any more
-    return with_held_out(designed, root, paths, workers, inputs=course.values)
+    del simulator, forward  # their paths are not needed any more
+    return with_held_out(designed, root, paths, workers, inputs=trajectory.values)
 
 
-def _pass(walk, system, memory, rules, times, inputs):
-    """Run the filter on the paths, and fit it before each step."""
-    n, m = system.state_size, system.measurement_size
-    states, fits, scores, thin, pairs, mended = [], [], [], 0, 0, 0
-    for k, t in enumerate(followed(times, "design")):
-        if k == 0:
-            walk.begin(t)
-            states = walk.each(lambda x: rules.start(x.shape[1:]), walk.states)
-        else:
-            fit, old = fits[-1], times[k - 1]
+class SwitchingPass:
+    """The filter runs on the paths, and is fitted before each step.
 
-            def predict(state, fit=fit, old=old):
-                cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
-                law = rules.predict(old, fit.forecast(cell, state.past.vector))
-                return state._replace(law=law, corrected=False)
+    Parameters
+    ----------
+    simulator : PathSimulator
+    system : SwitchingSystem
+    memory : Memory
+    rules : SwitchingRules
+    inputs : InputTrajectory
+        At the measurement times.
 
-            with inputs.at(k - 1), elapsed(system, old, t):
-                walk.advance(old, t)
-                states = walk.each(predict, states)
-
-        def correct(state, y, k=k, t=t):
-            indicator = y[m].astype(int) if system.indicators else None
-            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory)
-
-        with inputs.at(k):
-            states = walk.kept(correct, states, walk.measure(t), array=lambda state: state.mean)
-        scores.append(_score(walk, n, states))
-        if k + 1 == len(times):
-            continue
-        cells = cell_count(memory, system, k)
-        scatters, count = _moments_of_cells(walk, system, states, cells)
-        fit, more_thin, more_mended = fit_cells(scatters, n, count)
-        fits.append(fit)
-        thin, pairs, mended = thin + more_thin, pairs + cells * system.modes, mended + more_mended
-    mended += sum(state.mended for state in states)
-    return fits, scores, thin, pairs, mended
-
-
-def _moments_of_cells(walk: Any, system: Any, states: Any, cells: int) -> tuple[list, int]:
-    """Moments of state and memory in each cell and mode, and how many paths they are of.
-
-    Raises
-    ------
-    ValueError
-        No path.
+    Attributes
+    ----------
+    fits : list of CellFit
+    scores : list of (rms, error, mode_rate, mode_error)
+    pooled, pairs, repaired : int
+        See `Design`.
     """
-    groups = walk.each(
-        lambda x, alive, state: _groups(system, x, alive, state, cells),
-        walk.states,
-        walk.alive,
-        states,
-    )
-    scatters = [
-        [combine([bundle[c][i] for bundle in groups]) for i in range(system.modes)]
-        for c in range(cells)
-    ]
-    left = sum(part.count for row in scatters for part in row)
-    if not left:
-        raise ValueError(
-            f"paths: wanted some that stay finite, all {sum(map(sum, walk.counts))} diverged"
+
+    def __init__(
+        self,
+        simulator: PathSimulator,
+        system: SwitchingSystem,
+        memory: Memory,
+        rules: SwitchingRules,
+        inputs: InputTrajectory,
+    ) -> None:
+        self.simulator, self.system, self.memory = simulator, system, memory
+        self.rules, self.inputs = rules, inputs
+        self.states: Any = []
+        self.fits, self.scores = [], []
+        self.pooled = self.pairs = self.repaired = 0
+
+    def design(self, times: np.ndarray) -> None:
+        """Go through the measurements."""
+        for k, t in enumerate(followed(times, "design")):
+            if k == 0:
+                self.simulator.begin()
+                self.states = self.simulator.executor(
+                    partial(_start, self.rules), self.simulator.states
+                )
+            else:
+                self._predict(times[k - 1], t, self.inputs.at(k - 1))
+            self._correct(k, t, self.inputs.at(k))
+            self._score()
+            if k + 1 < len(times):
+                self._fit(k)
+        self.repaired += sum(state.repaired for state in self.states)
+
+    def _predict(self, old, t, inputs):
+        rules, system, fit = self.rules, self.system, self.fits[-1]
+        p = system.values(inputs, t - old)
+
+        def predict(state):
+            cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
+            law = rules.predict(old, fit.forecast(cell, state.past.vector), p)
+            return state._replace(law=law, corrected=False)
+
+        self.simulator.advance(old, t, inputs)
+        self.states = self.simulator.executor(predict, self.states)
+
+    def _correct(self, k, t, inputs):
+        rules, memory, m = self.rules, self.memory, self.system.measurement_size
+        with_indicator, p = self.system.indicators > 0, self.system.values(inputs)
+
+        def correct(state, y):
+            indicator = y[m].astype(int) if with_indicator else None
+            return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory, p)
+
+        y = self.simulator.measure(t, inputs)
+        self.states = self.simulator.finite(correct, self.states, y, array=lambda state: state.mean)
+
+    def _fit(self, k):
+        """Fit the moments of mode, state and memory after measurement k."""
+        system, cells = self.system, cell_count(self.memory, self.system, k)
+        bundles = self.simulator.executor(
+            lambda x, alive, state: _moments(system, x, alive, state, cells),
+            self.simulator.states,
+            self.simulator.alive,
+            self.states,
         )
-    return scatters, left
+        scatters = [
+            [combine([bundle[c][i] for bundle in bundles]) for i in range(system.modes)]
+            for c in range(cells)
+        ]
+        count = sum(part.count for row in scatters for part in row)
+        if not count:
+            paths = sum(map(sum, self.simulator.counts))
+            raise ValueError(f"paths: wanted some that stay finite, all {paths} diverged")
+        fit, pooled, repaired = fit_cells(scatters, system.state_size, count)
+        self.fits.append(fit)
+        self.pooled += pooled
+        self.pairs += cells * system.modes
+        self.repaired += repaired
+
+    def _score(self):
+        """Note root-mean-square errors, the part of wrong modes, and their standard errors."""
+
+        def rows(x, state):
+            return np.concatenate([(x[:-1] - state.mean) ** 2, (state.mode != x[-1])[None]])
+
+        n, moments = self.system.state_size, self.simulator.gather(rows, self.states)
+        rms, error, deviation = root_mean_squares(moments, n)
+        mode_error = deviation[n] / math.sqrt(moments.count)
+        self.scores.append((rms, error, moments.mean[n], mode_error))
 
 
-def _groups(system, x, alive, state, cells):
+def _start(rules, x):
+    return rules.start(x.shape[1:])
+
+
+def _moments(system, x, alive, state, cells) -> list[list[Scatter]]:
     """Moments of state and memory in each cell and mode of one bundle of paths."""
     rows = np.concatenate([x[:-1], state.past.vector])
     cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
@@ -331,17 +384,6 @@ def _groups(system, x, alive, state, cells):
     # equal groups side by side, in their order
     order = np.argsort(group, kind="stable")
     ends = np.searchsorted(group[order], np.arange(cells * system.modes + 1))
-    sorted_rows = rows[:, order]
-    parts = [scatter(sorted_rows[:, a:b]) for a, b in pairwise(ends)]
+    rows = rows[:, order]
+    parts = [scatter(rows[:, a:b]) for a, b in pairwise(ends)]
     return [parts[c * system.modes : (c + 1) * system.modes] for c in range(cells)]
-
-
-def _score(walk, n, states):
-    """Root-mean-square errors, part of wrong modes, and their standard errors."""
-
-    def rows(x, state):
-        return np.concatenate([(x[:-1] - state.mean) ** 2, (state.mode != x[-1])[None]])
-
-    moments = walk.gather(rows, states)
-    rms, error, spread = root_mean_squares(moments, n)
-    return rms, error, moments.mean[n], spread[n] / math.sqrt(moments.count)

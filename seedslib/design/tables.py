@@ -1,21 +1,22 @@
-"""Synthesis of optimal filters of a given memory on simulated paths: tables by regression."""
+"""Design of optimal filters of a given memory on simulated paths: tables by regression."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.checks import as_positive
+from seedslib.base.checks import as_count, as_positive
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
-from seedslib.design.carriers import Carriers, counted, likely, sensors_of
-from seedslib.design.kernels import METHODS
+from seedslib.design.kernels import METHODS, histogram_table, likelihood_table
+from seedslib.design.samples import MemoryPaths, Sample
 from seedslib.designed.memory import Memory
-from seedslib.designed.output_filter import OutputFilter, TableFilter
-from seedslib.designed.tables import Step, Table, prior, step_axes
+from seedslib.designed.tables import OutputFilter, Step, Table, TableFilter, prior, step_axes
+from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
 LARGEST_TABLE = 1 << 25
@@ -23,6 +24,9 @@ LARGEST_TABLE = 1 << 25
 
 PILOT = 2000
 """Paths that the default axes are laid about."""
+
+AT_ONCE = 1 << 16
+"""Points at which a function is evaluated together."""
 
 
 def simulated_synthesis(
@@ -101,49 +105,112 @@ def simulated_synthesis(
     as_system("system", system, *KINDS)
     if probabilities and not switches(system):
         raise ValueError("probabilities: wanted False, the system has no modes")
-    if method == "likelihood" and not all(
-        b is None or b.has_log_density for b in sensors_of(system)
-    ):
+    likelihood, kernel = method == "likelihood", as_positive("kernel", kernel)
+    if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    kernel = as_positive("kernel", kernel)
-    carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
-    axes_y, axes_z = _axes(carriers, y, z)
+    sets = as_count("sets", sets, 2)
+    samples = MemoryPaths(system, memory, times, components, paths, sets, nodes, seed, workers)
+    axes_y, axes_z = _axes(samples, y, z)
     refuse_large(system, memory, axes_y, axes_z)
-    steps, between = [], []
-    for k, t in enumerate(followed(carriers.times, "design of tables")):
-        shown, blind = step_axes(system, memory, axes_y, axes_z, k)
-        lesson = carriers.lesson()
-        if method == "likelihood":
-            output = likely(carriers, float(t), lesson, shown, kernel)
+    steps, node_fits = [], []
+    for k, t in enumerate(followed(samples.times, "design of tables")):
+        axes, memory_axes = step_axes(system, memory, axes_y, axes_z, k)
+        sample = samples.sample()
+        if likelihood:
+            update = _by_likelihood(samples, float(t), sample, axes, kernel)
         else:
-            output = counted(carriers, lesson, shown, kernel)
-        forecast = prior(system, carriers.components)
+            update = _by_histogram(samples, sample, axes, kernel)
+        forecast = prior(system, samples.components)
         if k or switches(system):
-            forecast = counted(carriers, lesson, blind, kernel, blind=True)
-        steps.append(Step(output, forecast))
-        carriers.take(output)
-        if k + 1 < len(carriers.times):
+            forecast = _by_histogram(samples, sample, memory_axes, kernel, measured=False)
+        steps.append(Step(update, forecast))
+        samples.apply(update)
+        if k + 1 < len(samples.times):
             axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
-            for stop in carriers.stops[k][:-1]:
-                fits.append(counted(carriers, carriers.forecast_lesson(stop), axes, kernel))
-                carriers.score(stop, fits[-1])
-            between.append(tuple(fits))
+            for stop in samples.stops[k][:-1]:
+                fits.append(_by_histogram(samples, samples.sample(stop), axes, kernel))
+                samples.score(stop, fits[-1])
+            node_fits.append(tuple(fits))
     if not probabilities:
         steps = [Step(*(table._replace(prob=None) for table in step)) for step in steps]
-    return carriers.examined(
-        TableFilter(
-            system=system,
-            memory=memory,
-            times=carriers.times,
-            steps=tuple(steps),
-            method=METHODS[method],
-            predicted=carriers.prediction(),
-            covariances=carriers.covariances,
-            design=carriers.design(),
-            node_times=tuple(stops[:-1] for stops in carriers.stops),
-            node_fits=tuple(between),
-        )
+    return samples.designed(
+        TableFilter,
+        steps=tuple(steps),
+        method=METHODS[method],
+        node_times=tuple(stops[:-1] for stops in samples.stops),
+        node_fits=tuple(node_fits),
     )
+
+
+def _by_histogram(
+    paths: MemoryPaths, sample: Sample, axes: Any, kernel: float, measured: bool = True
+) -> Table:
+    """Smoothed histogram over indicator, measurement where it is used, and memory."""
+    targets, points = _targets(paths, sample), _points(paths, sample, axes, measured)
+    pooled = paths.system.indicators > 0
+    return _table(paths, axes, histogram_table(targets, points, axes, kernel, pooled))
+
+
+def _by_likelihood(paths: MemoryPaths, t: float, sample: Sample, axes: Any, kernel: float) -> Table:
+    """Regression in the memory alone, weighted by the likelihoods of measurement and indicator."""
+    targets, first = _targets(paths, sample), int(paths.system.indicators > 0)
+    last = first + len(sample.measurements)
+    log_density = _log_density(paths.system, t, sample, axes[first:last])
+    points = _points(paths, sample, axes[last:], measured=False)
+    values = likelihood_table(log_density, targets, points, axes[:last], axes[last:], kernel)
+    return _table(paths, axes, values)
+
+
+def _points(paths, sample, axes, measured) -> np.ndarray:
+    """Arguments over the axes, the last ones of the function, (d, N)."""
+    points = sample.arguments(paths.system, measured)
+    points = np.array(points[len(points) - len(axes) :], dtype=float)
+    return points.reshape(len(axes), sample.states.shape[1])
+
+
+def _targets(paths, sample) -> np.ndarray:
+    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
+    states = sample.states[: paths.components]
+    if sample.modes is None:
+        return states
+    return np.concatenate([sample.modes == np.arange(paths.system.modes)[:, None], states])
+
+
+def _table(paths, axes, values) -> Table:
+    """Table of the regression: probabilities, where there are modes, then estimates."""
+    if not switches(paths.system):
+        return Table(axes, values)
+    prob, means = np.split(values, [paths.system.modes])
+    return Table(axes, means, most_probable(prob).astype(np.int8), prob)
+
+
+def _log_density(system, t, sample, axes) -> Callable[[slice], np.ndarray]:
+    """Logarithm of the density of indicator and measurement on a grid, for a slice of the paths."""
+    grid, x, p = mesh(axes)[:, None, :], sample.states, system.values()
+    if not switches(system):
+        return lambda part: system.sensor.log_density(t, grid, x[:, part, None], p)
+    values = [*range(system.indicators), -1] if system.indicators else [0]
+
+    def log_density(part):
+        modes, states = sample.modes[part], x[:, part, None]
+        logs = np.full((len(modes), len(values), grid.shape[2]), -np.inf)
+        for i in range(system.modes):
+            rows = np.flatnonzero(modes == i)
+            in_mode = np.broadcast_to(states[:, rows], (len(x), len(rows), grid.shape[2]))
+            for column, j in enumerate(values):
+                reading = system.sensors[i] if j < 0 else system.readings[i][j]
+                if reading is not None and rows.size:
+                    logs[rows, column] = reading.log_density(t, grid, in_mode, p)
+        return logs.reshape(len(modes), -1)
+
+    return log_density
+
+
+def _readings(system) -> list[Any]:
+    """All that may be measured; None for a reading that never comes."""
+    if not switches(system):
+        return [system.sensor]
+    return [reading for row in system.readings for reading in row]
 
 
 def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
@@ -163,17 +230,17 @@ def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) ->
         )
 
 
-def _axes(carriers, y, z):
+def _axes(paths, y, z):
     """Axes of measurements and estimates, laid about the paths where none are given."""
-    n, m = carriers.components, carriers.system.measurement_size
-    arguments = m + carriers.memory.order(n, m)
+    n, m = paths.components, paths.system.measurement_size
+    arguments = m + paths.memory.order(n, m)
     most = {2: 201, 3: 81}.get(arguments, max(7, int(LARGEST_TABLE ** (0.9 / arguments))))
-    pilot = carriers.sets[0]
+    pilot = paths.sets[0]
     if y is None:
-        shown = pilot.measurements[..., :PILOT].swapaxes(0, 1).reshape(m, -1)
-        y = [_about(row, most) for row in shown]
+        measured = pilot.measurements[..., :PILOT].swapaxes(0, 1).reshape(m, -1)
+        y = [_about(row, most) for row in measured]
     if z is None:
-        states = np.concatenate([pilot.states[float(t)][:n, :PILOT] for t in carriers.times], 1)
+        states = np.concatenate([pilot.states[float(t)][:n, :PILOT] for t in paths.times], 1)
         z = [_about(row, most) for row in states]
     return as_axes("y", y, m), as_axes("z", z, n)
 
@@ -185,12 +252,8 @@ def _about(values, count):
     return Axis(low - reach, high + reach, count)
 
 
-BLOCK = 1 << 16
-"""Points at which a function is read off together."""
-
-
 def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> TableFilter:
-    """The same filter with its functions read off at the nodes of axes.
+    """The same filter with its functions as tables over the nodes of axes.
 
     The table runs without the model, so it may be handed on as a file alone.
 
@@ -214,10 +277,10 @@ def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> Tab
     axes_z = as_axes("z", z, filter.components) if memory.estimates or z is not None else ()
     refuse_large(system, memory, axes_y, axes_z)
     axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(filter.times))]
-    steps = [Step(*map(_read, *pair)) for pair in zip(filter.steps, axes, strict=True)]
-    between = [
-        tuple(_read(fit, blind) for fit in fits)
-        for fits, (_, blind) in zip(filter.node_fits, axes[1:], strict=False)
+    steps = [Step(*map(_sampled, *pair)) for pair in zip(filter.steps, axes, strict=True)]
+    node_fits = [
+        tuple(_sampled(fit, memory_axes) for fit in fits)
+        for fits, (_, memory_axes) in zip(filter.node_fits, axes[1:], strict=False)
     ]
     return TableFilter(
         system=system,
@@ -229,14 +292,14 @@ def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> Tab
         covariances=filter.covariances,
         design=filter.design,
         node_times=filter.node_times,
-        node_fits=tuple(between),
+        node_fits=tuple(node_fits),
         between=filter.between,
     )
 
 
-def _read(function, axes) -> Table:
-    """A function at the nodes of the axes."""
+def _sampled(function, axes) -> Table:
+    """Table of a function at the nodes of the axes."""
     points = mesh(axes)
-    parts = [points[:, a : a + BLOCK] for a in range(0, points.shape[1], BLOCK)]
-    values = [function([*part]).filling(part.shape[1:]).mean for part in parts]
+    parts = [points[:, a : a + AT_ONCE] for a in range(0, points.shape[1], AT_ONCE)]
+    values = [function([*part]).on(part.shape[1:]).mean for part in parts]
     return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))

@@ -1,15 +1,15 @@
-"""Designed filters: what they remember, what they hold, how they run, and their files.
+"""Designed filters: their memories, their numbers, how they run, and their files.
 
-The finite-order filter, the switching filter and the table filters. Not how they are made: that
-is `design`.
+The finite-order filter, the switching filter and the table filters. `design` makes them.
 
-May import: base, models, linearization, filters.
+May import: base, gaussian, models, linearization, filters.
 """
 
 from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from seedslib.designed import lemmas as lemmas
     from seedslib.designed.between import FORECAST_KINDS as FORECAST_KINDS
     from seedslib.designed.files import load as load
     from seedslib.designed.files import save as save
@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import large_order as large_order
     from seedslib.designed.memory import small_order as small_order
     from seedslib.designed.minimax import MinimaxFilter as MinimaxFilter
-    from seedslib.designed.output_filter import TableFilter as TableFilter
-    from seedslib.designed.switching import lemmas as lemmas
-    from seedslib.designed.switching.filter import CellFit as CellFit
-    from seedslib.designed.switching.filter import SwitchingFilter as SwitchingFilter
-    from seedslib.designed.switching.rules import SwitchingRules as SwitchingRules
+    from seedslib.designed.rules import SwitchingRules as SwitchingRules
+    from seedslib.designed.switching import CellFit as CellFit
+    from seedslib.designed.switching import SwitchingFilter as SwitchingFilter
+    from seedslib.designed.tables import TableFilter as TableFilter
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

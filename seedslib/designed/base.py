@@ -1,73 +1,99 @@
-"""What all filters do that a design has made: their measurements are checked, their records run."""
+"""What all designed filters do: check their measurements, run over records, stay honest in gaps."""
 
 from __future__ import annotations
 
 import warnings
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_real, as_times, is_whole, outside
+from seedslib.base.checks import as_real, as_times, is_whole, outside, require_shape
 from seedslib.base.clock import Clock, when
-from seedslib.base.values import Course, Inputs, on_paths
-from seedslib.designed.checks import check_errors, check_times
-from seedslib.designed.memory import Memory
-from seedslib.filters.base import Estimates, Filter, as_indicators, as_record
-from seedslib.models.kinds import course_of
+from seedslib.base.values import Inputs, Values
+from seedslib.designed.between import Interval, at
+from seedslib.designed.checks import check_fields
+from seedslib.designed.memory import Memory, Past
+from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
+from seedslib.models.kinds import inputs_of, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
     from typing import Self
 
 
-def want_forecast(state: Any) -> None:
-    """Refuse to correct a state that holds no forecast.
+class FilterState(NamedTuple):
+    """What a filter of finite order remembers.
+
+    Attributes
+    ----------
+    index : int
+        Number k of the last measurement time reached; -1 before the first.
+    mean : ndarray
+        After `predict` the forecast; after `correct` the estimate Z_k, (n', *batch).
+    cov : ndarray or None
+        Its covariance as the filter sees it, with or without batch axes; NaN from a gap on.
+    past : Past
+        The memory U_k; after `predict` still U_{k-1}.
+    loglik : ndarray, or None
+        Log-density of the last measurement as forecast by the filter, where it has one.
+    mode : ndarray of int, shape (*batch), or None
+        The decided mode, or the likeliest one of a forecast.
+    mode_prob : ndarray, shape (L, *batch), or None
+    before : FilterState or None
+        The state after the measurement before the last, needed by linear forecasts.
+    gap : ndarray of bool, shape (*batch), or False
+        Whether something that the design expects has been missing so far.
+    history : ndarray of int, shape (*batch), or 0
+        Class of what has arrived so far, see `seedslib.designed.arrivals`.
+    corrected : bool
+        Whether the measurement at `index` has been used.
+    """
+
+    index: int
+    mean: np.ndarray
+    cov: MaybeArray = None
+    past: Past = Past()
+    loglik: np.ndarray | float | None = None
+    mode: MaybeArray = None
+    mode_prob: MaybeArray = None
+    before: Any = None
+    gap: np.ndarray | bool = False
+    history: np.ndarray | int = 0
+    corrected: bool = False
+
+
+def require_forecast(state: Any) -> None:
+    """Refuse to correct a state that is no forecast: before any measurement, or corrected.
 
     Raises
     ------
     ValueError
-        The state before any measurement, or after a correction.
     """
     if state.index < 0 or state.corrected:
         raise ValueError("state: wanted a forecast, got a state without; call predict first")
 
 
-def want_corrected(state: Any) -> None:
-    """Refuse to forecast from a state that holds a forecast.
+def require_corrected(state: Any) -> None:
+    """Refuse to forecast from a state that was not corrected.
 
     Raises
     ------
     ValueError
-        A state after `predict`, or the one before any measurement.
     """
     if not state.corrected:
         raise ValueError("state: wanted a state after a correction, got a forecast")
 
 
-def want_next(clock: Clock, k: int, t: float, cycle: int) -> None:
-    """Refuse a time that is not the one of measurement k.
-
-    Raises
-    ------
-    ValueError
-        Another time, or no such measurement.
-    """
-    if k >= len(clock.times) and not cycle:
-        raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
-    wanted = clock.moment(k, cycle)
-    if not clock.same(t, wanted):
-        raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
-
-
-def warn_of_mended(raised: int) -> None:
-    """Tell the caller of a run or a design of covariances that had to be mended, if any."""
-    if raised:
+def warn_of_repairs(count: int) -> None:
+    """Warn of covariances whose negative eigenvalues a run or a design had to raise, if any."""
+    if count:
         warnings.warn(
-            f"covariances: eigenvalues of {raised} were raised to 1e-12 of their scale",
+            f"covariances: eigenvalues of {count} were raised to 1e-12 of their scale",
             stacklevel=outside(),
         )
 
@@ -81,139 +107,23 @@ def freeze(part: object) -> None:
             freeze(piece)
 
 
-def expected(filter: Any, index: np.ndarray) -> MaybeArray:
-    """Components that may be, and that must be, in measurements, by their numbers (J,).
-
-    Shape (2, J, m'); None where the design expects all of them.
-    """
-    if filter.measured is filter.availability is None:
-        return None
-    mask, arriving = filter.schedule
-    rate = 1.0 if arriving is None else arriving
-    rows = [filter.served(int(k)) for k in index]
-    return np.stack([mask & (rate > 0.0), mask & (rate == 1.0)])[:, rows]
-
-
-def dropouts(
-    y: np.ndarray,
-    measured: np.ndarray,
-    indicators: np.ndarray | None,
-    expected: np.ndarray | None = None,
-) -> np.ndarray | None:
-    """Whether some of a measurement was missing at or before each time, shape (J+1, *batch).
-
-    None where nothing was.
-
-    Parameters
-    ----------
-    y : ndarray, shape (J+1, m, *batch)
-    measured : ndarray of bool, shape (J+1,)
-        Times at which the design has a measurement.
-    indicators : ndarray of int, shape (J+1, *batch), or None
-        -1 is a missing one.
-    expected : ndarray of bool, shape (2, J+1, m'), or None
-        Components that may be there, and those that must, where the design says so.
-    """
-    none = not np.isnan(y).any() and (indicators is None or not (indicators < 0).any())
-    if none and expected is None:
-        return None
-    indicators = None if indicators is None else indicators[measured]
-    expected = None if expected is None else expected[:, measured]
-    gaps = np.zeros((len(y), *y.shape[2:]), dtype=bool)
-    gaps[measured] = missing("measurements", y[measured], indicators, expected)
-    return np.logical_or.accumulate(gaps)
-
-
-def missing(
-    name: str, y: np.ndarray, indicators: np.ndarray | None, expected: np.ndarray | None
-) -> np.ndarray:
-    """Whether something is missing in each measurement that the design expects, (J, *batch).
-
-    Parameters
-    ----------
-    name : str
-        Of the argument.
-    y, indicators, expected : ndarray or None
-        See `dropouts`.
-
-    Raises
-    ------
-    ValueError
-        A component that the schedule of the design leaves out.
-    """
-    absent = np.isnan(y)
-    if indicators is not None:
-        absent = np.concatenate([absent, (indicators < 0)[:, None]], axis=1)
-    if expected is None:
-        return absent.any(axis=1)
-    may, must = expected.reshape(*expected.shape, *(1,) * (absent.ndim - 2))
-    stray = ~(absent | may)
-    if stray.any():
-        row, component = np.argwhere(stray.any(axis=tuple(range(2, stray.ndim))))[0]
-        raise ValueError(
-            f"{name}: wanted what the schedule of the design has, got component {component} of a "
-            f"measurement without it{f' in row {row}' if len(y) > 1 else ''}"
-        )
-    return (absent & must).any(axis=1)
-
-
-def nan_where(gap: np.ndarray | bool, part: np.ndarray) -> np.ndarray:
-    """NaN on the paths of a gap (*batch) in an array (a, b) or (a, b, ..., *batch)."""
-    if not np.any(gap):
+def nan_where(gap: np.ndarray | bool, part: MaybeArray) -> Any:
+    """NaN on the paths of a gap (*batch) in an array (a, b) or (a, b, *batch)."""
+    if part is None or not np.any(gap):
         return part
     return np.where(gap, np.nan, part.reshape(*part.shape, *(1,) * (np.ndim(gap) + 2 - part.ndim)))
 
 
-def unclaimed(found: Estimates, gaps: np.ndarray | None, times: np.ndarray) -> Estimates:
-    """Estimates of a run without the covariances and likelihoods that a filter cannot know.
-
-    Parameters
-    ----------
-    found : Estimates
-    gaps : ndarray of bool, shape (J+1, *batch), or None
-        See `dropouts`.
-    times : ndarray, shape (J+1,)
-
-    Warns
-    -----
-    UserWarning
-        Once where there are any; how many records, and from which time.
-    """
-    if gaps is None or not gaps.any():
-        return found
-    # the measurement at the first gap was still forecast from a memory without one
-    after = np.concatenate([np.zeros_like(gaps[:1]), gaps[:-1]])
-    cov, loglik = found.cov, found.loglik
-    if cov is not None:
-        cov = np.moveaxis(nan_where(gaps, np.moveaxis(cov, 0, 2)), 2, 0)
-    if loglik is not None:
-        loglik = np.where(after, np.nan, loglik)
-    if cov is not None or (loglik is not None and after.any()):
-        records = gaps[-1].size
-        warnings.warn(
-            f"measurements: {np.count_nonzero(gaps[-1])} of {records} records have gaps, from "
-            f"{when(times[gaps.reshape(len(gaps), -1).any(axis=1).argmax()])} on, which the design "
-            "does not know of: covariances are NaN from a gap on, likelihoods after it; a design "
-            "knows of them by `measured` or `availability`",
-            stacklevel=outside(),
-        )
-    return found._replace(cov=cov, loglik=loglik)
-
-
-DTYPES = tuple(int if name == "modes" else float for name in Estimates._fields)
-"""Numbers that the parts of estimates are of."""
-
-
 class DesignedFilter(Filter):
-    """A filter whose memory, and what it says, come from a design.
+    """A filter whose memory, and the forecasts from it, come from a design.
 
-    Beside the verbs of every filter it writes `sizes` and `fill`, a loop of its own over the times
-    of a record, and `finish` where something is formed for all times at once.
+    A kind of filter writes `propagate` and `update`, its steps without checks, and `ahead`, its
+    forecasts between measurements.
 
     Attributes
     ----------
     memory : Memory, or None
-        None where nothing was designed, and whole laws are carried.
+        None where nothing was designed, and whole distributions are carried.
     cycle : int
         So many of the last steps of the design serve all later ones in turn; 0 where the filter
         ends with its design.
@@ -221,21 +131,32 @@ class DesignedFilter(Filter):
         Components that the schedule of the design has at each time; None for all. An indicator
         counts as the last one.
     availability : ndarray, shape (m,), or None
-        Probabilities with which they arrive, where the design knows what to make of that.
+        Probabilities with which they arrive, where the design takes account of that.
+    between : str
+        Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     """
 
     measured: MaybeArray = None
     availability: MaybeArray = None
+    between: str = "interpolated"
     takes = ("indicators", "covariances")
     memory: Memory | None
     cycle: int
+    node_times: tuple[np.ndarray, ...]
+    node_fits: tuple[Any, ...]
     times: Any
     clock: Clock
     predicted: Any
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        vars(self).update(state)
+        freeze(tuple(state.values()))  # arrays that come from elsewhere can be written to
+
+    # The steps of the design
+
     @property
     def reach(self) -> tuple[float, float]:
-        """First and last time that the design looked at."""
+        """First and last time of the design."""
         return float(self.times[0]), float(self.times[-1])
 
     @property
@@ -260,26 +181,25 @@ class DesignedFilter(Filter):
         Each comes as long after the one before it as it did in the design. What was predicted of
         the steps is kept, as if the steps between had been there; nothing was held out.
         """
-        times, room = np.asarray(self.times), self.clock.tolerance
+        times, tolerance = np.asarray(self.times), self.clock.tolerance
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
-        kept: dict[str, Any] = {}
+        changed = self.parts(chosen)
         if self.measured is not None:
-            kept["measured"] = self.measured[chosen]
-        stamps = self.times if self.predicted is None else self.predicted.times
-        rows = [
-            np.flatnonzero((stamps <= times[k] + room) & (k == 0 or stamps > times[k - 1] + room))
-            for k in chosen
-        ]
-        moved = np.concatenate([stamps[row] + by for row, by in zip(rows, shift, strict=True)])
+            changed["measured"] = self.measured[chosen]
         if self.predicted is not None:
-            kept["predicted"] = self.predicted.of(np.concatenate(rows), moved)
-        if len(getattr(self, "node_times", ())):
-            led = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
-            kept["node_times"] = tuple(self.node_times[row] + by for row, by in led)
-            kept["node_fits"] = tuple(self.node_fits[row] for row, _ in led)
-        return replace(
-            self, times=times[chosen] + shift, held_out=None, cycle=0, **kept, **self.parts(chosen)
-        )
+            old = self.predicted.times
+            rows = [
+                (old <= times[k] + tolerance) & (k == 0 or old > times[k - 1] + tolerance)
+                for k in chosen
+            ]
+            moved = [old[row] + by for row, by in zip(rows, shift, strict=True)]
+            rows = np.concatenate([np.flatnonzero(row) for row in rows])
+            changed["predicted"] = self.predicted.of(rows, np.concatenate(moved))
+        if self.node_times:
+            intervals = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
+            changed["node_times"] = tuple(self.node_times[k] + by for k, by in intervals)
+            changed["node_fits"] = tuple(self.node_fits[k] for k, _ in intervals)
+        return replace(self, times=times[chosen] + shift, held_out=None, cycle=0, **changed)
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Fields of this kind of filter for `taking`."""
@@ -288,76 +208,246 @@ class DesignedFilter(Filter):
     def check_shapes(self) -> None:
         """Refuse a filter whose parts do not fit together, when it is made or read.
 
-        Regressions and tables are held against the memory, the times and the model's sizes;
-        functions of one's own are taken as they are.
-
         Raises
         ------
         TypeError, ValueError
-            Arrays of another shape or kind, numbers that are not finite, covariances that are not
-            semidefinite, times out of order, axes other than those of the memory.
+            Arrays of another shape or kind, numbers that are not finite, times out of order,
+            axes other than those of the memory.
         """
-        check_times(self.times)
+        check_fields("", self, times=(None,))
+        as_times("times", self.times)
         if not (is_whole(self.cycle) and 0 <= self.cycle < len(self.times)):
             raise ValueError(
                 f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
             )
-        mask = self.schedule.mask  # which refuses most
+        mask = self.schedule.mask
         if self.measured is not None and self.measured.shape != mask.shape:
             raise ValueError(f"measured: wanted a mask of shape {mask.shape}")
-        self.check_parts()
-        components = getattr(self, "components", None)  # all of them with modes
-        check_errors(self.predicted, self.held_out, self.times, components)
+        nodes, intervals = self.node_times, len(self.times) - 1
+        if len(nodes) not in (intervals, 0) or len(nodes) != len(self.node_fits):
+            raise ValueError(
+                f"node_times, node_fits: wanted {intervals} intervals, got {len(nodes)} and "
+                f"{len(self.node_fits)}"
+            )
+        for k, grid in enumerate(nodes):
+            if not (np.diff([self.times[k], *grid, self.times[k + 1]]) > 0).all():
+                raise ValueError(f"node_times[{k}]: outside of their interval or out of order")
 
-    def check_parts(self) -> None:
-        """What `check_shapes` asks of the parts that this kind of filter has by itself."""
+    # Step by step
+
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """Inputs in the maps that a step evaluates; the others are in the design's own numbers."""
+        return inputs_of(self.system)
+
+    @cached_property
+    def _unused(self) -> dict[Any, float]:
+        return dict.fromkeys(inputs_of(self.system) - self.evaluated, np.nan)
+
+    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
+        """Numbers of the parameters; inputs that no step evaluates may be missing."""
+        if self._unused:
+            inputs = {**self._unused, **(inputs or {})}
+        return self.system.values(inputs, dt)
+
+    def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
+        """The forecast for the next measurement, at t; `interval` is the one before, if known."""
         raise NotImplementedError
 
-    def sizes(self, covariances: bool) -> Estimates:
-        """Shapes of what `fill` writes at each time, without batch axes; None for no such thing."""
-        raise NotImplementedError
-
-    def fill(
+    def update(
         self,
-        rows: Estimates,
-        times: np.ndarray,
-        index: np.ndarray,
+        state: Any,
         y: np.ndarray,
-        indicators: np.ndarray | None,
-        held: Course,
-    ) -> int:
-        """Run over a block of records, and write what is found.
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
+    ) -> Any:
+        """The state after a measurement, with its covariance where that is wanted."""
+        raise NotImplementedError
+
+    def predict(self, state: Any, t: float, *, inputs: Mapping[Any, Any] | None = None) -> Any:
+        """Forecast for the next measurement time t; the first state has nothing to forecast.
 
         Parameters
         ----------
-        rows : Estimates
-            Arrays (J+1, *shape, *batch) to write to; None for what is not wanted.
-        times : ndarray, shape (J+1,)
-        index : ndarray of int, shape (J+1,)
-            See `placed`.
-        y : ndarray, shape (J+1, m, *batch)
-        indicators : ndarray of int, shape (J+1, *batch), or None
-        held : Course
-            Inputs at these times.
+        state : NamedTuple
+        t : float
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs from the time of the state on.
 
-        Returns
-        -------
-        int
-            Covariances whose eigenvalues had to be raised.
+        Raises
+        ------
+        ValueError
+            Another time than the next of the design, or no more of them; a state that was not
+            corrected.
+        """
+        k, clock = state.index + 1, self.clock
+        if k >= len(clock.times) and not self.cycle:
+            raise ValueError(f"t: wanted at most the last measurement time {when(clock.times[-1])}")
+        wanted = clock.moment(k, self.cycle)
+        if not clock.same(float(t), wanted):
+            raise ValueError(f"t: wanted the next measurement time {when(wanted)}, got {when(t)}")
+        if k:
+            require_corrected(state)
+        dt = wanted - clock.moment(k - 1, self.cycle) if k else np.nan
+        return self.propagate(state, float(t), self.values(inputs, dt))
+
+    def correct(
+        self,
+        state: Any,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Any:
+        """Correct the forecast by a measurement and the indicator.
+
+        Parameters
+        ----------
+        state : NamedTuple
+        y : array_like, shape (m, *batch)
+            NaN where it is missing.
+        indicator : array_like of int, shape (*batch), optional
+            -1 where it is missing; wanted where the system has one.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs at that time.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A state without a forecast, a wrong shape, an infinite measurement, an indicator out
+            of range, a component that the schedule of the design leaves out; what `run` refuses.
+        """
+        require_forecast(state)
+        batch = self.batch_of(state)
+        y = as_real("y", y, nan=True)
+        require_shape("y", y, (self.system.measurement_size, *batch))
+        if indicator is not None or self.system.indicators:
+            given = indicator if indicator is None else np.asarray(indicator)[None]
+            indicator = as_indicators(given, self.system, (1, *batch), "indicator")[0]
+        corrected = self.update(state, y, self.values(inputs), indicator)
+        if self.memory is None:
+            return corrected
+        rows = None if indicator is None else indicator[None]
+        gap = state.gap | self.gaps("y", y[None], rows, [state.index])[0]
+        return self.without_claims(corrected, state.gap, gap) if np.any(gap) else corrected
+
+    def batch_of(self, state: Any) -> tuple[int, ...]:
+        """Batch axes of a state."""
+        return state.mean.shape[1:]
+
+    def without_claims(self, state: Any, before: Any, gap: Any) -> Any:
+        """A state after a gap: a covariance is NaN from there on, a likelihood afterwards."""
+        loglik = None if state.loglik is None else np.where(before, np.nan, state.loglik)
+        return state._replace(cov=nan_where(gap, state.cov), loglik=loglik, gap=gap)
+
+    def gaps(self, name: str, y: np.ndarray, indicators: MaybeArray, numbers: Any) -> np.ndarray:
+        """Whether a component that the design expects is missing in measurements, (J, *batch).
+
+        Parameters
+        ----------
+        name : str
+            Of the argument, for the message.
+        y : ndarray, shape (J, m, *batch)
+        indicators : ndarray of int, shape (J, *batch), or None
+        numbers : sequence of int, length J
+            Of the measurements.
+
+        Raises
+        ------
+        ValueError
+            A component that the schedule of the design leaves out.
+        """
+        missing = np.isnan(y)
+        if indicators is not None:
+            missing = np.concatenate([missing, (indicators < 0)[:, None]], axis=1)
+        if self.measured is self.availability is None:
+            return missing.any(axis=1)
+        mask, rates = self.schedule
+        rates = np.ones(mask.shape[1]) if rates is None else rates
+        rows = mask[[self.served(k) for k in numbers]]
+        rows, rates = (
+            part.reshape(*part.shape, *(1,) * (missing.ndim - 2)) for part in (rows, rates)
+        )
+        unexpected = ~missing & ~(rows & (rates > 0.0))
+        if unexpected.any():
+            row, component = np.argwhere(unexpected)[0, :2]
+            raise ValueError(
+                f"{name}: wanted what the schedule of the design has, got component {component} "
+                f"of a measurement without it{f' in row {row}' if len(y) > 1 else ''}"
+            )
+        return (missing & rows & (rates == 1.0)).any(axis=1)
+
+    def report(self, state: Any, covariance: bool = True) -> Estimates:
+        """What is estimated after a correction."""
+        cov = state.cov if covariance else None
+        return Estimates(state.mean, cov, state.mode_prob, state.loglik, modes=state.mode)
+
+    # Between measurements
+
+    def ahead(self, state: Any, row: int, p: Values) -> list[np.ndarray]:
+        """Estimates at the nodes of interval `row` of the design and at its end.
+
+        Without the end where no measurement follows.
         """
         raise NotImplementedError
 
-    def finish(self, found: Estimates, lost: np.ndarray, index: np.ndarray) -> Estimates:
-        """The estimates of a run, with what is formed for all times at once.
+    def interval(self, state: Any, p: Values, with_before: bool = True) -> Interval:
+        """Estimates from a correction to the next measurement, and those of the interval before."""
+        k = state.index
+        row = self.served(k + 1) - 1 if self.cycle else k
+        start = self.clock.moment(k, self.cycle)
+        times, values = [start], [state.mean]
+        if row < len(self.times) - 1:
+            nodes = self.node_times[row] if self.node_times else np.empty(0)
+            # beyond the design the nodes lie as in the interval that serves
+            times += [*(nodes + (start - self.times[row])), self.clock.moment(k + 1, self.cycle)]
+            values += self.ahead(state, row, p)
+        before = None
+        if with_before and state.before is not None:
+            before = self.interval(state.before, p, with_before=False)
+        return Interval(np.array(times), values, before)
+
+    def forecasting(self, kind: str) -> Self:
+        """The same filter with another kind of forecast between measurements."""
+        return replace(self, between=kind)
+
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        kind: str | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
+        """Estimate of the first n' components at a time up to the next measurement.
 
         Parameters
         ----------
-        found : Estimates
-        lost : ndarray of bool, shape (*batch)
-            Where an estimate is not finite.
-        index : ndarray of int, shape (J+1,)
+        state : NamedTuple
+            After a correction.
+        t : float
+            From the time of the state to the next measurement time (before that measurement),
+            or to the horizon.
+        kind : str, optional
+            One of `FORECAST_KINDS`; the filter's own `between` by default.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs from the time of the state on.
+
+        Raises
+        ------
+        ValueError
+            A time outside the interval, an unknown kind, a state that was not corrected.
         """
-        return found._replace(diverged=lost)
+        require_corrected(state)
+        interval = self.interval(state, self.values(inputs))
+        tolerance = self.clock.tolerance
+        start, end = interval.times[0], interval.times[-1]
+        if not start - tolerance <= t <= end + tolerance:
+            raise ValueError(f"t: wanted a time from {when(start)} to {when(end)}, got {when(t)}")
+        return Estimates(at(interval, t, self.between if kind is None else kind))
+
+    # Whole records
 
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Times (J+1,), any where there was a design, and measurements of a run, checked."""
@@ -366,15 +456,17 @@ class DesignedFilter(Filter):
         times = as_times("times", times)
         return times, as_record(measurements, len(times), self.system.measurement_size)
 
-    def placed(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
+    def numbered(self, times: np.ndarray, y: np.ndarray) -> np.ndarray:
         """Number of the measurement at each time, -1 where there is none, shape (J+1,).
 
         Raises
         ------
         ValueError
             A grid that starts elsewhere, goes too far, or leaves out a measurement time; a
-            measurement at another time.
+            measurement at another time; with modes, another time than those of measurements.
         """
+        if self.memory is None:
+            return np.arange(len(times))
         clock = self.clock.prolonged(times[-1], self.cycle) if self.cycle else self.clock
         wanted = np.array(clock.times)
         wanted = wanted[wanted <= times[-1] + clock.tolerance]
@@ -387,47 +479,26 @@ class DesignedFilter(Filter):
                 f"times: wanted at most {when(self.horizon)}, where the design ends, got "
                 f"{when(times[-1])}; seedslib.design.stationary makes it go on"
             )
-        place = clock.rows(times)[: len(wanted)]
-        if (place < 0).any():
+        rows = clock.rows(times)[: len(wanted)]
+        if (rows < 0).any():
             raise ValueError(
-                f"times: wanted all measurement times of the design, {when(wanted[place < 0][0])} "
+                f"times: wanted all measurement times of the design, {when(wanted[rows < 0][0])} "
                 "is not among them"
             )
-        index = np.full(len(times), -1)
-        index[place] = np.arange(len(wanted))
-        for j in np.flatnonzero(index < 0):
+        numbers = np.full(len(times), -1)
+        numbers[rows] = np.arange(len(wanted))
+        if switches(self.system) and (numbers < 0).any():
+            raise ValueError(
+                "times: wanted those of measurements alone, for the system has modes, got "
+                f"{when(times[numbers < 0][0])}"
+            )
+        for j in np.flatnonzero(numbers < 0):
             if not np.isnan(y[j]).all():
                 raise ValueError(
                     f"measurements: wanted NaN at {when(times[j])}, which is no measurement time "
                     "of the design"
                 )
-        return index
-
-    def admitted(
-        self, y: ArrayLike, indicator: ArrayLike | None, batch: tuple[int, ...], k: int
-    ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | bool]:
-        """Measurement k (m, *batch), its indicator (*batch), and where it has a gap, checked.
-
-        Raises
-        ------
-        TypeError, ValueError
-            A wrong shape, an infinite measurement, an indicator out of range; a component that
-            the schedule leaves out.
-        """
-        whole = type(y) is np.ndarray and y.dtype == np.float64 and np.isfinite(y).all()
-        y = y.copy() if whole else as_real("y", y, nan=True)  # it may be remembered
-        wanted = (self.system.measurement_size, *batch)
-        if y.shape != wanted:
-            raise ValueError(f"y: wanted shape {wanted}, got {y.shape}")
-        if indicator is not None or self.system.indicators:
-            if indicator is not None:
-                indicator = np.asarray(indicator)[None]
-            indicator = as_indicators(indicator, self.system, (1, *batch), "indicator")
-        rows = expected(self, np.array([k]))
-        if whole and indicator is rows is None:
-            return y, None, False
-        gap = missing("y", y[None], indicator, rows)[0]
-        return y, None if indicator is None else indicator[0], gap
+        return numbers
 
     def run(
         self,
@@ -464,13 +535,14 @@ class DesignedFilter(Filter):
         -------
         Estimates
             ``mean`` (J+1, n', *batch), at measurement times after the correction and between
-            them the forecasts; ``diverged`` (*batch), estimates that are not finite, or what no
-            mode can have shown; with modes ``modes`` (J+1, *batch) and, where they are known,
-            ``mode_prob`` (J+1, L, *batch). Filters of moments have ``loglik`` (J+1, *batch), zero
-            between measurements, and ``cov`` (J+1, n', n', *batch); filters of output functions
-            have no likelihoods, and the unconditional ``cov`` that the design found,
-            (J+1, n', n') where no record has a gap. NaN is what a design does not know: ``cov``
-            between measurement times, and from a gap that it was not told of, `loglik` after it.
+            them the forecasts; ``diverged`` (*batch), estimates that are not finite, or
+            measurements that are impossible; with modes ``modes`` (J+1, *batch) and, where they
+            are known, ``mode_prob`` (J+1, L, *batch). Filters of moments have ``loglik``
+            (J+1, *batch), zero between measurements; ``cov`` is (J+1, n', n', *batch), or
+            (J+1, n', n') where it is common to all records. Filters of output functions have no
+            likelihoods, and the unconditional ``cov`` that the design found. NaN is what a design
+            does not know: ``cov`` between measurement times and from an unexpected gap on,
+            `loglik` after it.
 
         Raises
         ------
@@ -483,43 +555,90 @@ class DesignedFilter(Filter):
         -----
         UserWarning
             Records with gaps, of a filter that was designed: how many, and from which time;
-            covariances that had to be mended.
+            covariances that had to be repaired.
         """
-        times, y = self.record(times, measurements)
-        batch = y.shape[2:]
-        told = as_indicators(indicators, self.system, (len(times), *batch))
-        course = course_of(self.system, inputs, len(times), batch)
-        index = self.placed(times, y)
-        known = self.memory is not None
-        lost = dropouts(y, index >= 0, told, expected(self, index)) if known else None
-        tail = (y[0, 0].size,) if batch or not self.alone else ()
-        y = y.reshape(*y.shape[:2], *tail)
-        told = None if told is None else told.reshape(len(times), *tail)
-        whole = Estimates(
-            *[
-                None if size is None else np.empty((len(times), *size, *tail), kind)
-                for size, kind in zip(self.sizes(covariances), DTYPES, strict=True)
-            ]
+        batch, record = self.records_of(times, measurements, indicators, None, inputs)
+        numbers, repaired = self.numbered(record.times, record.y), []
+        gaps = self.record_gaps(record.y, record.indicators, numbers)
+
+        def work(record: Record, stream: object) -> Estimates:
+            return stacked(self._states(record, numbers, covariances, repaired), len(numbers))
+
+        estimates = self.in_blocks(work, record, batch, 0, workers)
+        warn_of_repairs(sum(repaired))
+        diverged = ~np.isfinite(estimates.mean).all(axis=(0, 1))
+        if estimates.loglik is not None:
+            diverged |= (estimates.loglik == -np.inf).any(axis=0)
+        gaps = gaps.reshape(len(numbers), *batch)
+        return with_gaps(estimates._replace(diverged=diverged), gaps, record.times)
+
+    def record_gaps(self, y: np.ndarray, indicators: MaybeArray, numbers: np.ndarray) -> np.ndarray:
+        """Whether a gap that the design does not expect was at or before each time, (J+1, *batch).
+
+        Parameters
+        ----------
+        y : ndarray, shape (J+1, m, *batch)
+        indicators : ndarray of int, shape (J+1, *batch), or None
+        numbers : ndarray of int, shape (J+1,)
+            See `numbered`.
+        """
+        gaps = np.zeros((len(y), *y.shape[2:]), dtype=bool)
+        if self.memory is None:
+            return gaps
+        rows = numbers >= 0
+        indicators = None if indicators is None else indicators[rows]
+        gaps[rows] = self.gaps("measurements", y[rows], indicators, numbers[rows])
+        return np.logical_or.accumulate(gaps)
+
+    def _states(
+        self, record: Record, numbers: np.ndarray, covariances: bool, repaired: list[int]
+    ) -> Iterator[Estimates]:
+        """Estimates at each time of a block of records, one after the other."""
+        state, interval = self.initial(record.y.shape[2:]), None
+        times, inputs, values = record.times, record.inputs, self.values
+        last = 0  # row of the last measurement, whose inputs act until the next
+        for j, k in enumerate(numbers):
+            p = values(inputs.at(last), times[j] - times[last])
+            if k < 0:
+                interval = interval or self.interval(state, p)
+                mean = at(interval, times[j], self.between)
+                cov = np.full_like(state.cov, np.nan) if covariances else None
+                loglik = None if state.loglik is None else 0.0
+                yield Estimates(mean, cov, loglik=loglik)
+                continue
+            state = self.propagate(state, times[j], p, interval)
+            indicator = None if record.indicators is None else record.indicators[j]
+            p = values(inputs.at(j))
+            state = self.update(state, record.y[j], p, indicator, covariances)
+            interval, last = None, j
+            yield self.report(state, covariances)
+        repaired.append(getattr(state, "repaired", 0))
+
+
+def with_gaps(estimates: Estimates, gaps: np.ndarray, times: np.ndarray) -> Estimates:
+    """Estimates without what a filter cannot know from unexpected gaps (J+1, *batch) on.
+
+    Warns
+    -----
+    UserWarning
+        How many records have gaps, and from which time.
+    """
+    if not gaps.any():
+        return estimates
+    # the measurement at the first gap was still forecast from a memory without one
+    after = np.concatenate([np.zeros_like(gaps[:1]), gaps[:-1]])
+    cov, loglik = estimates.cov, estimates.loglik
+    if cov is not None:
+        cov = np.moveaxis(nan_where(gaps, np.moveaxis(cov, 0, 2)), 2, 0)
+    if loglik is not None:
+        loglik = np.where(after, np.nan, loglik)
+    if cov is not None or (loglik is not None and after.any()):
+        first = times[gaps.reshape(len(gaps), -1).any(axis=1).argmax()]
+        warnings.warn(
+            f"measurements: {np.count_nonzero(gaps[-1])} of {gaps[-1].size} records have gaps, "
+            f"from {when(first)} on, which the design does not know of: covariances are NaN from "
+            "a gap on, likelihoods after it; a design knows of them by `measured` or "
+            "`availability`",
+            stacklevel=outside(),
         )
-
-        def work(a, b, _):
-            parts = (None if part is None else part[..., a:b] for part in (*whole, y, told))
-            *rows, shown, seen = parts
-            with on_paths(batch, slice(a, b)):
-                held = course.of(slice(a, b))
-                return self.fill(Estimates(*rows), times, index, shown, seen, held)
-
-        if tail:
-            raised = sum(in_blocks(work, *tail, 0, workers=workers))
-        else:
-            raised = self.fill(whole, times, index, y, told, course)
-        found = whole
-        if tail != batch:
-            found = Estimates(
-                *(p if p is None else p.reshape(*p.shape[:-1], *batch) for p in whole)
-            )
-        found = self.finish(found, ~np.isfinite(found.mean).all(axis=(0, 1)), index)
-        if not covariances and found.cov is not None:
-            found = found._replace(cov=None)
-        warn_of_mended(raised)
-        return unclaimed(found, lost, times)
+    return estimates._replace(cov=cov, loglik=loglik)

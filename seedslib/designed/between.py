@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.clock import Clock, slack, when
-from seedslib.base.values import Course
-from seedslib.designed.base import DesignedFilter, want_corrected
-from seedslib.filters.base import Estimates
-
-if TYPE_CHECKING:
-    from typing import Self
+from seedslib.base.clock import slack
 
 FORECAST_KINDS = (
     "interpolated",
@@ -26,149 +19,37 @@ FORECAST_KINDS = (
 
 
 class Interval(NamedTuple):
-    """What a filter knows in the interval that begins with the measurement at times[0].
+    """Estimates of a filter from a measurement to the next.
 
     Attributes
     ----------
-    times : ndarray, shape (L+1,) or (L+2,)
-        t_k, the nodes, and the end of the interval where its value is known.
+    times : ndarray, shape (L+2,), or (1,) after the last measurement of the design
+        t_k, the L nodes, the next measurement time.
     values : list of ndarray, shape (n', *batch)
-        Z_k, the node estimates, and the forecast for the end.
-    nodes : int
-        L.
-    last : tuple (time, estimate), or None
-        The measurement before this one and the estimate there.
-    last_node : tuple (time, estimate), or None
-        The last node before this measurement.
+        Z_k, the estimates at the nodes, the forecast for the next measurement.
+    before : Interval or None
+        The interval that ended with this measurement.
     """
 
     times: np.ndarray
-    values: list[Any]
-    nodes: int
-    last: tuple[Any, ...] | None = None
-    last_node: tuple[Any, ...] | None = None
+    values: list[np.ndarray]
+    before: Interval | None = None
+
+    @property
+    def last_node(self) -> int:
+        """Number of the last node; 0, the measurement, without nodes."""
+        return max(0, len(self.times) - 2)
 
 
-class BetweenFilter(DesignedFilter):
-    """A designed filter that forecasts between measurements, from its values at nodes.
-
-    Attributes
-    ----------
-    between : str
-        Kind of the forecasts, see `at`.
-    """
-
-    between: str
-    clock: Clock
-
-    def nodes(self, state: Any, end: bool = True) -> tuple[list, list, tuple | None]:
-        """Times and estimates (n', *batch) from a correction to the last node after it.
-
-        And, where it is wanted and known, time and forecast of the next measurement.
-        """
-        raise NotImplementedError
-
-    def interval(self, state: Any) -> Interval:
-        """All that is known from a correction to the next: Z_k, nodes, end."""
-        times, values, end = self.nodes(state)
-        count, last, last_node = len(times) - 1, None, None
-        if state.before is not None:
-            before = list(zip(*self.nodes(state.before, end=False)[:2], strict=True))
-            last, last_node = before[0], before[-1]
-        if end is not None:
-            times.append(end[0])
-            values.append(end[1])
-        return Interval(np.array(times), values, count, last, last_node)
-
-    def advanced(self, state: Any, interval: Interval | None = None) -> Any:
-        """The state at the next measurement time."""
-        raise NotImplementedError
-
-    def corrected(
-        self, state: Any, y: np.ndarray, indicator: np.ndarray | None, covariance: bool
-    ) -> Any:
-        """The state after a measurement of a record."""
-        raise NotImplementedError
-
-    def fill(
-        self,
-        rows: Estimates,
-        times: np.ndarray,
-        index: np.ndarray,
-        y: np.ndarray,
-        indicators: np.ndarray | None,
-        inputs: Course,
-    ) -> int:
-        """Run over a block of records; covariances are formed where they are wanted."""
-        state, interval, covariance = self.initial(y.shape[2:]), None, rows.cov is not None
-        last = 0  # row of the last measurement: its inputs hold until the next
-        for j, k in enumerate(index):
-            if k < 0:
-                with inputs.at(last):
-                    interval = interval or self.interval(state)
-                rows.mean[j] = at(interval, times[j], self.between)
-                if rows.loglik is not None:
-                    rows.loglik[j] = 0.0
-                if covariance:
-                    rows.cov[j] = np.nan
-                continue
-            with inputs.at(last):
-                state = self.advanced(state, interval)
-            with inputs.at(j):
-                indicator = None if indicators is None else indicators[j]
-                state = self.corrected(state, y[j], indicator, covariance)
-            rows.mean[j], interval, last = state.mean, None, j
-            if rows.loglik is not None:
-                rows.loglik[j] = state.loglik
-            if covariance:
-                rows.cov[j].T[...] = state.cov.T  # with or without an axis of records
-            if rows.modes is not None:
-                rows.modes[j] = state.mode
-            if rows.mode_prob is not None:
-                rows.mode_prob[j] = state.mode_prob
-        return 0
-
-    def forecasting(self, kind: str) -> Self:
-        """The same filter with another kind of forecast between measurements."""
-        return replace(self, between=kind)
-
-    def forecast(self, state: Any, t: float, kind: str | None = None) -> Estimates:
-        """Estimate of the first n' components at a time up to the next measurement.
-
-        Parameters
-        ----------
-        state : NamedTuple
-            After a correction.
-        t : float
-            From the time of the state to the next measurement time (before that measurement),
-            or to the horizon.
-        kind : str, optional
-            One of `FORECAST_KINDS`; the filter's own `between` by default.
-
-        Raises
-        ------
-        ValueError
-            A time outside the interval, an unknown kind, a state that was not corrected.
-        """
-        want_corrected(state)
-        known, room = self.interval(state), self.clock.tolerance
-        start, end = known.times[0], known.times[-1]
-        if not start - room <= t <= end + room:
-            raise ValueError(f"t: wanted a time from {when(start)} to {when(end)}, got {when(t)}")
-        return Estimates(at(known, t, self.between if kind is None else kind))
-
-
-def known_kind(name: str, kind: str) -> str:
-    """The kind of a forecast.
+def require_kind(name: str, kind: str) -> None:
+    """Refuse what is none of `FORECAST_KINDS`.
 
     Raises
     ------
     ValueError
-        None of `FORECAST_KINDS`.
     """
     if kind not in FORECAST_KINDS:
         raise ValueError(f"{name}: wanted one of {', '.join(FORECAST_KINDS)}; got {kind!r}")
-    return kind
 
 
 def at(interval: Interval, t: float, kind: str) -> np.ndarray:
@@ -176,41 +57,41 @@ def at(interval: Interval, t: float, kind: str) -> np.ndarray:
 
     (2.4) of the jump-diffusion paper for "constant" and "linear", (2.7) for "piecewise constant"
     and "piecewise linear". The last takes its first slope across the measurement, from the last
-    node before it, as the formula says to the letter; "piecewise linear, first constant" holds
-    the estimate until the first node. "interpolated" runs linearly from node to node and to the
-    forecast for the next measurement; it is still causal, since all of them are functions of the
-    same memory.
+    node before it, as printed; "piecewise linear, first constant" keeps the estimate until the
+    first node. "interpolated" runs linearly from node to node and to the forecast for the next
+    measurement; it is causal too, since all of them are functions of the same memory.
 
     Raises
     ------
     ValueError
         An unknown kind.
     """
-    known_kind("kind", kind)
-    times, values = interval.times, interval.values
+    require_kind("kind", kind)
+    times, values, before = interval.times, interval.values, interval.before
     if kind == "constant":
         return values[0]
     if kind == "linear":
-        return _extended(interval.last, times[0], values[0], t)
+        return _extended(before, 0, interval, 0, t)
     # a time that is a node but for rounding is the node
-    first, last = times.item(0), times.item(-1)
-    room = slack(last - first, abs(last))
-    i = max(0, int(np.searchsorted(times[: interval.nodes + 1], t + room, side="right")) - 1)
-    if kind == "interpolated":
-        if i + 1 >= len(times):
-            return values[i]
+    first, end = times.item(0), times.item(-1)
+    nodes = times[: interval.last_node + 1]
+    i = int(np.searchsorted(nodes, t + slack(end - first, abs(end)), side="right")) - 1
+    i = max(0, i)
+    if kind == "interpolated" and len(times) > 1:
         share = (t - times[i]) / (times[i + 1] - times[i])
         return values[i] + share * (values[i + 1] - values[i])
-    if kind == "piecewise constant":
+    if kind in ("interpolated", "piecewise constant"):
         return values[i]
     if i > 0:
-        return _extended((times[i - 1], values[i - 1]), times[i], values[i], t)
-    first = interval.last_node if kind == "piecewise linear" else None
-    return _extended(first, times[0], values[0], t)
+        return _extended(interval, i - 1, interval, i, t)
+    if kind == "piecewise linear" and before is not None:
+        return _extended(before, before.last_node, interval, 0, t)
+    return values[0]
 
 
-def _extended(before, time, value, t):
-    """The line through two values, continued to t; constant where there is only one."""
-    if before is None:
+def _extended(earlier: Interval | None, j: int, interval: Interval, i: int, t: float) -> np.ndarray:
+    """The line through two values, continued to t; constant where there is only the second."""
+    time, value = interval.times[i], interval.values[i]
+    if earlier is None:
         return value
-    return value + (t - time) / (time - before[0]) * (value - before[1])
+    return value + (t - time) / (time - earlier.times[j]) * (value - earlier.values[j])

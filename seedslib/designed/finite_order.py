@@ -2,28 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.checks import as_count
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.clock import Clock
-from seedslib.base.correction import correct
-from seedslib.base.objects import by_fields
-from seedslib.designed.base import freeze, nan_where, want_corrected, want_forecast, want_next
-from seedslib.designed.between import BetweenFilter, known_kind
-from seedslib.designed.checks import check_covariances, check_nodes, check_start, check_verbs
-from seedslib.designed.memory import Memory, Past
-from seedslib.designed.patterns import PatternFit, chosen, loose, pattern_ways, regrouped
-from seedslib.designed.prediction import Design, HeldOut, Prediction, page, span
-from seedslib.designed.predictors import AffineFit, Continuous, PolynomialFit
-from seedslib.filters.base import Estimates
-from seedslib.linearization.moments import Linearization, Moments, symmetric
+from seedslib.base.conditioning import update
+from seedslib.base.linalg import symmetric
+from seedslib.base.values import Values
+from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
+from seedslib.designed.arrivals import ClassFits, fit_of, transitions, with_history
+from seedslib.designed.base import (
+    DesignedFilter,
+    FilterState,
+    freeze,
+    nan_where,
+    require_forecast,
+)
+from seedslib.designed.between import Interval, require_kind
+from seedslib.designed.checks import check_fields
+from seedslib.designed.memory import Memory
+from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
+from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
 
@@ -42,52 +49,33 @@ class Start(NamedTuple):
     cov: np.ndarray
     moments: Moments
 
-
-class FiniteOrderState(NamedTuple):
-    """What the filter remembers.
-
-    Attributes
-    ----------
-    index : int
-        Number k of the last measurement time reached; -1 before the first.
-    mean : ndarray
-        After `predict` the forecast of the whole state, (n, *batch); after `correct` the
-        estimate Z_k, (n', *batch).
-    cov : ndarray or None
-        Its covariance as the filter sees it, with or without batch axes.
-    past : Past
-        The memory U_k; after `predict` still U_{k-1}.
-    loglik : ndarray
-        Log-density of the last measurement as forecast by the filter.
-    before : FiniteOrderState or None
-        The state after the measurement before the last, needed by linear forecasts.
-    corrected : bool
-        Whether the measurement at `index` was taken in.
-    gap : ndarray of bool, shape (*batch), or False
-        Whether something that the design does not know of has been missing so far.
-    group : ndarray of int, shape (*batch), or 0
-        Class of what has arrived so far, see `seedslib.designed.patterns`.
-    """
-
-    index: int
-    mean: np.ndarray
-    cov: MaybeArray
-    past: Past
-    loglik: np.ndarray | float
-    before: object
-    corrected: bool
-    gap: np.ndarray | bool = False
-    group: np.ndarray | int = 0
+    def moments_for(self, depth: int) -> Moments:
+        """The moments of Y_0, shaped for `depth` batch axes."""
+        mean = self.moments.mean.reshape(-1, *(1,) * depth)
+        return self.moments._replace(mean=mean)
 
 
 @dataclass(frozen=True)
 class Rules:
-    """The steps of a filter that its design and its run share."""
+    """The steps of a filter that its design and its run share.
+
+    Attributes
+    ----------
+    memory : Memory
+    components : int
+        n'.
+    sensor : callable
+        Moments of the measurement.
+    velocity : callable, or None
+        E b(t, X) of a continuous forecast, see `_mean_velocity`.
+    periods : tuple
+        Components of a measurement on a circle.
+    """
 
     memory: Memory
     components: int
-    sensor: object
-    velocity: object = None
+    sensor: Callable[..., Moments]
+    velocity: Callable[..., Any] | None = None
     periods: Periods = ()
 
     @classmethod
@@ -95,7 +83,7 @@ class Rules:
         cls,
         system: AnySystem,
         memory: Memory,
-        predictor: Any,
+        predictor: Affine | Polynomial | Continuous,
         linearization: Linearization,
         components: int,
     ) -> Rules:
@@ -108,96 +96,79 @@ class Rules:
 
     def first(
         self,
-        state: FiniteOrderState,
+        state: FilterState,
         t: float,
         y: np.ndarray,
+        p: Values,
         start: Start,
-        spread: bool = True,
-    ) -> FiniteOrderState:
+        covariance: bool = True,
+    ) -> FilterState:
         """State after the first measurement, whose moments are fixed."""
-        moments = _first_moments(start, state.mean.ndim - 1)
-        return self._corrected(state, t, y, moments, spread, start.mean)
+        moments = start.moments_for(state.mean.ndim - 1)
+        return self._corrected(state, t, y, p, moments, covariance, start.mean)
 
     def correct(
-        self, state: FiniteOrderState, t: float, y: np.ndarray, spread: bool = True
-    ) -> FiniteOrderState:
-        """State after the measurement; its `mean` and `cov` hold the forecast before.
+        self, state: FilterState, t: float, y: np.ndarray, p: Values, covariance: bool = True
+    ) -> FilterState:
+        """State after a measurement, from the forecast; its covariance where that is wanted."""
+        moments = self.sensor(t, state.mean, state.cov, p)
+        return self._corrected(state, t, y, p, moments, covariance, state.mean)
 
-        Without `spread` no covariance is formed.
-        """
-        moments = self.sensor(t, state.mean, state.cov)
-        return self._corrected(state, t, y, moments, spread, state.mean)
-
-    def _corrected(self, state, t, y, moments, spread, place):
-        y = nearest(y, moments.mean, self.periods)
-        mean, cov, loglik = correct(
-            state.mean,
-            state.cov if spread else None,
+    def _corrected(self, state, t, y, p, moments, covariance, mean):
+        if self.periods:
+            y = nearest(y, moments.mean, self.periods)
+        n = self.components
+        estimate, cov, loglik = update(
+            state.mean[:n],
+            state.cov[:n, :n] if covariance else None,
             y,
-            moments,
-            rows=self.components,
-            noise=lambda: self.sensor(t, place, np.zeros_like(state.cov)).cov,
+            (moments.mean, moments.cross[:n], moments.cov),
+            noise=lambda: self.sensor(t, mean, np.zeros_like(state.cov), p).cov,
         )
         # a missing measurement is remembered as what was expected
         missing = np.isnan(y)
         remembered = np.where(missing, moments.mean, y) if missing.any() else y
-        past = self.memory.push(state.past, estimate=mean, measurement=remembered)
-        return state._replace(mean=mean, cov=cov, past=past, loglik=loglik, corrected=True)
+        past = self.memory.push(state.past, estimate=estimate, measurement=remembered)
+        return FilterState(
+            state.index,
+            estimate,
+            cov,
+            past,
+            loglik,
+            before=state.before,
+            gap=state.gap,
+            history=state.history,
+            corrected=True,
+        )
 
-    def nodes(
-        self, fits: Sequence[AffineFit], stops: Sequence[float], state: FiniteOrderState
-    ) -> tuple[list[np.ndarray], np.ndarray | None]:
-        """Estimates at the nodes of an interval, and at its end where they lead there.
-
-        Parameters
-        ----------
-        fits : tuple of AffineFit
-            Forecasts for the nodes; of a continuous forecast those at the start of each step.
-        stops : sequence of float
-            Start of the interval, its nodes, its end.
-        state : FiniteOrderState
-        """
-        if self.velocity is None:
-            return [chosen(fit, state.group).mean(state.past.vector) for fit in fits], None
-        moved, z = [], state.mean
-        for fit, t, after in zip(fits, stops, stops[1:], strict=False):
-            z = self.move(fit, t, after - t, z)
-            moved.append(z)
-        return moved[: len(stops) - 2], moved[-1]
-
-    def move(self, fit: AffineFit, t: float, h: float, z: np.ndarray) -> np.ndarray:
+    def move(self, fit: AffineFit, t: float, step: float, z: np.ndarray, p: Values) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
         with np.errstate(over="ignore", invalid="ignore"):
-            mean, moved = fit.mean(z), np.empty_like(z)
-            for k, rate in enumerate(self.velocity(t, list(mean), fit.cov)[: self.components]):
-                moved[k] = z[k] + rate * h
+            rates, moved = self.velocity(t, list(fit.mean(z)), fit.cov, p), np.empty_like(z)
+            for k, rate in enumerate(rates[: self.components]):
+                moved[k] = z[k] + rate * step
         return moved
 
 
-def _first_moments(start, depth):
-    """Moments of the first measurement, shaped for `depth` batch axes."""
-    return start.moments._replace(mean=start.moments.mean.reshape(-1, *(1,) * depth))
-
-
 def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[..., Any]:
-    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov) -> components``.
+    """E b(t, X) for X ~ N(mean, cov), as ``f(t, mean components, cov, p) -> components``.
 
     The covariance is common to all paths, (n, n).
     """
     if not (system.symbolic and hasattr(linearization, "formulas")):
         moments = linearization.moments(system.drift_map, spread=False)
-        return lambda t, mean, cov: list(moments(t, np.stack(mean), cov).mean)
+        return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components
 
     n = system.state_size
-    mean, lower, cov = law_symbols(n)
+    mean, lower, cov = gaussian_symbols(n)
     velocity = linearization.formulas(system.drift_map, list(mean), cov, spread=False)[0]
-    evaluate = compile_components((system.time, mean, lower), list(velocity))
+    evaluate = compile_components((system.time, mean, lower, system.parameters), list(velocity))
     rows, columns = np.tril_indices(n)
-    return lambda t, mean, cov: evaluate(t, mean, cov[rows, columns].tolist())
+    return lambda t, mean, cov, p: evaluate(t, mean, cov[rows, columns].tolist(), p)
 
 
-def law_symbols(n: int) -> tuple[Any, ...]:
+def gaussian_symbols(n: int) -> tuple[Any, ...]:
     """Symbols of a mean, of a covariance on and below the diagonal, and that covariance (n, n)."""
     import sympy
 
@@ -207,7 +178,7 @@ def law_symbols(n: int) -> tuple[Any, ...]:
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class FiniteOrderFilter(BetweenFilter):
+class FiniteOrderFilter(DesignedFilter):
     """A designed filter of finite order; `seedslib.design.synthesize` makes it.
 
     At measurement k the state is forecast from the memory, Lambda_k = Gamma_k U_{k-1} + kappa_k
@@ -228,7 +199,7 @@ class FiniteOrderFilter(BetweenFilter):
         n': the first components of the state are estimated.
     start : Start
     fits : tuple of AffineFit or PolynomialFit, length K
-        With an availability of PatternFit.
+        Of ClassFits where there is an availability.
     node_fits : tuple of tuple of AffineFit
         Forecasts Z_k^i; for `Continuous` the fits at the start of each integration step.
     predicted : Prediction
@@ -240,9 +211,7 @@ class FiniteOrderFilter(BetweenFilter):
     measured, availability : ndarray, optional
         See `DesignedFilter`.
     rules : Rules
-        The compiled steps; made from the other fields.
-    clock : Clock
-        The measurement times, and what else is one of them.
+        The compiled steps.
     """
 
     takes = ("covariances",)
@@ -250,7 +219,7 @@ class FiniteOrderFilter(BetweenFilter):
 
     system: Any
     memory: Memory
-    predictor: Any
+    predictor: Affine | Polynomial | Continuous
     linearization: Linearization
     times: np.ndarray
     node_times: tuple[np.ndarray, ...]
@@ -261,132 +230,100 @@ class FiniteOrderFilter(BetweenFilter):
     predicted: Prediction
     design: Design
     between: str = "interpolated"
-    held_out: HeldOut | Any = None
+    held_out: HeldOut | None = None
     cycle: int = 0
     measured: MaybeArray = None
     availability: MaybeArray = None
-    rules: Rules | None = None
 
     def __post_init__(self) -> None:
+        require_kind("between", self.between)
         self.check_shapes()
-        if self.rules is None:
-            rules = Rules.of(
-                self.system, self.memory, self.predictor, self.linearization, self.components
-            )
-            object.__setattr__(self, "rules", rules)
-        known_kind("between", self.between)
+        vars(self).update(clock=Clock(self.times), transitions=transitions(self.fits, self.cycle))
+        _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
-        object.__setattr__(self, "clock", Clock(self.times))
-        object.__setattr__(self, "ways", pattern_ways(self.fits, self.cycle))
 
-    def check_parts(self) -> None:
-        """First estimate, nodes and forecasts, held against memory and times."""
-        start, memory, components = self.start, self.memory, self.components
-        (n, m), intervals = check_start("start", start), len(self.times) - 1
-        as_count("components", components, 1, n)
-        check_covariances("start", (start.cov, start.moments.cov))
-        if len(self.fits) != intervals:
-            raise ValueError(f"fits: wanted {intervals}, got {len(self.fits)}")
-        check_nodes(self, intervals)
-        sizes = [memory.dimension(k, components, m) for k in range(intervals)]
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """See `DesignedFilter.evaluated`."""
         continuous = isinstance(self.predictor, Continuous)
-        targets = n if continuous else components
-        regressions = [(f"fits[{k}]", fit, n, sizes[k]) for k, fit in enumerate(self.fits)]
-        for k, (grid, fits) in enumerate(zip(self.node_times, self.node_fits, strict=True)):
-            if len(fits) != len(grid) + continuous:
-                raise ValueError(
-                    f"node_fits[{k}]: wanted {len(grid) + continuous}, got {len(fits)}"
-                )
-            regressions += [
-                (f"node_fits[{k}][{i}]", fit, targets, sizes[k]) for i, fit in enumerate(fits)
-            ]
-        if self.availability is None:
-            check_verbs([row[:2] for row in regressions], "forecast")
-            kinds = AffineFit | PolynomialFit
-        else:
-            kinds, patterns = PatternFit, 2 ** len(loose(self.availability))
-            for name, fit, *_ in regressions:
-                if not isinstance(fit, PatternFit) or fit.table.shape[1:] != (patterns,):
-                    raise ValueError(f"{name}: wanted classes of {patterns} patterns")
-        known = [row for row in regressions if isinstance(row[1], kinds)]
-        for name, fit, *wanted in known:
-            fit.check(name, *wanted)
-        check_covariances("fits", [fit.cov for _, fit, *_ in known])
+        maps = (self.system.sensor, *((self.system.drift_map,) if continuous else ()))
+        return frozenset(p for map in maps for p in map.mentions)
+
+    @cached_property
+    def rules(self) -> Rules:
+        """The compiled steps."""
+        return Rules.of(
+            self.system, self.memory, self.predictor, self.linearization, self.components
+        )
+
+    def check_shapes(self) -> None:
+        """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
+        super().check_shapes()
+        start, n, m = self.start, len(self.start.mean), len(self.start.moments.mean)
+        check_fields("start", start, mean=(n,), cov=(n, n))
+        check_fields("start.moments", start.moments, mean=(m,), cross=(n, m), cov=(m, m))
+        as_count("components", self.components, 1, n)
+        if len(self.fits) != len(self.times) - 1:
+            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
+        continuous = isinstance(self.predictor, Continuous)
+        targets = n if continuous else self.components
+        for k, fit in enumerate(self.fits):
+            nodes = self.node_fits[k] if self.node_fits else ()
+            if self.node_fits and len(nodes) != len(self.node_times[k]) + continuous:
+                raise ValueError(f"node_fits[{k}]: wanted one forecast a node, got {len(nodes)}")
+            dimension = self.memory.dimension(k, self.components, m)
+            for one, rows in ((fit, n), *((node, targets) for node in nodes)):
+                if isinstance(one, AffineFit | PolynomialFit | ClassFits):
+                    one.check(f"fits[{k}]", rows, dimension)
 
     @property
     def order(self) -> int:
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    def __reduce__(self) -> tuple:
-        return by_fields(self, rules=None)  # what was compiled is compiled again elsewhere
-
     # Step by step
 
-    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FiniteOrderState:
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
         """State before any measurement; the filter draws nothing from `seed`."""
         mean = self.start.mean.reshape(-1, *(1,) * len(batch))
         mean = np.broadcast_to(mean, (len(mean), *batch)).copy()
-        return FiniteOrderState(-1, mean, self.start.cov, Past(), 0.0, None, False)
+        return FilterState(-1, mean, self.start.cov, loglik=0.0)
 
-    def predict(self, state: FiniteOrderState, t: float) -> FiniteOrderState:
-        """Forecast for the next measurement time, (n, *batch); the first has none to make.
-
-        Raises
-        ------
-        ValueError
-            Not the next measurement time of the design, or no more of them.
-        """
-        want_next(self.clock, state.index + 1, t, self.cycle)
-        if state.index >= 0:
-            want_corrected(state)
-        return self.advanced(state)
-
-    def advanced(self, state: FiniteOrderState, interval: Any = None) -> FiniteOrderState:
-        """The forecast for the next measurement, from what is known of the interval if anything."""
+    def propagate(
+        self, state: FilterState, t: float, p: Values, interval: Interval | None = None
+    ) -> FilterState:
+        """The forecast of the whole state for the next measurement; the first is the prior."""
         k = state.index + 1
         if k == 0:
             return state._replace(index=0)
         if self.rules.velocity is None:
             u = state.past.vector
         else:  # the estimate has moved on
-            u = interval.values[-1] if interval else self.nodes_after(k - 1, state)[1]
-        mean, cov = chosen(self.fits[self.served(k) - 1], state.group).forecast(u)
+            u = (interval or self.interval(state, p, with_before=False)).values[-1]
+        mean, cov = fit_of(self.fits[self.served(k) - 1], state.history).forecast(u)
         before = state._replace(before=None)
-        return state._replace(
-            index=k, mean=mean, cov=cov, loglik=0.0, before=before, corrected=False
+        return FilterState(
+            k, mean, cov, state.past, 0.0, before=before, gap=state.gap, history=state.history
         )
 
-    def correct(self, state: FiniteOrderState, y: ArrayLike) -> FiniteOrderState:
-        """Correct the forecast by y, (m, *batch); of NaN components see `run`.
-
-        Raises
-        ------
-        TypeError, ValueError
-            A state without a forecast, a wrong shape, an infinite measurement.
-        """
-        want_forecast(state)
-        y, _, gap = self.admitted(y, None, state.mean.shape[1:], state.index)
-        gap = state.gap | gap
-        found = self.corrected(state, y, None, True)
-        if not np.any(gap):
-            return found
-        loglik = np.where(state.gap, np.nan, found.loglik)
-        return found._replace(cov=nan_where(gap, found.cov), loglik=loglik, gap=gap)
-
-    def corrected(
-        self, state: FiniteOrderState, y: np.ndarray, indicator: MaybeArray, covariance: bool
-    ) -> FiniteOrderState:
+    def update(
+        self,
+        state: FilterState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
+    ) -> FilterState:
         """The state after a measurement, with its covariance where that is wanted."""
         t = self.clock.moment(state.index, self.cycle)
         if state.index == 0:
-            found = self.rules.first(state, t, y, self.start, covariance)
+            state = self.rules.first(state, t, y, p, self.start, covariance)
         else:
-            found = self.rules.correct(state, t, y, covariance)
-        return found if self.ways is None else regrouped(self, found, y)
+            state = self.rules.correct(state, t, y, p, covariance)
+        return state if self.transitions is None else with_history(self, state, y)
 
-    def expect(self, state: FiniteOrderState) -> Moments:
+    def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
 
         Raises
@@ -394,54 +331,31 @@ class FiniteOrderFilter(BetweenFilter):
         ValueError
             A state without a forecast.
         """
-        want_forecast(state)
+        require_forecast(state)
         if state.index == 0:
-            return _first_moments(self.start, state.mean.ndim - 1)
+            return self.start.moments_for(state.mean.ndim - 1)
         t = self.clock.moment(state.index, self.cycle)
-        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov)
+        p = self.values(inputs)
+        mean, cross, cov = self.rules.sensor(t, state.mean, state.cov, p)
         return Moments(mean, nan_where(state.gap, cross), nan_where(state.gap, cov))
 
-    def nodes(self, state: FiniteOrderState, end: bool = True) -> tuple[list, list, tuple | None]:
-        """Times and estimates to the last node after a correction, and the next measurement's."""
-        k, row = state.index, self._row(state.index)
-        start = self.clock.moment(k, self.cycle)
-        grid, values, last = [start], [state.mean], None
-        if row < len(self.node_times) and (end or len(self.node_times[row])):
-            found, last = self.nodes_after(k, state)
-            stops = self.node_times[row] + (start - self.times[row])
-            grid, values = [*grid, *stops], values + found
-        if not end or row >= len(self.fits):
-            return grid, values, None
-        if last is None:
-            last = chosen(self.fits[row], state.group).mean(state.past.vector)[: self.components]
-        return grid, values, (self.clock.moment(k + 1, self.cycle), last)
-
-    def _row(self, k: int) -> int:
-        """Number of the interval of the design that serves the one after measurement k."""
-        return self.served(k + 1) - 1 if self.cycle else k
-
-    def nodes_after(
-        self, k: int, state: FiniteOrderState
-    ) -> tuple[list[np.ndarray], np.ndarray | None]:
-        """Estimates at the nodes after measurement k, and at the next one; see `Rules.nodes`.
-
-        The second is None where the nodes do not lead there.
-        """
-        row, clock = self._row(k), self.clock
-        start, end = clock.moment(k, self.cycle), clock.moment(k + 1, self.cycle)
-        stops = [start, *self.node_times[row] + (start - self.times[row]), end]
-        return self.rules.nodes(self.node_fits[row], stops, state)
+    def ahead(self, state: FilterState, row: int, p: Values) -> list[np.ndarray]:
+        """Estimates at the nodes of an interval and at its end; Euler's steps if continuous."""
+        fits = self.node_fits[row] if self.node_fits else ()
+        if self.rules.velocity is None:
+            found = [fit_of(fit, state.history).mean(state.past.vector) for fit in fits]
+            last = fit_of(self.fits[row], state.history).mean(state.past.vector)
+            return [*found, last[: self.components]]
+        start, end = (self.clock.moment(state.index + k, self.cycle) for k in (0, 1))
+        stops = [start, *(self.node_times[row] + (start - self.times[row])), end]
+        values = [state.mean]
+        for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
+            values.append(self.rules.move(fit, t, after - t, values[-1], p))
+        return values[1:]
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Forecasts of the chosen steps."""
         return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
-
-    # Whole records
-
-    def sizes(self, covariances: bool) -> Estimates:
-        """Shapes of what is found at each time."""
-        n = self.components
-        return Estimates((n,), (n, n) if covariances else None, None, ())
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"
@@ -454,5 +368,5 @@ class FiniteOrderFilter(BetweenFilter):
             f"forecasts    {self.predictor}; {self.between} between measurements",
             f"corrections  {self.linearization}",
             f"estimates    {self.components} of {len(self.start.mean)} state components",
-            span(self),
+            measurement_line(self),
         )

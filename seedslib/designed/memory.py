@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
 
-KEPT = ("estimates", "measurements", "indicators")
-"""What is remembered of so many steps."""
+COUNTS = ("estimates", "measurements", "indicators")
+"""Fields of a memory that count remembered steps."""
 
 
 class Past(NamedTuple):
@@ -47,7 +47,7 @@ class Past(NamedTuple):
 
 @dataclass(frozen=True)
 class Memory:
-    """Memory of a finite-order filter: what is named is remembered, and nothing else.
+    """Memory of a finite-order filter: how many past values are carried.
 
     Parameters
     ----------
@@ -80,7 +80,7 @@ class Memory:
     log_odds: bool = False
 
     def __post_init__(self) -> None:
-        for name in KEPT:
+        for name in COUNTS:
             object.__setattr__(self, name, as_count(name, getattr(self, name), 0))
         if not isinstance(self.log_odds, bool | np.bool_):
             raise TypeError(f"log_odds: wanted True or False, got {self.log_odds!r}")
@@ -99,9 +99,9 @@ class Memory:
 
         The lemma of the jump-diffusion paper: n' min(k + 1, l) for a memory of estimates.
         """
-        held = step + 1
         block = estimate + (modes - 1 if self.log_odds else 0)
-        return block * min(held, self.estimates) + measurement * min(held, self.measurements)
+        estimates, measurements = min(step + 1, self.estimates), min(step + 1, self.measurements)
+        return block * estimates + measurement * measurements
 
     def order(self, estimate: int, measurement: int = 0, modes: int = 1) -> int:
         """Dimension of the full memory: the order of the filter, l n' for the large-order one."""
@@ -138,19 +138,19 @@ class Memory:
             estimate = np.concatenate([estimate, log_odds])
         decided = past.modes if mode is None else (mode, *past.modes)[: self.estimates]
         return Past(
-            _renew("estimate", past.estimates, estimate, self.estimates),
-            _renew("measurement", past.measurements, measurement, self.measurements),
+            _pushed("estimate", past.estimates, estimate, self.estimates),
+            _pushed("measurement", past.measurements, measurement, self.measurements),
             decided,
-            _renew("indicator", past.indicators, indicator, self.indicators),
+            _pushed("indicator", past.indicators, indicator, self.indicators),
         )
 
     def __str__(self) -> str:
-        counts = [(getattr(self, name), name) for name in KEPT]
+        counts = [(getattr(self, name), name) for name in COUNTS]
         parts = [f"{count} {name if count > 1 else name[:-1]}" for count, name in counts if count]
         return ", ".join(parts + ["log-odds of the modes"] * self.log_odds)
 
 
-def _renew(name, blocks, new, length):
+def _pushed(name, blocks, new, length):
     if length == 0:
         return ()
     if new is None:

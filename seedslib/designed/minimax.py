@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -12,11 +12,10 @@ import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.designed.base import freeze
-from seedslib.designed.checks import check_covariances, check_fields
-from seedslib.designed.output_filter import OutputFilter
+from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import AffineFit, PolynomialFit
-from seedslib.designed.tables import Output, Step, prior
-from seedslib.models.kinds import elapsed
+from seedslib.designed.tables import Output, OutputFilter, Step, prior
+from seedslib.models.discrete import DiscreteSystem
 
 Basic = Callable[..., np.ndarray]
 """A basic function of the user's."""
@@ -28,8 +27,8 @@ class BoundedPolynomial:
 
     What the best affine map of predicted state and measurement leaves of the state is regressed
     on all products of up to `degree` components of basic prediction and measurement,
-    standardised and clipped to 3.5 deviations. The polynomial is kept within what it has been on
-    the design's paths, and the estimate within the range of their states.
+    standardised and clipped to 3.5 deviations. The polynomial is bounded by its values on the
+    design's paths, and the estimate by the range of their states.
 
     Parameters
     ----------
@@ -59,13 +58,18 @@ class Minimax:
     correction: Basic | BoundedPolynomial | None
 
     def __post_init__(self) -> None:
-        first, second = self.prediction, self.correction
-        if not (first is None or callable(first)):
-            raise TypeError(f"prediction: wanted a function or None, got {first!r}")
-        if not (second is None or callable(second) or type(second) is BoundedPolynomial):
+        if not (self.prediction is None or callable(self.prediction)):
+            raise TypeError(f"prediction: wanted a function or None, got {self.prediction!r}")
+        correction = self.correction
+        if not (correction is None or self.bounded or callable(correction)):
             raise TypeError(
-                f"correction: wanted a function, a BoundedPolynomial or None, got {second!r}"
+                f"correction: wanted a function, a BoundedPolynomial or None, got {correction!r}"
             )
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the correction is a `BoundedPolynomial`."""
+        return isinstance(self.correction, BoundedPolynomial)
 
     def __str__(self) -> str:
         first = "the mean of the dynamics" if self.prediction is None else "a given function"
@@ -91,16 +95,16 @@ class BoundedFit(NamedTuple):
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         """Value (n, *batch) at basic prediction and measurement (p + m, *batch)."""
-        return within(self.values, self.powers.mean(points))
+        return clipped(self.values, self.powers.mean(points))
 
 
-def within(ends: np.ndarray, x: np.ndarray) -> np.ndarray:
+def clipped(ends: np.ndarray, x: np.ndarray) -> np.ndarray:
     """Components (n, *batch) cut to their ranges, (2, n)."""
     return np.clip(x, *ends.reshape(*ends.shape, *(1,) * (x.ndim - 1)))
 
 
 class MinimaxFit(NamedTuple):
-    """What the regressions of one measurement found.
+    """The regressions of one measurement.
 
     Attributes
     ----------
@@ -114,30 +118,6 @@ class MinimaxFit(NamedTuple):
     forecast: AffineFit
     correction: AffineFit
     bounded: BoundedFit | None = None
-
-    def check(self, name: str, n: int, m: int, memory: int, method: Minimax) -> None:
-        """Refuse parts that do not fit together, for so many remembered numbers.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Arrays of another shape or kind, numbers that are not finite.
-        """
-        sizes = [fit.gain.shape[-1] for fit in self[:2]]
-        if method.prediction is None or not memory:
-            sizes[0] = memory
-        bounded = isinstance(method.correction, BoundedPolynomial)
-        if method.correction is None:
-            sizes[1] = m
-        elif bounded:
-            sizes[1] = 2 * n + m
-        for part, size in zip(("forecast", "correction"), sizes, strict=True):
-            getattr(self, part).check(f"{name}.{part}", n, size)
-        if bounded != (self.bounded is not None):
-            raise ValueError(f"{name}.bounded: wanted with bounded polynomials, and only there")
-        if self.bounded is not None:
-            self.bounded.powers.check(f"{name}.bounded.powers", n, sizes[0] + m)
-            check_fields(f"{name}.bounded", self.bounded, values=(2, n), states=(2, n))
 
 
 class Basics(NamedTuple):
@@ -153,23 +133,31 @@ class Basics(NamedTuple):
         Times up to its own.
     """
 
-    system: Any
+    system: DiscreteSystem
     method: Minimax
     estimates: int
     times: np.ndarray
+
+    @classmethod
+    def of(
+        cls, system: DiscreteSystem, memory: Memory, method: Minimax, times: np.ndarray, k: int
+    ) -> Basics:
+        """The basic functions of measurement k."""
+        estimates = min(k, memory.estimates)
+        return cls(system, method, estimates, times[k - max(estimates, min(k, 1)) : k + 1])
 
     def prediction(self, u: np.ndarray) -> np.ndarray:
         """Basic prediction (p, *batch) from the memory (d, *batch)."""
         if not len(u):
             return u
         if self.method.prediction is not None:
-            return _found("prediction", self.method.prediction(self.times[-2], u), u)
+            return _checked("prediction", self.method.prediction(self.times[-2], u), u)
         n, parts = self.system.state_size, []
         for age in range(1, self.estimates + 1):
-            x, steps = u[(age - 1) * n : age * n], self.times[-age - 1 :]
-            for start, stop in pairwise(steps):
-                with elapsed(self.system, start, stop):
-                    x = self.system.dynamics.conditional_moments(start, x)[0]
+            x = u[(age - 1) * n : age * n]
+            for start, stop in pairwise(self.times[-age - 1 :]):
+                p = self.system.values(dt=stop - start)
+                x = self.system.dynamics.conditional_moments(start, x, p)[0]
             parts.append(x)
         return np.concatenate([*parts, u[self.estimates * n :]])
 
@@ -177,16 +165,23 @@ class Basics(NamedTuple):
         self, forecast: np.ndarray, xi: np.ndarray, y: np.ndarray, bounded: BoundedFit | None
     ) -> np.ndarray:
         """Basic correction (q, *batch) from predicted state, basic prediction and measurement."""
-        chosen: Any = self.method.correction
-        t = self.times[-1]
+        t, correction = self.times[-1], self.method.correction
         if bounded is not None:
             return np.concatenate([forecast, y, bounded(np.concatenate([xi, y]))])
-        if chosen is None:
-            return y - self.system.sensor.conditional_moments(t, forecast)[0]
-        return _found("correction", chosen(t, forecast, y), y)
+        if correction is None:
+            p = self.system.values()
+            return y - self.system.sensor.conditional_moments(t, forecast, p)[0]
+        return _checked("correction", correction(t, forecast, y), y)
+
+    def functions(self, fit: MinimaxFit) -> Step:
+        """The output functions with the regressions."""
+        forecast = partial(_forecast, self, fit)
+        if len(self.times) == 1:
+            forecast = prior(self.system, len(fit.forecast.offset))
+        return Step(partial(_update, self, fit), forecast)
 
 
-def _found(name, value, like):
+def _checked(name, value, like):
     value = np.asarray(value, dtype=float)
     if value.ndim != like.ndim or value.shape[1:] != like.shape[1:]:
         raise ValueError(
@@ -196,24 +191,17 @@ def _found(name, value, like):
     return value
 
 
-def _blind(basics: Basics, fit: MinimaxFit, points: Any) -> Output:
-    return Output(fit.forecast.mean(basics.prediction(np.stack(np.broadcast_arrays(*points)))))
+def _forecast(basics: Basics, fit: MinimaxFit, points: Sequence[np.ndarray]) -> Output:
+    u = np.stack(np.broadcast_arrays(*points))
+    return Output(fit.forecast.mean(basics.prediction(u)))
 
 
-def _shown(basics: Basics, fit: MinimaxFit, points: Any) -> Output:
+def _update(basics: Basics, fit: MinimaxFit, points: Sequence[np.ndarray]) -> Output:
     points, m = np.stack(np.broadcast_arrays(*points)), basics.system.measurement_size
     y, xi = points[:m], basics.prediction(points[m:])
     forecast = fit.forecast.mean(xi)
-    zeta = basics.correction(forecast, xi, y, fit.bounded)
-    mean = forecast + fit.correction.mean(zeta)
-    return Output(mean if fit.bounded is None else within(fit.bounded.states, mean))
-
-
-def output_functions(basics: Basics, fit: MinimaxFit) -> Step:
-    """The output functions of one measurement."""
-    first = len(basics.times) == 1
-    blind = prior(basics.system, len(fit.forecast.offset))
-    return Step(partial(_shown, basics, fit), blind if first else partial(_blind, basics, fit))
+    mean = forecast + fit.correction.mean(basics.correction(forecast, xi, y, fit.bounded))
+    return Output(mean if fit.bounded is None else clipped(fit.bounded.states, mean))
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -226,41 +214,30 @@ class MinimaxFilter(OutputFilter):
     Attributes
     ----------
     fits : tuple of MinimaxFit, length K+1
-        What the regressions found; `steps` are made of them.
+        The regressions; `steps` are made of them.
     """
 
-    system: Any
+    system: DiscreteSystem
     steps: tuple[Step, ...] = field(init=False)
     method: Minimax
     fits: tuple[MinimaxFit, ...] = field(kw_only=True)
 
     def __post_init__(self) -> None:
-        made = [output_functions(self.basics(k), fit) for k, fit in enumerate(self.fits)]
-        object.__setattr__(self, "steps", tuple(made))
+        steps = tuple(self.basics(k).functions(fit) for k, fit in enumerate(self.fits))
+        vars(self).update(steps=steps)
         freeze(self.fits)
         super().__post_init__()
 
+    def bind(self, values: Any = None, /, **named: Any) -> MinimaxFilter:
+        """See `seedslib.filters.Filter.bind`; the output functions contain the model."""
+        return replace(self, system=self.system.bind(values, **named))
+
     def basics(self, k: int) -> Basics:
         """The basic functions of measurement k."""
-        return basics_of(self.system, self.memory, self.method, self.times, k)
-
-    def check_parts(self) -> None:
-        """The regressions."""
-        super().check_parts()
-        n, m = self.components, self.system.measurement_size
-        for k, fit in enumerate(self.fits):
-            remembered = self.memory.dimension(k - 1, n, m)
-            fit.check(f"fits[{k}]", n, m, remembered, self.method)
-        check_covariances("fits", [part.cov for fit in self.fits for part in fit[:2]])
+        return Basics.of(self.system, self.memory, self.method, self.times, k)
 
     def parts(self, chosen: list[int]) -> dict[str, Any]:
         """Regressions of the chosen steps."""
-        kept = super().parts(chosen)
-        del kept["steps"]
-        return {**kept, "fits": tuple(self.fits[k] for k in chosen)}
-
-
-def basics_of(system: Any, memory: Any, method: Minimax, times: np.ndarray, k: int) -> Basics:
-    """The basic functions of measurement k."""
-    estimates = min(k, memory.estimates)
-    return Basics(system, method, estimates, times[k - max(estimates, min(k, 1)) : k + 1])
+        changed = super().parts(chosen)
+        del changed["steps"]
+        return {**changed, "fits": tuple(self.fits[k] for k in chosen)}

@@ -1,17 +1,25 @@
-"""Output functions as tables: their axes, their arguments, and how they are looked up."""
+"""Filters of output functions: the optimal functions of theorems 1 and 2, mostly as tables."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import require_shape
+from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
-from seedslib.designed.checks import check_array
+from seedslib.base.values import Values
+from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
+from seedslib.designed.base import DesignedFilter, FilterState, freeze
+from seedslib.designed.between import Interval, require_kind
+from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
+from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
 
 
@@ -31,18 +39,24 @@ class Output(NamedTuple):
     mode: MaybeArray = None
     prob: MaybeArray = None
 
-    def filling(self, batch: tuple[int, ...]) -> Output:
-        """The same on all paths, of a function that looked at nothing that has their axes."""
+    def on(self, batch: tuple[int, ...]) -> Output:
+        """The same on all paths of a batch, of a function that is constant over them."""
         if self.mean.ndim > len(batch):
             return self
-        wide = (..., *(None,) * len(batch))
-        parts = (part if part is None else np.asarray(part) for part in self)
-        return Output(
-            *(
-                None if part is None else np.array(np.broadcast_to(part[wide], part.shape + batch))
-                for part in parts
-            )
-        )
+
+        def repeated(part):
+            if part is None:
+                return None
+            shape = np.shape(part)
+            return np.broadcast_to(
+                np.reshape(part, shape + (1,) * len(batch)), shape + batch
+            ).copy()
+
+        return Output(*map(repeated, self))
+
+
+OutputFunction = Callable[[Sequence[np.ndarray]], Output]
+"""Function of arguments as `arguments` lists them."""
 
 
 class Table(NamedTuple):
@@ -66,11 +80,11 @@ class Table(NamedTuple):
 
     @classmethod
     def of(
-        cls, axes: tuple[Axis | Labels, ...], found: Output, probabilities: bool = False
+        cls, axes: tuple[Axis | Labels, ...], output: Output, probabilities: bool = False
     ) -> Table:
-        """What was found for one component at all nodes, in the order of the axes."""
+        """From the output for one component at all nodes, in the order of the axes."""
         shape = tuple(axis.count for axis in axes)
-        mean, mode, prob = found
+        mean, mode, prob = output
         return cls(
             axes,
             mean.reshape(1, *shape),
@@ -86,25 +100,19 @@ class Table(NamedTuple):
         return Output(place.rows(self.estimate), mode, prob)
 
     def check(self, name: str, axes: Any, components: int, modes: int, memory: Memory) -> None:
-        """Refuse other axes, numbers of labels or none, than those of the memory, or shapes."""
-        own, wanted = (
+        """Refuse other axes, or labels, than those of the memory, and arrays of other shapes."""
+        labels, wanted = (
             [axis.count if isinstance(axis, Labels) else None for axis in several]
             for several in (self.axes, axes)
         )
-        if own != wanted:
+        if labels != wanted:
             raise ValueError(f"{name} has other axes than the memory {memory}")
-        shape, mode = tuple(axis.count for axis in self.axes), self.mode
-        check_array(f"{name}.estimate", self.estimate, components, *shape)
+        shape = tuple(axis.count for axis in self.axes)
+        check_fields(name, self, estimate=(components, *shape))
         if self.prob is not None:
-            check_array(f"{name}.prob", self.prob, modes, *shape)
-        if mode is None:
-            if modes and ".shown" in name:
-                raise ValueError(f"{name}.mode: wanted the decided modes, got none")
-            return
-        if mode.shape != shape or mode.dtype != np.int8:
-            raise ValueError(f"{name}.mode: wanted bytes of shape {shape}")
-        if mode.size and not 0 <= mode.min() <= mode.max() < modes:
-            raise ValueError(f"{name}.mode: a number that is no mode")
+            check_fields(name, self, prob=(modes, *shape))
+        if self.mode is not None:
+            require_shape(f"{name}.mode", self.mode, shape)
 
 
 class Step(NamedTuple):
@@ -112,14 +120,14 @@ class Step(NamedTuple):
 
     Attributes
     ----------
-    shown : callable
+    update : callable
         Of the measurement and the memory before it.
-    blind : callable
-        Of the memory alone, where the measurement is missing: the forecast.
+    forecast : callable
+        Of the memory alone, where the measurement is missing.
     """
 
-    shown: Table | Any
-    blind: Table | Any
+    update: OutputFunction
+    forecast: OutputFunction
 
 
 def prior(system: AnySystem, components: int) -> Table:
@@ -128,7 +136,11 @@ def prior(system: AnySystem, components: int) -> Table:
 
 
 def step_axes(
-    system: AnySystem, memory: Memory, measured: Any, estimated: Any, k: int
+    system: AnySystem,
+    memory: Memory,
+    measured: tuple[Any, ...],
+    estimated: tuple[Any, ...],
+    k: int,
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Axes of the tables of measurement k.
 
@@ -145,7 +157,7 @@ def step_axes(
 
     Returns
     -------
-    shown, blind : tuple of Axis or Labels
+    update, forecast : tuple of Axis or Labels
     """
     values = system.indicators
     indicator = (Labels(values + 1),) if values else ()
@@ -186,7 +198,9 @@ def require_like_blocks(memory: Memory, indicators: int, place: str = "") -> Non
         raise ValueError(f"memory: wanted estimates or measurements alone{place}, got {memory}")
 
 
-def recalled(system: AnySystem, memory: Memory, components: int, k: int, points: Any) -> Past:
+def recalled(
+    system: AnySystem, memory: Memory, components: int, k: int, points: Sequence[np.ndarray]
+) -> Past:
     """The memory after measurement k from what `arguments` lists of it, (d, *batch)."""
     modes, indicators = block_labels(system, memory)
     past: dict[str, list] = {name: [] for name in Past._fields}
@@ -201,7 +215,9 @@ def recalled(system: AnySystem, memory: Memory, components: int, k: int, points:
     return Past(**{name: tuple(blocks) for name, blocks in past.items()})
 
 
-def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past) -> list[Any]:
+def arguments(
+    system: AnySystem, y: Sequence[np.ndarray], indicator: ArrayLike | None, past: Past
+) -> list[np.ndarray]:
     """Arguments of an output function, in the order of the axes of its table.
 
     Parameters
@@ -228,3 +244,284 @@ def arguments(system: AnySystem, y: Any, indicator: ArrayLike | None, past: Past
             points.append(past.indicators[number])
         points += tuple(block)
     return points
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class OutputFilter(DesignedFilter):
+    """Filter whose estimate is any function of measurement and memory.
+
+    Z_k = f_k(Y_k, U_{k-1}) and Z_k^i = g_k^i(U_k), theorem 1 of the jump-diffusion paper; with
+    modes also the decided mode, iota_k(j, y, z) and g_k(j, y, z) of (3.1), (3.2) of the switching
+    paper. There is no likelihood, and the covariance is the unconditional one that the design
+    found, NaN from a missing measurement on.
+
+    A missing measurement or indicator is left out, exactly for that step given the memory, by
+    functions of its own. The result is remembered like any other estimate.
+
+    Attributes
+    ----------
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
+    memory : Memory
+        Of estimates, with their decided modes where there are modes, of measurements, or of
+        both; of indicators too where it says so.
+    times : ndarray, shape (K+1,)
+    steps : tuple of Step, length K+1
+        Output functions of each measurement.
+    method : object
+        How the functions were made.
+    predicted : Prediction
+        Accuracy; without standard errors where no random numbers were used.
+    covariances : ndarray, shape (K+1, n', n')
+        Error covariances that the design found.
+    design : Design
+    node_times : tuple of ndarray, length K or 0
+        Nodes within each interval.
+    node_fits : tuple of tuple of callable
+        Forecasts Z_k^i, functions of the memory.
+    changes : ndarray, shape (2, K+1), or None
+        Of a design on a grid: how far each function is from the one before, root mean square of
+        the difference of the estimates, probability of another mode; NaN where the memory was
+        still filling. They are those of arguments that are rounded to the nodes at random, as the
+        design has them. Between the nodes a run interpolates, so it finds less by the convexity
+        of the square: a tenth where the difference moves as much from node to node as it is large.
+    between : str
+        Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
+    cycle : int
+        See `DesignedFilter`.
+    held_out : HeldOut, optional
+        Errors on paths that the design has not seen; none where it took no paths.
+    """
+
+    system: object
+    memory: Memory
+    times: np.ndarray
+    steps: tuple[Step, ...]
+    method: object
+    predicted: Prediction
+    covariances: np.ndarray
+    design: Design
+    node_times: tuple[np.ndarray, ...] = ()
+    node_fits: tuple[tuple[OutputFunction, ...], ...] = ()
+    changes: MaybeArray = None
+    between: str = "interpolated"
+    cycle: int = 0
+    held_out: HeldOut | None = None
+
+    def __post_init__(self) -> None:
+        require_kind("between", self.between)
+        self.check_shapes()
+        vars(self).update(clock=Clock(self.times))
+        freeze((self.times, self.steps, self.changes, self.node_times, self.node_fits))
+        freeze((self.covariances, self.predicted, self.held_out))
+
+    def check_shapes(self) -> None:
+        """See `DesignedFilter.check_shapes`; functions that are no tables are taken as they are."""
+        super().check_shapes()
+        steps, n, m = len(self.times), self.components, self.system.measurement_size
+        if len(self.steps) != steps:
+            raise ValueError(f"steps: wanted {steps}, got {len(self.steps)}")
+        check_fields("", self, covariances=(steps, n, n))
+        for k, step in enumerate(self.steps):
+            axes = step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
+            tables = [("update", step.update, axes[0]), ("forecast", step.forecast, axes[1])]
+            if k and self.node_fits:
+                tables += [("nodes", fit, axes[1]) for fit in self.node_fits[k - 1]]
+            for name, table, wanted in tables:
+                if isinstance(table, Table):
+                    modes = getattr(self.system, "modes", 0)
+                    table.check(f"steps[{k}].{name}", wanted, n, modes, self.memory)
+
+    @property
+    def components(self) -> int:
+        """n': how many state components are estimated."""
+        return self.covariances.shape[1]
+
+    @property
+    def order(self) -> int:
+        """Numbers that are remembered, modes and indicators included: l (n' + 1) for FBP."""
+        memory = self.memory
+        numbers = memory.order(self.components, self.system.measurement_size)
+        return numbers + memory.estimates * switches(self.system) + memory.indicators
+
+    @property
+    def made(self) -> str:
+        """How the functions were made."""
+        return str(self.method)
+
+    def output(self, k: int, y: ArrayLike, u: ArrayLike) -> Output:
+        """The output of measurement k for arguments whose batch axes broadcast.
+
+        Parameters
+        ----------
+        k : int
+        y, u : array_like, shapes (m, *batch) and (d, *batch)
+            The measurement, below the indicator where there is one; the memory, empty at k = 0.
+        """
+        return self.steps[k].update([*y, *u])
+
+    # Step by step
+
+    @property
+    def evaluated(self) -> frozenset[Any]:
+        """See `DesignedFilter.evaluated`: the functions take measurement and memory alone."""
+        return frozenset()
+
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
+        """State before any measurement; the filter draws nothing from `seed`."""
+        return FilterState(-1, np.full((self.components, *batch), np.nan))
+
+    def predict(
+        self, state: FilterState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> FilterState:
+        """See `DesignedFilter.predict`."""
+        state = super().predict(state, t, inputs=inputs)
+        mean, mode, prob = self._output(state, None, None)
+        return state._replace(mean=mean, mode=mode, mode_prob=prob)
+
+    def propagate(
+        self, state: FilterState, t: float, p: Values, interval: Interval | None = None
+    ) -> FilterState:
+        """The state at the next measurement time, still with the estimate before it."""
+        before = state._replace(before=None) if state.corrected else None
+        return FilterState(
+            state.index + 1, state.mean, past=state.past, before=before, gap=state.gap
+        )
+
+    def _output(self, state, y, indicator) -> Output:
+        """The output of a measurement; y is None where it is missing."""
+        step = self.steps[self.served(state.index)]
+        function, y = (step.forecast, ()) if y is None else (step.update, y)
+        points = arguments(self.system, y, indicator, state.past)
+        return function(points).on(state.mean.shape[1:])
+
+    def update(
+        self,
+        state: FilterState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
+    ) -> FilterState:
+        """The state after a measurement."""
+        missing = np.isnan(y)
+        if missing.any():
+            output = self._output_with_gaps(state, y, indicator, missing)
+        else:
+            output = self._output(state, y, indicator)
+        if self.memory.indicators and indicator is not None and (indicator < 0).any():
+            raise ValueError("indicator: wanted by the memory, got a missing one")
+        mean, mode, prob = output
+        past = self.memory.push(
+            state.past, estimate=mean, measurement=y, mode=mode, indicator=indicator
+        )
+        cov = self.covariances[self.served(state.index)]
+        return state._replace(
+            mean=mean, cov=cov, mode=mode, mode_prob=prob, past=past, corrected=True
+        )
+
+    def _output_with_gaps(self, state, y, indicator, missing) -> Output:
+        """The output where some measurements are missing."""
+        absent = missing.all(axis=0)
+        if not np.array_equal(missing.any(axis=0), absent):
+            raise ValueError("y: wanted all components of a measurement or none, got some NaN")
+        if self.memory.measurements:
+            raise ValueError("y: wanted a measurement, it is to be remembered; got NaN")
+        forecast = self._output(state, None, indicator)
+        if absent.all():
+            return forecast
+        update = self._output(state, np.where(missing, 0.0, y), indicator)
+        pairs = zip(update, forecast, strict=True)
+        return Output(*(None if a is None else np.where(absent, b, a) for a, b in pairs))
+
+    def ahead(self, state: FilterState, row: int, p: Values) -> list[np.ndarray]:
+        """Estimates at the nodes of an interval and at its end."""
+        points = arguments(self.system, (), None, state.past)
+        functions = [*(self.node_fits[row] if self.node_fits else ())]
+        functions.append(self.steps[self.served(state.index + 1)].forecast)
+        return [function(points).on(state.mean.shape[1:]).mean for function in functions]
+
+    def forecast(
+        self,
+        state: FilterState,
+        t: float,
+        kind: str | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
+        """Estimate at a time up to the next measurement, see `DesignedFilter.forecast`.
+
+        With modes, of the next measurement time only.
+        """
+        if switches(self.system):
+            ahead = self.predict(state, t)
+            return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
+        return super().forecast(state, t, kind, inputs=inputs)
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Functions of the chosen steps."""
+        return {
+            "steps": tuple(self.steps[k] for k in chosen),
+            "covariances": self.covariances[chosen],
+            "changes": None if self.changes is None else self.changes[:, chosen],
+        }
+
+    def __repr__(self) -> str:
+        return f"<{type(self).__name__} of order {self.order}: {self.memory}; {self.made}>"
+
+    def __str__(self) -> str:
+        modes = f"{self.system.modes} modes, of " if switches(self.system) else ""
+        return page(
+            self,
+            f"Finite-order filter of {modes}order {self.order}: {self.memory}",
+            f"estimates    {self.components} of {self.system.state_size} state components",
+            f"by           {self.made}",
+            measurement_line(self),
+        )
+
+
+class TableFilter(OutputFilter):
+    """Optimal filter of a given memory as tables; `seedslib.design` makes it.
+
+    Of a system of any kind: where it has modes the tables decide them too.
+
+    Examples
+    --------
+    >>> from seedslib.design import grid_synthesis
+    >>> from seedslib.designed.memory import large_order
+    >>> from seedslib import zoo
+    >>> filter = grid_synthesis(
+    ...     zoo.flip_process(), large_order(1), [0.0, 0.25, 0.5],
+    ...     x=(-3.5, 3.5, 141), z=(-3, 3, 121), y=(-8, 8, 121),
+    ... )
+    >>> filter.order
+    1
+    """
+
+    @property
+    def bytes(self) -> int:
+        """Memory of the tables."""
+        tables = [table for row in (*self.steps, *self.node_fits) for table in row]
+        return sum(part.nbytes for table in tables for part in table[1:] if part is not None)
+
+    @property
+    def made(self) -> str:
+        """How the tables were made, and their axes."""
+        step = self.steps[min(1, len(self.steps) - 1)]
+        first, m = int(self.system.indicators > 0), self.system.measurement_size
+        measured, memory = (
+            "; ".join(map(str, axes))
+            for axes in (step.update.axes[first : first + m], step.forecast.axes[first:])
+        )
+        text = f"tables ({self.method}) over {'indicator and ' * first}measurements ({measured})"
+        return text + (f" and memory ({memory})" if memory else "")
+
+    @property
+    def change(self) -> tuple[float, float]:
+        """Change of estimates and modes over the last step; NaN where there is none to compare.
+
+        The first in units of the root-mean-square error.
+        """
+        if self.changes is None:
+            return np.nan, np.nan
+        moved, modes = self.changes[:, -1]
+        return float(moved / np.sqrt(np.trace(self.covariances[-1]))), float(modes)

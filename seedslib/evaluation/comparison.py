@@ -22,8 +22,8 @@ from seedslib.base.blocks import child, in_blocks
 from seedslib.base.checks import as_count, as_times
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import Clock
-from seedslib.base.values import Course, Inputs, as_course
-from seedslib.evaluation.consistency import innovation_squares, mahalanobis
+from seedslib.base.values import Inputs, InputTrajectory, input_values
+from seedslib.evaluation.consistency import error_squares, innovation_squares
 from seedslib.evaluation.results import Comparison, Evaluation, named, roots
 from seedslib.models.kinds import KINDS, AnySystem, as_system, inputs_of
 from seedslib.models.simulation import as_measured
@@ -131,13 +131,13 @@ def compare(
     observed = mask if mask.ndim == 1 else mask.any(axis=1)
     window = _window(window, len(times))
     scoring = _Scoring(filters, mask, observed, window, components, bound, consistency, system)
-    known = inputs_of(system).union(
-        *(inputs_of(getattr(f, "system", None)) for f in filters.values())
-    )
-    course = as_course(inputs, known, len(times), (paths,))
+    models = [system, *(getattr(f, "system", None) for f in filters.values())]
+    known = frozenset().union(*map(inputs_of, models))
+    bound = set().union(*(getattr(m, "numbers", ()) for m in models))
+    trajectory = InputTrajectory(input_values(inputs, known, bound, len(times), (paths,)))
 
     def work(start, stop, stream):
-        own = course.of(slice(start, stop)).values
+        own = trajectory.of(slice(start, stop)).values
         told = _inputs_for(system, own)
         data = system.simulate(times, stop - start, stream, measured=mask, **told, **options)
         return scoring.sums(data, own, stream)
@@ -279,9 +279,9 @@ class _Scoring:
             unknown = np.full(data.modes.shape, np.nan)
             run["wrong"] = unknown if estimates.modes is None else estimates.modes != data.modes
         if self.consistency:
-            run["nis_ratio"] = self._innovations(filter, data, Course(told.get("inputs", {})))
+            run["nis_ratio"] = self._innovations(filter, data, told.get("inputs", {}))
             if estimates.cov is not None:
-                run["nees_ratio"] = mahalanobis(error, estimates.cov[:, :n, :n]), n
+                run["nees_ratio"] = error_squares(error, estimates.cov[:, :n, :n]), n
                 with np.errstate(invalid="ignore"):
                     width = (estimates.interval()[1] - estimates.mean)[:, :n]
                     covered = np.where(np.isnan(width), np.nan, np.abs(error) <= width)
@@ -307,6 +307,7 @@ class _Scoring:
         if not hasattr(filter, "expect"):
             return None
         y, gaps = data.measurements, np.isnan(data.measurements)
+        trajectory = InputTrajectory(inputs)
         periods = getattr(getattr(getattr(filter, "system", None), "sensor", None), "period", ())
         squares = np.full((len(y), y.shape[2]), np.nan)
         state = filter.initial(y.shape[2:])
@@ -316,14 +317,13 @@ class _Scoring:
             stops = filter.placed(data.times, y) >= 0 if placed else self.observed
         last = 0
         for j in np.flatnonzero(stops):
-            with inputs.at(last):
-                state = filter.predict(state, data.times[j])
-            with inputs.at(j):
-                if self.observed[j]:
-                    expected = filter.expect(state)
-                    error = nearest(y[j], expected.mean, periods) - expected.mean
-                    squares[j] = innovation_squares(error, gaps[j], expected.cov)
-                state = filter.correct(state, y[j])
+            state = filter.predict(state, data.times[j], inputs=trajectory.at(last))
+            now = trajectory.at(j)
+            if self.observed[j]:
+                expected = filter.expect(state, now)
+                error = nearest(y[j], expected.mean, periods) - expected.mean
+                squares[j] = innovation_squares(error, gaps[j], expected.cov)
+            state = filter.correct(state, y[j], inputs=now)
             last = j
         return squares, np.count_nonzero(~gaps, axis=1)
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from seedslib.base.correction import normalized_squares
+from seedslib.base.linalg import mahalanobis
 
 
-def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
+def error_squares(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
     """Normalised squares eᵀ P⁺ e, shape (J, N).
 
     Parameters
@@ -21,7 +21,7 @@ def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:
     error, cov = np.swapaxes(error, 0, 1), np.moveaxis(cov, 0, 2)
     with np.errstate(invalid="ignore", over="ignore"):
         known = np.isfinite(cov).all(axis=(0, 1)) & np.isfinite(error).all(axis=0)
-    return np.where(known, normalized_squares(np.where(known, error, 0.0), cov), np.nan)
+    return np.where(known, mahalanobis(np.where(known, error, 0.0), cov), np.nan)
 
 
 def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> np.ndarray:
@@ -38,4 +38,4 @@ def innovation_squares(error: np.ndarray, gap: np.ndarray, cov: np.ndarray) -> n
     if gap.any():  # uncorrelated with the others, a missing component adds nothing
         error, cov = np.where(gap, 0.0, error), cov.reshape(*cov.shape[:2], -1)
         cov = np.where(gap | gap[:, None], np.eye(len(error))[..., None], cov)
-    return np.where(gap.all(axis=0), np.nan, mahalanobis(error[None], cov[None])[0])
+    return np.where(gap.all(axis=0), np.nan, error_squares(error[None], cov[None])[0])

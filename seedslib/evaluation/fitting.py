@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import combinations
@@ -15,9 +14,8 @@ from scipy.optimize import minimize
 from scipy.special import ndtri
 
 from seedslib.base.parameters import Parameter
-from seedslib.base.values import Inputs, assigned
+from seedslib.base.values import Inputs
 from seedslib.filters.base import Filter
-from seedslib.models.kinds import mentioned
 
 STEP = 1e-3
 """Step of the differences that derivatives are taken by."""
@@ -72,9 +70,10 @@ class Fit:
         width = ndtri(0.5 + 0.5 * level) * self.errors
         return np.stack([self.values - width, self.values + width], axis=-1)
 
-    def assigned(self) -> AbstractContextManager[None]:
-        """``with fit.assigned():`` gives the parameters the values that were found."""
-        return assigned(dict(zip(self.parameters, self.values.tolist(), strict=True)))
+    @property
+    def numbers(self) -> dict[Parameter, float]:
+        """The values by parameter, as ``filter.bind(fit.numbers)`` takes them."""
+        return dict(zip(self.parameters, self.values.tolist(), strict=True))
 
     def profile(self, parameter: Parameter, points: Iterable[float]) -> np.ndarray:
         """Largest log-likelihood for each of some values of one parameter, the others free.
@@ -103,7 +102,7 @@ class Fit:
 
 
 def fit(
-    filter: Filter | Callable[[], Filter],
+    filter: Filter | Callable[[dict[Parameter, float]], Filter],
     times: ArrayLike,
     measurements: ArrayLike,
     free: Sequence[Parameter],
@@ -122,8 +121,9 @@ def fit(
     ----------
     filter : Filter, or callable
         One that gives a log-likelihood, of a model whose formulas mention the parameters; or a
-        function without arguments that makes it, where a filter takes in the values when it is
-        made (a chain on a grid). That is called for every value, without a batch.
+        function of their numbers, as `bind` takes them, that makes it, where a filter cannot have
+        a number for each record (a chain on a grid). That is called for every value, without a
+        batch.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m) or (K+1, m, series)
         Of one record, or of many with the same parameters.
@@ -144,7 +144,7 @@ def fit(
         likelihood that is zero at the start.
     """
     likelihood = _Likelihood(filter, times, measurements, tuple(free), indicators, inputs)
-    u, loglik = likelihood.climb(likelihood.free([p.value for p in likelihood.parameters]))
+    u, loglik = likelihood.climb(likelihood.free(likelihood.start))
     if loglik <= -WORST:
         raise ValueError("free: the likelihood is zero, or no number, at the start")
     return likelihood.maximum(u)
@@ -157,10 +157,12 @@ class _Likelihood:
         if not parameters or not all(isinstance(p, Parameter) for p in parameters):
             raise TypeError(f"free: wanted parameters of the model, got {parameters!r}")
         system = getattr(filter, "system", None)
-        strange = [p for p in parameters if p not in mentioned(system)]
-        if system is not None and strange:
+        strange = [p for p in parameters if system is not None and p not in system.parameters]
+        if strange:
             raise ValueError(f"free: wanted parameters of the model, got {strange[0]}")
         self.filter, self.times, self.parameters = filter, times, parameters
+        bound = getattr(system, "numbers", {})
+        self.start = [bound.get(p, p.value) for p in parameters]
         # a batch is as quick with second derivatives as without
         self.batch = isinstance(filter, Filter)
         self.positive = np.array([bool(p.is_positive) for p in parameters])
@@ -191,13 +193,17 @@ class _Likelihood:
             values = self.values(points)
             if self.batch:
                 count, series = points.shape[1], self.y.shape[2]
-                logliks = self._run(self.filter, np.repeat(values, series, axis=1), count)
-                logliks = logliks.reshape(count, series).sum(axis=1)
+                filter = self.filter.bind(self._numbers(np.repeat(values, series, axis=1)))
+                logliks = self._run(filter, count).reshape(count, series).sum(axis=1)
             else:
-                logliks = np.array([self._run(self.filter(), v, 1).sum() for v in values.T])
+                made = (self.filter(self._numbers(v)) for v in values.T.tolist())
+                logliks = np.array([self._run(filter, 1).sum() for filter in made])
         return np.where(np.isfinite(logliks), logliks, -WORST)
 
-    def _run(self, filter, values, count):
+    def _numbers(self, values):
+        return dict(zip(self.parameters, values, strict=True))
+
+    def _run(self, filter, count):
         """Log-likelihood of each record, all records `count` times beside each other."""
         options: dict[str, Any] = {"indicators": self.indicators}
         if self.indicators is not None:
@@ -206,8 +212,7 @@ class _Likelihood:
             options["inputs"] = {
                 u: v if v.ndim == 1 else np.tile(v, (1, count)) for u, v in self.inputs.items()
             }
-        with assigned(dict(zip(self.parameters, values, strict=True))):
-            loglik = filter.run(self.times, np.tile(self.y, (1, 1, count)), **options).loglik
+        loglik = filter.run(self.times, np.tile(self.y, (1, 1, count)), **options).loglik
         if loglik is None:
             raise ValueError(f"filter: {filter!r} gives no likelihood")
         return loglik.sum(axis=0)

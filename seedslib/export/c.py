@@ -15,7 +15,7 @@ import numpy as np
 
 from seedslib.base.atomic import write_whole
 from seedslib.designed.identity import model_text
-from seedslib.designed.output_filter import TableFilter
+from seedslib.designed.tables import TableFilter
 from seedslib.export.programs import recorded
 from seedslib.export.step import Step
 from seedslib.export.tape import (

@@ -14,10 +14,11 @@ import subprocess
 import sys
 import tempfile
 import warnings
+from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray
@@ -25,15 +26,20 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_real, outside
-from seedslib.base.values import Course, Inputs, current
-from seedslib.designed.base import dropouts, expected, unclaimed
+from seedslib.base.objects import changed
+from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
+from seedslib.designed.base import with_gaps
+from seedslib.designed.tables import OutputFilter
 from seedslib.export.c import arguments, header
 from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
 from seedslib.export.step import CODES, Step
 from seedslib.filters.base import Estimates, Filter, as_indicators
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import course_of
+from seedslib.models.kinds import inputs_of
+
+if TYPE_CHECKING:
+    from typing import Self
 
 FLAGS = ("-std=c99", "-O3", "-ffp-contract=off", "-fno-math-errno", "-shared", "-fPIC")
 NATIVE = ("-march=native", "-DLIBMVEC", "-lmvec")
@@ -236,8 +242,8 @@ def compiled(filter: Any) -> Any:
 
     The C that `to_c` writes is built once with the C compiler of the machine (``CC``, cc, gcc or
     clang, or the one in the package ziglang) and kept by content in the user's cache. The numbers
-    are those of the filter but for rounding. Parameters of the model keep their meaning: their
-    values are read at each call.
+    are those of the filter but for rounding. Parameters of the model are arguments of the C:
+    nothing is compiled again by `bind`.
 
     Parameters
     ----------
@@ -295,8 +301,6 @@ class CompiledFilter(Filter):
         The one that was compiled.
     """
 
-    _shown = ("filter",)
-
     def __init__(self, filter: Any, step: Step, path: Path) -> None:
         self.filter, self.system, self.takes = filter, filter.system, filter.takes
         if getattr(filter, "times", None) is not None:
@@ -324,12 +328,32 @@ class CompiledFilter(Filter):
     def __reduce__(self) -> tuple[Any, ...]:
         return compiled, (self.filter,)
 
+    def bind(self, values: Mapping[Any, ArrayLike] | None = None, /, **named: Any) -> Self:
+        """See `Filter.bind`."""
+        filter = self.filter.bind(values, **named)
+        return changed(self, filter=filter, system=filter.system)
+
+    def _numbers(self, inputs: Mapping[Any, Any] | None = None) -> tuple[Values, Values]:
+        """Numbers of the inputs, and of the parameters, that C takes."""
+        if not (self._inputs or self._parameters):
+            return (), ()
+        unused = dict.fromkeys(inputs_of(self.system) if self._designed else (), np.nan)
+        p = self.system.values({**unused, **(inputs or {})})
+        table = dict(zip(self.system.parameters, p, strict=True))
+        return tuple(table[u] for u in self._inputs), tuple(table[q] for q in self._parameters)
+
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> CompiledState:
         """State before any measurement; nothing is drawn from `seed`."""
         return CompiledState(self._first * math.prod(batch), tuple(batch), self._form)
 
     def step(
-        self, state: CompiledState, t: float, y: ArrayLike, indicator: ArrayLike | None = None
+        self,
+        state: CompiledState,
+        t: float,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> CompiledState:
         """Forecast to time t and correct there; see `Filter.step`.
 
@@ -340,7 +364,7 @@ class CompiledFilter(Filter):
         """
         quick = self._quick
         if quick is None or state.batch or indicator is not None:
-            return self._stepped(state, t, self._measured(y, state.batch), indicator)
+            return self._stepped(state, t, self._measured(y, state.batch), indicator, inputs)
         work, size, form, shape, time, pack = quick
         try:
             if type(y) is ndarray and y.dtype is DOUBLE and y.shape == shape:
@@ -361,15 +385,20 @@ class CompiledFilter(Filter):
         return as_real("y", y, shape, nan=True)
 
     def _stepped(
-        self, state: CompiledState, t: ArrayLike, y: np.ndarray, indicator: Any = None
+        self,
+        state: CompiledState,
+        t: ArrayLike,
+        y: np.ndarray,
+        indicator: Any = None,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> CompiledState:
         """A step of several records, or with more than a time and a measurement."""
-        batch, inputs = state.batch, current(self._inputs)
+        batch = state.batch
+        u, p = self._numbers(inputs)
         known = type(indicator) is int and not batch and self._indicators > 0  # C sees its range
         if not known:
             indicator = as_indicators(indicator, self.system, batch, "indicator")
-        rows = [t, *y, -1 if indicator is None else indicator, *inputs, *inputs]
-        rows += current(self._parameters)
+        rows = [t, *y, -1 if indicator is None else indicator, *u, *u, *p]
         if batch:
             given = np.array([np.broadcast_to(row, batch) for row in rows], dtype=float).tobytes()
         else:
@@ -379,7 +408,13 @@ class CompiledFilter(Filter):
             raise ValueError(REFUSALS[CODES[code]])
         return CompiledState(out, batch, self._form)
 
-    def predict(self, state: CompiledState, t: float, *modes: ArrayLike) -> CompiledState:
+    def predict(
+        self,
+        state: CompiledState,
+        t: float,
+        *modes: ArrayLike,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> CompiledState:
         """Forecast to time t, of a filter that carries mean and covariance.
 
         Raises
@@ -388,9 +423,11 @@ class CompiledFilter(Filter):
             A time before that of the state, another kind of filter.
         """
         self._require_carried("predict")
-        return self._stepped(state, t, np.full((*self._shape, *state.batch), np.nan))
+        return self._stepped(state, t, np.full((*self._shape, *state.batch), np.nan), None, inputs)
 
-    def correct(self, state: CompiledState, y: ArrayLike) -> CompiledState:
+    def correct(
+        self, state: CompiledState, y: ArrayLike, *, inputs: Mapping[Any, Any] | None = None
+    ) -> CompiledState:
         """Correct by a measurement, of a filter that carries mean and covariance.
 
         Raises
@@ -401,7 +438,8 @@ class CompiledFilter(Filter):
         self._require_carried("correct")
         if state.time is None:
             raise ValueError("state: wanted a state with a time, got None; predict to it first")
-        return self._stepped(state, state.part("t"), self._measured(y, state.batch))
+        y = self._measured(y, state.batch)
+        return self._stepped(state, state.part("t"), y, None, inputs)
 
     def _require_carried(self, name: str) -> None:
         if not isinstance(self.filter, CovarianceFilter):
@@ -427,30 +465,42 @@ class CompiledFilter(Filter):
             times, y = filter.record(times, y)
         count, batch = len(times), y.shape[2:]
         indicators = as_indicators(indicators, self.system, (count, *batch))
-        course = course_of(self.system, inputs, count, batch)
+        trajectory = as_trajectory(self.system, inputs, count, batch)
         if designed:
-            index = filter.placed(times, y)
-            if (index < 0).any():  # forecasts between measurements
+            numbers = filter.numbered(times, y)
+            if (numbers < 0).any():  # forecasts between measurements
                 return filter.run(
                     times, y, indicators=indicators, inputs=inputs, covariances=covariances
                 )
-            gaps = dropouts(y, index >= 0, indicators, expected(filter, index))
+            gaps = filter.record_gaps(y, indicators, numbers)
         carried = isinstance(filter, CovarianceFilter)
         n = self._form["mean"].shape[0]
-        sizes = Estimates((n,), (n, n), None, ()) if carried else filter.sizes(covariances)
+        sizes = self._sizes(n, carried or covariances)
         found = Estimates(*(s if s is None else room((count, *s), math.prod(batch)) for s in sizes))
         found = found._replace(diverged=np.empty(math.prod(batch), dtype=bool))
-        self._fill(found, times, y, indicators, course, workers)
+        self._fill(found, times, y, indicators, trajectory, workers)
         found = Estimates(*(p if p is None else p.reshape((*p.shape[:-1], *batch)) for p in found))
         if found.modes is not None:
             found = found._replace(modes=found.modes.astype(int))
         if carried:
             known = np.isfinite(found.cov[-1]).all(axis=(0, 1))
             return found._replace(diverged=found.diverged | ~known)
-        found = filter.finish(found, found.diverged, np.arange(count))
-        if not covariances:
-            found = found._replace(cov=None)
-        return unclaimed(found, gaps, times) if designed else found
+        if isinstance(filter, OutputFilter) and covariances:
+            found = found._replace(cov=filter.covariances[[filter.served(k) for k in numbers]])
+        if found.loglik is not None:
+            impossible = (found.loglik == -np.inf).any(axis=0)
+            found = found._replace(diverged=found.diverged | impossible)
+        return with_gaps(found, gaps, times) if designed else found
+
+    def _sizes(self, n: int, covariances: bool) -> Estimates:
+        """Shapes of what C writes at each time, without batch axes; None for no such thing."""
+        filter, modes = self.filter, getattr(self.system, "modes", 0)
+        if isinstance(filter, OutputFilter):
+            with_prob = filter.steps[0].update.prob is not None
+            prob = (modes,) if with_prob else None
+            return Estimates((n,), mode_prob=prob, modes=() if modes else None)
+        cov = (n, n) if covariances else None
+        return Estimates((n,), cov, (modes,) if modes else None, (), None, () if modes else None)
 
     def _fill(
         self,
@@ -458,22 +508,22 @@ class CompiledFilter(Filter):
         times: np.ndarray,
         y: np.ndarray,
         indicators: np.ndarray | None,
-        course: Course,
+        trajectory: InputTrajectory,
         workers: int,
     ) -> None:
         """Run all records and write what is found."""
         count, batch, total = len(times), y.shape[2:], math.prod(y.shape[2:])
-        inputs, parameters = [course.values.get(p) for p in self._inputs], self._parameters
-        for k, row in enumerate(inputs):
-            if row is None:  # one that is assigned is the same at all times
-                inputs[k] = np.broadcast_to(current([self._inputs[k]])[0], (count, *batch))
-            elif row.ndim == 1:
-                inputs[k] = row.reshape(count, *(1,) * len(batch))
+        inputs, parameters = self._numbers(trajectory.at(0))
+        given = [trajectory.values.get(u) for u in self._inputs]
+        inputs = [  # one that is bound is the same at all times
+            number if row is None else row.reshape(len(row), *(row.shape[1:] or (1,) * len(batch)))
+            for number, row in zip(inputs, given, strict=True)
+        ]
         rows = [
             y,
             indicators,
             side_by_side(inputs, (count,), batch),
-            side_by_side(current(parameters), (), batch),
+            side_by_side(parameters, (), batch),
         ]
         given = [p if p is None else np.ascontiguousarray(p, dtype=float) for p in (times, *rows)]
         given_at, found_at = ([_place(p) for p in parts] for parts in (given, found))

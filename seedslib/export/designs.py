@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from seedslib.base.linalg import symmetric
 from seedslib.base.tables import Labels
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import (
@@ -24,7 +25,6 @@ from seedslib.designed.tables import Table, block_labels
 from seedslib.export.kernels import correct, map_moments
 from seedslib.export.step import Step, any_of
 from seedslib.export.tape import Scalar, choose, isnan
-from seedslib.linearization.moments import symmetric
 
 
 def places(memory: Memory, estimate: int, measurement: int, count: int) -> np.ndarray:
@@ -83,7 +83,9 @@ def finite_order(step: Step) -> None:
         forecast = _affine if isinstance(filter.fits[0], AffineFit) else _polynomial
         mean, cov = forecast(step, k - 1.0, u)
         sensor = filter.system.sensor
-        correction(mean, cov, map_moments(step, filter.linearization, sensor, t, mean, cov))
+        correction(
+            mean, cov, map_moments(step, filter.linearization, sensor, t, mean, cov, step.at_time())
+        )
     step.end(k)
 
 
@@ -225,7 +227,9 @@ def _moved(step: Step, k: Scalar, z: np.ndarray) -> np.ndarray:
         j, z = first[row] + i, moving.all
         t, mean = starts[j] + later, gain[j] @ z + offset[j]
         drift = filter.system.drift_map
-        rate, *_ = map_moments(step, filter.linearization, drift, t, mean, cov[j], spread=False)
+        rate, *_ = map_moments(
+            step, filter.linearization, drift, t, mean, cov[j], step.since(), spread=False
+        )
         moving.store(z + (stops[j] + later - t) * rate[: len(z)])
     return moving.all
 
@@ -259,10 +263,10 @@ def table(step: Step) -> None:
     first: list[Any] = []
     if step.indicators:  # the label after the last value is a missing indicator
         first = [choose(step.indicator < 0.0, float(step.indicators), step.indicator)]
-    cases = [("output", ~some_missing, [*first, *step.y], [row.shown for row in filter.steps])]
+    cases = [("output", ~some_missing, [*first, *step.y], [row.update for row in filter.steps])]
     if not memory.measurements:
-        cases.append(("forecast", some_missing, first, [row.blind for row in filter.steps]))
-    prob_count = step.modes if filter.steps[0].shown.prob is not None else 0
+        cases.append(("forecast", some_missing, first, [row.forecast for row in filter.steps]))
+    prob_count = step.modes if filter.steps[0].update.prob is not None else 0
     result = step.array("result", (step.rows + prob_count + (step.modes > 0),))
     for name, condition, known, tables in cases:
         used = [

@@ -11,9 +11,10 @@ import numpy as np
 import sympy
 
 from seedslib.base.circle import Periods
-from seedslib.base.correction import FAINT, LEVEL, eliminate
-from seedslib.base.semidefinite import ABSOLUTE, INDEFINITE, LOG_2PI, RELATIVE
-from seedslib.designed.finite_order import law_symbols
+from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
+from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
+from seedslib.base.values import Values
+from seedslib.designed.finite_order import gaussian_symbols
 from seedslib.export.tape import (
     Number,
     Scalar,
@@ -22,7 +23,7 @@ from seedslib.export.tape import (
     isnan,
     stacked,
 )
-from seedslib.linearization.moments import Linearization, symmetric
+from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
 from seedslib.models.linear import LinearMap
@@ -44,33 +45,38 @@ def map_moments(
     t: Scalar,
     mean: np.ndarray,
     cov: np.ndarray,
+    p: Values,
     spread: bool = True,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """E y (m,), cov(x, y) (n, m) and, if wanted, cov y (m, m) of a map of a Gaussian state."""
+    """E y (m,), cov(x, y) (n, m) and, if wanted, cov y (m, m) of a map of a Gaussian state.
+
+    The numbers p of the map's parameters are constants or recorded themselves.
+    """
     if isinstance(map, LinearMap) and not (map.symbolic and isinstance(rule, PointRule)):
-        return _linear_moments(map, t, mean, cov)
+        return _linear_moments(map, t, mean, cov, p)
     if isinstance(rule, PointRule):
-        return _point_moments(tape, rule, map, t, mean, cov, spread)
+        return _point_moments(tape, rule, map, t, mean, cov, p, spread)
     n, m = map.state_size, map.size
-    symbols, lower, matrix = law_symbols(n)
+    symbols, lower, matrix = gaussian_symbols(n)
     parts = rule.formulas(map, list(symbols), matrix, spread)[: 2 + spread]
     entries = [entry for part in parts for entry in part]
-    evaluate = compile_components((map.time, symbols, lower), entries)
+    evaluate = compile_components((map.time, symbols, lower, map.parameters), entries)
     y, cross, square = np.split(
-        stacked(evaluate(t, list(mean), list(lower_of(cov)))), [m, m + n * m]
+        stacked(evaluate(t, list(mean), list(lower_of(cov)), p)), [m, m + n * m]
     )
     return y, cross.reshape(n, m), square.reshape(m, m) if spread else None
 
 
-def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray) -> Any:
+def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray, p: Values) -> Any:
     """Moments of A x + B u + v: A m + B u, P A' and A P A' + S."""
     slope, noise, push, inputs = map.formulas
     push = np.zeros((map.size, 0)) if push is None else push
     parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
     entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
-    found = stacked(compile_components([sympy.Symbol("t")], entries)(t))
+    evaluate = compile_components([sympy.Symbol("t"), map.parameters], entries)
+    found = stacked(evaluate(t, p))
     A, S, B, u = np.split(found, np.cumsum([part.size for part in parts]))
-    A, S, B = (part.reshape(p.shape) for part, p in zip((A, S, B), parts, strict=True))
+    A, S, B = (one.reshape(part.shape) for one, part in zip((A, S, B), parts, strict=True))
     cross = cov @ A.T
     return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
 
@@ -84,7 +90,7 @@ def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
 
     A pivot is judged by its variance, and one that is negative by `scale`, see
-    `seedslib.base.semidefinite.factor`.
+    `seedslib.base.linalg.cholesky`.
     """
     n, rest, root = len(cov), cov.copy(), np.zeros(cov.shape, dtype=object)
     for j in range(n):
@@ -122,6 +128,7 @@ def _point_moments(
     t: Scalar,
     mean: np.ndarray,
     cov: np.ndarray,
+    p: Values,
     spread: bool,
 ) -> Any:
     n, m = map.state_size, map.size
@@ -132,11 +139,12 @@ def _point_moments(
     if noise is not None:
         arguments.append(tuple(noise.symbols))
         points = np.hstack([unit[:n].T, (noise.mean[:, None] + noise.root @ unit[n:]).T])
-    evaluate = compile_components(tuple(arguments), [*expressions, *lower_of(noise_cov)])
+    arguments.append(map.parameters)
+    evaluate = compile_components(arguments, [*expressions, *lower_of(noise_cov)])
 
     def at(point: np.ndarray) -> np.ndarray:
         x = list(mean + root @ point[:n])
-        return stacked(evaluate(t, x, *([] if noise is None else [list(point[n:])])))
+        return stacked(evaluate(t, x, *([] if noise is None else [list(point[n:])]), p))
 
     if len(weight) * (n + m) > MOST_UNROLLED:
         h, slope, square = _looped(tape, map, at, points, weight, centred)
@@ -201,21 +209,22 @@ def _alike(row: Sequence[Number]) -> bool:
 
 
 def moment_rates(
-    tape: Tape, rule: Linearization, system: Any
+    tape: Tape, rule: Linearization, system: Any, p: Values
 ) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
     """Rates of mean and covariance as ``f(t, components) -> components``, for the integrators."""
     n = system.state_size
-    mean, lower, cov = law_symbols(n)
+    mean, lower, cov = gaussian_symbols(n)
     if not isinstance(rule, PointRule):
         velocity, change = rule.rate_formulas(system, list(mean), cov)
         entries = [change[i, j] for i in range(n) for j in range(i + 1)]
-        arguments = (system.drift_map.time, (*mean, *lower))
-        return compile_components(arguments, [*velocity, *entries])
+        arguments = (system.drift_map.time, (*mean, *lower), system.parameters)
+        evaluate = compile_components(arguments, [*velocity, *entries])
+        return lambda t, z: evaluate(t, z, p)
 
     def rates(t: Scalar, z: Sequence[Any]) -> list[Any]:
         mean, cov = unpacked(stacked(z), n)
-        b, cross, _ = _point_moments(tape, rule, system.drift_map, t, mean, cov, False)
-        spread = _point_moments(tape, rule, system.spread_map, t, mean, cov, False)[0]
+        b, cross, _ = _point_moments(tape, rule, system.drift_map, t, mean, cov, p, False)
+        spread = _point_moments(tape, rule, system.spread_map, t, mean, cov, p, False)[0]
         return [*b, *(lower_of(cross + cross.T) + spread)]
 
     return rates

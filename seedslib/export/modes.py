@@ -9,19 +9,20 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from seedslib.designed.finite_order import law_symbols
-from seedslib.designed.switching.filter import CellFit
-from seedslib.designed.switching.lemmas import FAINT
-from seedslib.designed.switching.rules import SOFTEST
+from seedslib.base.values import Values
+from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.designed.lemmas import FAINT
+from seedslib.designed.rules import SOFTEST
+from seedslib.designed.switching import CellFit
 from seedslib.export.designs import places
 from seedslib.export.kernels import correct, lower_of, unpacked
 from seedslib.export.step import Step, any_of
 from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 from seedslib.filters.weights import TIE, logarithm
-from seedslib.linearization.formulas import Names, mentions
+from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import TINY
 from seedslib.models.codegen import compile_components
-from seedslib.models.kinds import mentioned
+from seedslib.models.kinds import inputs_of
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch
 
@@ -121,8 +122,7 @@ def switching(step: Step) -> None:
         else:
             last = step.last_time.all
             logs, gaussians = carried.parts(n)
-        with step.since(t - last):
-            _forecast(step, last, logs, gaussians, ahead)
+        _forecast(step, last, logs, gaussians, ahead, step.since(t - last))
     sensed = Mixture.of(step, "sensed", modes, n + step.m)
     possible = _sense(step, t, ahead, sensed)
     before, joints = sensed.parts(n + step.m)
@@ -181,7 +181,7 @@ def _check(filter: Any) -> None:
         return
     if not fits or not all(isinstance(fit, CellFit) for fit in fits):
         raise TypeError("fits: wanted laws in cells, for at least two measurements, to write in C")
-    if any(p.role == "input" for p in mentioned(system)):
+    if inputs_of(system):
         raise ValueError("filter: wanted a model without inputs, C has none of a design with modes")
 
 
@@ -240,14 +240,19 @@ def _most_probable(probs: Sequence[Number]) -> Number:
 
 
 def _forecast(
-    step: Step, t: Scalar, logs: list[Number], gaussians: list[Gaussian], ahead: Mixture
+    step: Step,
+    t: Scalar,
+    logs: list[Number],
+    gaussians: list[Gaussian],
+    ahead: Mixture,
+    p: Values,
 ) -> None:
     """Forecast of mode and state from their distribution at time t: lemmas 4 and 6."""
     system, rules, modes = step.filter.system, step.filter.rules, range(step.modes)
     if rules.switch is not None:  # the new mode drives the step: a switch, then a move
         switched = Mixture.of(step, "switched", step.modes, step.n)
         at_rest = [[branch and branch.still for branch in row] for row in system.branches]
-        rows = [_moments(step, at_rest[i], t, *gaussians[i]) for i in modes]
+        rows = [_moments(step, at_rest[i], t, *gaussians[i], p) for i in modes]
         _combine(step, logs, rows, switched)
         logs, gaussians = switched.parts(step.n)
     rows = []
@@ -261,7 +266,7 @@ def _forecast(
                 for branch, readings in zip(branches, system.readings, strict=True)
                 for reading in readings
             ]
-        rows.append(_moments(step, branches, t, *gaussians[i]))
+        rows.append(_moments(step, branches, t, *gaussians[i], p))
     _combine(step, logs, rows, ahead)
 
 
@@ -332,7 +337,7 @@ def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
 
 def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None) -> None:
     """The same for a value of the indicator, None where it is missing: lemma 3."""
-    system, n = step.filter.system, step.n
+    system, n, p = step.filter.system, step.n, step.at_time()
     log_prob, gaussians = ahead.parts(n)
     parts, size = len(log_prob) // step.modes, n + step.m
     for i in range(step.modes):
@@ -341,7 +346,7 @@ def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: 
             sensed.store(i, -np.inf, np.zeros(size), np.eye(size))
             continue
         rows = range(i * parts, (i + 1) * parts)
-        branches = [_moments(step, [reading], t, *gaussians[row])[0] for row in rows]
+        branches = [_moments(step, [reading], t, *gaussians[row], p)[0] for row in rows]
         logs = [log_prob[row] + np.log(b.mass) for row, b in zip(rows, branches, strict=True)]
         means, covs = zip(*(branch.joint for branch in branches), strict=True)
         if parts == 1:
@@ -354,30 +359,35 @@ def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: 
 
 
 def _moments(
-    step: Step, branches: Sequence[Branch | None], t: Scalar, mean: np.ndarray, cov: np.ndarray
+    step: Step,
+    branches: Sequence[Branch | None],
+    t: Scalar,
+    mean: np.ndarray,
+    cov: np.ndarray,
+    numbers: Values,
 ) -> list[Any]:
     """Moments of the branches of one mode, None where there is no branch."""
-    rule, n, names = step.filter.linearization, step.n, Names()
-    symbols, lower, matrix = law_symbols(n)
+    rule, n = step.filter.linearization, step.n
+    symbols, lower, matrix = gaussian_symbols(n)
     known = [branch for branch in branches if branch is not None]
     if all(branch.constant for branch in known):
         moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()
         state = list(symbols), matrix
         formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
     else:
-        formulas = [rule.branch(branch.map, list(symbols), matrix, names) for branch in known]
+        formulas = [rule.branch(branch.map, list(symbols), matrix) for branch in known]
     flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
-    evaluate = compile_components(
-        (step.filter.system.time, symbols, lower), [e for row in flat for e in row], names.table
-    )
-    values = iter(evaluate(t, list(mean), list(lower_of(cov))))
+    system = step.filter.system
+    arguments = system.time, symbols, lower, system.parameters
+    evaluate = compile_components(arguments, [e for row in flat for e in row])
+    values = iter(evaluate(t, list(mean), list(lower_of(cov)), numbers))
     result: list[BranchMoments | None] = []
     for branch in branches:
         if branch is None:
             result.append(None)
             continue
         mass, *parts = formulas.pop(0)
-        varies, value = mentions(names.meaning(mass), {*symbols, *lower}), next(values)
+        varies, value = mentions(mass, {*symbols, *lower}), next(values)
         x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
         d = len(y)
         shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)

@@ -9,11 +9,10 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import MOST_STEPS, SAME
-from seedslib.base.correction import correct as update
-from seedslib.base.values import assigned, looked_at
+from seedslib.base.conditioning import update
 from seedslib.designed.finite_order import FiniteOrderFilter
-from seedslib.designed.output_filter import TableFilter
-from seedslib.designed.switching.filter import SwitchingFilter
+from seedslib.designed.switching import SwitchingFilter
+from seedslib.designed.tables import TableFilter
 from seedslib.export.designs import finite_order, table
 from seedslib.export.kernels import (
     correct,
@@ -28,7 +27,6 @@ from seedslib.export.step import Step
 from seedslib.filters.covariance import STEPS, CovarianceFilter
 from seedslib.linearization.moments import Matrices
 from seedslib.linearization.points import PointRule
-from seedslib.models.kinds import mentioned
 
 LOST_PART = 1e-3
 """Part of a variance that rounding must not take."""
@@ -57,19 +55,19 @@ def covariance(step: Step) -> None:
     if filter.continuous:
         count = np.maximum(1.0, np.ceil(span / filter.integration_step - SAME))
         step.refuse(later & ~(count <= float(MOST_STEPS)), "TIME")
-    with step.when(later), step.since(span):
+    with step.when(later):
         if filter.continuous:
-            h, rates = span / count, moment_rates(step, rule, system)
+            h, rates = span / count, moment_rates(step, rule, system, step.since())
             with step.loop(count) as i:
                 moved = STEPS[filter.integrator](rates, last_time + i * h, list(moving.all), h)
                 moving.store(moved)
         else:
             mean, _, cov = map_moments(
-                step, rule, system.dynamics, last_time, *unpacked(moving.all, n)
+                step, rule, system.dynamics, last_time, *unpacked(moving.all, n), step.since(span)
             )
             moving.store([*mean, *lower_of(cov)])
     mean, cov = unpacked(moving.all, n)
-    moments = map_moments(step, rule, system.sensor, t, mean, cov)
+    moments = map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
     periods = system.sensor.period
     mean, after, loglik, _ = correct(mean, cov, step.y, moments, n, periods, exact=True)
     step.cov.store(settled(after, cov) if isinstance(rule, PointRule) else after)
@@ -95,11 +93,10 @@ def _check_formulas(filter: CovarianceFilter) -> None:
 
 def _warn_of_wide_prior(filter: CovarianceFilter) -> None:
     """Warn of a prior so wide that C loses digits that Python keeps, which has the noise apart."""
-    state = filter.predict(filter.initial(), 0.0)
-    with looked_at(mentioned(filter.system)):
-        expected = filter.expect(state)
-        plain = np.diagonal(update(state.mean, state.cov, expected.mean, expected)[1])
-        right = np.diagonal(filter.correct(state, expected.mean).cov)
+    state, p = filter.predict(filter.initial(), 0.0), filter.system.nominal_values()
+    expected = filter.expected(state, p)
+    plain = np.diagonal(update(state.mean, state.cov, expected.mean, expected)[1])
+    right = np.diagonal(filter.update(state, expected.mean, p).cov)
     wrong = np.abs(plain - right) > LOST_PART * right
     if wrong.any():
         warnings.warn(
@@ -138,7 +135,6 @@ def recorded(filter: Any, parameters: bool = False) -> Step:
             if isinstance(filter, CovarianceFilter):
                 _check_formulas(filter)
                 _warn_of_wide_prior(filter)
-            with assigned(step.values):
-                record(step)
+            record(step)
             return step
     raise TypeError(f"filter: wanted a filter that has C, got {type(filter).__name__}")

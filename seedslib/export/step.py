@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from typing import Any
 
 import numpy as np
 
 from seedslib.base.clock import ROUNDING, SAME
-from seedslib.base.values import assigned
+from seedslib.base.values import Values
 from seedslib.designed.memory import Memory
 from seedslib.export.tape import Array, Scalar, Tape, choose, isfinite, isinf, isnan
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import mentioned
 
 CODES = ("OK", "END", "INFINITE", "PARTLY", "TIME", "RANGE", "STRAY", "UNTOLD")
 """What a step returns: the number of the code in this list."""
@@ -64,13 +62,15 @@ class Step(Tape):
         self.loglik = self.array("loglik", (), owner="state")
         self.y = self.array("y", (self.m,), owner="argument").all
         by_role: dict[str, list[Any]] = {"parameter": [], "input": [], "elapsed": []}
-        for p in sorted(mentioned(system), key=str):
+        for p in system.parameters:
             by_role[p.role].append(p)
         self.inputs = [] if self.designed else by_role["input"]  # a design knows them
-        self.elapsed = by_role["elapsed"]
         self.parameters = by_role["parameter"] if parameters else []
-        self.held = self._argument("held", self.inputs)
-        self.values = self._argument("u", self.inputs) | self._argument("p", self.parameters)
+        held, now = (self._argument(name, self.inputs) for name in ("held", "u"))
+        arguments = self._argument("p", self.parameters)
+        # what a design has in its own numbers is not looked at
+        unused = dict.fromkeys(by_role["input"] if self.designed else (), np.nan)
+        self._held, self._now = ({**unused, **part, **arguments} for part in (held, now))
         self.indicator = None
         self.refuse(any_of(isinf(self.y)), "INFINITE")
         if self.indicators:
@@ -84,9 +84,13 @@ class Step(Tape):
         array = self.array(name, (len(parameters),), owner="argument")
         return dict(zip(parameters, array.all, strict=True))
 
-    def since(self, dt: Scalar) -> AbstractContextManager[None]:
-        """``with step.since(dt):`` the dynamics have the inputs and the length of the step."""
-        return assigned({**self.held, **dict.fromkeys(self.elapsed, dt)})
+    def since(self, dt: Scalar | float = np.nan) -> Values:
+        """Numbers of the model's parameters in the dynamics, over a step of length `dt`."""
+        return self.filter.system.values(self._held, dt)
+
+    def at_time(self) -> Values:
+        """Numbers of the model's parameters in the sensor at the time of the measurement."""
+        return self.filter.system.values(self._now)
 
     def timed(self) -> Scalar:
         """The time of the measurement; one before that of the state is refused."""

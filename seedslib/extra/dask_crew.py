@@ -17,8 +17,7 @@ import distributed
 from distributed.client import ClosedClientError
 from distributed.comm import CommClosedError
 
-from seedslib.base.values import carried
-from seedslib.design.paths import Crew
+from seedslib.design.paths import Executor
 
 PATIENCE = 30
 """Seconds for a scheduler to answer, and for a first worker to come."""
@@ -29,10 +28,10 @@ FAILURES = (CancelledError, ClosedClientError, CommClosedError, distributed.Kill
 
 @contextmanager
 def cluster(scheduler: str | distributed.Client) -> Iterator[Cluster]:
-    """Crew for a design, the workers of a Dask cluster: ``synthesize(..., workers=crew)``.
+    """Executor for a design, the workers of a Dask cluster: ``synthesize(..., workers=executor)``.
 
-    It is a context: ``with cluster("tcp://host:8786") as crew:``. Workers need the same versions
-    of this library, NumPy and Python.
+    It is a context: ``with cluster("tcp://host:8786") as executor:``. Workers need the same
+    versions of this library, NumPy and Python.
 
     Parameters
     ----------
@@ -83,7 +82,7 @@ class Remote:
             raise RuntimeError(f"scheduler: the cluster was lost ({error})") from error
 
 
-class Cluster(Crew):
+class Cluster(Executor):
     """Map over bundles on the workers of a cluster.
 
     Parameters
@@ -105,7 +104,7 @@ class Cluster(Crew):
         lists = tuple(
             [next(part)] * count if isinstance(part, repeat) else list(part) for part in lists
         )
-        return Remote(self.client, self.client.map(carried(work), *lists, pure=False))
+        return Remote(self.client, self.client.map(work, *lists, pure=False))
 
     def share(self, thing: object) -> repeat[Any]:
         """Stand-in for a list that has the same thing for every bundle, sent once."""

@@ -12,13 +12,12 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
-from seedslib.design.carriers import Carriers, Lesson
 from seedslib.design.regression import ABSOLUTE, fit_forecast, scatter
+from seedslib.design.samples import MemoryPaths, Sample
 from seedslib.design.tables import tabulated
 from seedslib.designed.memory import Memory
-from seedslib.designed.output_filter import OutputFilter, TableFilter
 from seedslib.designed.predictors import Polynomial, PolynomialFit
-from seedslib.designed.tables import Output, Step, prior
+from seedslib.designed.tables import Output, OutputFilter, Step, TableFilter, prior
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.kinds import as_system
@@ -176,40 +175,34 @@ def learn(
     regressor = _boosting() if regressor is None else regressor
     if not (hasattr(regressor, "fit") and hasattr(regressor, "predict")):
         raise TypeError(f"regressor: wanted something with fit and predict, got {regressor!r}")
-    carriers = Carriers(system, memory, times, components, paths, sets, nodes, seed, workers)
-    components = carriers.components
-    sensing, fitting = carriers.streams[-1].spawn(2)
-    sensing = [np.random.default_rng(s) for s in sensing.spawn(len(carriers.times))]
+    sets = as_count("sets", sets, 2)
+    samples = MemoryPaths(system, memory, times, components, paths, sets, nodes, seed, workers)
+    components = samples.components
+    sensing, fitting = samples.spare.spawn(2)
+    sensing = [np.random.default_rng(s) for s in sensing.spawn(len(samples.times))]
     fitting = np.random.default_rng(fitting)
-    steps, between, blind = [], [], prior(system, components)
-    for k, t in enumerate(followed(carriers.times, "learning")):
-        lesson = carriers.lesson()
-        shown = _output(
-            regressor, system.sensor, t, lesson, components, draws, joint, sensing[k], fitting
+    steps, node_fits, forecast = [], [], prior(system, components)
+    for k, t in enumerate(followed(samples.times, "learning")):
+        sample = samples.sample()
+        update = _output(
+            regressor, system.sensor, t, sample, components, draws, joint, sensing[k], fitting
         )
-        steps.append(Step(shown, blind))
-        carriers.take(shown)
-        if k + 1 < len(carriers.times):
-            stops, found = carriers.stops[k], []
+        steps.append(Step(update, forecast))
+        samples.apply(update)
+        if k + 1 < len(samples.times):
+            stops, fits = samples.stops[k], []
             for stop in stops:
-                found.append(_forecast(carriers.forecast_lesson(stop), components))
+                fits.append(_forecast(samples.sample(stop), components))
                 if stop != stops[-1]:
-                    carriers.score(stop, found[-1])
-            *found, blind = found
-            between.append(tuple(found))
-    return carriers.examined(
-        LearnedFilter(
-            system=system,
-            memory=memory,
-            times=carriers.times,
-            steps=tuple(steps),
-            method=Learned(type(regressor).__name__, draws),
-            predicted=carriers.prediction(),
-            covariances=carriers.covariances,
-            design=carriers.design(),
-            node_times=tuple(s[:-1] for s in carriers.stops),
-            node_fits=tuple(between),
-        )
+                    samples.score(stop, fits[-1])
+            *fits, forecast = fits
+            node_fits.append(tuple(fits))
+    return samples.designed(
+        LearnedFilter,
+        steps=tuple(steps),
+        method=Learned(type(regressor).__name__, draws),
+        node_times=tuple(stops[:-1] for stops in samples.stops),
+        node_fits=tuple(node_fits),
     )
 
 
@@ -217,7 +210,7 @@ def _output(
     regressor: Any,
     sensor: StochasticMap,
     t: float,
-    lesson: Lesson,
+    sample: Sample,
     components: int,
     draws: int,
     joint: bool,
@@ -225,9 +218,9 @@ def _output(
     fitting: np.random.Generator,
 ) -> LearnedOutput:
     """The function of one measurement, fitted to `draws` measurements of each path."""
-    x, shown, u = lesson.states, lesson.measurements, lesson.memory
+    x, observed, u = sample.states, sample.measurements, sample.memory
     more = [sensor.sample(float(t), x, rng) for _ in range(draws - 1)]
-    given = np.concatenate([np.concatenate([y, u]) for y in (shown, *more)], axis=1)
+    given = np.concatenate([np.concatenate([y, u]) for y in (observed, *more)], axis=1)
     centre, deviation = given.mean(axis=1), given.std(axis=1)
     varies = deviation > ABSOLUTE * np.sqrt(centre**2 + deviation**2)
     scale = np.where(varies, 1.0 / np.where(varies, deviation, 1.0), 0.0)
@@ -240,9 +233,9 @@ def _output(
     return LearnedOutput(centre, scale, np.array([given.min(axis=0), given.max(axis=0)]), models)
 
 
-def _forecast(lesson: Lesson, components: int) -> LearnedForecast:
+def _forecast(sample: Sample, components: int) -> LearnedForecast:
     """Cubic forecast of the targets from the memory."""
-    target, u = lesson.states[:components], lesson.memory
+    target, u = sample.states[:components], sample.memory
     return LearnedForecast(
         fit_forecast(FORECAST, lambda rows: scatter(rows(target, u)), components, np.zeros(len(u)))
     )

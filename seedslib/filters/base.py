@@ -1,30 +1,30 @@
-"""What a filter is: its verbs, the walk over a record that all share, and what it estimates."""
+"""What a filter is: its verbs, the one loop over a record that all share, and its estimates."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from contextlib import nullcontext
-from typing import Any, ClassVar, NamedTuple, TypeVar
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole, require_shape
+from seedslib.base.checks import as_real, as_whole
 from seedslib.base.clock import when
-from seedslib.base.objects import Shown
-from seedslib.base.values import Course, Inputs, on_paths
+from seedslib.base.objects import Pickled, changed
+from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import (
     AnySystem,
     as_grid,
-    course_of,
-    elapsed,
     in_even_steps,
     require_even,
     switches,
 )
+
+if TYPE_CHECKING:
+    from typing import Self
 
 State = TypeVar("State", bound=Any)
 
@@ -44,7 +44,8 @@ class Estimates(NamedTuple):
         Logarithm of the predictive density of each measurement; the sum over time is the
         log-likelihood of the record.
     diverged : ndarray of bool, shape (*batch), or None
-        Which paths left the region that the filter was told to believe, or became NaN.
+        Records whose estimates left the bound of the filter, became NaN, or met a measurement that
+        is impossible.
     modes : ndarray of int, shape (K+1, *batch), or None
         Decided modes of a switching system, numbered from 0.
     """
@@ -60,7 +61,7 @@ class Estimates(NamedTuple):
         """Intervals of this probability for each component, shape (2, K+1, n, *batch).
 
         Of a single estimate or forecast, mean (n,), shape (2, n). They are those of a Gaussian
-        law with the mean and the variance that the filter claims.
+        distribution with the mean and the variance that the filter claims.
 
         Raises
         ------
@@ -80,8 +81,7 @@ class Estimates(NamedTuple):
         """Shape (K+1, n, *batch), or (K+1, n, 1, ...) where they are common to all records."""
         if self.mean.ndim == 1:  # of one time
             return np.diagonal(self.cov)
-        variances = np.einsum("kii...->ki...", self.cov)
-        return variances.reshape(*variances.shape, *(1,) * (self.mean.ndim - variances.ndim))
+        return align(np.einsum("kii...->ki...", self.cov), 2, self.mean.ndim - 2)
 
     def to_dataframe(self, times: Any, names: Any = None) -> Any:
         """A pandas table, a row for each time and record; pandas must be installed.
@@ -142,9 +142,7 @@ def as_record(measurements: object, count: int, size: int) -> np.ndarray:
     TypeError, ValueError
         Not real numbers, a wrong shape, or an infinite entry.
     """
-    record = as_real("measurements", measurements, nan=True)
-    require_shape("measurements", record, (count, size, *record.shape[2:]))
-    return record
+    return as_real("measurements", measurements, (count, size, ...), nan=True)
 
 
 def stays(state: object, t: float) -> bool:
@@ -192,18 +190,6 @@ def first_step(state: object, t: float, system: object) -> float:
     return state.interval
 
 
-def require_time(state: object) -> None:
-    """Refuse to correct a state that was not given a time.
-
-    Raises
-    ------
-    ValueError
-        A state without a time: `predict` gives it one.
-    """
-    if state.time is None:
-        raise ValueError("state: wanted a state with a time, got None; predict to it first")
-
-
 def as_modes(
     name: str, value: object, shape: tuple[int, ...], count: int, least: int = 0
 ) -> np.ndarray:
@@ -241,29 +227,26 @@ def as_indicators(
     return as_modes(name, indicators, shape, values, least=-1) if values else None
 
 
-def as_seen(
-    state: object, system: object, y: object, indicator: object
-) -> tuple[np.ndarray, np.ndarray | None]:
-    """What a state with a time is corrected by: a measurement (m, *batch), and an indicator.
+def require_time(state: object) -> None:
+    """Refuse to correct a state that was not given a time.
 
     Raises
     ------
-    TypeError, ValueError
-        As `require_time` and `as_indicators`.
+    ValueError
+        A state without a time: `predict` gives it one.
     """
-    require_time(state)
-    y = np.asarray(y, dtype=float)
-    return y, as_indicators(indicator, system, y.shape[1:], "indicator")
+    if state.time is None:
+        raise ValueError("state: wanted a state with a time, got None; predict to it first")
 
 
 class Record(NamedTuple):
-    """Checked records, all in one row, or a single one without an axis of records."""
+    """Checked records on one batch axis, or a single one without any."""
 
     times: np.ndarray  # (K+1,)
     y: np.ndarray  # (K+1, m, *records)
     indicators: MaybeArray  # (K+1, *records)
     modes: MaybeArray  # (K+1, *records)
-    inputs: Course
+    inputs: InputTrajectory
 
     def of(self, own: slice) -> Record:
         """Some of the records."""
@@ -276,19 +259,26 @@ class Record(NamedTuple):
 def walk(
     filter: Any, record: Record, seed: object = None, predict: Callable[..., Any] | None = None
 ) -> Iterator[Any]:
-    """The states of a filter after each measurement; `predict` may replace its own."""
-    told = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **told)
+    """The states of a filter after each measurement of a record.
+
+    Parameters
+    ----------
+    filter : Filter
+    record : Record
+    seed : object
+        Of a filter that draws.
+    predict : callable, optional
+        ``predict(state, t, inputs=...)`` in the place of the filter's own.
+    """
+    predict = filter.predict if predict is None else predict
+    first = {} if record.modes is None else {"mode": record.modes[0]}
+    state = filter.initial(record.y.shape[2:], seed, **first)
     for k, t in enumerate(record.times):
-        shown = () if record.indicators is None else (record.indicators[k],)
-        told = {} if record.modes is None else {"mode": record.modes[k]}
-        if predict is None and not record.inputs.values:
-            state = filter.step(state, t, record.y[k], *shown, **told)
-        else:  # inputs of a time act in the dynamics from there on, and in the sensor at that time
-            with record.inputs.at(max(k - 1, 0)):
-                state = (predict or filter.predict)(state, t, *told.values())
-            with record.inputs.at(k):
-                state = filter.correct(state, record.y[k], *shown)
+        mode = () if record.modes is None else (record.modes[k],)
+        indicator = () if record.indicators is None else (record.indicators[k],)
+        # inputs of a time act in the dynamics from there on, and in the sensor at that time
+        state = predict(state, t, *mode, inputs=record.inputs.at(max(k - 1, 0)))
+        state = filter.correct(state, record.y[k], *indicator, inputs=record.inputs.at(k))
         yield state
 
 
@@ -298,65 +288,65 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
     A record has diverged where a time says so, an estimate is no number, or a measurement was
     impossible.
     """
-    columns: list[Any] = [None] * 6
-    lost: Any = False
+    columns: dict[str, np.ndarray] = {}
+    diverged: Any = False
     for k, report in enumerate(reports):
-        for slot, part in enumerate(report):
+        for name, part in zip(Estimates._fields, report, strict=True):
             if part is None:
                 continue
-            if slot == 4:
-                lost = lost | part
+            if name == "diverged":
+                diverged = diverged | part
                 continue
-            column, ndim = columns[slot], np.ndim(part)
+            column, ndim = columns.get(name), np.ndim(part)
             if column is None or ndim >= column.ndim:  # until now common to all records
-                columns[slot] = np.empty((count, *np.shape(part)), np.asarray(part).dtype)
+                columns[name] = np.empty((count, *np.shape(part)), np.asarray(part).dtype)
                 if column is not None:
-                    columns[slot][:k].T[...] = column[:k].T
-                column = columns[slot]
+                    columns[name][:k].T[...] = column[:k].T
+                column = columns[name]
             if ndim + 1 == column.ndim:
                 column[k] = part
             else:
                 column[k].T[...] = np.transpose(part)
-    mean, cov, prob, loglik, _, modes = columns
     # what is no number once is none at the end, or on the way back at the beginning
-    lost = lost | ~np.isfinite(mean).all(axis=(0, 1))
-    lost = lost | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
-    if loglik is not None:
-        lost = lost | (loglik == -np.inf).any(axis=0)
-    return Estimates(mean, cov, prob, loglik, np.asarray(lost), modes)
+    diverged = diverged | ~np.isfinite(columns["mean"]).all(axis=(0, 1))
+    if "cov" in columns:
+        diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if "loglik" in columns:
+        diverged = diverged | (columns["loglik"] == -np.inf).any(axis=0)
+    return Estimates(**columns, diverged=np.asarray(diverged))
 
 
-def in_one(blocks: list[Estimates], batch: tuple[int, ...]) -> Estimates:
+CORE_AXES = Estimates(mean=2, cov=3, mode_prob=2, loglik=1, diverged=0, modes=1)
+"""Axes of each array of the estimates before those of the batch."""
+
+
+def joined(blocks: list[Estimates], batch: tuple[int, ...]) -> Estimates:
     """Estimates of all records, with their batch axes, from those of blocks of them."""
     whole = []
-    for parts, core in zip(zip(*blocks, strict=True), (2, 3, 2, 1, 0, 1), strict=True):
+    for parts, core in zip(zip(*blocks, strict=True), CORE_AXES, strict=True):
         part = parts[0]
         if part is not None and any(
             other.ndim > core or not np.array_equal(other, part, equal_nan=True) for other in parts
         ):
-            sizes = (block.mean.shape[2:] for block in blocks)
-            parts = [_on_batch(other, core, n) for other, n in zip(parts, sizes, strict=True)]
-            part = parts[0] if len(parts) == 1 else np.concatenate(parts, axis=-1)
+            full = []
+            for other, block in zip(parts, blocks, strict=True):
+                records = block.mean.shape[2:]
+                other = align(other, core, len(records))
+                full.append(np.broadcast_to(other, other.shape[:core] + records))
+            part = full[0] if len(full) == 1 else np.concatenate(full, axis=-1)
             part = part.reshape(part.shape[:core] + batch)
         whole.append(part)  # as it is where all records have it in common, or there is one
     return Estimates(*whole)
 
 
-def _on_batch(part: Any, core: int, batch: tuple[int, ...]) -> np.ndarray:
-    """An array with core axes and those of the batch, which it may lack."""
-    part = np.asarray(part)
-    if part.ndim == core:
-        part = part.reshape(part.shape + (1,) * len(batch))
-    return np.broadcast_to(part, part.shape[:core] + batch)
-
-
-class Filter(Shown):
+class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
-    A filter writes ``initial(batch=(), seed=None)``, ``moved(state, t)``, or the whole of
-    ``predict(state, t)``, and ``correct(state, y)``, with an indicator as third argument where its
-    system has modes, and `report` where its states do not say by themselves what is estimated.
-    States are frozen, so every verb gives a new one. Whole records are run here, many at once.
+    A filter writes ``initial(batch=(), seed=None)``, ``propagate(state, t, p)`` and
+    ``update(state, y, p)``, with the numbers p of the system's parameters, and an indicator as
+    fourth argument where its system has one; and `report` where the fields of its states are not
+    called as in `Estimates`. `predict` and `correct` check their arguments and call these. States
+    are frozen, so every verb gives a new one. Whole records are run here, many at once.
 
     Attributes
     ----------
@@ -375,6 +365,19 @@ class Filter(Shown):
     records: int = BLOCK
     alone: bool = False
 
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r})"
+
+    def bind(self, values: Mapping[Any, ArrayLike] | None = None, /, **named: Any) -> Self:
+        """The same filter with other numbers of its model's parameters; nothing is compiled again.
+
+        Parameters
+        ----------
+        values, **named
+            As `bind` of the system; an array (*batch) gives each record its own number.
+        """
+        return changed(self, system=self.system.bind(values, **named))
+
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
 
@@ -382,7 +385,9 @@ class Filter(Shown):
         """
         raise NotImplementedError
 
-    def predict(self, state: State, t: float, *modes: ArrayLike) -> State:
+    def predict(
+        self, state: State, t: float, *modes: ArrayLike, inputs: Mapping[Any, Any] | None = None
+    ) -> State:
         """Forecast to time t; a state without a time is only given one.
 
         Parameters
@@ -392,32 +397,65 @@ class Filter(Shown):
         t : float
         *modes : array_like of int, shape (*batch)
             The mode at that time, for a filter that knows it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs that act from the time of the state on.
 
         Raises
         ------
         ValueError
             A time before that of the state; of a system in discrete time that does not mention
-            the elapsed time, a step of another length than the first.
+            the elapsed time, a step of another length than the first; an input without a value.
         """
         if stays(state, t):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
-        with elapsed(self.system, state.time, t):
-            moved = self.moved(state, float(t), *modes)
-        return moved._replace(time=float(t), interval=interval)
+        p = self.system.values(inputs, t - state.time)
+        later = self.propagate(state, float(t), p, *modes)
+        return later._replace(time=float(t), interval=interval)
 
-    def moved(self, state: State, t: float) -> State:
-        """What `predict` makes of a state, but for its time."""
+    def propagate(self, state: State, t: float, p: Values) -> State:
+        """State at a later time, but for its fields `time` and `interval`."""
         raise NotImplementedError
 
-    def correct(self, state: Any, y: ArrayLike) -> Any:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state.
+    def correct(
+        self,
+        state: Any,
+        y: ArrayLike,
+        indicator: ArrayLike | None = None,
+        *,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Any:
+        """Correct by a measurement at the time of the state.
+
+        Parameters
+        ----------
+        state : NamedTuple
+            Left as it is.
+        y : array_like, shape (m, *batch)
+            NaN marks a missing component.
+        indicator : array_like of int, shape (*batch), optional
+            Of a system that has one; -1 where it is missing.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs at that time.
 
         Raises
         ------
-        ValueError
-            A state without a time: `predict` gives it one.
+        TypeError, ValueError
+            A state without a time: `predict` gives it one. An indicator of a system without, or
+            out of range; a measurement of another size; an input without a value.
         """
+        require_time(state)
+        y = np.asarray(y, dtype=float)
+        indicator = as_indicators(indicator, self.system, y.shape[1:], "indicator")
+        p = self.system.values(inputs)
+        if indicator is None:
+            return self.update(state, y, p)
+        return self.update(state, y, p, indicator)
+
+    def update(
+        self, state: Any, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
+    ) -> Any:
+        """State given a measurement and an indicator; arguments as `correct`, checked."""
         raise NotImplementedError
 
     def report(self, state: Any) -> Estimates:
@@ -436,18 +474,15 @@ class Filter(Shown):
         indicator: ArrayLike | None = None,
         *,
         mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
     ) -> Any:
         """Forecast to time t and correct there.
 
-        A model with inputs is told those that act from the time of the state on for the forecast,
-        and those of time t for the correction::
+        Where the inputs that act from the time of the state on, in the forecast, are not those of
+        time t, which act in the correction, both verbs are called::
 
-            with assigned({u: 0.3}):
-                state = filter.predict(state, t)
-            with assigned({u: 0.5}):
-                state = filter.correct(state, y)
-
-        and likewise `forecast`; where they are the same, one block around `step` will do.
+            state = filter.predict(state, t, inputs={u: 0.3})
+            state = filter.correct(state, y, inputs={u: 0.5})
 
         Parameters
         ----------
@@ -459,7 +494,9 @@ class Filter(Shown):
         indicator : array_like of int, shape (*batch), optional
             Of a system that has one; -1 where it is missing.
         mode : array_like of int, shape (*batch), optional
-            The true mode at time t, for a filter that is told it.
+            The true mode at time t, for a filter that knows it.
+        inputs : mapping of Input to number or ndarray, shape (*batch), optional
+            Inputs of the step and of the measurement.
 
         Raises
         ------
@@ -468,12 +505,20 @@ class Filter(Shown):
         """
         modes = () if mode is None else (mode,)
         indicators = () if indicator is None else (indicator,)
-        return self.correct(self.predict(state, t, *modes), y, *indicators)
+        state = self.predict(state, t, *modes, inputs=inputs)
+        return self.correct(state, y, *indicators, inputs=inputs)
 
-    def forecast(self, state: Any, t: float, *, mode: ArrayLike | None = None) -> Estimates:
+    def forecast(
+        self,
+        state: Any,
+        t: float,
+        *,
+        mode: ArrayLike | None = None,
+        inputs: Mapping[Any, Any] | None = None,
+    ) -> Estimates:
         """What the filter expects at a later time, without a measurement; arguments as `step`."""
         modes = () if mode is None else (mode,)
-        later = self.report(self.predict(state, t, *modes))
+        later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
 
     def smoother(self) -> Any:
@@ -515,13 +560,13 @@ class Filter(Shown):
         Parameters
         ----------
         times : array_like, shape (K+1,)
-            Times of the measurements; the first is that of the initial law and has no forecast.
+            Times of the measurements; the first is that of the initial state and has no forecast.
         measurements : array_like, shape (K+1, m, *batch)
             NaN marks a missing component; a time without any measurement gives a forecast.
         indicators : array_like of int, shape (K+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         modes : array_like of int, shape (K+1, *batch), optional
-            The true modes, wanted by a filter that is told them.
+            The true modes, wanted by a filter that knows them.
         inputs : mapping of Input to array_like, shape (K+1,) or (K+1, *batch), optional
             Values of the inputs that the model mentions: those of a time act in the dynamics from
             there until the next time, and in the sensor at that time.
@@ -558,17 +603,19 @@ class Filter(Shown):
         """Batch axes, and the records of a run, checked."""
         times, y = self.record(times, measurements)
         batch, shape = y.shape[2:], (len(times), *y.shape[2:])
-        course = course_of(self.system, inputs, len(times), batch)
+        trajectory = as_trajectory(self.system, inputs, len(times), batch)
         indicators = as_indicators(indicators, self.system, shape)
         if "modes" in self.takes:
             modes = as_modes("modes", modes, shape, self.system.modes)
         elif modes is not None:
-            raise ValueError("modes: wanted none, the filter finds them by itself")
-        row = (-1,) if batch or not self.alone else ()
+            raise ValueError("modes: wanted none, the filter estimates them")
+        axes = (-1,) if batch or not self.alone else ()
         indicators, modes = (
-            None if part is None else part.reshape(len(times), *row) for part in (indicators, modes)
+            None if part is None else part.reshape(len(times), *axes)
+            for part in (indicators, modes)
         )
-        return batch, Record(times, y.reshape(*y.shape[:2], *row), indicators, modes, course)
+        y = y.reshape(*y.shape[:2], *axes)
+        return batch, Record(times, y, indicators, modes, trajectory)
 
     def in_blocks(
         self,
@@ -578,13 +625,11 @@ class Filter(Shown):
         seed: object = 0,
         workers: int = 1,
     ) -> Estimates:
-        """What ``work(record, stream)`` estimates in each block of records, on threads."""
+        """Estimates by ``work(record, stream)`` in each block of records, on threads."""
 
         def block(start: int, stop: int, stream: Any) -> Estimates:
-            own = slice(start, stop)
-            with on_paths(batch, own) if batch else nullcontext():
-                return work(record.of(own), stream)
+            return work(record.of(slice(start, stop)), stream)
 
         paths = record.y[0, 0].size
         size = self.block(record.times, paths, workers)
-        return in_one(in_blocks(block, paths, seed, workers=workers, block=size), batch)
+        return joined(in_blocks(block, paths, seed, workers=workers, block=size), batch)

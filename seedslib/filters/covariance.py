@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from seedslib.base.arrays import align
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import step_count
-from seedslib.base.correction import correct
-from seedslib.base.objects import Remade
-from seedslib.base.semidefinite import lower_triangle, settled
-from seedslib.filters.base import Estimates, Filter, require_time
-from seedslib.linearization.moments import Linearization, Moments, as_linearization, symmetric
+from seedslib.base.conditioning import update
+from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates, Filter
+from seedslib.linearization.moments import Linearization, Moments, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
+from seedslib.models.maps import StochasticMap
 
 
 def euler_step(rate: Callable[..., Any], t: float, y: Any, h: float) -> Any:
@@ -56,7 +58,65 @@ class FilterState(NamedTuple):
     interval: float | None = None
 
 
-class CovarianceFilter(Filter, Remade):
+class SensorUpdate:
+    """Update of a mean and covariance by a measurement through a linearized sensor.
+
+    Parameters
+    ----------
+    sensor : StochasticMap
+    linearization : Linearization
+
+    Attributes
+    ----------
+    moments : callable
+        ``moments(t, mean, cov, p) -> Moments`` of the measurement that is expected.
+    """
+
+    def __init__(self, sensor: StochasticMap, linearization: Linearization) -> None:
+        self.moments: Callable[..., Moments] = linearization.moments(sensor)
+        self._periods = sensor.period
+        # points are laid along a factor of the covariance, which must not consist of rounding
+        self._by_points = isinstance(linearization, PointRule)
+
+    def __call__(
+        self,
+        t: float,
+        mean: np.ndarray,
+        cov: np.ndarray,
+        y: ArrayLike,
+        p: Values,
+        moments: Moments | None = None,
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Mean, covariance and log-likelihood given y, (8.2) of the jump-diffusion paper.
+
+        Parameters
+        ----------
+        t : float
+        mean, cov : ndarray, shapes (n, *batch) and (n, n) or (n, n, *batch)
+        y : array_like, shape (m, *batch)
+            NaN marks a missing component.
+        p : tuple
+            Numbers of the parameters.
+        moments : Moments, optional
+            Those of a branch of the sensor, in the place of the whole one's.
+        """
+        if moments is None:
+            moments = self.moments(t, mean, cov, p)
+        new_mean, new_cov, loglik = update(
+            mean,
+            cov,
+            y,
+            moments,
+            noise=lambda: self.moments(t, mean, np.zeros_like(cov), p).cov,
+            periods=self._periods,
+            exact=True,
+        )
+        if self._by_points:
+            new_cov = without_rounding(new_cov, cov)
+        return new_mean, new_cov, loglik
+
+
+class CovarianceFilter(Filter):
     """Approximate posterior mean and covariance, N(m, P) between and at the measurements.
 
     Forecast: the moment equations (8.1) of the jump-diffusion paper, with the jumps, or for a
@@ -89,7 +149,6 @@ class CovarianceFilter(Filter, Remade):
     """
 
     _systems: ClassVar[tuple[str, ...]] = ("JumpDiffusion", "DiscreteSystem")
-    _shown = "linearization", "integrator", "integration_step", "bound"
     alone = True  # numbers of one path are plain floats, which are faster than arrays of one
 
     def __init__(
@@ -112,16 +171,25 @@ class CovarianceFilter(Filter, Remade):
         self.integration_step: float = as_positive("step", step, infinite=True)
         self.bound: float = np.inf if bound is None else as_positive("bound", bound, infinite=True)
         self.n: int = len(system.mean0)
-        self._sensor = linearization.moments(system.sensor)
-        # a rule of points wants a factor of the covariance
-        self._by_points = isinstance(linearization, PointRule)
-        if self.continuous:
-            self._rate = linearization.rate(system)
-        else:
-            self._dynamics = linearization.moments(system.dynamics)
+        _ = self._sensor, self._rate if self.continuous else self._dynamics  # refused now or never
+
+    @cached_property
+    def _sensor(self) -> SensorUpdate:
+        return SensorUpdate(self.system.sensor, self.linearization)
+
+    @cached_property
+    def _dynamics(self) -> Callable[..., Moments]:
+        return self.linearization.moments(self.system.dynamics)
+
+    @cached_property
+    def _rate(self) -> Callable[..., list[Any]]:
+        return self.linearization.rate(self.system)
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({self.system!r}, {self.linearization})"
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
-        """State before any measurement: the moments of the initial law.
+        """State before any measurement: the moments of the initial distribution.
 
         Parameters
         ----------
@@ -130,31 +198,33 @@ class CovarianceFilter(Filter, Remade):
         seed : object
             Not used; every filter has the same verbs.
         """
-        mean = np.asarray(self.system.mean0, dtype=float)
-        mean = np.broadcast_to(mean.reshape(-1, *(1,) * len(batch)), (self.n, *batch)).copy()
+        mean = align(np.asarray(self.system.mean0, dtype=float), 1, len(batch))
+        mean = np.broadcast_to(mean, (self.n, *batch)).copy()
         return FilterState(None, mean, np.array(self.system.cov0, dtype=float))
 
-    def moved(self, state: FilterState, t: float) -> FilterState:
+    def propagate(self, state: FilterState, t: float, p: Values) -> FilterState:
         """Mean and covariance at time t, by the moment equations or the dynamics map."""
         if not self.continuous:
-            return self.moved_jointly(state, t)[0]
+            return self.propagate_jointly(state, t, p)[0]
         mean, lower = state.mean, state.cov[lower_triangle(self.n)]
         if mean.ndim == 1:  # plain floats are faster than arrays without axes
             mean, lower = mean.tolist(), lower.tolist()
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            moved = self._integrate(self._rate, [*mean, *lower], state.time, t)
-        mean = _filled(moved[: self.n], state.mean.shape[1:])
-        return state._replace(mean=mean, cov=symmetric(_filled(moved[self.n :]), self.n))
+            later = self._integrate(
+                lambda t, parts: self._rate(t, parts, p), [*mean, *lower], state.time, t
+            )
+        mean = _filled(later[: self.n], state.mean.shape[1:])
+        return state._replace(mean=mean, cov=symmetric(_filled(later[self.n :]), self.n))
 
-    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
-        """What `moved` gives, and the covariance of the state now with the one at time t.
+    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
+        """What `propagate` gives, and the covariance of the state now with the one at time t.
 
-        Between measurements that covariance C obeys dC/dt = cov(x, b): with the mean velocity b
-        linearized in the law of the state then, C P⁻¹ cov(x then, b).
+        Between measurements that covariance C obeys dC/dt = C P⁻¹ cov(x, b), with the mean
+        velocity b linearized about the state of that time, of covariance P.
         """
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             if not self.continuous:
-                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov)
+                mean, cross, cov = self._dynamics(state.time, state.mean, state.cov, p)
                 return state._replace(mean=mean, cov=cov), cross
             n, (rows, columns) = self.n, lower_triangle(self.n)
             lower = slice(n, n + len(rows))
@@ -166,10 +236,10 @@ class CovarianceFilter(Filter, Remade):
 
             def rate(t: float, parts: list[Any]) -> list[Any]:
                 mean, cov, cross = split(parts)
-                b, *squares = self._flow(t, mean, cov)
-                with_b, spread = (wide(part, mean.shape[1:]) for part in squares)
-                change = with_b + np.swapaxes(with_b, 0, 1) + spread
-                joint = np.einsum("ij...,jk...->ik...", cross, _slope(with_b, cov))
+                b, *squares = self._flow(t, mean, cov, p)
+                with_b, diffusion = (align(part, 2, mean.ndim - 1) for part in squares)
+                change = with_b + np.swapaxes(with_b, 0, 1) + diffusion
+                joint = np.einsum("ij...,jk...->ik...", cross, solve_psd(cov, with_b))
                 return [*b, *change[rows, columns], *joint.reshape(n * n, *joint.shape[2:])]
 
             now = state.cov
@@ -194,33 +264,30 @@ class CovarianceFilter(Filter, Remade):
 
     def smoother(self) -> Any:
         """See `Filter.smoother`."""
-        from seedslib.filters.smoothing import Rauch
+        from seedslib.filters.smoothing import RauchTungStriebel
 
-        return Rauch(self)
+        return RauchTungStriebel(self)
 
-    def unsettled(self) -> CovarianceFilter:
-        """The filter as `smooth` runs it."""
+    def for_smoothing(self) -> CovarianceFilter:
+        """The filter whose states `smooth` goes back through."""
         return self
 
-    def correct(self, state: FilterState, y: ArrayLike) -> FilterState:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        require_time(state)
+    def update(
+        self, state: FilterState, y: np.ndarray, p: Values, indicator: Any = None
+    ) -> FilterState:
+        """See `Filter.update`."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            sensor, periods = self._sensor, self.system.sensor.period
-            law = state.mean, state.cov
-            law = update(sensor, state.time, *law, y, periods, by_points=self._by_points)
-        return state._replace(mean=law[0], cov=law[1], loglik=law[2])
+            mean, cov, loglik = self._sensor(state.time, state.mean, state.cov, y, p)
+        return state._replace(mean=mean, cov=cov, loglik=loglik)
 
-    def expect(self, state: FilterState) -> Moments:
+    def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
+        return self.expected(state, self.system.values(inputs))
+
+    def expected(self, state: FilterState, p: Values) -> Moments:
+        """The same with the numbers of all parameters."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            return Moments(*self._sensor(state.time, state.mean, state.cov))
+            return Moments(*self._sensor.moments(state.time, state.mean, state.cov, p))
 
     def report(self, state: FilterState) -> Estimates:
         """Mean and covariance; a path diverges where its mean is beyond the bound."""
@@ -234,31 +301,6 @@ class CovarianceFilter(Filter, Remade):
         return max(BLOCK, min(4 * BLOCK, -(-paths // as_count("workers", workers))))
 
 
-def update(sensor, t, mean, cov, y, periods, moments=None, by_points=False):
-    """Mean, covariance and log-likelihood after a measurement through a linearized sensor.
-
-    Parameters
-    ----------
-    sensor : callable
-        ``sensor(t, mean, cov) -> Moments`` of the whole sensor.
-    t : float
-    mean, cov : ndarray, shapes (n, *batch) and (n, n) or (n, n, *batch)
-    y : array_like, shape (m, *batch)
-        NaN is missing.
-    periods : tuple
-        Components of y on a circle.
-    moments : Moments, optional
-        Those of a branch of the sensor, in the place of the whole one's.
-    by_points : bool
-        Whether the linearization wants a factor of the covariance.
-    """
-    moments = sensor(t, mean, cov) if moments is None else moments
-    zero = np.zeros_like(cov)
-    law, noise = (mean, cov, y, moments), lambda: sensor(t, mean, zero).cov
-    later, covariance, loglik = correct(*law, noise=noise, exact=True, periods=periods)
-    return later, settled(covariance, cov) if by_points else covariance, loglik
-
-
 def _filled(parts: list[Any], batch: tuple[int, ...] | None = None) -> np.ndarray:
     """Array of components, which may lack some of the batch axes."""
     batch = np.broadcast_shapes(*map(np.shape, parts)) if batch is None else batch
@@ -266,29 +308,6 @@ def _filled(parts: list[Any], batch: tuple[int, ...] | None = None) -> np.ndarra
     for k, part in enumerate(parts):
         full[k] = part
     return full
-
-
-def _slope(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """P⁻¹ cov(x, b), of which a singular P takes the pseudo-inverse."""
-    try:
-        parts = (np.moveaxis(part, (0, 1), (-2, -1)) for part in (cov, cross))
-        return np.moveaxis(np.linalg.solve(*parts), (-2, -1), (0, 1))
-    except np.linalg.LinAlgError:
-        return np.swapaxes(gain_of(np.swapaxes(cross, 0, 1), cov), 0, 1)
-
-
-def gain_of(cross: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """G = C P⁺, shape (n, n, *batch): what each unit of the later state moves."""
-    n = len(cross)
-    still = np.zeros((n, *(1,) * (cross.ndim - 1)))
-    unit = np.eye(n).reshape(n, *(1,) * (cross.ndim - 2), n)
-    gain, _, _ = correct(still, None, unit, (still, cross[..., None], cov[..., None]))
-    return np.moveaxis(np.broadcast_to(gain, (*cross.shape[:1], *gain.shape[1:])), -1, 1)
-
-
-def wide(cov: np.ndarray, batch: tuple[int, ...]) -> np.ndarray:
-    """A matrix with axes of paths, of length one where it is common to them."""
-    return cov if cov.ndim > 2 else cov.reshape(*cov.shape, *(1,) * len(batch))
 
 
 def extended_kalman(system: AnySystem, **options: Any) -> CovarianceFilter:

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.correction import correct
-from seedslib.base.semidefinite import RELATIVE, factor
-from seedslib.base.values import looked_at
-from seedslib.filters.base import Estimates, require_time
+from seedslib.base.arrays import align
+from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.linearization.moments import Matrices
 from seedslib.models.linear import LinearSystem
@@ -22,7 +22,7 @@ UNKNOWN = 1e-9
 class DiffuseState(NamedTuple):
     """A state that depends on q unknown numbers d, N(mean + effect d, cov).
 
-    ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, *batch, q). Of d the measurements
+    ``mean`` (n, *batch), ``cov`` (n, n, *batch), ``effect`` (n, q, *batch). Of d the measurements
     say N(I⁻¹ s, I⁻¹), with the ``score`` s (q, *batch) and the ``information`` I (q, q, *batch).
     ``loglik`` is that of the last measurement, d integrated out.
     """
@@ -38,20 +38,25 @@ class DiffuseState(NamedTuple):
 
     def inverse(self) -> np.ndarray:
         """Pseudo-inverse of the information, (q, q, *batch), whatever the units of d."""
-        unit = np.sqrt(np.einsum("ii...->i...", self.information))
+        unit = np.sqrt(variances(self.information))
         unit = np.where(unit > 0, unit, 1.0)
         information = np.moveaxis(self.information / unit / unit[:, None], (0, 1), (-2, -1))
         inverse = np.linalg.pinv(information, RELATIVE, hermitian=True)
         return np.moveaxis(inverse, (-2, -1), (0, 1)) / unit / unit[:, None]
 
-    def best(self) -> np.ndarray:
+    def estimate(self) -> np.ndarray:
         """The most probable d, (q, *batch); zero where nothing is known."""
         return np.einsum("pq...,q...->p...", self.inverse(), self.score)
 
-    def log_spread(self) -> np.ndarray:
-        """Half the logarithm of the information that there is of the unknown numbers."""
-        root = np.einsum("ii...->i...", factor(self.information))
+    def half_log_determinant(self) -> np.ndarray:
+        """Half the logarithm of the determinant of the information that there is."""
+        root = variances(cholesky(self.information))
         return np.log(np.where(root > 0, root, 1.0)).sum(axis=0)
+
+    def determined(self) -> bool:
+        """Whether the measurements determine all unknown numbers."""
+        root = variances(cholesky(self.information))
+        return bool((root > UNKNOWN * np.sqrt(variances(self.information))).all())
 
 
 class KalmanFilter(CovarianceFilter):
@@ -83,12 +88,12 @@ class KalmanFilter(CovarianceFilter):
         self._prior: np.ndarray = deviations[self._diffuse] ** 2
         # units of the state in those of the unknown numbers, (n, q)
         self.scale: np.ndarray = deviations[:, None] / deviations[self._diffuse]
-        self._settles = True
+        self._marginalizes = True
 
-    def unsettled(self) -> KalmanFilter:
-        """The same filter, which keeps unknown numbers when they are known, for smoothing."""
+    def for_smoothing(self) -> KalmanFilter:
+        """The same filter, which carries unknown numbers on when they are known."""
         other = KalmanFilter(self.system, bound=self.bound)
-        other._settles = False
+        other._marginalizes = False
         return other
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
@@ -97,71 +102,74 @@ class KalmanFilter(CovarianceFilter):
         if not diffuse:
             return state
         q = len(diffuse)
-        # a flat law plus N(0, c) is that flat law, so nothing depends on c; but with none a
+        # a flat distribution plus N(0, c) is flat too, so nothing depends on c; but with none a
         # measurement without noise would have no density given what is unknown
         state.cov[diffuse, diffuse] = self._prior
-        effect = np.zeros((self.n, *batch, q))
-        effect[diffuse, ..., range(q)] = 1.0
+        effect = np.zeros((self.n, q, *batch))
+        effect[diffuse, range(q)] = 1.0
         return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
 
-    def moved(self, state: Any, t: float) -> Any:
-        """See `CovarianceFilter.moved`; given what is unknown."""
+    def propagate(self, state: Any, t: float, p: Values) -> Any:
+        """See `CovarianceFilter.propagate`; given what is unknown."""
         if isinstance(state, DiffuseState):
-            return self.moved_jointly(state, t)[0]
-        return super().moved(state, t)
+            return self.propagate_jointly(state, t, p)[0]
+        return super().propagate(state, t, p)
 
-    def moved_jointly(self, state: Any, t: float) -> tuple[Any, np.ndarray]:
-        """See `CovarianceFilter.moved_jointly`; both given what is unknown."""
-        later, cross = super().moved_jointly(state, t)
+    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
+        """See `CovarianceFilter.propagate_jointly`; both given what is unknown."""
+        later, cross = super().propagate_jointly(state, t, p)
         if isinstance(state, DiffuseState):
-            effect = _times(self.system.dynamics.slope_at(state.time), state.effect)
+            transition = self.system.dynamics.slope_at(state.time, p)
+            effect = np.einsum("ij...,jq...->iq...", transition, state.effect)
             later = later._replace(effect=effect)
         return later, cross
 
-    def correct(self, state: Any, y: ArrayLike) -> Any:
-        """Correct by the measurement y, shape (m, *batch), at the time of the state."""
+    def update(self, state: Any, y: np.ndarray, p: Values, indicator: Any = None) -> Any:
+        """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
-            return super().correct(state, y)
-        require_time(state)
-        known = super().correct(FilterState(*state[:5]), y)
-        expected, cross, innovation_cov = (part[..., None] for part in self.expect(state))
-        y = np.asarray(y, dtype=float)[..., None]
-        observed, m = np.isfinite(y), len(y)
-        slope = _times(self.system.sensor.slope_at(state.time), state.effect)
-        # columns of a measurement of zero, missing where the measurement is
-        zero = np.where(observed, 0.0, np.nan)
-        effect, _, _ = correct(state.effect, None, zero, (slope, cross, innovation_cov))
-        columns = np.concatenate([y - expected, np.where(observed, slope, np.nan)], axis=-1)
-        none = np.zeros_like(columns)
-        weighted = correct(none, None, columns, (none, np.eye(m), innovation_cov))[0]
-        score = state.score + np.einsum("m...q,m...->q...", slope, weighted[..., 0])
-        added = np.einsum("m...p,m...q->pq...", slope, weighted[..., 1:])
-        now = DiffuseState(*known, effect, score, state.information + added)
+            return super().update(state, y, p)
+        corrected = super().update(FilterState(*state[:5]), y, p)  # given that d is zero
+        expected, cross, S = self.expected(state, p)
+        depth = state.mean.ndim - 1
+        innovation = y - align(expected, 1, depth)
+        observed = np.isfinite(innovation)
+        sensor = self.system.sensor.slope_at(state.time, p)
+        effect = np.einsum("ij...,jq...->iq...", sensor, state.effect)  # on y
+        # a missing component weighs nothing and is uncorrelated with the others
+        columns = np.where(observed, innovation, 0.0), np.where(observed[:, None], effect, 0.0)
+        both, identity = observed & observed[:, None], align(np.eye(len(S)), 2, depth)
+        weighted = solve_psd(
+            np.where(both, align(S, 2, depth), identity),
+            np.concatenate([columns[0][:, None], columns[1]], axis=1),
+        )
+        now = DiffuseState(
+            *corrected,
+            state.effect - np.einsum("nm...,mq...->nq...", cross, weighted[:, 1:]),
+            state.score + np.einsum("mq...,m...->q...", columns[1], weighted[:, 0]),
+            state.information + np.einsum("mp...,mq...->pq...", columns[1], weighted[:, 1:]),
+        )
         # at the best d: at zero the squares may be large, and their difference has no digits
-        best = now.best()
-        rest = columns[..., :1] - np.einsum("m...q,q...->m...", slope, best)[..., None]
-        none = none[..., :1]
-        density = correct(none, None, rest, (none, np.eye(m), innovation_cov))[2][..., 0]
-        gap = best - state.best()
-        density = density - 0.5 * np.einsum("p...,pq...,q...->...", gap, state.information, gap)
-        now = now._replace(loglik=density + state.log_spread() - now.log_spread())
-        root = np.einsum("ii...->i...", factor(now.information))
-        diagonal = np.einsum("ii...->i...", now.information)
-        if not self._settles or not (root > UNKNOWN * np.sqrt(diagonal)).all():
+        d = now.estimate()
+        density = gaussian_logpdf(innovation, np.einsum("mq...,q...->m...", effect, d), S)
+        change = d - state.estimate()
+        density -= 0.5 * np.einsum("p...,pq...,q...->...", change, state.information, change)
+        loglik = density + state.half_log_determinant() - now.half_log_determinant()
+        now = now._replace(loglik=loglik)
+        if not self._marginalizes or not now.determined():
             return now
-        mean, cov = settle(now.mean, now.cov, now.effect, now, self.scale)
+        mean, cov = marginalized(now.mean, now.cov, now.effect, now, self.scale)
         if np.isnan(cov).any():  # known by rounding only
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
 
-    def expect(self, state: Any) -> Any:
+    def expected(self, state: Any, p: Values) -> Any:
         """Moments of the measurement that the filter expects, given what is unknown."""
-        return super().expect(FilterState(*state[:5]))
+        return super().expected(FilterState(*state[:5]), p)
 
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
         if isinstance(state, DiffuseState):
-            mean, cov = settle(state.mean, state.cov, state.effect, state, self.scale)
+            mean, cov = marginalized(state.mean, state.cov, state.effect, state, self.scale)
             state = FilterState(state.time, mean, cov, state.loglik)
         return super().report(state)
 
@@ -172,12 +180,10 @@ def _deviations(system: LinearSystem) -> np.ndarray:
     That of the noise of its own, or of what it is measured by; else the smallest of the others.
     """
     try:
-        with looked_at(system.mentions):
-            Q, R = (
-                np.sqrt(np.diagonal(part.cov_at(0.0))) for part in (system.dynamics, system.sensor)
-            )
-            H = np.abs(system.sensor.slope_at(0.0))
-    except LookupError:  # matrices from a table, which need not have this time
+        p, maps = system.nominal_values(), (system.dynamics, system.sensor)
+        Q, R = (np.sqrt(np.diagonal(map.cov_at(0.0, p))) for map in maps)
+        H = np.abs(system.sensor.slope_at(0.0, p))
+    except LookupError:  # matrices from a table that may lack this time
         return np.ones(system.state_size)
     noisy = (H > 0) & (R > 0)[:, None]
     measured = np.where(noisy, R[:, None] / np.where(noisy, H, 1.0), np.inf)
@@ -186,17 +192,21 @@ def _deviations(system: LinearSystem) -> np.ndarray:
     return np.where(np.isfinite(own), own, least if np.isfinite(least) else 1.0)
 
 
-def settle(
-    mean: np.ndarray, cov: np.ndarray, effect: np.ndarray, known: DiffuseState, scale: np.ndarray
+def marginalized(
+    mean: np.ndarray,
+    cov: np.ndarray,
+    effect: np.ndarray,
+    posterior: DiffuseState,
+    scale: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean and covariance with the unknown numbers at what the measurements say of them.
+    """Mean and covariance of a state over what the measurements say of the unknown numbers.
 
     Parameters
     ----------
     mean, cov, effect : ndarray
         As in `DiffuseState`, of one time.
-    known : DiffuseState
-        Its score and information.
+    posterior : DiffuseState
+        Its score and information say what is known of the numbers.
     scale : ndarray, shape (n, q)
         What an effect is measured by, see `KalmanFilter`.
 
@@ -206,21 +216,15 @@ def settle(
         Of a component that depends on what nothing has determined the variance is infinite and
         its covariances are NaN.
     """
-    n, inverse = len(mean), known.inverse()
-    mean = mean + np.einsum("n...q,q...->n...", effect, known.best())
-    spread = np.einsum("n...p,pq...,k...q->nk...", effect, inverse, effect)
-    determined = np.einsum("pk...,kq...->pq...", inverse, known.information)
-    rest = effect - np.einsum("n...p,pq...->n...q", effect, determined)
-    unit = scale.reshape(n, *(1,) * (effect.ndim - 2), -1)
-    part, rest = (np.abs(x / unit).max(axis=-1) for x in (effect, rest))
-    unknown = rest > UNKNOWN * part.max(axis=0)
-    cov = cov.reshape(n, n, *cov.shape[2:], *(1,) * (spread.ndim - cov.ndim)) + spread
+    inverse, depth = posterior.inverse(), effect.ndim - 2
+    mean = mean + np.einsum("nq...,q...->n...", effect, posterior.estimate())
+    cov = align(cov, 2, depth) + np.einsum("np...,pq...,kq...->nk...", effect, inverse, effect)
+    determined = np.einsum("pk...,kq...->pq...", inverse, posterior.information)
+    rest = effect - np.einsum("np...,pq...->nq...", effect, determined)
+    unit = align(scale, 2, depth)
+    whole, rest = (np.abs(part / unit).max(axis=1) for part in (effect, rest))
+    unknown = rest > UNKNOWN * whole.max(axis=0)
     cov = np.where(unknown[:, None] | unknown[None, :], np.nan, cov)
-    for k in range(n):
+    for k in range(len(mean)):
         cov[k, k] = np.where(unknown[k], np.inf, cov[k, k])
     return mean, cov
-
-
-def _times(matrix: np.ndarray, columns: np.ndarray) -> np.ndarray:
-    """Matrix (m, n) or (m, n, *batch) times columns (n, *batch, q)."""
-    return np.einsum("ij...,j...->i...", matrix if matrix.ndim == 2 else matrix[..., None], columns)

@@ -1,19 +1,21 @@
-"""Filter of a switching system that is told the modes: a bound for all that have to guess them."""
+"""Filter of a switching system that knows the modes: a bound for those that estimate them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
-from seedslib.filters.base import Estimates, Filter, as_modes, as_seen
-from seedslib.filters.covariance import update
+from seedslib.base.arrays import align
+from seedslib.base.values import Values, of_paths
+from seedslib.filters.base import Estimates, Filter, as_modes
+from seedslib.filters.covariance import SensorUpdate
 from seedslib.linearization.moments import Linearization, as_linearization
-from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system
+from seedslib.models.switching import Branch
 
 
 class KnownModeState(NamedTuple):
@@ -30,13 +32,13 @@ class KnownModeState(NamedTuple):
     interval: float | None = None
 
 
-class KnownModeFilter(Filter, Remade):
+class KnownModeFilter(Filter):
     """Mean and covariance of the state given measurements and the true modes.
 
     For a jump-linear system it is the Kalman filter with known modes, and no filter that has to
-    recognise the modes has a smaller mean-square error. Where the switch or the indicator depends
-    on the state, seeing them says something of the state: the moments are those in the branch
-    that was taken, so that a good linearization comes close to the bound.
+    estimate the modes has a smaller mean-square error. Where the switch or the indicator depends
+    on the state, they are information on the state: the moments are those in the branch that was
+    taken, so that a good linearization comes close to the bound.
 
     Parameters
     ----------
@@ -52,7 +54,6 @@ class KnownModeFilter(Filter, Remade):
         The linearization has no formulas for this system; the message offers one that works.
     """
 
-    _shown = ("linearization",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "modes")
 
     def __init__(self, system: AnySystem, linearization: Any = None) -> None:
@@ -63,18 +64,30 @@ class KnownModeFilter(Filter, Remade):
             linearization = Taylor()
         self.system: Any = system
         self.linearization: Linearization = as_linearization(linearization)
-        self._moves = [
-            [self._move(i, l, branch) for l, branch in enumerate(row)]
-            for i, row in enumerate(system.branches)
-        ]
-        self._by_points = isinstance(linearization, PointRule)
-        self._sensors = [linearization.moments(map) for map in system.sensors]
-        self._readings = [
-            [None if b is None or b.constant else linearization.weighted(b.map) for b in row]
-            for row in system.readings
+        _ = self._transitions, self._sensors, self._readings  # what has no formulas is refused now
+
+    @cached_property
+    def _transitions(self) -> list[list[Any]]:
+        return [
+            [self._transition(i, l, branch) for l, branch in enumerate(row)]
+            for i, row in enumerate(self.system.branches)
         ]
 
-    def _move(self, i, l, branch):
+    @cached_property
+    def _sensors(self) -> list[SensorUpdate]:
+        return [SensorUpdate(map, self.linearization) for map in self.system.sensors]
+
+    @cached_property
+    def _readings(self) -> list[list[Any]]:
+        weighted = self.linearization.weighted
+        return [
+            [None if b is None or b.constant else weighted(b.map) for b in row]
+            for row in self.system.readings
+        ]
+
+    def _transition(
+        self, i: int, l: int, branch: Branch | None
+    ) -> Callable[..., tuple[Any, ...]] | None:
         """Moments of the next state in a branch, the covariance last; None for no branch."""
         if branch is None:
             return None
@@ -83,9 +96,9 @@ class KnownModeFilter(Filter, Remade):
         if branch.constant:
             return whole
         weighted = self.linearization.weighted((branch.still if new else branch).map)
-        if new:  # what the switch says of the state, and then the move
-            return lambda t, mean, cov: whole(t, *weighted(t, mean, cov).state)
-        return lambda t, mean, cov: weighted(t, mean, cov).value
+        if new:  # given the switch, and then the dynamics
+            return lambda t, mean, cov, p: whole(t, *weighted(t, mean, cov, p).state, p)
+        return lambda t, mean, cov, p: weighted(t, mean, cov, p).value
 
     def initial(
         self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
@@ -99,10 +112,10 @@ class KnownModeFilter(Filter, Remade):
         cov = np.stack([part.cov for part in self.system.initial], axis=2)[:, :, mode]
         return KnownModeState(None, mode, mean, cov, np.zeros(batch))
 
-    def moved(
-        self, state: KnownModeState, t: float, mode: ArrayLike | None = None
+    def propagate(
+        self, state: KnownModeState, t: float, p: Values, mode: ArrayLike | None = None
     ) -> KnownModeState:
-        """The law one step of the system later, where the mode is `mode` (*batch).
+        """Moments one step of the system later, where the mode is `mode` (*batch).
 
         Raises
         ------
@@ -113,47 +126,36 @@ class KnownModeFilter(Filter, Remade):
             raise ValueError("mode: wanted the mode at the later time, got None")
         mode = as_modes("mode", mode, state.mode.shape, self.system.modes)
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
-        for i, row in enumerate(self._moves):
-            for l, move in enumerate(row):
-                here = (state.mode == i) & (mode == l)
-                if not here.any():
+        for i, row in enumerate(self._transitions):
+            for l, transition in enumerate(row):
+                mask = (state.mode == i) & (mode == l)
+                if not mask.any():
                     continue
-                if move is None:
+                if transition is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
-                with on_paths(here.shape, here):
-                    law = move(state.time, state.mean[:, here], state.cov[:, :, here])
-                _put(mean, cov, here, law)
+                own = of_paths(p, mask.shape, mask)
+                moments = transition(state.time, state.mean[:, mask], state.cov[:, :, mask], own)
+                _put(mean, cov, mask, moments)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
-    def correct(
-        self, state: KnownModeState, y: ArrayLike, indicator: ArrayLike | None = None
+    def update(
+        self, state: KnownModeState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> KnownModeState:
-        """Correct by a measurement, shape (m, *batch).
-
-        An indicator (*batch) is used only where it depends on the state; -1 is missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
+        """See `Filter.update`; an indicator is used only where it depends on the state."""
         mean, cov = np.empty(state.mean.shape), np.empty(state.cov.shape)
         loglik = np.empty(state.mode.shape)
-        for i, row in enumerate(self._readings):
-            sensor, periods = self._sensors[i], self.system.sensors[i].period
-            for j, reading in ((-1, None), *enumerate(row)):
-                here = (state.mode == i) & (shown == j if shown is not None else j < 0)
-                if not here.any():
+        for i, branches in enumerate(self._readings):
+            for j, branch in ((-1, None), *enumerate(branches)):
+                mask = (state.mode == i) & (indicator == j if indicator is not None else j < 0)
+                if not mask.any():
                     continue
-                prior = state.mean[:, here], state.cov[:, :, here]
-                with on_paths(here.shape, here):
-                    moments = None
-                    if reading is not None:
-                        _, prior, moments = reading(state.time, *prior)
-                    known = sensor, state.time, *prior, y[:, here], periods, moments
-                    *law, loglik[here] = update(*known, by_points=self._by_points)
-                _put(mean, cov, here, law)
+                prior, moments = (state.mean[:, mask], state.cov[:, :, mask]), None
+                own = of_paths(p, mask.shape, mask)
+                if branch is not None:
+                    _, prior, moments = branch(state.time, *prior, own)
+                sensor = self._sensors[i]
+                *posterior, loglik[mask] = sensor(state.time, *prior, y[:, mask], own, moments)
+                _put(mean, cov, mask, posterior)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def report(self, state: KnownModeState) -> Estimates:
@@ -162,8 +164,6 @@ class KnownModeFilter(Filter, Remade):
         return Estimates(state.mean, state.cov, certain, state.loglik, None, state.mode)
 
 
-def _put(mean, cov, here, law):
-    """Write moments, of which the covariance may be common to all items, where they belong."""
-    mean[:, here] = law[0]
-    square = np.asarray(law[-1])
-    cov[:, :, here] = square if square.ndim == 3 else square[:, :, None]
+def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, moments: Sequence[Any]) -> None:
+    """Write moments of some items, whose covariance may be common to them all, and comes last."""
+    mean[:, mask], cov[:, :, mask] = moments[0], align(np.asarray(moments[-1]), 2, 1)

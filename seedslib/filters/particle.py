@@ -6,14 +6,14 @@ import warnings
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, MaybeArray
 from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
-from seedslib.filters.base import Estimates, Filter, as_seen
+from seedslib.base.values import Values
+from seedslib.filters.base import Estimates, Filter
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
 
@@ -68,7 +68,6 @@ class ParticleFilter(Filter):
     A mode whose last particle is gone does not come back unless the system can switch to it.
     """
 
-    _shown = "particles", "options"
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
     def __init__(self, system: AnySystem, particles: Count = 1000, **options: Any) -> None:
@@ -87,7 +86,7 @@ class ParticleFilter(Filter):
             )
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> ParticleState:
-        """Particles of the initial law for data sets of the given batch shape."""
+        """Particles of the initial distribution for data sets of the given batch shape."""
         seed = as_seed_sequence(0 if seed is None else seed)
         count = self.particles * int(np.prod(batch, dtype=int))
         x = self._moving.initial_sample(stream(seed, 0), count)
@@ -97,53 +96,56 @@ class ParticleFilter(Filter):
             None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
         )
 
-    def moved(self, state: ParticleState, t: float) -> ParticleState:
+    def propagate(self, state: ParticleState, t: float, p: Values) -> ParticleState:
         """The particles at time t."""
         rng = stream(state.seed, state.draws)
-        x = self._moving.advance(state.particles, state.time, t, rng, **self.options)
+        x = self._moving.advance(state.particles, state.time, t, rng, p, **self.options)
         return state._replace(particles=x, draws=state.draws + 1)
 
-    def correct(
-        self, state: ParticleState, y: ArrayLike, indicator: ArrayLike | None = None
+    def update(
+        self, state: ParticleState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> ParticleState:
-        """Weight by the measurement y, shape (m, *batch), estimate, resample.
+        """Weight by the measurement, estimate, resample; see `Filter.update`.
 
-        The indicator (*batch) of a switching system is a whole number, -1 where it is missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
+        Warns
+        -----
+        UserWarning
+            No particle is near the measurement.
         """
-        y, shown = as_seen(state, self.system, y, indicator)
         x = state.particles
-        if shown is not None:
-            y = np.concatenate([y, np.where(shown < 0, np.nan, shown)[None]])
+        if indicator is not None:
+            y = np.concatenate([y, np.where(indicator < 0, np.nan, indicator)[None]])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            log_weight = self._moving.sensor.log_density(state.time, y[:, None], x)
+            log_weight = self._moving.sensor.log_density(state.time, y[:, None], x, p)
         log_weight = np.where(np.isfinite(log_weight), log_weight, -np.inf)
-        weight, highest, lost = relative(log_weight, 0)
-        weight = np.where(lost, 1.0, weight)
-        if (highest < -FAR * np.isfinite(y).sum(axis=0))[~lost].any():
+        weight, highest, unexplained = relative(log_weight, 0)
+        weight = np.where(unexplained, 1.0, weight)
+        if (highest < -FAR * np.isfinite(y).sum(axis=0))[~unexplained].any():
             warnings.warn(
                 f"y: no particle is near the measurement at time {when(state.time)}: wanted more "
                 "particles, or a measurement that the model allows",
                 stacklevel=outside(),
             )
         total = weight.sum(axis=0)
-        loglik = np.where(lost, -np.inf, highest + np.log(total / self.particles))
         weight = weight / total
         mean, cov, prob = self.estimate(x, weight)
         rng = stream(state.seed, state.draws)
         if np.isfinite(y).any():
-            x = _resample(x, weight, rng)
-        estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
-        lost, draws = state.diverged | lost, state.draws + 1
-        return state._replace(particles=x, draws=draws, diverged=lost, **estimate)
+            chosen = resampled(weight, self.particles, rng)
+            x = np.take_along_axis(x, chosen[None], axis=1)
+        return state._replace(
+            particles=x,
+            draws=state.draws + 1,
+            mean=mean,
+            cov=cov,
+            mode_prob=prob,
+            loglik=np.where(unexplained, -np.inf, highest + np.log(total / self.particles)),
+            diverged=state.diverged | unexplained,
+        )
 
-    def forecast(self, state: ParticleState, t: float) -> Estimates:
+    def forecast(self, state: ParticleState, t: float, *, inputs: Any = None) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
-        x = self.predict(state, t).particles
+        x = self.predict(state, t, inputs=inputs).particles
         return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
 
     def estimate(
@@ -174,7 +176,7 @@ def stream(seed: Any, draw: Any) -> np.random.Generator:
     return np.random.default_rng(child(seed, draw))
 
 
-def _direction(x, weight, periods):
+def _direction(x: np.ndarray, weight: np.ndarray, periods: Periods) -> np.ndarray:
     """Mean directions of circular components, zero for the others, (n, *batch)."""
     middle = np.zeros((len(x), *x.shape[2:]))
     for k, period in periods:
@@ -184,19 +186,14 @@ def _direction(x, weight, periods):
     return middle
 
 
-def _moments(x, weight):
+def _moments(x: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Weighted mean (n, *batch) and covariance (n, n, *batch) of particles (n, P, *batch)."""
     mean = np.einsum("ip...,p...->i...", x, weight)
-    apart = x - mean[:, None]
-    return mean, np.einsum("ip...,jp...,p...->ij...", apart, apart, weight)
+    error = x - mean[:, None]
+    return mean, np.einsum("ip...,jp...,p...->ij...", error, error, weight)
 
 
-def _resample(x, weight, rng):
-    """Systematic resampling of every data set with one uniform number each."""
-    return np.take_along_axis(x, resampled(weight, len(weight), rng)[None], axis=1)
-
-
-def resampled(weight, count, rng) -> np.ndarray:
+def resampled(weight: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
     """Numbers (count, *batch) of the particles that systematic resampling draws.
 
     Parameters
@@ -210,9 +207,9 @@ def resampled(weight, count, rng) -> np.ndarray:
     total, batch = len(weight), weight.shape[1:]
     edges = np.cumsum(weight.reshape(total, -1), axis=0)
     sets = edges.shape[1]
-    # the sets are laid end to end on one line, so that one sorted search serves all
+    # the sets lie end to end on one line, so that one sorted search serves all
     edges = edges / edges[-1] + np.arange(sets)
-    places = (rng.random(sets) + np.arange(count)[:, None]) / count + np.arange(sets)
-    chosen = np.searchsorted(edges.T.ravel(), places.T.ravel(), side="right")
+    points = (rng.random(sets) + np.arange(count)[:, None]) / count + np.arange(sets)
+    chosen = np.searchsorted(edges.T.ravel(), points.T.ravel(), side="right")
     chosen = chosen.reshape(sets, count) - total * np.arange(sets)[:, None]
     return np.clip(chosen, 0, total - 1).T.reshape(count, *batch)

@@ -2,36 +2,36 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import Count
+from seedslib.base.arrays import Count, align
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
-from seedslib.base.objects import Remade
-from seedslib.base.values import on_paths
-from seedslib.filters.base import Filter, as_seen
-from seedslib.filters.covariance import update
+from seedslib.base.values import Values, of_paths
+from seedslib.filters.base import Filter
+from seedslib.filters.covariance import SensorUpdate
 from seedslib.filters.particle import resampled, stream
 from seedslib.filters.weights import logarithm, mix, normalised
 from seedslib.models.kinds import AnySystem, as_system
 
 
 class RaoBlackwellState(NamedTuple):
-    """Histories of modes with their weights and Gaussian laws, and the last estimate.
+    """Histories of modes with their weights and Gaussian moments, and the last estimate.
 
-    Each of P drawn histories is continued by every mode, so for the logarithms of their
-    probabilities ``log_prob`` (L, P, *batch), ``law``
-    = means (n, L, P, *batch) and covariances (n, n, L, P, *batch) the mode of the present is the
-    first of the two axes. ``seed`` and ``draws`` fix the random numbers that come next.
-    ``mode_prob`` has shape (L, *batch); ``interval`` is the length of the first step.
+    Each of P drawn histories is continued by every mode, so the mode of the present is the first
+    of the two axes of the logarithms of their probabilities, ``log_prob`` (L, P, *batch), and of
+    their ``means`` (n, L, P, *batch) and ``covs`` (n, n, L, P, *batch). ``seed`` and
+    ``draws`` fix the random numbers that come next. ``mode_prob`` has shape (L, *batch);
+    ``interval`` is the length of the first step.
     """
 
     time: float | None
     log_prob: np.ndarray
-    law: tuple[Any, ...]
+    means: np.ndarray
+    covs: np.ndarray
     seed: np.random.SeedSequence
     draws: int
     mean: np.ndarray
@@ -42,7 +42,7 @@ class RaoBlackwellState(NamedTuple):
     interval: float | None = None
 
 
-class RaoBlackwellFilter(Filter, Remade):
+class RaoBlackwellFilter(Filter):
     """Posterior of mode and state as a mixture over histories of modes.
 
     Given the history of the modes a jump-linear system is linear and the Kalman filter is exact;
@@ -68,120 +68,128 @@ class RaoBlackwellFilter(Filter, Remade):
     A mode whose last history is gone does not come back unless the system can switch to it.
     """
 
-    _shown = ("particles",)
     takes: ClassVar[tuple[str, ...]] = ("indicators", "seed")
 
     def __init__(self, system: AnySystem, particles: Count = 100) -> None:
         require_jump_linear(system)
-        from seedslib.linearization.taylor_and_exact import Taylor
-
         self.system: Any = system
         self.particles: int = as_count("particles", particles)
         self.records: int = max(1, 2 * BLOCK // self.particles)
-        exact = Taylor()
-        self._move = [exact.moments(map) for map in system.dynamics]
-        self._sense = [exact.moments(map) for map in system.sensors]
+
+    @cached_property
+    def _dynamics(self) -> list[Any]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [Taylor().moments(map) for map in self.system.dynamics]
+
+    @cached_property
+    def _sensors(self) -> list[SensorUpdate]:
+        from seedslib.linearization.taylor_and_exact import Taylor
+
+        return [SensorUpdate(map, Taylor()) for map in self.system.sensors]
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
         seed = as_seed_sequence(0 if seed is None else seed)
-        modes, n, parts = self.system.modes, self.system.state_size, self.system.initial
-        tail = (1,) * (1 + len(batch))
         prob = logarithm(self.system.initial_probabilities)
-        prob = np.broadcast_to(prob.reshape(-1, *tail), (modes, 1, *batch))
-        mean = np.stack([part.mean for part in parts], axis=1).reshape(n, modes, *tail)
-        cov = np.stack([part.cov for part in parts], axis=2).reshape(n, n, modes, *tail)
-        law = (
-            np.broadcast_to(mean, (n, modes, 1, *batch)),
-            np.broadcast_to(cov, (n, n, modes, 1, *batch)),
+        mean = np.stack([part.mean for part in self.system.initial], axis=1)
+        cov = np.stack([part.cov for part in self.system.initial], axis=2)
+        prob, mean, cov = (
+            np.broadcast_to(align(part, part.ndim, 1 + len(batch)), (*part.shape, 1, *batch))
+            for part in (prob, mean, cov)
         )
-        none, clean = np.zeros(batch), np.zeros(batch, dtype=bool)
-        return RaoBlackwellState(None, prob, law, seed, 0, *_estimate(prob, law), none, clean)
+        estimate = _estimate(prob, mean, cov)
+        loglik, diverged = np.zeros(batch), np.zeros(batch, dtype=bool)
+        return RaoBlackwellState(None, prob, mean, cov, seed, 0, *estimate, loglik, diverged)
 
-    def moved(self, state: RaoBlackwellState, t: float) -> RaoBlackwellState:
+    def propagate(self, state: RaoBlackwellState, t: float, p: Values) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
-        prob, mean, cov = _in_one_row(state.log_prob, state.law)
-        count, draws = len(prob), state.draws
-        mode = np.repeat(np.arange(modes), count // modes).reshape(-1, *(1,) * len(batch))
-        mode = np.broadcast_to(mode, prob.shape)
+        log_prob, mean, cov = _flattened(state.log_prob, state.means, state.covs)
+        count, draws = len(log_prob), state.draws
+        mode = align(np.repeat(np.arange(modes), count // modes), 1, len(batch))
+        mode = np.broadcast_to(mode, log_prob.shape)
         if count > self.particles:
-            chosen = resampled(np.exp(prob), self.particles, stream(state.seed, draws))
-            mean, cov = (_taken(part, chosen) for part in (mean, cov))
+            chosen = resampled(np.exp(log_prob), self.particles, stream(state.seed, draws))
+            mean, cov = (
+                np.take_along_axis(mean, chosen[None], axis=1),
+                np.take_along_axis(cov, chosen[None, None], axis=2),
+            )
             mode = np.take_along_axis(mode, chosen, axis=0)
-            prob = np.full(mode.shape, -np.log(self.particles))
+            log_prob = np.full(mode.shape, -np.log(self.particles))
             draws += 1
-        leave = np.full((modes, *prob.shape), -np.inf)
+        log_switch = np.full((modes, *log_prob.shape), -np.inf)
         for i, row in enumerate(self.system.branches):
-            here = mode == i
+            mask = mode == i
             for l, branch in enumerate(row):
                 if branch is not None:
-                    chance = logarithm(_chance(branch, state.time, n, batch))
-                    leave[l, here] = np.broadcast_to(chance, here.shape)[here]
+                    chance = logarithm(_chance(branch, state.time, n, batch, p))
+                    log_switch[l, mask] = np.broadcast_to(chance, mask.shape)[mask]
         if self.system.drives == "new":  # each history moves in every mode that continues it
-            made = [move(state.time, mean, cov) for move in self._move]
-            law = (
-                np.stack([y for y, _, _ in made], axis=1),
-                np.stack([_wide(square, y) for y, _, square in made], axis=2),
-            )
+            moments = [dynamics(state.time, mean, cov, p) for dynamics in self._dynamics]
+            means = np.stack([y for y, _, _ in moments], axis=1)
+            covs = np.stack([_batched(square, y) for y, _, square in moments], axis=2)
         else:
-            moved, spread = np.empty(mean.shape), np.empty(cov.shape)
-            for i, move in enumerate(self._move):
-                here = mode == i
-                with on_paths(here.shape, here):
-                    y, _, square = move(state.time, mean[:, here], cov[:, :, here])
-                moved[:, here], spread[:, :, here] = y, _wide(square, y)
-            law = (
-                np.broadcast_to(moved[:, None], (n, modes, *prob.shape)),
-                np.broadcast_to(spread[:, :, None], (n, n, modes, *prob.shape)),
-            )
-        prob = prob + leave
-        mean, cov, mode_prob = _estimate(prob, law)
+            new_mean, new_cov = np.empty(mean.shape), np.empty(cov.shape)
+            for i, dynamics in enumerate(self._dynamics):
+                mask = mode == i
+                own = of_paths(p, mask.shape, mask)
+                y, _, square = dynamics(state.time, mean[:, mask], cov[:, :, mask], own)
+                new_mean[:, mask], new_cov[:, :, mask] = y, _batched(square, y)
+            means = np.broadcast_to(new_mean[:, None], (n, modes, *log_prob.shape))
+            covs = np.broadcast_to(new_cov[:, :, None], (n, n, modes, *log_prob.shape))
+        log_prob = log_prob + log_switch
+        mean, cov, mode_prob = _estimate(log_prob, means, covs)
         return state._replace(
-            log_prob=prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
+            log_prob=log_prob,
+            means=means,
+            covs=covs,
+            draws=draws,
+            mean=mean,
+            cov=cov,
+            mode_prob=mode_prob,
         )
 
-    def correct(
-        self, state: RaoBlackwellState, y: ArrayLike, indicator: ArrayLike | None = None
+    def update(
+        self,
+        state: RaoBlackwellState,
+        y: np.ndarray,
+        p: Values,
+        indicator: np.ndarray | None = None,
     ) -> RaoBlackwellState:
-        """Correct every history by a measurement, shape (m, *batch), and weight it.
-
-        Parameters
-        ----------
-        state : RaoBlackwellState
-        y : array_like, shape (m, *batch)
-            NaN where missing.
-        indicator : array_like of int, shape (*batch), optional
-            -1 where missing.
-
-        Raises
-        ------
-        ValueError
-            A state without a time: `predict` gives it one.
-        """
-        y, shown = as_seen(state, self.system, y, indicator)
+        """Correct every history by the measurement and weight it; see `Filter.update`."""
         system, t = self.system, state.time
-        law = np.empty(state.law[0].shape), np.empty(state.law[1].shape)
+        means, covs = np.empty(state.means.shape), np.empty(state.covs.shape)
         score = np.empty(state.log_prob.shape)
-        for i, sense in enumerate(self._sense):
-            prior, periods = (state.law[0][:, i], state.law[1][:, :, i]), system.sensors[i].period
-            law[0][:, i], cov, score[i] = update(sense, t, *prior, y[:, None], periods)
-            law[1][:, :, i] = _wide(cov, prior[0])
-            if shown is not None:
+        for i, sensor in enumerate(self._sensors):
+            prior = state.means[:, i], state.covs[:, :, i]
+            means[:, i], cov, score[i] = sensor(t, *prior, y[:, None], p)
+            covs[:, :, i] = _batched(cov, prior[0])
+            if indicator is not None:
                 none, size = np.zeros(y.shape[1:]), system.state_size
                 row = system.readings[i]
-                chances = [none if b is None else _chance(b, t, size, none.shape) for b in row]
+                chances = [none if b is None else _chance(b, t, size, none.shape, p) for b in row]
                 chances.append(none + 1.0)  # of a missing one
-                score[i] += logarithm(np.take_along_axis(np.stack(chances), shown[None], 0)[0])
-        known = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
-        prob, loglik = normalised(known, (0, 1))
-        lost = ~np.isfinite(loglik)
-        if lost.any():  # no history explains the measurement: all stays as it was forecast
-            prob, loglik = np.where(lost, state.log_prob, prob), np.where(lost, -np.inf, loglik)
-            law = tuple(np.where(lost, *pair) for pair in zip(state.law, law, strict=True))
-        lost, estimate = state.diverged | lost, _estimate(prob, law)
-        given = t, prob, law, state.seed, state.draws
-        return RaoBlackwellState(*given, *estimate, loglik, lost, state.interval)
+                score[i] += logarithm(np.take_along_axis(np.stack(chances), indicator[None], 0)[0])
+        score = np.where(state.log_prob > -np.inf, score + state.log_prob, -np.inf)
+        log_prob, loglik = normalised(score, (0, 1))
+        unexplained = ~np.isfinite(loglik)
+        if unexplained.any():  # no history explains the measurement: all stays as predicted
+            log_prob = np.where(unexplained, state.log_prob, log_prob)
+            loglik = np.where(unexplained, -np.inf, loglik)
+            means = np.where(unexplained, state.means, means)
+            covs = np.where(unexplained, state.covs, covs)
+        mean, cov, mode_prob = _estimate(log_prob, means, covs)
+        return state._replace(
+            log_prob=log_prob,
+            means=means,
+            covs=covs,
+            mean=mean,
+            cov=cov,
+            mode_prob=mode_prob,
+            loglik=loglik,
+            diverged=state.diverged | unexplained,
+        )
 
 
 def require_jump_linear(system: AnySystem) -> None:
@@ -193,7 +201,7 @@ def require_jump_linear(system: AnySystem) -> None:
         What is missing is named.
     """
     as_system("system", system, "SwitchingSystem")
-    for name, maps, odds, table in (
+    for name, maps, probabilities, table in (
         ("dynamics", system.dynamics, "switching", system.branches),
         ("sensor", system.sensors, "indicator", system.readings),
     ):
@@ -203,7 +211,7 @@ def require_jump_linear(system: AnySystem) -> None:
                 raise ValueError(f"{name}: wanted {wanted}, got another map in mode {i}")
             if not all(b is None or b.constant for b in table[i]):
                 wanted = "probabilities that depend on neither state nor noise"
-                raise ValueError(f"{odds}: wanted {wanted}, got others in mode {i}")
+                raise ValueError(f"{probabilities}: wanted {wanted}, got others in mode {i}")
 
 
 def _affine(map) -> bool:
@@ -214,32 +222,27 @@ def _affine(map) -> bool:
     return all(sympy.simplify(second) == 0 for second in seconds)
 
 
-def _chance(branch, t, n, batch) -> np.ndarray:
-    """Probability of a branch that no state moves, (*batch): records may have inputs of theirs."""
-    return branch.probability(t, np.zeros((n, *batch)))
+def _chance(branch, t, n, batch, p) -> np.ndarray:
+    """Probability of a branch at any state, (*batch): records may have inputs of their own."""
+    return branch.probability(t, np.zeros((n, *batch)), p)
 
 
-def _wide(square, mean):
+def _batched(cov: np.ndarray, mean: np.ndarray) -> np.ndarray:
     """Covariances with the batch axes of the means."""
-    square = square.reshape(*square.shape, *(1,) * (mean.ndim + 1 - square.ndim))
-    return np.broadcast_to(square, (len(mean), *mean.shape))
+    return np.broadcast_to(align(cov, 2, mean.ndim - 1), (len(mean), *mean.shape))
 
 
-def _taken(part, chosen):
-    """Chosen histories of an array (components..., histories, *batch)."""
-    core = part.ndim - chosen.ndim
-    return np.take_along_axis(part, chosen[(None,) * core], axis=core)
-
-
-def _in_one_row(prob, law):
+def _flattened(prob: np.ndarray, means: np.ndarray, covs: np.ndarray) -> tuple[np.ndarray, ...]:
     """Weights, means and covariances of all histories, whatever their mode, along one axis."""
-    batch, n = prob.shape[2:], len(law[0])
-    mean, cov = law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
-    return prob.reshape(-1, *batch), mean, cov
+    batch, n = prob.shape[2:], len(means)
+    means, covs = means.reshape(n, -1, *batch), covs.reshape(n, n, -1, *batch)
+    return prob.reshape(-1, *batch), means, covs
 
 
-def _estimate(prob, law):
+def _estimate(
+    log_prob: np.ndarray, means: np.ndarray, covs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance and mode probabilities of a weighted mixture."""
-    prob = np.exp(prob)
-    _, mean, cov = mix(*_in_one_row(prob, law))
+    prob = np.exp(log_prob)
+    _, mean, cov = mix(*_flattened(prob, means, covs))
     return mean, cov, prob.sum(axis=1)

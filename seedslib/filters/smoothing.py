@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_count
-from seedslib.base.values import Inputs
+from seedslib.base.conditioning import kalman_gain
+from seedslib.base.linalg import symmetrized
+from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
-from seedslib.filters.covariance import gain_of, wide
-from seedslib.filters.kalman import settle
-from seedslib.models.kinds import elapsed
+from seedslib.filters.kalman import marginalized
 
 
 def smooth(
@@ -33,8 +33,8 @@ def smooth(
     systems; otherwise it is the smoother of the filter's linearization: of `extended_kalman` the
     extended, of `unscented_kalman` the unscented one, and so on.
 
-    A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian laws in each
-    mode; what that neglects stands in `seedslib.designed.switching.smoothing`. A
+    A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian moments in each
+    mode; what that neglects stands in `seedslib.designed.switching_smoother`. A
     `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters
@@ -73,34 +73,34 @@ def smooth(
     def work(record: Record, stream: object) -> Estimates:
         links: list[Any] = []
 
-        def predict(state: Any, t: float) -> Any:
-            state, link = smoother.forecast(state, t)
+        def predict(state: Any, t: float, inputs: Any) -> Any:
+            state, link = smoother.forecast(state, t, inputs)
             links.append(link)
             return state
 
         states = list(walk(filter, record, None, predict))
-        last, times, shown = len(states) - 1, record.times, record.indicators
+        last, times = len(states) - 1, record.times
 
-        def back(k: int, part: Any) -> Any:
-            """What is known of time k from what is known of the next."""
-            seen = () if shown is None else (shown[k + 1],)
-            with record.inputs.at(k), elapsed(filter.system, times[k], times[k + 1]):
-                return smoother.back(states[k], part, links[k + 1], *seen)
+        def back(k: int, later: Any) -> Any:
+            """The smoothed state at time k from that at the next."""
+            indicator = () if record.indicators is None else (record.indicators[k + 1],)
+            p = filter.system.values(record.inputs.at(k), times[k + 1] - times[k])
+            return smoother.back(states[k], later, links[k + 1], p, *indicator)
 
-        parts: list[Any] = []
+        smoothed: list[Any] = []  # from the last time to the first
         for k in range(last, -1, -1):
-            if lag is None and parts:
-                end, part = k + 1, parts[-1]
+            if lag is None and smoothed:
+                end, now = k + 1, smoothed[-1]
             else:
                 end = last if lag is None else min(k + lag, last)
-                part = smoother.last(states[end])
+                now = smoother.last(states[end])
             for j in range(end - 1, k - 1, -1):
-                part = back(j, part)
-            parts.append(part)
-        forward = (filter.report(state) for state in states)
+                now = back(j, now)
+            smoothed.append(now)
+        filtered = (filter.report(state) for state in states)
         reports = (
-            smoother.report(part)._replace(loglik=now.loglik, diverged=now.diverged)
-            for part, now in zip(reversed(parts), forward, strict=True)
+            smoother.report(now)._replace(loglik=report.loglik, diverged=report.diverged)
+            for now, report in zip(reversed(smoothed), filtered, strict=True)
         )
         return stacked(reports, len(times))
 
@@ -108,10 +108,10 @@ def smooth(
 
 
 class Smoother:
-    """What `smooth` asks of a filter beside its verbs: steps forward that can be gone back.
+    """What `smooth` needs of a filter beside its verbs: steps forward that can be gone back.
 
-    What is known of one time is a *part*, of any type: `last` makes the first of them from the
-    filter's last state, `back` each one from that of the next time, `report` says it.
+    A smoothed state is of any type: `last` makes the first of them from the filter's last state,
+    `back` each one from that of the next time, and `report` gives the estimates.
 
     Parameters
     ----------
@@ -121,86 +121,101 @@ class Smoother:
     def __init__(self, filter: Any) -> None:
         self.filter: Any = filter
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
-        """The filter's forecast, as by `predict`, and what `back` has to know of the step."""
-        return self.filter.predict(state, t), None
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
+        """The filter's prediction, as by `predict`, and what `back` has to know of the step."""
+        return self.filter.predict(state, t, inputs=inputs), None
 
     def last(self, state: Any) -> Any:
-        """What is known of the time of a state without later measurements."""
+        """Smoothed state at the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
-        """What is known of the time of a state from what is known of the next.
+    def back(
+        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
+        """Smoothed state at the time of a state, from that at the next time.
 
-        With the link of the step between them, and the indicator shown at the next time.
+        Parameters
+        ----------
+        state : NamedTuple
+            The filter's.
+        later : object
+            Smoothed state at the next time.
+        link : object
+            From `forecast` of the step between them.
+        p : tuple
+            Numbers of the parameters in that step.
+        indicator : ndarray of int, optional
+            At the next time.
         """
         raise NotImplementedError
 
-    def report(self, part: Any) -> Estimates:
-        """What is estimated, without the axis of times."""
+    def report(self, smoothed: Any) -> Estimates:
+        """Estimates, without the axis of times."""
         raise NotImplementedError
 
 
-class Rauch(Smoother):
+class RauchTungStriebel(Smoother):
     """The smoother of Rauch, Tung and Striebel, of a filter that carries a covariance.
 
-    A part is the mean, with what unknown numbers add to it as further columns, the covariance,
-    and the last state, which says what the measurements tell of those numbers.
+    A smoothed state is the mean, with what unknown numbers add to it as further columns, the
+    covariance, and the last state, by which the measurements determine those numbers.
 
-    Differences are taken between two laws of one time only. They are counted from the same turn
-    of a circle, so circular components need no care.
+    Differences are taken between two estimates of one time only. They are counted from the same
+    turn of a circle, so circular components need no care.
     """
 
     def __init__(self, filter: Any) -> None:
-        super().__init__(filter.unsettled())
+        super().__init__(filter.for_smoothing())
 
-    def forecast(self, state: Any, t: float) -> tuple[Any, Any]:
-        """See `Smoother.forecast`; the link is the forecast and the gain of the step back."""
+    def forecast(self, state: Any, t: float, inputs: Any = None) -> tuple[Any, Any]:
+        """See `Smoother.forecast`; the link is the prediction and the gain of the step back."""
         if state.time is None:
-            return super().forecast(state, t)
-        with elapsed(self.filter.system, state.time, t):
-            later, cross = self.filter.moved_jointly(state, t)
-        batch = state.mean.shape[1:]
-        cov = wide(later.cov, batch)
-        link = _columns(later), cov, gain_of(wide(cross, batch), cov)
+            return super().forecast(state, t, inputs)
+        p = self.filter.system.values(inputs, t - state.time)
+        later, cross = self.filter.propagate_jointly(state, t, p)
+        depth = state.mean.ndim - 1
+        cov = align(later.cov, 2, depth)
+        link = _columns(later), cov, kalman_gain(align(cross, 2, depth), cov)
         return later._replace(time=float(t)), link
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
-        return _columns(state), wide(state.cov, state.mean.shape[1:]), state
+        return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
-    def back(self, state: Any, part: Any, link: Any, indicator: MaybeArray = None) -> Any:
+    def back(
+        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
+    ) -> Any:
         """See `Smoother.back`."""
-        cov = wide(state.cov, state.mean.shape[1:])
-        return *stepped_back(_columns(state), cov, *link, *part[:2]), part[2]
+        cov = align(state.cov, 2, state.mean.ndim - 1)
+        return *rts_step(_columns(state), cov, *link, *later[:2]), later[2]
 
-    def report(self, part: Any) -> Estimates:
-        """Mean and covariance, unknown numbers taken from what the measurements say of them."""
-        columns, cov, last = part
-        if columns.shape[-1] == 1:
-            mean, n = columns[..., 0], len(columns)
-            return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
-        return Estimates(*settle(columns[..., 0], cov, columns[..., 1:], last, self.filter.scale))
+    def report(self, smoothed: Any) -> Estimates:
+        """Mean and covariance, over what the measurements say of unknown numbers."""
+        columns, cov, last = smoothed
+        mean, effect, n = columns[:, 0], columns[:, 1:], len(columns)
+        if effect.shape[1]:
+            return Estimates(*marginalized(mean, cov, effect, last, self.filter.scale))
+        return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
 
 
-def stepped_back(columns, cov, forecast, forecast_cov, gain, later, later_cov):
+def rts_step(columns, cov, forecast, forecast_cov, gain, later, later_cov):
     """One step back: m + G (m' - E m'), P + G (P' - E P') Gᵀ.
 
     Parameters
     ----------
-    columns, forecast, later : ndarray, shape (n, *batch, c)
+    columns, forecast, later : ndarray, shape (n, c, *batch)
         Means as columns: now, forecast for the next time, and smoothed there.
     cov, forecast_cov, later_cov : ndarray, shape (n, n, *batch)
     gain : ndarray, shape (n, n, *batch)
-        From `gain_of`.
+        From `kalman_gain`.
     """
-    columns = columns + np.einsum("ij...,j...c->i...c", gain, later - forecast)
+    columns = columns + np.einsum("ij...,jc...->ic...", gain, later - forecast)
     change = np.einsum("ij...,jk...,lk...->il...", gain, later_cov - forecast_cov, gain)
-    return columns, cov + 0.5 * (change + np.swapaxes(change, 0, 1))
+    return columns, cov + symmetrized(change)
 
 
 def _columns(state: Any) -> np.ndarray:
-    """The mean, and what unknown numbers add to it, as columns (n, *batch, 1 + q)."""
-    mean = state.mean[..., None]
+    """The mean, and what unknown numbers add to it, as columns (n, 1 + q, *batch)."""
+    mean = state.mean[:, None]
     effect = getattr(state, "effect", None)
-    return mean if effect is None else np.concatenate([mean, effect], axis=-1)
+    return mean if effect is None else np.concatenate([mean, effect], axis=1)

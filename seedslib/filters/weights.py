@@ -6,6 +6,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from seedslib.base.arrays import align
+
 TIE = 1e-9
 """Probabilities that are closer to the largest than this part of it are equal to it."""
 
@@ -37,11 +39,11 @@ def normalised(score: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray]:
     Where nothing has a finite weight the logarithms are returned as they are, and the sum is the
     largest of them.
     """
-    weight, highest, lost = relative(score, axis)
+    weight, highest, none = relative(score, axis)
     total = logarithm(weight.sum(axis=axis))
-    # the largest is taken away first: it may be so large that a sum would not be seen beside it
-    shifted = (score - np.where(lost, 0.0, highest)) - np.where(lost, 0.0, total)
-    return shifted, highest + np.where(lost, 0.0, total)
+    # the largest is subtracted first: it may be so large that a sum would be rounded off beside it
+    shifted = (score - np.where(none, 0.0, highest)) - np.where(none, 0.0, total)
+    return shifted, highest + np.where(none, 0.0, total)
 
 
 def relative(score: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -60,17 +62,17 @@ def relative(score: np.ndarray, axis: int) -> tuple[np.ndarray, np.ndarray, np.n
         exp(score - largest); exp(score) where nothing has a finite weight.
     highest : ndarray, shape (*batch)
         The largest score.
-    lost : ndarray of bool, shape (*batch)
+    none : ndarray of bool, shape (*batch)
         Where it is not finite.
     """
     highest = score.max(axis=axis)
-    lost = ~np.isfinite(highest)
-    weight = score - np.where(lost, 0.0, highest)
-    return np.exp(weight, out=weight), highest, lost
+    none = ~np.isfinite(highest)
+    weight = score - np.where(none, 0.0, highest)
+    return np.exp(weight, out=weight), highest, none
 
 
 class Mixture(NamedTuple):
-    """Mass, mean and covariance of several weighted laws together."""
+    """Mass, mean and covariance of a mixture."""
 
     mass: np.ndarray
     mean: np.ndarray
@@ -78,7 +80,9 @@ class Mixture(NamedTuple):
 
 
 def mix(mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Mixture:
-    """Moments of a mixture, in centred form: no digits are lost far from the origin.
+    """Moments of a mixture by the law of total covariance, in centred form.
+
+    No digits are lost far from the origin.
 
     Parameters
     ----------
@@ -90,7 +94,7 @@ def mix(mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Mixture:
     Returns
     -------
     Mixture
-        Of no mass: mean zero and unit covariance, which nothing depends on.
+        Of no mass: mean zero and unit covariance, so that later steps are finite.
     """
     empty = mass <= 0  # rules with negative weights give negative masses
     if empty.any():
@@ -101,17 +105,16 @@ def mix(mass: np.ndarray, mean: np.ndarray, cov: np.ndarray) -> Mixture:
     else:
         total = mass.sum(axis=0)
         none, share = None, mass / total
-    middle = (share * mean).sum(axis=1)
-    apart = mean - middle[:, None]
-    weighted = share * apart
-    spread = (share * cov).sum(axis=2)
+    centre = (share * mean).sum(axis=1)
+    offset = mean - centre[:, None]
+    weighted = share * offset
+    total_cov = (share * cov).sum(axis=2)
     for i in range(len(mean)):
         for j in range(i + 1):
-            between = (weighted[i] * apart[j]).sum(axis=0)
-            spread[i, j] += between
+            between = (weighted[i] * offset[j]).sum(axis=0)
+            total_cov[i, j] += between
             if j < i:
-                spread[j, i] += between
+                total_cov[j, i] += between
     if none is not None and none.any():
-        unit = np.eye(len(mean)).reshape(len(mean), len(mean), *(1,) * none.ndim)
-        spread = np.where(none, unit, spread)
-    return Mixture(total, middle, spread)
+        total_cov = np.where(none, align(np.eye(len(mean)), 2, none.ndim), total_cov)
+    return Mixture(total, centre, total_cov)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_shape
+from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import gaussian_arguments
 from seedslib.gaussian.kernels import inner_product, times
 
@@ -23,7 +23,7 @@ def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     A : array_like (p, n)
         Any matrix.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -31,7 +31,7 @@ def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
         Bad matrix, mean or covariance.
     """
     mean, _ = gaussian_arguments(mean, cov)
-    return np.tensordot(as_shape("A", A, (-1, len(mean))), mean, axes=1)
+    return np.tensordot(as_real("A", A, (-1, len(mean))), mean, axes=1)
 
 
 def quadratic_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
@@ -42,7 +42,7 @@ def quadratic_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     A : array_like (n, n)
         Its symmetric part counts.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def cubic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> n
     B : array_like (n, n)
         Its symmetric part counts.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def cubic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> n
         Bad matrix, mean or covariance.
     """
     mean, cov = gaussian_arguments(mean, cov)
-    A, B = as_shape("A", A, (-1, len(mean))), _symmetric("B", B, len(mean))
+    A, B = as_real("A", A, (-1, len(mean))), _symmetric("B", B, len(mean))
     bm = times(B, mean)
     return times(A, 2 * times(cov, bm) + mean * (inner_product(mean, bm) + _trace(B, cov)))
 
@@ -85,7 +85,7 @@ def quartic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) ->
     A, B : array_like (n, n)
         Their symmetric parts count.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -106,5 +106,5 @@ def _trace(A: np.ndarray, cov: np.ndarray) -> np.ndarray:
 
 
 def _symmetric(name: str, value: ArrayLike, size: int) -> np.ndarray:
-    matrix = as_shape(name, value, (size, size))
+    matrix = as_real(name, value, (size, size))
     return 0.5 * (matrix + matrix.T)

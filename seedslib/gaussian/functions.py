@@ -1,4 +1,4 @@
-"""Norm, modulus, sine, maximum and elevation of a Gaussian vector; the bivariate normal law.
+"""Norm, modulus, sine, maximum and elevation of a Gaussian vector; a bivariate probability.
 
 Every formula is arranged as a sum of terms of one sign, so that an error keeps its relative
 accuracy when it is many orders of magnitude smaller than the function.
@@ -13,18 +13,19 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
-from seedslib.base.checks import as_bound, as_covariance, as_real
-from seedslib.base.semidefinite import square_root
+from seedslib.base.arrays import align
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
-    as_joint_law,
     blockwise,
+    estimate_arguments,
     gaussian_arguments,
     variance_argument,
 )
 from seedslib.gaussian.quadrature import gauss_hermite
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
-FAR, TINY = 100.0, 1e-200
+CERTAIN = 100.0  # deviations beyond which no normal probability changes
 # Panels on either side of a kink, with breaks in deviations of the estimate and of its error
 PANEL, REACH = np.polynomial.legendre.leggauss(18), 9.5
 WIDE = np.array([0.0, 2.0, 4.0, 6.5, REACH])
@@ -89,33 +90,34 @@ def norm_mean(mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     # any basis will do: of equal eigenvalues only the length of the mean in their space counts
     values, vectors = np.linalg.eigh(np.moveaxis(cov, (0, 1), (-2, -1)))
     centre = np.moveaxis(np.swapaxes(vectors, -1, -2) @ np.moveaxis(mean, 0, -1)[..., None], -2, 0)
-    spread = np.moveaxis(values, -1, 0)
-    spread = spread.reshape(len(mean), *[1] * (len(batch) + 1 - spread.ndim), *spread.shape[1:])
-    shape = len(mean), *batch
-    parts = np.maximum(spread, 0.0), centre[..., 0]
-    spread, centre = (np.broadcast_to(part, shape).reshape(len(mean), -1) for part in parts)
+    # an eigenvalue of minus a rounding counts as zero
+    parts = align(np.moveaxis(np.maximum(values, 0.0), -1, 0), 1, len(batch)), centre[..., 0]
+    variances, centre = (
+        np.broadcast_to(p, (len(mean), *batch)).reshape(len(mean), -1) for p in parts
+    )
     (lengths,) = blockwise(
-        lambda block: (_norm_mean(spread[:, block], centre[:, block]),),
-        spread.shape[1],
+        lambda block: (_norm_mean(variances[:, block], centre[:, block]),),
+        variances.shape[1],
         64,  # arrays that stay in the cache
     )
     return lengths.reshape(batch)[()]
 
 
-def _norm_mean(spread: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _norm_mean(variances: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Mean norm from eigenvalues and mean in the eigenvectors, both (n, N)."""
-    largest = np.maximum(np.sqrt(spread.max(axis=0)), np.abs(centre).max(axis=0))
+    # two units: squares of the first stay in range, the second is the c of the substitution
+    largest = np.maximum(np.sqrt(variances.max(axis=0)), np.abs(centre).max(axis=0))
     unit = np.where(largest > 0, largest, 1.0)
-    spread, square = (spread / unit) / unit, (centre / unit) ** 2
-    scale = np.sqrt(2 * spread.max(axis=0) + square.sum(axis=0))
+    variances, square = (variances / unit) / unit, (centre / unit) ** 2
+    scale = np.sqrt(2 * variances.max(axis=0) + square.sum(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     nodes, weights = sinh_rule(0.125)
     exponent = sums = 0.0
-    for λ, bb in zip(spread / scale**2, square / scale**2, strict=True):
+    for λ, bb in zip(variances / scale**2, square / scale**2, strict=True):
         stretch = 1.0 + 2.0 * np.multiply.outer(nodes, λ)
-        moved = bb / stretch
-        exponent = exponent + 0.5 * np.log(stretch) + nodes[:, None] * moved
-        sums = sums + (λ + moved) / stretch
+        shrunk = bb / stretch
+        exponent = exponent + 0.5 * np.log(stretch) + nodes[:, None] * shrunk
+        sums = sums + (λ + shrunk) / stretch
     return largest * scale * (weights @ (np.exp(-exponent) * sums))
 
 
@@ -147,13 +149,8 @@ def norm_errors(cov: ArrayLike) -> tuple[float, float]:
     return float(optimal), float(optimal + gap**2)
 
 
-def density(x: ArrayLike) -> np.ndarray:
-    """Standard normal density; an infinite argument gives zero."""
-    return np.exp(-0.5 * np.square(np.clip(x, -40.0, 40.0))) / ROOT_TWO_PI
-
-
 def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
-    """Quotient by a nonnegative number; x/0 is infinite, and 0/0 zero."""
+    """Quotient; x/0 is infinite, and 0/0 zero."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
@@ -182,23 +179,19 @@ def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> Functio
     var = variance_argument("var", var)
     root = np.sqrt(var)
     scaled = ratio(distance, root)
-    gap = 2 * positive_part(scaled)[0]
+    gap = 2 * mean_excess(scaled)
     shrunk = 1.0 - gap * (2 * np.minimum(scaled, 40.0) + gap)
     return FunctionMoments(distance + root * gap, var * shrunk)
 
 
-def positive_part(distance: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Mean of ``u⁺``, of its square, and ``P(u > 0)`` for ``u ~ N(-distance, 1)``, distance >= 0.
-
-    All are positive to underflow.
-    """
+def mean_excess(distance: np.ndarray) -> np.ndarray:
+    """Mean of ``max(u, 0)`` for ``u ~ N(-distance, 1)``, distance >= 0; positive to underflow."""
     distance = np.minimum(distance, 40.0)
     mills = np.sqrt(np.pi / 2) * erfcx(distance / np.sqrt(2))
-    square = (1.0 + distance * distance) * mills - distance
-    return tuple(density(distance) * part for part in (1.0 - distance * mills, square, mills))
+    return np.exp(-0.5 * distance * distance) / ROOT_TWO_PI * (1.0 - distance * mills)
 
 
-def _scalar_law(
+def _scalar_arguments(
     mean: ArrayLike, var: ArrayLike, error_var: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     mean = as_real("mean", mean)
@@ -239,11 +232,12 @@ def abs_errors(
     TypeError, ValueError
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
-    mean, var, error_var = _scalar_law(mean, var, error_var)
-    mean, known = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
-    z, weight = split_rule(mean, known, np.sqrt(error_var))
-    modulus, variance = abs_moments(mean + known * z, error_var)
-    bias = modulus - np.abs(mean + known * z)
+    mean, var, error_var = _scalar_arguments(mean, var, error_var)
+    mean, deviation = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
+    z, weight = split_rule(mean, deviation, np.sqrt(error_var))
+    estimate = mean + deviation * z
+    modulus, variance = abs_moments(estimate, error_var)
+    bias = modulus - np.abs(estimate)
     optimal = (weight * variance).sum(axis=0)
     return MeanSquareErrors(optimal, optimal + (weight * bias * bias).sum(axis=0))
 
@@ -288,12 +282,12 @@ def sine_errors(mean: ArrayLike, var: ArrayLike, error_var: ArrayLike) -> MeanSq
     TypeError, ValueError
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
-    mean, var, error_var = _scalar_law(mean, var, error_var)
+    mean, var, error_var = _scalar_arguments(mean, var, error_var)
     rest = 2 * var - error_var
     inner = -np.expm1(-rest) + 2 * np.exp(-rest) * np.cos(mean) ** 2
     optimal = -0.5 * np.expm1(-error_var) * inner
-    known = var - error_var
-    square = -0.5 * np.expm1(-2 * known) + np.exp(-2 * known) * np.sin(mean) ** 2
+    estimate_var = var - error_var
+    square = -0.5 * np.expm1(-2 * estimate_var) + np.exp(-2 * estimate_var) * np.sin(mean) ** 2
     return MeanSquareErrors(optimal, optimal + np.expm1(-0.5 * error_var) ** 2 * square)
 
 
@@ -318,9 +312,9 @@ def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
         Not two components, not real, not finite, or not a covariance.
     """
     mean, cov = gaussian_arguments(mean, cov, 2)
-    root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
+    root, gap = np.sqrt(_gap_variance(cov)), mean[0] - mean[1]
     scaled = np.minimum(np.abs(ratio(gap, root)), 40.0)
-    excess = positive_part(scaled)[0]
+    excess = mean_excess(scaled)
     shared = excess * (scaled + excess)
     tail = ndtr(-scaled)
     shares = 1.0 - tail - shared, np.maximum(tail - shared, 0.0)
@@ -352,17 +346,18 @@ def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSqu
     TypeError, ValueError
         Not two components, not real, not finite, not covariances, or P above C.
     """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, 2)
-    spread, gap = _spread(error_cov), mean[0] - mean[1]
-    known = np.sqrt(np.maximum(_spread(cov) - spread, 0.0))
-    z, weight = split_rule(gap, known, np.sqrt(spread))
-    top, var = max_moments(np.stack([gap + known * z, 0.0 * z]), error_cov)
-    optimal = weight @ var
-    bias = top - np.maximum(gap + known * z, 0.0)
+    mean, cov, error_cov = estimate_arguments(mean, cov, error_cov, 2)
+    error_var = _gap_variance(error_cov)
+    deviation = np.sqrt(np.maximum(_gap_variance(cov) - error_var, 0.0))
+    z, weight = split_rule(mean[0] - mean[1], deviation, np.sqrt(error_var))
+    gap = mean[0] - mean[1] + deviation * z
+    # the maximum is x₂ plus the positive part of the gap: errors depend on the gap alone
+    top, var = max_moments(np.stack([gap, 0.0 * gap]), error_cov)
+    optimal, bias = weight @ var, top - np.maximum(gap, 0.0)
     return MeanSquareErrors(optimal, optimal + weight @ bias**2)
 
 
-def _spread(cov: np.ndarray) -> np.ndarray:
+def _gap_variance(cov: np.ndarray) -> np.ndarray:
     """Variance of the difference."""
     return np.maximum(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1], 0.0)
 
@@ -388,8 +383,7 @@ def split_rule(mean: np.ndarray, deviation: np.ndarray, error: np.ndarray) -> tu
 def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarray:
     """Probability that X <= h and Y <= k for standard normals with correlation rho.
 
-    By Owen's function T; absolute error below 1e-15. Infinite limits are allowed, and at
-    ``rho = ±1`` the limit is returned.
+    By Owen's function T; absolute error below 1e-15. Infinite limits and ``rho = ±1`` are allowed.
 
     Parameters
     ----------
@@ -406,33 +400,22 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k, rho = np.broadcast_arrays(as_bound("h", h), as_bound("k", k), _correlation(rho))
-    # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
-    h, k = (
-        np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))
-        for v in (h, k)
-    )
-    root = np.sqrt((1.0 - rho) * (1.0 + rho))
-    below, above = np.minimum(h, k), np.maximum(h, k)
-    edge = np.where(rho > 0, ndtr(below), np.maximum(0.0, ndtr(below) - ndtr(-above)))
-    regular = (root > 0) & np.isfinite(h) & np.isfinite(k)
-    h, k, rho = (np.where(regular, values, 0.0) for values in (h, k, rho))
-    root = np.where(regular, root, 1.0)
-    inner = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho, root) - _owen(k, h, rho, root)
-    inner -= 0.5 * ((h * k < 0) | ((h * k == 0) & (h + k < 0)))
-    inner = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), inner)
-    unbounded = np.where(np.isneginf(below), 0.0, ndtr(below))
-    edge = np.where(np.isinf(below) | np.isposinf(above), unbounded, edge)
-    return np.where(regular, np.clip(inner, 0.0, 1.0), edge)[()]
+    h, k = as_real("h", h, infinite=True), as_real("k", k, infinite=True)
+    h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
+    h, k = np.clip(h, -CERTAIN, CERTAIN), np.clip(k, -CERTAIN, CERTAIN)
+    value = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho) - _owen(k, h, rho)
+    value -= 0.5 * ((np.minimum(h, k) < 0) & (np.maximum(h, k) >= 0))
+    value = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), value)
+    return np.clip(value, 0.0, 1.0)[()]
 
 
-def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray, root: np.ndarray) -> np.ndarray:
-    zero = h == 0
+def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Owen's ``T(h, (k - rho h) / (h sqrt(1 - rho^2)))`` and its limits."""
     # near one of the ends k - rho h cancels, but what it is made of is exact
     end = np.copysign(1.0, rho)
-    apart = np.where(np.abs(rho) > 0.99, (k - end * h) + (end - rho) * h, k - rho * h)
-    slope = apart / np.where(zero, 1.0, h * root)
-    return owens_t(h, np.where(zero, np.copysign(np.inf, k), slope))
+    gap = np.where(np.abs(rho) > 0.99, (k - end * h) + (end - rho) * h, k - rho * h)
+    slope = ratio(gap, h * np.sqrt((1.0 - rho) * (1.0 + rho)))
+    return owens_t(h, np.where(h == 0, np.copysign(np.inf, k), slope))
 
 
 def _correlation(rho: ArrayLike) -> np.ndarray:
@@ -445,7 +428,7 @@ def _correlation(rho: ArrayLike) -> np.ndarray:
 def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     """Mean and variance of ``arctan(x₃ / √(x₁² + x₂²))`` for x ~ N(mean, cov), in radians.
 
-    A law that stays at least eight standard deviations from the vertical axis is integrated by a
+    A vector that stays at least eight standard deviations from the vertical axis is integrated by a
     tensor Gauss-Hermite rule; a wider one over the sphere against the density of the direction,
     by Gauss-Legendre in elevation and the trapezoidal rule in azimuth.
 
@@ -454,7 +437,7 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     mean : array_like
         Shape (3, ...), batch axes last.
     cov : array_like
-        Shape (3, 3). It may be singular if the law stays away from the vertical axis, or zero.
+        Shape (3, 3). It may be singular if the vector stays away from the vertical axis, or zero.
 
     Returns
     -------
@@ -464,10 +447,9 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     Raises
     ------
     TypeError, ValueError
-        Not three components, not real, not finite, not a covariance; the mean lies on the origin
-        of a law without spread; or the law comes near the vertical axis and its covariance is
-        singular or so ill-conditioned that the density of the direction does not integrate to
-        one within 1e-9.
+        Not three components, not real, not finite, not a covariance; the origin as a certain
+        place; or the vector comes near the vertical axis and its covariance is singular or so
+        ill-conditioned that the density of the direction does not integrate to one within 1e-9.
     """
     mean, cov = gaussian_arguments(mean, cov)
     if mean.shape[0] != 3 or cov.ndim != 2:
@@ -475,9 +457,8 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
             f"mean, cov: wanted shapes (3, ...) and (3, 3), got {mean.shape} and {cov.shape}"
         )
     points = mean.reshape(3, -1)
-    spread = np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))
-    distance = np.hypot(points[0], points[1])
-    far = distance >= 8.0 * spread
+    deviation = np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))
+    far = np.hypot(points[0], points[1]) >= 8.0 * deviation
     values = np.empty((2, points.shape[1]))
     values[:, far] = _concentrated(points[:, far], cov)
     for k in np.flatnonzero(~far):
@@ -495,7 +476,7 @@ def _concentrated(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     if (np.abs(mean).max(axis=0) == 0).any():
         raise ValueError("mean: the elevation of the origin is not defined")
     rule = gauss_hermite(3, 20)
-    offsets = square_root(cov) @ rule.points
+    offsets = cholesky(cov) @ rule.points
     moments = np.empty((2, mean.shape[1]))
     for k, centre in enumerate(mean.T):
         base = _angle(centre)
@@ -510,7 +491,7 @@ def _wide(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(cov)
     if values[0] <= 1e-14 * values[-1]:
         raise ValueError(
-            "cov: wanted a nonsingular covariance for a law that comes near the vertical axis, "
+            "cov: wanted a nonsingular covariance where the vector comes near the vertical axis, "
             f"got eigenvalues {values[0]:.3g} to {values[-1]:.3g}"
         )
     # the angle does not depend on the unit of length
@@ -524,7 +505,7 @@ def _wide(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
             return np.array([centre, (weight * (angle - centre) ** 2).sum() / mass])
     raise ValueError(
         "cov: the density of the direction integrates to "
-        f"{mass:.12g} instead of 1; the law is too narrow near the vertical axis"
+        f"{mass:.12g} instead of 1; it is too narrow near the vertical axis"
     )
 
 
@@ -545,15 +526,10 @@ def _sphere(mean: np.ndarray, white: np.ndarray, count: int) -> tuple[np.ndarray
     along = np.einsum("i,iab->ab", centre, turned) / length
     # c - D² is the squared distance of the mean from the ray's line: never negative.
     across = np.square(centre[:, None, None] - along * turned / length).sum(axis=0)
-    root = np.sqrt(np.pi / 2)
-    # sqrt(2π) Φ(D) exp(D²/2) = sqrt(π/2) erfcx(-D/√2): for D > 0 the Gaussian factor is split off.
-    tail = root * erfcx(np.abs(along) / np.sqrt(2))
-    gauss = np.exp(-0.5 * np.square(along))
-    behind = gauss * ((1 + along**2) * tail + along)
-    ahead = np.sqrt(2 * np.pi) * (1 + along**2) - gauss * ((1 + along**2) * tail - along)
-    radial = np.where(along < 0, np.maximum(behind, 0.0), ahead)
+    # behind the origin, D < 0, the terms cancel, but to an error that is small beside those ahead
+    radial = ROOT_TWO_PI * (1 + along**2) * ndtr(along) + along * np.exp(-0.5 * along**2)
     scale = abs(np.linalg.det(white)) / ((2 * np.pi) ** 1.5)
-    density = scale * np.exp(-0.5 * across) * radial / length**3
+    density = scale * np.exp(-0.5 * across) * np.maximum(radial, 0.0) / length**3
     return np.broadcast_to(angle, density.shape), weight * density
 
 

@@ -10,13 +10,20 @@ from functools import lru_cache
 import numpy as np
 import sympy as sp
 
+from seedslib.base.arrays import align
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.algebra import Key, NoClosedForm, quadratic_gram
-from seedslib.gaussian.arguments import align, gaussian_arguments, in_range
+from seedslib.gaussian.algebra import (
+    Key,
+    NoClosedForm,
+    Parsed,
+    components_of,
+    parse,
+    quadratic_gram,
+)
+from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.functions import norm_mean
 from seedslib.gaussian.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.polynomial import Coefficients, polynomial_value
-from seedslib.gaussian.reader import Parsed, components_of, parse
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,15 +33,12 @@ class Norm:
     coefficient: np.ndarray
     factor: np.ndarray
 
-    def law(self, mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def affine(self, mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of the affine map under the norm."""
         slope = self.factor[:, 1:]
         origin = self.factor[:, 0].reshape(-1, *(1,) * (mean.ndim - 1))
-        if cov.ndim == 2:
-            spread = slope @ cov @ slope.T
-        else:
-            spread = np.einsum("ia,ab...,jb->ij...", slope, cov, slope)
-        return origin + np.tensordot(slope, mean, axes=1), 0.5 * (spread + spread.swapaxes(0, 1))
+        image = np.einsum("ia,ab...,jb->ij...", slope, cov, slope)
+        return origin + np.tensordot(slope, mean, axes=1), 0.5 * (image + image.swapaxes(0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,7 +61,7 @@ class Compiled:
         for group in self.groups:
             total += group_mean(group, mean, cov, batch)
         for norm in self.norms:
-            length = norm_mean(*norm.law(mean, cov))
+            length = norm_mean(*norm.affine(mean, cov))
             total += norm.coefficient.reshape(-1, *(1,) * len(batch)) * length
         return total
 
@@ -74,7 +78,7 @@ class Compiled:
         for group in self.groups:
             total += group_value(group, point, self.size)
         for norm in self.norms:
-            affine, _ = norm.law(point, np.zeros((len(point),) * 2))
+            affine, _ = norm.affine(point, np.zeros((len(point),) * 2))
             length = np.linalg.norm(affine, axis=0)
             total += norm.coefficient.reshape(-1, *(1,) * length.ndim) * length
         return total
@@ -91,6 +95,7 @@ def compile_terms(parsed: Parsed) -> Compiled:
         A coefficient that is no number or out of range, or a function that is not real.
     """
     n, p = len(parsed.symbols), len(parsed.components)
+    # what multiplies the polynomials is evaluated once for all components
     tables: dict[Key, dict] = {}
     for row, terms in enumerate(parsed.components):
         for key, poly in terms.items():
@@ -118,8 +123,10 @@ def compile_terms(parsed: Parsed) -> Compiled:
             place = *key.plane.normal, key.plane.offset, key.plane.edge
             *normal, offset, edge = np.real([_number(c) for c in place])
             plane = HalfSpace(np.array(normal), offset, edge, float(key.plane.blurred))
+        # the first imaginary number that is not zero says which of two conjugates this one is
         table = {alpha: 2 * c if phase else c.real for alpha, c in table.items()}
         groups.append(Group(table, narrow(quadratic), narrow(linear), plane))
+    # conjugate terms of a real function cancel at any point
     if (np.abs(np.imag(sum(values))) > 1e-12 * sum(map(np.abs, values))).any():
         raise ValueError("f: wanted real values, got complex coefficients or exponents")
     return Compiled(p, n, tuple(groups), tuple(norms))

@@ -1,6 +1,6 @@
 """Quadrature rules for the mean of a function of a Gaussian vector.
 
-A rule is a set of points and weights for the standard normal law; the points of N(mean, cov) are
+A rule is a set of points and weights for the standard normal vector; the points of N(mean, cov) are
 ``mean + L points`` with any factor L of the covariance. Rules with negative weights are legal:
 they give sums, not probabilities.
 """
@@ -17,16 +17,17 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import roots_hermitenorm
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count, as_real
-from seedslib.base.semidefinite import square_root
-from seedslib.gaussian.arguments import align, gaussian_arguments
+from seedslib.base.linalg import cholesky
+from seedslib.gaussian.arguments import gaussian_arguments
 
-MOST_POINTS = 2_000_000
+MOST_POINTS = 2_000_000  # of a product rule: tens of megabytes
 
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Points and weights for means under the standard normal law.
+    """Points and weights for means of functions of a standard normal vector.
 
     Attributes
     ----------
@@ -154,8 +155,14 @@ def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) 
     TypeError, ValueError
         Illegal mean or covariance, a rule for another dimension, or f returns a wrong shape.
     """
-    points = points_of(mean, cov, rule)
-    flat = points.reshape(len(points), -1)
+    mean, cov = gaussian_arguments(mean, cov)
+    n = mean.shape[0]
+    if rule.points.shape[0] != n:
+        raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
+    offsets = np.einsum("ij...,jk->ik...", cholesky(cov), rule.points)
+    depth = max(mean.ndim - 1, offsets.ndim - 2)
+    points = align(mean[:, None], 2, depth) + align(offsets, 2, depth)
+    flat = points.reshape(n, -1)
     values = np.asarray(f(flat))
     if values.shape[-1:] != flat.shape[1:] or values.ndim > 2:
         raise ValueError(
@@ -163,28 +170,3 @@ def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) 
         )
     values = values.reshape(*values.shape[:-1], *points.shape[1:])
     return np.tensordot(rule.weights, values, (0, values.ndim - points.ndim + 1))[()]
-
-
-def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
-    """Points of a rule for N(mean, cov), shape (n, L, ...).
-
-    Parameters
-    ----------
-    mean, cov : array_like
-        Shapes (n, ...) and (n, n) or (n, n, ...).
-    rule : Rule
-        For dimension n.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Illegal mean or covariance, or a rule for another dimension.
-    """
-    mean, cov = gaussian_arguments(mean, cov)
-    n = mean.shape[0]
-    if rule.points.shape[0] != n:
-        raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
-    factors = square_root(np.moveaxis(cov, (0, 1), (-2, -1)))
-    offsets = np.moveaxis(factors @ rule.points, (-2, -1), (0, 1))
-    depth = max(mean.ndim - 1, offsets.ndim - 2)
-    return align(mean[:, None], 2, depth) + align(offsets, 2, depth)

@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
-from seedslib.base.semidefinite import lower_triangle, mirrored
+from seedslib.base.arrays import MaybeArray, align, product
+from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
+from seedslib.base.values import Values
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
 
@@ -89,9 +89,10 @@ class Linearization(ABC):
         Returns
         -------
         callable
-            ``f(t, mean, cov) -> Moments`` for arrays of shapes (n, *batch), (n, n, *batch); a
-            covariance common to all items comes as (n, n). `cross` and `cov` of the result need
-            batch axes only where they depend on them.
+            ``f(t, mean, cov, p) -> Moments`` for arrays of shapes (n, *batch), (n, n, *batch)
+            and the numbers p of the map's `parameters`, () by default; a covariance common to all
+            items comes as (n, n). `cross` and `cov` of the result need batch axes only where they
+            depend on them.
 
         Raises
         ------
@@ -113,13 +114,13 @@ class Linearization(ABC):
         Returns
         -------
         callable
-            ``f(t, mean, cov) -> Moments(E b, cov(x, b), E Sigma)``.
+            ``f(t, mean, cov, p) -> Moments(E b, cov(x, b), E Sigma)``.
         """
         velocity = self.moments(system.drift_map, spread=False)
-        spread = self.moments(system.spread_map, spread=False)
+        diffusion = self.moments(system.spread_map, spread=False)
 
-        def rates(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
-            b, lower = velocity(t, mean, cov), spread(t, mean, cov).mean
+        def rates(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
+            b, lower = velocity(t, mean, cov, p), diffusion(t, mean, cov, p).mean
             return Moments(b.mean, b.cross, symmetric(lower, len(mean)))
 
         return rates
@@ -130,20 +131,17 @@ class Linearization(ABC):
         Returns
         -------
         callable
-            ``f(t, components) -> list`` of time derivatives; the components are those of the
+            ``f(t, components, p) -> list`` of time derivatives; the components are those of the
             mean, then of the covariance on and below the diagonal row by row.
         """
         flow, n = self.flow(system), system.state_size
-        rows, columns = lower_triangle(n)
 
-        def derivative(t: float, components: Sequence) -> list:
+        def derivative(t: float, components: Sequence, p: Values = ()) -> list:
             batch = np.broadcast_shapes(*(np.shape(c) for c in components))
             full = np.stack([np.broadcast_to(c, batch) for c in components])
-            mean, cross, spread = flow(t, full[:n], symmetric(full[n:], n))
-            change = [
-                cross[i, j] + cross[j, i] + spread[i, j] for i, j in zip(rows, columns, strict=True)
-            ]
-            return [*mean, *change]
+            mean, cross, diffusion = flow(t, full[:n], symmetric(full[n:], n), p)
+            change = cross + np.swapaxes(cross, 0, 1) + diffusion
+            return [*mean, *change[lower_triangle(n)]]
 
         return derivative
 
@@ -159,7 +157,7 @@ class Linearization(ABC):
         Returns
         -------
         callable
-            ``f(t, mean, cov) -> list of Weighted``, one for each map.
+            ``f(t, mean, cov, p) -> list of Weighted``, one for each map.
 
         Raises
         ------
@@ -169,9 +167,9 @@ class Linearization(ABC):
         raise NotImplementedError(f"{type(self).__name__}: wanted one with `row`, for branches")
 
     def weighted(self, map: StochasticMap) -> Callable[..., Weighted]:
-        """Moments of one branch, ``f(t, mean, cov) -> Weighted``; see `row`."""
+        """Moments of one branch, ``f(t, mean, cov, p) -> Weighted``; see `row`."""
         row = self.row([map])
-        return lambda t, mean, cov: row(t, mean, cov)[0]
+        return lambda t, mean, cov, p=(): row(t, mean, cov, p)[0]
 
 
 @dataclass(frozen=True)
@@ -189,18 +187,16 @@ class Matrices(Linearization):
         if not isinstance(map, LinearMap):
             raise TypeError(f"map: wanted one of a LinearSystem, got {map!r}")
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray) -> Moments:
-            slope = map.slope_at(t)
-            lean = np.einsum("ij...,jk...->ik...", slope, cov)  # cov(y, x)
-            y = map.pushed(t, np.einsum("ij...,j...->i...", slope, mean))
-            cross = np.swapaxes(lean, 0, 1)
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
+            slope = map.slope_at(t, p)
+            y = map.pushed(t, product(slope, mean, 1), p)
+            cross = product(slope, cov, 2).swapaxes(0, 1)
             if not spread:
                 return Moments(y, cross, None)
-            square = np.einsum("ij...,kj...->ik...", lean, slope)
-            noise = map.cov_at(t)
-            if noise.ndim == 2:
-                noise = noise.reshape(*noise.shape, *(1,) * (square.ndim - 2))
-            return Moments(y, cross, 0.5 * (square + np.swapaxes(square, 0, 1)) + noise)
+            square = product(slope, cross, 2)
+            square, noise = symmetrized(square), map.cov_at(t, p)
+            depth = max(square.ndim, noise.ndim) - 2  # one of them may be common to all paths
+            return Moments(y, cross, align(square, 2, depth) + align(noise, 2, depth))
 
         return f
 
@@ -222,8 +218,3 @@ def refuse_weight(map: StochasticMap) -> None:
     """Raise ValueError for a branch of a switching map where a whole map is wanted."""
     if map.weighted:
         raise ValueError("map: wanted a map that always applies, got a branch; use weighted()")
-
-
-def symmetric(lower: ArrayLike, size: int) -> np.ndarray:
-    """Symmetric (size, size, *batch) array from its entries on and below the diagonal."""
-    return np.asarray(lower)[mirrored(size)]

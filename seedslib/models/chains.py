@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.clock import lengths_alike, step_count, when
-from seedslib.base.objects import Shown
-from seedslib.base.semidefinite import factor
+from seedslib.base.linalg import cholesky, variances
 from seedslib.base.tables import (
     AxesLike,
     Axis,
@@ -26,10 +25,9 @@ from seedslib.base.tables import (
     locate,
     mesh,
 )
-from seedslib.base.values import present
+from seedslib.base.values import Values
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
-from seedslib.models.kinds import elapsed
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch, SwitchingSystem
 
@@ -52,7 +50,7 @@ SHIFT = 1e-5
 """Relative shift of a state for the derivative of its drift."""
 
 
-class GridChain(Shown):
+class GridChain:
     """A system on the nodes of a grid, a Markov chain that is seen through a likelihood.
 
     The states of the chain are the nodes in mode 0, then those in mode 1, and so on.
@@ -72,7 +70,6 @@ class GridChain(Shown):
 
     loses: bool = False
     stored: int = STORED
-    _shown = ("axes",)
 
     def __init__(self, system: Any, axes: Sequence[Axis | Nodes]) -> None:
         switching = isinstance(system, SwitchingSystem)
@@ -88,6 +85,9 @@ class GridChain(Shown):
         time, formulas = self._formulas()
         self._steady: bool = formulas is not None and not any(e.has(time) for e in formulas)
         self._known: dict[Any, Any] = {}
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({', '.join(map(str, self.axes))})"
 
     @staticmethod
     def _require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
@@ -121,49 +121,72 @@ class GridChain(Shown):
             mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
         return mass / mass.sum()
 
-    def transition(self, start: float, stop: float) -> np.ndarray:
-        """Transition matrix P, p(stop) = P p(start), computed once for equal steps.
-
-        Formulas are evaluated at the present values of the parameters that they mention.
+    def numbers(self, p: Values | None, dt: float = np.nan) -> Values:
+        """Numbers of the parameters; the system's own where None are given.
 
         Raises
         ------
         ValueError
-            A parameter that has a value for each path; noise that does not move the state.
+            A parameter that has a number for each path.
+        """
+        p = self.system.values(dt=dt) if p is None else p
+        for parameter, value in zip(self.system.parameters, p, strict=True):
+            if np.ndim(value):
+                raise ValueError(
+                    f"{parameter}: wanted one number on a grid, got {np.shape(value)}; make the "
+                    "filter anew for each, as fit does with a function that makes it"
+                )
+        return tuple(map(float, p))
+
+    def transition(self, start: float, stop: float, p: Values | None = None) -> np.ndarray:
+        """Transition matrix P, law(stop) = P law(start), computed once for equal steps.
+
+        Parameters
+        ----------
+        start, stop : float
+        p : tuple of float, optional
+            Numbers of the system's parameters; its own by default.
+
+        Raises
+        ------
+        ValueError
+            A parameter that has a number for each path; noise that does not move the state.
         """
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
-        with elapsed(self.system, start, stop):
-            span = (float(lengths_alike(stop - start)),) if self._steady else (start, stop)
-            key = *span, *present(self.system.mentions)
-            if key not in self._known:
-                if len(self._known) >= self.stored:
-                    self._known.clear()
-                self._known[key] = self._transition(float(start), float(stop))
-            return self._known[key]
+        p = self.numbers(p, stop - start)
+        span = (float(lengths_alike(stop - start)),) if self._steady else (start, stop)
+        key = *span, *p
+        if key not in self._known:
+            if len(self._known) >= self.stored:
+                self._known.clear()
+            self._known[key] = self._transition(float(start), float(stop), p)
+        return self._known[key]
 
-    def _transition(self, start: float, stop: float) -> np.ndarray:
+    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
         raise NotImplementedError
 
     def _formulas(self) -> tuple[Any, Any]:
         """Symbol of the time, and SymPy expressions that say how the system moves, or None."""
         raise NotImplementedError
 
-    def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
+    def move(
+        self, law: np.ndarray, start: float, stop: float, p: Values | None = None
+    ) -> np.ndarray:
         """Laws (S, C) at a later time, each a column."""
-        return self.transition(start, stop) @ law
+        return self.transition(start, stop, p) @ law
 
     def law(self, t: float, start: float = 0.0) -> np.ndarray:
         """Probabilities at a later time, shape (S,)."""
         mass = self.start()
         return mass if t == start else self.transition(start, t) @ mass
 
-    def log_likelihood(self, t: float, shown: np.ndarray) -> np.ndarray:
+    def log_likelihood(self, t: float, shown: np.ndarray, p: Values | None = None) -> np.ndarray:
         """Logarithm of the density of measurements (m, Y) at each state: (Y, S).
 
         Where there is an indicator, its values are the first row, (1 + m, Y); -1 is a missing one.
         """
-        present({p for sensor in self._sensors for p in sensor.mentions})  # one number each
+        p = self.numbers(p)
         indicator = shown[0] if self.indicators else np.zeros(shown.shape[1])
         y = shown[1:] if self.indicators else shown
         found = np.full((shown.shape[1], self.modes, self.nodes.shape[1]), -np.inf)
@@ -172,24 +195,26 @@ class GridChain(Shown):
             for i in range(self.modes):
                 reading = self._sensors[i] if j < 0 else self._readings[i][int(j)]
                 if reading is not None:
-                    density = reading.log_density(t, y[:, columns, None], self.nodes[:, None])
+                    density = reading.log_density(t, y[:, columns, None], self.nodes[:, None], p)
                     found[columns, i] = density
         return found.reshape(len(found), -1)
 
-    def told(self, t: float) -> np.ndarray:
+    def told(self, t: float, p: Values | None = None) -> np.ndarray:
         """Probability of each value of the indicator at each state, and one for none: (M+1, S).
 
         What is known without a measurement; (1, S) where there is no indicator.
         """
+        p = self.numbers(p)
         found = np.ones((self.indicators + 1, self.modes, self.nodes.shape[1]))
         for j in range(self.indicators):
             for i, row in enumerate(self._readings):
-                found[j, i] = 0.0 if row[j] is None else row[j].probability(t, self.nodes)
+                found[j, i] = 0.0 if row[j] is None else row[j].probability(t, self.nodes, p)
         return found.reshape(len(found), -1)
 
-    def reach(self, t: float) -> tuple[np.ndarray, np.ndarray]:
+    def reach(self, t: float, p: Values | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of the measurement at each state, both (m, S)."""
-        parts = [mean_and_deviation(sensor, t, self.nodes) for sensor in self._sensors]
+        p = self.numbers(p)
+        parts = [mean_and_deviation(sensor, t, self.nodes, p) for sensor in self._sensors]
         return tuple(np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
 
     def look_at_ends(self, mass: np.ndarray) -> None:
@@ -259,15 +284,15 @@ class DiscreteChain(GridChain):
     def _formulas(self) -> tuple[Any, Any]:
         return self.system.dynamics.time, self.system.dynamics.expressions
 
-    def _transition(self, start: float, stop: float) -> np.ndarray:
+    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
         x, map = self.values, self.system.dynamics
         if map.gaussian_density:
-            mean, cov = map.conditional_moments(start, x)
+            mean, cov = map.conditional_moments(start, x, p)
             require_moved("dynamics", cov)
             if len(x) == 1 and not map.period:
                 return self._gaussian(mean[0], np.sqrt(cov[0, 0]))
         later, now = x[:, :, None], x[:, None, :]
-        return self.weights[:, None] * np.exp(map.log_density(start, later, now))
+        return self.weights[:, None] * np.exp(map.log_density(start, later, now, p))
 
     def _gaussian(self, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
         # in place: these matrices are large, and made anew at every time
@@ -316,25 +341,27 @@ class SwitchingChain(GridChain):
             return None, None
         return maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
 
-    def _transition(self, start: float, stop: float) -> np.ndarray:
+    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
         count, modes = self.nodes.shape[1], range(self.modes)
         found = np.zeros((self.modes, count, self.modes, count))
         maps, table = self.system.dynamics, self.system.branches
         if self.system.drives == "new":  # the switch at each node, and the move of the new mode
-            moves = [self._leaving(start, map, [Branch(map)])[0] for map in maps]
+            moves = [self._leaving(start, map, [Branch(map)], p)[0] for map in maps]
             for i, l in np.ndindex(self.modes, self.modes):
                 if (branch := table[i][l]) is not None:
-                    found[l, :, i] = moves[l] * branch.probability(start, self.nodes)
+                    found[l, :, i] = moves[l] * branch.probability(start, self.nodes, p)
         else:
             for i in modes:
-                found[:, :, i] = self._leaving(start, maps[i], table[i])
+                found[:, :, i] = self._leaving(start, maps[i], table[i], p)
         return found.reshape(self.modes * count, -1)
 
-    def _leaving(self, t: float, map: StochasticMap, row: Sequence[Branch | None]) -> np.ndarray:
+    def _leaving(
+        self, t: float, map: StochasticMap, row: Sequence[Branch | None], p: Values
+    ) -> np.ndarray:
         """Probabilities (branches, N, N) of the branches of a map and the next node."""
         x = self.nodes
         if len(x) == 1:
-            mean, deviation = (part[0] for part in mean_and_deviation(map, t, x))
+            mean, deviation = (part[0] for part in mean_and_deviation(map, t, x, p))
             if (deviation < self.axis.step).any():
                 if any(b is not None and b.depends_on_noise for b in row):
                     raise ValueError(
@@ -342,11 +369,13 @@ class SwitchingChain(GridChain):
                         "which the switching depends on"
                     )
                 masses = cell_masses(self.axis, mean, deviation)
-                return np.stack([masses * (0.0 if b is None else b.probability(t, x)) for b in row])
+                return np.stack(
+                    [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
+                )
         logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
         for log, branch in zip(logs, row, strict=True):
             if branch is not None:
-                log[:] = branch.log_density(t, x[:, :, None], x[:, None, :])
+                log[:] = branch.log_density(t, x[:, :, None], x[:, None, :], p)
         # a state that moves far beyond the ends goes to the node that is the least far away
         masses = np.exp(logs - logs.max(axis=(0, 1)))
         return masses / masses.sum(axis=(0, 1))
@@ -381,14 +410,14 @@ class FellerChain(GridChain):
         )
         return system.time, [*jump, *system.drift_expressions, *system.diffusion_expressions.flat]
 
-    def _transition(self, start: float, stop: float) -> np.ndarray:
+    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
         """Matrix exponential of the rates, or of those at the middle of integration steps."""
         from scipy.linalg import expm
 
         steps = 1 if self._steady else step_count(start, stop, self.system.step)
         h, last, found = (stop - start) / steps, None, np.eye(self.axis.count)
         for k in range(steps):
-            rates = generator(self.system, self.axis, start + (k + 0.5) * h)
+            rates = generator(self.system, self.axis, start + (k + 0.5) * h, p)
             if last is None or not np.array_equal(rates, last):
                 step, last = expm(rates * h), rates
             found = step @ found
@@ -429,19 +458,23 @@ class PlaneChain(GridChain):
             raise ValueError("system: wanted two state components and no jumps")
         super().__init__(system, as_axes("axes", axes, 2))
         self.substep: float = float(substep)
-        root = np.broadcast_to(
-            system.diffusion(0.0, self.values), (2, system.wiener_size, self.values.shape[1])
-        )
-        self._diffusion: np.ndarray = np.einsum("iwN,jwN->ijN", root, root)
-        if np.abs(self._diffusion[0, 1]).max() > 0:
+        if np.abs(self._diffusion(system.nominal_values())[0, 1]).max() > 0:
             raise ValueError("system: wanted components driven by noises of their own")
+
+    def _diffusion(self, p: Values) -> np.ndarray:
+        """Covariance of the noise per unit of time at each state, (2, 2, S)."""
+        root = self.system.diffusion(0.0, self.values, p)
+        root = np.broadcast_to(root, (2, self.system.wiener_size, self.values.shape[1]))
+        return np.einsum("iwN,jwN->ijN", root, root)
 
     def _formulas(self) -> tuple[Any, Any]:
         return None, None
 
-    def move(self, law: np.ndarray, start: float, stop: float) -> np.ndarray:
+    def move(
+        self, law: np.ndarray, start: float, stop: float, p: Values | None = None
+    ) -> np.ndarray:
         """Laws (S, C) of the state at a later time, each a column."""
-        steps, first, half = self._kernels(start, stop)
+        steps, first, half = self._kernels(start, stop, p)
         whole = half @ half
         grid = law.reshape(*(axis.count for axis in self.axes), -1)
         for k in range(steps):
@@ -449,9 +482,11 @@ class PlaneChain(GridChain):
             grid = (first @ grid.swapaxes(0, 1)).swapaxes(0, 1)
         return np.maximum((half @ grid).reshape(law.shape), 0.0)
 
-    def back(self, values: np.ndarray, start: float, stop: float) -> np.ndarray:
-        """Means of functions (p, S) of the later state, given the state at `start`: (p, S)."""
-        steps, first, half = self._kernels(start, stop)
+    def back(
+        self, values: np.ndarray, start: float, stop: float, p: Values | None = None
+    ) -> np.ndarray:
+        """Means of functions (q, S) of the later state, given the state at `start`: (q, S)."""
+        steps, first, half = self._kernels(start, stop, p)
         first, half = first.swapaxes(1, 2), half.swapaxes(1, 2)
         grid = values.T.reshape(*(axis.count for axis in self.axes), -1)
         for _ in range(steps):  # the moves of a substep, in the same order, turned over
@@ -459,31 +494,34 @@ class PlaneChain(GridChain):
             grid = half @ grid
         return grid.reshape(values.shape[1], -1).T
 
-    def _kernels(self, start: float, stop: float) -> tuple[int, np.ndarray, np.ndarray]:
+    def _kernels(
+        self, start: float, stop: float, p: Values | None
+    ) -> tuple[int, np.ndarray, np.ndarray]:
         """Substeps, and matrices of the first component (n2, n1, n1), half the second (n1, n2, n2).
 
         The other component numbers the matrices.
         """
         steps = step_count(start, stop, self.substep)
-        length = float(lengths_alike((stop - start) / steps))
-        if length not in self._known:
-            rows = zip(*(part.T for part in self._one(0, length)), strict=True)
+        length, p = float(lengths_alike((stop - start) / steps)), self.numbers(p)
+        key = length, *p
+        if key not in self._known:
+            rows = zip(*(part.T for part in self._one(0, length, p)), strict=True)
             first = np.stack([shared(self.axes[0], *row) for row in rows])
-            rows = zip(*self._one(1, 0.5 * length), strict=True)
-            self._known[length] = first, np.stack([shared(self.axes[1], *row) for row in rows])
-        return steps, *self._known[length]
+            rows = zip(*self._one(1, 0.5 * length, p), strict=True)
+            self._known[key] = first, np.stack([shared(self.axes[1], *row) for row in rows])
+        return steps, *self._known[key]
 
-    def _one(self, i: int, time: float) -> tuple[np.ndarray, np.ndarray]:
+    def _one(self, i: int, time: float, p: Values) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation (n1, n2) of component i after a time, the other one held."""
         x, shift = self.values, np.zeros((2, 1))
         shift[i] = SHIFT
         speed, up, down = (
-            np.broadcast_to(self.system.drift(0.0, at)[i], x.shape[1:])
+            np.broadcast_to(self.system.drift(0.0, at, p)[i], x.shape[1:])
             for at in (x, x + shift, x - shift)
         )
         slope = (up - down) / (2.0 * SHIFT)
         mean = x[i] + speed * _grown(slope, time)
-        deviation = np.sqrt(self._diffusion[i, i] * _grown(2.0 * slope, time))
+        deviation = np.sqrt(self._diffusion(p)[i, i] * _grown(2.0 * slope, time))
         shape = tuple(axis.count for axis in self.axes)
         return mean.reshape(shape), deviation.reshape(shape)
 
@@ -496,7 +534,9 @@ def chain_of(system: object, axis: Any) -> GridChain:
     return made(system, axis)
 
 
-def generator(system: JumpDiffusion, axis: Axis, t: float = 0.0) -> np.ndarray:
+def generator(
+    system: JumpDiffusion, axis: Axis, t: float = 0.0, p: Values | None = None
+) -> np.ndarray:
     """Rates Q (S, S) of the chain, dp/dt = Q p: columns sum to zero, the rest is nonnegative.
 
     Diffusion and drift: conservative finite volumes around the nodes with the exponentially
@@ -509,34 +549,36 @@ def generator(system: JumpDiffusion, axis: Axis, t: float = 0.0) -> np.ndarray:
     ValueError
         A negative intensity, marks that are not Gaussian.
     """
+    p = system.values() if p is None else p
     nodes, h = axis.nodes, axis.step
     faces = 0.5 * (nodes[1:] + nodes[:-1])
     at_nodes, at_faces = (
-        0.5 * np.einsum("jN,jN->N", *[system.diffusion(t, x[None])[0]] * 2) for x in (nodes, faces)
+        0.5 * np.einsum("jN,jN->N", *[system.diffusion(t, x[None], p)[0]] * 2)
+        for x in (nodes, faces)
     )
     # the flux (a p) - (D p)' written as (a - D') p - D p'
-    speed = system.drift(t, faces[None])[0] - np.diff(at_nodes) / h
+    speed = system.drift(t, faces[None], p)[0] - np.diff(at_nodes) / h
     exchange = at_faces / h**2 * _bernoulli(np.abs(speed) * h, at_faces)
     up = np.maximum(speed, 0.0) / h + exchange
     down = np.maximum(-speed, 0.0) / h + exchange
     rates = np.diag(up, -1) + np.diag(down, 1)
     if system.jump is not None:
-        intensity = np.asarray(system.intensity(t, nodes[None]), dtype=float)
+        intensity = np.asarray(system.intensity(t, nodes[None], p), dtype=float)
         if not (intensity >= 0).all() or not np.isfinite(intensity).all():
             raise ValueError(
                 f"intensity: wanted finite nonnegative numbers, got {intensity.min():g}"
             )
-        rates += _landing(system.jump, axis, t) * intensity
+        rates += _landing(system.jump, axis, t, p) * intensity
     np.fill_diagonal(rates, 0.0)
     np.fill_diagonal(rates, -rates.sum(axis=0))
     return rates
 
 
 def mean_and_deviation(
-    map: StochasticMap, t: float, x: np.ndarray
+    map: StochasticMap, t: float, x: np.ndarray, p: Values
 ) -> tuple[np.ndarray, np.ndarray]:
     """Mean and deviation (m, S) of what a map gives at states x (n, S)."""
-    mean, cov = map.conditional_moments(float(t), x)
+    mean, cov = map.conditional_moments(float(t), x, p)
     shape = (map.size, x.shape[1])
     square = [np.broadcast_to(cov[i, i], shape[1:]) for i in range(map.size)]
     return np.broadcast_to(mean, shape), np.sqrt(square)
@@ -553,7 +595,7 @@ def require_scalar(system: Any) -> None:
 
 def require_moved(name: str, cov: np.ndarray) -> None:
     """Refuse covariances (n, n, *batch) in which a direction has no variance."""
-    if not (np.einsum("ii...->i...", factor(cov)) > 0).all():
+    if not (variances(cholesky(cov)) > 0).all():
         raise ValueError(
             f"{name}: wanted noise of its own in every state component for a grid, got none in "
             "some direction"
@@ -591,18 +633,18 @@ def _split(axis: Axis, values: np.ndarray) -> np.ndarray:
     return masses
 
 
-def _landing(jump: StochasticMap, axis: Axis, t: float) -> np.ndarray:
+def _landing(jump: StochasticMap, axis: Axis, t: float, p: Values) -> np.ndarray:
     """Probability of each cell (rows) after a jump from each node (columns)."""
     x = axis.nodes[None]
     if not jump.noise.gaussian:
         raise ValueError("jump: wanted Gaussian marks for a grid, got others")
     if jump.symbolic and jump.has_log_density:
-        mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x))
+        mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x, p))
         return cell_masses(axis, x[0] + mean, deviation)
     marks, weights = jump.noise.rule(MARK_NODES)
     landing = np.zeros((axis.count, axis.count))
     for mark, weight in zip(marks.T, weights, strict=True):
-        kick = jump.value(t, x, np.broadcast_to(mark[:, None], (len(mark), axis.count)))
+        kick = jump.value(t, x, np.broadcast_to(mark[:, None], (len(mark), axis.count)), p)
         landing += weight * _split(axis, x[0] + kick[0])
     return landing
 

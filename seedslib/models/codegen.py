@@ -18,12 +18,10 @@ import sympy
 from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
+from seedslib.base.arrays import batch_shape
 from seedslib.base.checks import require_shape
-from seedslib.base.correction import joint_shape
-from seedslib.base.parameters import parameters_of
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
-from seedslib.base.values import current
-from seedslib.gaussian.special import difference, tilted_cdf
+from seedslib.gaussian.special import difference
 
 LARGEST_POWER = 40
 TERMS = 14
@@ -79,7 +77,7 @@ def sinc_ratio(k: int, x: Any) -> Any:
     return np.select([near], [series / math.prod(range(1, 2 * k + 2, 2))], ratio)
 
 
-OWN = {"sinc_ratio": sinc_ratio, "difference": difference, "tilted_cdf": tilted_cdf}
+OWN = {"sinc_ratio": sinc_ratio, "difference": difference}
 MODULES = [OWN, "scipy", "numpy"]
 
 
@@ -175,19 +173,16 @@ def known_expressions(
 
 
 def compile_components(
-    arguments: Sequence[object],
-    expressions: Sequence[sympy.Expr],
-    named: Sequence[tuple[Any, ...]] = (),
+    arguments: Sequence[object], expressions: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
     """Function of the arguments that returns the list of the expressions' values.
 
     Parameters
     ----------
     arguments : sequence
-        Each entry a symbol or a sequence of symbols (a vector given by its components).
+        Each entry a symbol or a sequence of symbols (a vector given by its components); parameters
+        of a model are one of them.
     expressions : sequence of SymPy expressions
-    named : sequence of (symbol, expression)
-        Symbols of the expressions that stand for others, evaluated once.
 
     Returns
     -------
@@ -202,12 +197,8 @@ def compile_components(
     """
     arguments = [tuple(a) if isinstance(a, Sequence | np.ndarray) else a for a in arguments]
     listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
-    known = {*listed, *(name for name, _ in named)}
     expressions = [as_expression("expressions", e) for e in expressions]
-    require_known("expressions", [*expressions, *(part for _, part in named)], known)
-    for name, part in reversed(named):
-        expressions = [e.xreplace({name: part}) for e in expressions]
-    parameters = parameters_of(expressions)
+    require_known("expressions", expressions, listed)
     # equal expressions are compiled once, whatever their dummies are
     dummies = {
         s: sympy.Symbol(f"{k} ", **s.assumptions0)
@@ -220,10 +211,7 @@ def compile_components(
             tuple(dummies.get(s, s) for s in a) if isinstance(a, tuple) else dummies.get(a, a)
             for a in arguments
         ]
-    if parameters:
-        arguments.append(parameters)
-    function = _lambdified(tuple(arguments), tuple(expressions))
-    return function if not parameters else lambda *given: function(*given, current(parameters))
+    return _lambdified(tuple(arguments), tuple(expressions))
 
 
 @lru_cache(maxsize=512)
@@ -245,7 +233,7 @@ def _lambdified(arguments: tuple, expressions: tuple) -> Callable[..., list[Any]
         ) from None
 
 
-def batch_shape(*arguments: object) -> tuple[int, ...]:
+def batch_of(*arguments: object) -> tuple[int, ...]:
     """Broadcast shape of the components of vectors (lists or arrays, components first)."""
     shapes: list[tuple[int, ...]] = []
     for argument in arguments:
@@ -253,7 +241,7 @@ def batch_shape(*arguments: object) -> tuple[int, ...]:
             shapes.append(argument.shape[1:])  # those of its components, looked at once
         else:
             shapes += [np.shape(c) for c in argument]
-    return joint_shape(*shapes)
+    return batch_shape(*shapes)
 
 
 def stack(
@@ -261,7 +249,7 @@ def stack(
 ) -> Any:
     """Array of the given component shape; batch axes last, those of the components by default."""
     if batch is None:
-        batch = joint_shape(*[np.shape(c) for c in components])
+        batch = batch_shape(*[np.shape(c) for c in components])
     result = np.empty((len(components), *batch))
     for slot, component in enumerate(components):
         result[slot] = component
@@ -283,7 +271,7 @@ def compile_array(arguments: Sequence[object], expressions: object) -> Callable[
     vectors = [k for k, a in enumerate(arguments) if isinstance(a, Sequence | np.ndarray)]
 
     def evaluate(*values) -> np.ndarray:
-        batch = batch_shape(*(values[k] for k in vectors))
+        batch = batch_of(*(values[k] for k in vectors))
         return stack(function(*values), expressions.shape, batch)
 
     return evaluate

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -11,16 +10,16 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.blocks import Source
-from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.base.objects import Shown
-from seedslib.models.kinds import elapsed
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.objects import Pickled
+from seedslib.base.values import Parametrized, Values, in_order, require_no_step
 from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
 
 
-@dataclass(frozen=True, eq=False)
-class DiscreteSystem(Shown):
+@dataclass(frozen=True, eq=False, repr=False)
+class DiscreteSystem(Parametrized, Pickled):
     """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
 
     The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
@@ -41,11 +40,9 @@ class DiscreteSystem(Shown):
     Raises
     ------
     TypeError, ValueError
-        Maps of different states, a state of one map that is a noise of the other, a covariance
-        that is not semidefinite.
+        Maps of different states, a state of one map that is a noise of the other, a sensor that
+        mentions the elapsed time, a covariance that is not semidefinite.
     """
-
-    _shown = "state_size", "measurement_size"
 
     dynamics: StochasticMap
     sensor: StochasticMap
@@ -64,10 +61,14 @@ class DiscreteSystem(Shown):
                 f"{self.dynamics.state_size} and {self.sensor.state_size}"
             )
         self._require_names()
-        mean0 = as_shape("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
+        mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
         law = Noise(n, mean0, cov0, self.initial)
         vars(self).update(state_size=n, mean0=mean0, cov0=cov0, law=law)
+        require_no_step("sensor", self.sensor.mentions)
+        parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions))
+        dynamics, sensor = (map.taking(parameters) for map in (self.dynamics, self.sensor))
+        vars(self).update(parameters=parameters, numbers={}, dynamics=dynamics, sensor=sensor)
 
     def _require_names(self) -> None:
         maps = [map for map in (self.dynamics, self.sensor) if map.symbolic]
@@ -78,11 +79,6 @@ class DiscreteSystem(Shown):
             state, noise = (dict.fromkeys(s for part in group for s in part) for group in parts)
             require_distinct(state=state, noise=noise)
 
-    @cached_property
-    def mentions(self) -> frozenset[Any]:
-        """Parameters, inputs and elapsed time in the maps."""
-        return self.dynamics.mentions | self.sensor.mentions
-
     @property
     def measurement_size(self) -> int:
         """Number of measured components."""
@@ -92,10 +88,15 @@ class DiscreteSystem(Shown):
         """Draws of the initial state, shape (n, count)."""
         return self.law.draw(rng, count)
 
-    def advance(self, x: np.ndarray, start: float, stop: float, rng: Source) -> np.ndarray:
-        """States of shape (n, *batch) one step later; the dynamics are those of time `start`."""
-        with elapsed(self, start, stop):
-            return self.dynamics.sample(start, x, rng)
+    def advance(
+        self, x: np.ndarray, start: float, stop: float, rng: Source, p: Values | None = None
+    ) -> np.ndarray:
+        """States of shape (n, *batch) one step later; the dynamics are those of time `start`.
+
+        The numbers `p` of the parameters are the system's own by default.
+        """
+        p = self.values(dt=stop - start) if p is None else p
+        return self.dynamics.sample(start, x, rng, p)
 
     def simulate(self, times: ArrayLike, paths: Count, seed: Seed, **options: Any) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`."""

@@ -6,7 +6,7 @@ import math
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_shape
+from seedslib.base.checks import as_covariance, as_positive, as_real
 from seedslib.base.clock import step_count, when
-from seedslib.base.objects import Shown, Travelling
-from seedslib.base.values import looked_at, on_paths, with_values
-from seedslib.models.maps import StochasticMap
+from seedslib.base.objects import Pickled
+from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
+from seedslib.models.maps import StochasticMap, picked
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
-Rate = Callable[[float, np.ndarray], np.ndarray]
+Rate = Callable[..., np.ndarray]
 
 
-class JumpDiffusion(Travelling, Shown):
+class JumpDiffusion(Parametrized, Pickled):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -70,15 +70,15 @@ class JumpDiffusion(Travelling, Shown):
         second moment of the jump.
     law : Noise
         The initial law.
+    parameters : tuple of Parameter
+        Parameters and inputs in all formulas, in the order of their numbers p.
 
     Raises
     ------
     TypeError, ValueError
         Shapes that do not fit, unknown symbols, one symbol with two meanings, covariances that
-        are not semidefinite.
+        are not semidefinite, the elapsed time.
     """
-
-    _shown = "state_size", "measurement_size"
 
     indicators: int = 0
     state: Any
@@ -132,7 +132,8 @@ class JumpDiffusion(Travelling, Shown):
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
         self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
         rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
-        self._parameters = parameters_of(rates)
+        self._functions: Functions | None = None
+        self._set_parameters(parameters_of(rates))
         self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
 
     @classmethod
@@ -178,21 +179,27 @@ class JumpDiffusion(Travelling, Shown):
         self.intensity_expression = None
         if (jump is None) != (intensity is None):
             raise ValueError("jump, intensity: wanted both or neither, got one")
-        self.sensor, self.jump, self._parameters = sensor, jump, tuple(parameters)
-        drift, diffusion, intensity = with_values(parameters, drift, diffusion, intensity)
-        mean0 = as_shape("mean0", mean0, (sensor.state_size,))
-        n, probe = len(mean0), np.tile(mean0[:, None], 3)
-        with looked_at(parameters):
-            as_shape("drift", drift(0.0, probe), (n, 3))
-            found = as_shape("diffusion", diffusion(0.0, probe), (n, -1, 3)).shape[1]
-            if intensity is not None:
-                as_shape("intensity", intensity(0.0, probe), (3,))
-        vars(self).update(drift=drift, diffusion=diffusion, intensity=intensity or _never)
+        self.sensor, self.jump = sensor, jump
+        self._functions = Functions(drift, diffusion, intensity, tuple(parameters))
+        self._set_parameters(parameters)
+        mean0 = as_real("mean0", mean0, (sensor.state_size,))
+        n, probe, p = len(mean0), np.tile(mean0[:, None], 3), self.nominal_values()
+        as_real("drift", self.drift(0.0, probe, p), (n, 3))
+        found = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
+        as_real("intensity", self.intensity(0.0, probe, p), (3,))
         self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
+    def _set_parameters(self, rates: Any) -> None:
+        maps = [map for map in (self.sensor, self.jump) if map is not None]
+        self.parameters = in_order([*rates, *(p for map in maps for p in map.mentions)])
+        require_no_step("system", self.parameters)
+        self.numbers: Mapping[Any, Any] = {}
+        self.sensor = self.sensor.taking(self.parameters)
+        self.jump = self.jump and self.jump.taking(self.parameters)
+
     def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
-        self.mean0: np.ndarray = as_shape("mean0", mean0, (n,))
+        self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
         self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
         self.law: Noise = Noise(n, self.mean0, self.cov0, initial)
         if self.sensor.state_size != n or (self.jump and self.jump.size != n):
@@ -205,31 +212,30 @@ class JumpDiffusion(Travelling, Shown):
         """Whether the system was given as SymPy expressions."""
         return self.drift_expressions is not None
 
-    @cached_property
-    def mentions(self) -> frozenset[Any]:
-        """Parameters and inputs in its formulas."""
-        maps = [map.mentions for map in (self.sensor, self.jump) if map is not None]
-        return frozenset(self._parameters).union(*maps)
+    def drift(self, t: float, x: np.ndarray, p: Values | None = None) -> np.ndarray:
+        """a(t, x), shape (n, *batch); numbers p are the system's own by default."""
+        return self._rates[0](t, x, self.values() if p is None else p)
 
-    def _compiled(self, expression: object) -> Rate:
+    def diffusion(self, t: float, x: np.ndarray, p: Values | None = None) -> np.ndarray:
+        """B(t, x), shape (n, number of Wiener processes, *batch)."""
+        return self._rates[1](t, x, self.values() if p is None else p)
+
+    def intensity(self, t: float, x: np.ndarray, p: Values | None = None) -> np.ndarray:
+        """mu(t, x), shape (*batch); zero without jumps."""
+        return self._rates[2](t, x, self.values() if p is None else p)
+
+    @cached_property
+    def _rates(self) -> tuple[Rate, Rate, Rate]:
+        """Drift, diffusion and intensity as functions (t, x, p)."""
+        if self._functions is not None:
+            *rates, own = self._functions
+            places = tuple(map(self.parameters.index, own))
+            return tuple(partial(picked, rate or _never, places) for rate in rates)
         from seedslib.models.codegen import compile_array
 
-        return compile_array((self.time, self.state), expression)
-
-    @cached_property
-    def drift(self) -> Rate:
-        """a(t, x), shape (n, *batch)."""
-        return self._compiled(self.drift_expressions)
-
-    @cached_property
-    def diffusion(self) -> Rate:
-        """B(t, x), shape (n, number of Wiener processes, *batch)."""
-        return self._compiled(self.diffusion_expressions)
-
-    @cached_property
-    def intensity(self) -> Rate:
-        """mu(t, x), shape (*batch); zero without jumps."""
-        return self._compiled(self.intensity_expression)
+        given = self.time, self.state, self.parameters
+        parts = self.drift_expressions, self.diffusion_expressions, self.intensity_expression
+        return tuple(compile_array(given, part) for part in parts)
 
     @cached_property
     def jumps(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
@@ -259,7 +265,7 @@ class JumpDiffusion(Travelling, Shown):
         return rate_map(self, 1, lower, len(lower[0]))
 
     def increment(self, scheme: str = "euler") -> Callable[..., Any]:
-        """One step of the diffusion as ``f(t, h, sqrt(h), x, z) -> list of n components``.
+        """One step of the diffusion as ``f(t, h, sqrt(h), x, z, p) -> list of n components``.
 
         Parameters
         ----------
@@ -279,10 +285,15 @@ class JumpDiffusion(Travelling, Shown):
             if scheme == "heun":
                 raise ValueError("scheme: heun wants a symbolic system, got array functions")
             return partial(numeric_increment, self)
-        made = self.__dict__.setdefault("_increments", {})
-        if scheme not in made:
-            made[scheme] = compiled_increment(self, scheme)
-        return made[scheme]
+        return self._heun if scheme == "heun" else self._euler
+
+    @cached_property
+    def _euler(self) -> Callable[..., Any]:
+        return compiled_increment(self, "euler")
+
+    @cached_property
+    def _heun(self) -> Callable[..., Any]:
+        return compiled_increment(self, "heun")
 
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
@@ -294,6 +305,7 @@ class JumpDiffusion(Travelling, Shown):
         start: float,
         stop: float,
         rng: Source,
+        p: Values | None = None,
         *,
         step: float | None = None,
         scheme: str = "euler",
@@ -302,12 +314,15 @@ class JumpDiffusion(Travelling, Shown):
 
         Parameters
         ----------
+        p : tuple, optional
+            Numbers of the parameters; the system's own by default.
         step : float, optional
             Largest integration step; the system's own by default.
         scheme : {"euler", "heun"}
         """
         step = self.step if step is None else step
-        return advance(self, x, start, stop, rng, step, scheme)
+        p = self.values() if p is None else p
+        return advance(self, x, start, stop, rng, p, step, scheme)
 
     def simulate(self, times: ArrayLike, paths: Count, seed: Seed, **options: Any) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`.
@@ -315,6 +330,15 @@ class JumpDiffusion(Travelling, Shown):
         Options are those of that function, and `step` and `scheme` of `advance`.
         """
         return simulate(self, times, paths, seed, **options)
+
+
+class Functions(NamedTuple):
+    """The array functions that a system was given, and the parameters that each takes last."""
+
+    drift: Rate
+    diffusion: Rate
+    intensity: Rate | None
+    parameters: tuple[Any, ...]
 
 
 def _never(t: float, x: np.ndarray) -> np.ndarray:
@@ -342,14 +366,16 @@ def closed_rates(system: JumpDiffusion) -> tuple[np.ndarray, np.ndarray]:
     return expand(velocity), expand(spread)
 
 
-def numeric_rates(system: JumpDiffusion, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def numeric_rates(
+    system: JumpDiffusion, t: float, x: np.ndarray, p: Values
+) -> tuple[np.ndarray, np.ndarray]:
     """The same as arrays (n, *batch) and (n, n, *batch), the jump averaged over its marks."""
     x = np.asarray(x)
-    velocity, diffusion = system.drift(t, x), system.diffusion(t, x)
+    velocity, diffusion = system.drift(t, x, p), system.diffusion(t, x, p)
     spread = np.einsum("ik...,jk...->ij...", diffusion, diffusion)
     if system.jump is not None:
-        rate = system.intensity(t, x)
-        mean, cov = system.jump.conditional_moments(t, x)
+        rate = system.intensity(t, x, p)
+        mean, cov = system.jump.conditional_moments(t, x, p)
         velocity = velocity + rate * mean
         spread = spread + rate * (cov + mean[:, None] * mean[None, :])
     return velocity, spread
@@ -365,11 +391,15 @@ def rate_map(system: JumpDiffusion, part: int, chosen: object, size: int) -> Sto
 
         try:
             value = system.moment_expressions[part][chosen]
-            return StochasticMap(system.state, value, time=system.time)
+            made = StochasticMap(system.state, value, time=system.time)
+            return made.taking(system.parameters)
         except NoClosedForm:
             pass
     return StochasticMap.from_functions(
-        system.state_size, size, lambda t, x, v: numeric_rates(system, t, x)[part][chosen]
+        system.state_size,
+        size,
+        lambda t, x, v, *p: numeric_rates(system, t, x, p)[part][chosen],
+        parameters=system.parameters,
     )
 
 
@@ -387,6 +417,7 @@ def advance(
     start: float,
     stop: float,
     rng: Source,
+    p: Values,
     step: float,
     scheme: str,
 ) -> np.ndarray:
@@ -405,6 +436,8 @@ def advance(
     rng : numpy.random.Generator
         Only its children are used, in a layout where the first paths of many have the numbers
         of few.
+    p : tuple
+        Numbers of the parameters, or arrays (*batch).
     step : float
         Largest step; the interval is divided evenly.
     scheme : {"euler", "heun"}
@@ -429,14 +462,15 @@ def advance(
     shape = np.shape(x)
     x = np.array(x, dtype=float).reshape(shape[0], -1)
     state, count = list(x), x.shape[1]
-    clock = _JumpClock(system, rng, count) if system.jump is not None else None
-    with np.errstate(over="ignore", invalid="ignore"), on_paths(shape[1:]):
+    p = of_paths(p, shape[1:])
+    clock = _JumpClock(system, rng, count, p) if system.jump is not None else None
+    with np.errstate(over="ignore", invalid="ignore"):
         for k, normal in enumerate(_normals(rng, steps, system.wiener_size, count)):
             t = start + k * h
-            move = increment(t, h, root, state, normal)
+            move = increment(t, h, root, state, normal, p)
             if scheme == "heun":
                 guess = [c + d for c, d in zip(state, move, strict=True)]
-                again = increment(t + h, h, root, guess, normal)
+                again = increment(t + h, h, root, guess, normal, p)
                 move = [0.5 * (a + b) for a, b in zip(move, again, strict=True)]
             moved = [c + d for c, d in zip(state, move, strict=True)]
             if clock is not None:
@@ -469,34 +503,41 @@ def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable[..., Any]
     h, root = sympy.Dummy("h"), sympy.Dummy("root")
     z = [sympy.Dummy(f"z{j}") for j in columns]
     moves = [drift[i] * h + root * sum(matrix[i, j] * z[j] for j in columns) for i in rows]
-    return compile_components((system.time, h, root, system.state, z), moves)
+    return compile_components((system.time, h, root, system.state, z, system.parameters), moves)
 
 
 def numeric_increment(
-    system: JumpDiffusion, t: float, h: float, root: float, x: list[np.ndarray], z: np.ndarray
+    system: JumpDiffusion,
+    t: float,
+    h: float,
+    root: float,
+    x: list[np.ndarray],
+    z: np.ndarray,
+    p: Values,
 ) -> list[np.ndarray]:
     """Euler increment of a system of array functions; see `JumpDiffusion.increment`."""
     state = np.stack(x)
-    noise = np.einsum("ij...,j...->i...", system.diffusion(t, state), root * z)
-    return list(system.drift(t, state) * h + noise)
+    noise = np.einsum("ij...,j...->i...", system.diffusion(t, state, p), root * z)
+    return list(system.drift(t, state, p) * h + noise)
 
 
 def compiled_jumps(system: JumpDiffusion) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Intensity ``(t, x) -> component`` and jump ``(t, x, z) -> list`` on lists of components.
+    """Intensity ``(t, x, p) -> component`` and jump ``(t, x, z, p) -> list`` on components.
 
     The intensity comes as a plain number where it is constant.
     """
     if not system.symbolic:
         return (
-            lambda t, x: system.intensity(t, np.stack(x)),
-            lambda t, x, z: list(system.jump.value(t, np.stack(x), np.stack(z))),
+            lambda t, x, p: system.intensity(t, np.stack(x), p),
+            lambda t, x, z, p: list(system.jump.value(t, np.stack(x), np.stack(z), p)),
         )
     from seedslib.models.codegen import compile_components
 
-    given = (system.time, system.state)
-    rate = compile_components(given, [system.intensity_expression])
-    kick = compile_components((*given, system.jump.noise.symbols), system.jump.expressions.tolist())
-    return lambda t, x: rate(t, x)[0], kick
+    given, p = (system.time, system.state), system.parameters
+    rate = compile_components((*given, p), [system.intensity_expression])
+    marks, jump = system.jump.noise.symbols, system.jump.expressions.tolist()
+    kick = compile_components((*given, marks, p), jump)
+    return lambda t, x, p: rate(t, x, p)[0], kick
 
 
 def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndarray]:
@@ -528,7 +569,8 @@ def _bad_intensity(value: float, t: float) -> ValueError:
 class _JumpClock:
     """Unit exponential clocks of the paths of one block over one interval."""
 
-    def __init__(self, system: JumpDiffusion, rng: Source, count: int):
+    def __init__(self, system: JumpDiffusion, rng: Source, count: int, p: Values):
+        self.p = p
         self.count, self.noise = count, system.jump.noise
         self.rate, self.kick = system.jumps
         self.rng = rng.spawn(1)[0]
@@ -561,7 +603,7 @@ class _JumpClock:
 
     def jump(self, t: float, h: float, before: list, after: list) -> None:
         """Run the clocks for one step and add the jumps to the states after it, in place."""
-        hazard = self.rate(t, before) * h
+        hazard = self.rate(t, before, self.p) * h
         least = hazard.min() if isinstance(hazard, np.ndarray) else hazard
         if not least >= 0:
             raise _bad_intensity(least / h, t)
@@ -578,8 +620,8 @@ class _JumpClock:
         while number.max() + 1 >= self.ready:
             self._extend()
         marks = self.marks[number, :, due]
-        with on_paths((self.count,), due):
-            kicks = self.kick(t, [c[due] for c in before], list(marks.T))
+        p = of_paths(self.p, (self.count,), due)
+        kicks = self.kick(t, [c[due] for c in before], list(marks.T), p)
         for component, kick in zip(after, kicks, strict=True):
             if isinstance(kick, np.ndarray) or kick != 0:
                 component[due] += kick

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import MISSING, dataclass, fields
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
@@ -11,7 +10,7 @@ import numpy as np
 
 from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import when
-from seedslib.base.values import Course, Inputs, as_course, assigned
+from seedslib.base.values import Parametrized, Values
 
 
 @runtime_checkable
@@ -25,7 +24,7 @@ class System(Protocol):
     indicators : int
         Values of the indicator that a switching system shows beside its measurements; 0 for none.
     sensor : StochasticMap
-        What is measured, with ``sample(t, x, rng)``.
+        What is measured, with ``sample(t, x, rng, p)``.
     """
 
     state_size: int
@@ -38,14 +37,18 @@ class System(Protocol):
         ...
 
     def advance(
-        self, x: np.ndarray, start: float, stop: float, rng: np.random.Generator
+        self, x: np.ndarray, start: float, stop: float, rng: np.random.Generator, p: Values
     ) -> np.ndarray:
         """States (n, *batch) at time `stop` from those at time `start`."""
         ...
 
+    def values(self, inputs: Any = None, dt: float = ...) -> Values:
+        """Numbers p of parameters and inputs in a step, see `seedslib.base.values`."""
+        ...
+
 
 if TYPE_CHECKING:
-    from seedslib.base.parameters import Input, Parameter
+    from seedslib.base.parameters import Input
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.switching import SwitchingSystem
@@ -115,41 +118,12 @@ def in_steps(system: object) -> bool:
 
 def in_even_steps(system: object) -> bool:
     """Whether these steps must be of one length, since the map does not see the elapsed time."""
-    if not in_steps(system):
-        return False
-    found = mentioned(system)
-    return not found or all(p.role != "elapsed" for p in found)
-
-
-def mentioned(system: object) -> frozenset[Parameter]:
-    """Parameters, inputs and elapsed time that the formulas of a system mention."""
-    return getattr(getattr(system, "system", system), "mentions", _NOBODY)
-
-
-_NOBODY: frozenset[Parameter] = frozenset()
+    return in_steps(system) and all(p.role != "elapsed" for p in system.parameters)
 
 
 def inputs_of(system: object) -> frozenset[Input]:
-    """Inputs that the formulas of a system mention: what a record must be told with."""
-    found: Any = mentioned(system)
-    return frozenset(p for p in found if p.role == "input") if found else found
-
-
-def course_of(
-    system: object, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
-) -> Course:
-    """What a system is told on a grid of times, see `seedslib.base.values.as_course`."""
-    return as_course(inputs, inputs_of(system), count, batch)
-
-
-def elapsed(system: object, start: float, stop: float) -> AbstractContextManager[None]:
-    """Tell the maps of a system, where they ask, how long the step is that they make."""
-    found = mentioned(system)
-    asked = [p for p in found if p.role == "elapsed"] if found and in_steps(system) else ()
-    return assigned(dict.fromkeys(asked, stop - start)) if asked else _NOTHING
-
-
-_NOTHING: AbstractContextManager[None] = nullcontext()
+    """Inputs that the formulas of a system mention: what a record must come with."""
+    return frozenset(p for p in getattr(system, "parameters", ()) if p.role == "input")
 
 
 def as_grid(name: str, value: object, system: object) -> np.ndarray:
@@ -215,7 +189,7 @@ SIZES = {
 
 
 @dataclass(frozen=True)
-class UnknownModel:
+class UnknownModel(Parametrized):
     """The sizes of a model; stands for it where a filter was loaded without it.
 
     Attributes

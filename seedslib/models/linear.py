@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_covariance, as_positive, as_real, as_shape, is_whole
-from seedslib.base.semidefinite import factor
-from seedslib.base.values import current
+from seedslib.base.arrays import align
+from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole
+from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.linalg import cholesky
+from seedslib.base.values import Values, in_order
 from seedslib.models.discrete import DiscreteSystem
-from seedslib.models.maps import StochasticMap
+from seedslib.models.maps import Conditional, Functions, StochasticMap
 from seedslib.models.noise import Noise, tidy
 from seedslib.models.propagation import Discretised, SteppedMatrix
 
@@ -51,77 +54,124 @@ class LinearMap(StochasticMap):
         inputs: tuple[Any, ...] = (),
     ) -> None:
         m, n = shape
-        self._slope, self._cov, self._push, self._inputs = slope, cov, push, inputs
-        if callable(slope) or callable(cov) or callable(push):
-            made = StochasticMap.from_functions(
-                n, m, self._moved, Noise(m), mean=self._mean, cov=self._spread
-            )
-            vars(self).update(vars(made))
-            told = (getattr(M, "mentions", ()) for M in (slope, cov, push))
-            self._parameters = (*inputs, *(p for part in told for p in part))
+        self._matrices, self._inputs = (slope, cov, push), inputs
+        if any(map(_varies, self._matrices)):
+            self.state = self.time = self.expressions = self.weight_expression = None
+            self.state_size, self.size, self.noise, self.period = n, m, Noise(m), ()
+            self._functions = Functions(None, None, None, None, None, self._mentioned())
+            self.parameters = in_order(self._functions.parameters)
             return
         import sympy
 
         state = sympy.symbols(f"x1:{n + 1}", real=True)
         noise = sympy.symbols(f"v1:{m + 1}", real=True)
-        rows = self._slope if push is None else np.hstack([self._slope, push])
+        rows = slope if push is None else np.hstack([slope, push])
         value = [
             sum((tidy(a) * x for a, x in zip(row, (*state, *inputs), strict=True) if a), v)
             for row, v in zip(rows, noise, strict=True)
         ]
-        super().__init__(state, value, Noise(noise, 0.0, self._cov))
+        super().__init__(state, value, Noise(noise, 0.0, cov))
+
+    def _mentioned(self) -> tuple[Any, ...]:
+        """Inputs, and parameters in the entries of the matrices."""
+        found = set(self._inputs)
+        for M in self._matrices:
+            if isinstance(M, Entries):
+                found.update(M.mentions)
+            elif isinstance(M, SteppedMatrix):
+                from seedslib.base.parameters import ELAPSED
+
+                found.add(ELAPSED)
+        return in_order(found)
+
+    def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
+        """See `StochasticMap.taking`."""
+        made = super().taking(parameters)
+        if made is not self:
+            vars(made).pop("_at", None)
+        return made
 
     @property
     def formulas(self) -> tuple[Any, ...] | None:
         """A, S and B (or None) as numbers or expressions in t, and u; None without such."""
-        parts = [getattr(M, "expressions", M) for M in (self._slope, self._cov, self._push)]
+        parts = [getattr(M, "expressions", M) for M in self._matrices]
         return None if any(map(callable, parts)) else (*parts, self._inputs)
 
-    def slope_at(self, t: float) -> np.ndarray:
-        """A at a time, shape (m, n); with axes of paths where parameters have them."""
-        if not callable(self._slope):
-            return self._slope
-        slope = as_real("slope", self._slope(t))
-        return as_shape("slope", slope, (self.size, self.state_size, *slope.shape[2:]))
+    @cached_property
+    def _at(self) -> list[Any]:
+        """A, S and B as functions (t, p), or as they are where they are constant."""
+        return [self._function_of(M) for M in self._matrices]
 
-    def cov_at(self, t: float) -> np.ndarray:
+    def _function_of(self, M: Matrix) -> Any:
+        if isinstance(M, Entries):
+            return M.compiled(self.parameters)
+        if isinstance(M, SteppedMatrix):
+            step = next(k for k, p in enumerate(self.parameters) if p.role == "elapsed")
+            return lambda t, p: M(t, p[step])
+        return (lambda t, p: M(t)) if callable(M) else M
+
+    def slope_at(self, t: float, p: Values = ()) -> np.ndarray:
+        """A at a time, shape (m, n); with axes of paths where parameters have them."""
+        slope = self._at[0]
+        if not callable(slope):
+            return slope
+        return as_real("slope", slope(t, p), (self.size, self.state_size, ...))
+
+    def cov_at(self, t: float, p: Values = ()) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
-        if not callable(self._cov):
-            return self._cov
-        cov = as_real("cov", self._cov(t))
+        cov = self._at[1]
+        if not callable(cov):
+            return cov
+        cov = as_real("cov", cov(t, p))
         if cov.ndim > 2:
-            return as_shape("cov", cov, (self.size, self.size, *cov.shape[2:]))
+            return as_real("cov", cov, (self.size, self.size, ...))
         return as_covariance("cov", cov, self.size)
 
-    def pushed(self, t: float, y: np.ndarray) -> np.ndarray:
+    def pushed(self, t: float, y: np.ndarray, p: Values = ()) -> np.ndarray:
         """What the inputs make of A x, shape (m, *batch): they are added."""
-        if self._push is None:
+        push = self._at[2]
+        if push is None:
             return y
-        push = self._push
         if callable(push):
-            push = as_real("push", push(t))
-            as_shape("push", push, (self.size, len(self._inputs), *push.shape[2:]))
-        push = push.reshape(*push.shape[:2], *(1,) * (y.ndim + 1 - push.ndim), *push.shape[2:])
-        for k, value in enumerate(current(self._inputs)):
-            y = y + push[:, k] * value
+            push = as_real("push", push(t, p), (self.size, len(self._inputs), ...))
+        push = align(push, 2, y.ndim - 1)
+        for k, u in enumerate(self._inputs):
+            y = y + push[:, k] * p[self.parameters.index(u)]
         return y
 
-    def _mean(self, t: float, x: np.ndarray) -> np.ndarray:
-        return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t), x))
+    def _mean(self, t: float, x: np.ndarray, p: Values) -> np.ndarray:
+        return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t, p), x), p)
 
-    def _spread(self, t: float, x: np.ndarray) -> np.ndarray:
-        cov = self.cov_at(t)
-        if cov.ndim == 2:
-            cov = cov.reshape(*cov.shape, *(1,) * (np.ndim(x) - 1))
+    def _cov(self, t: float, x: np.ndarray, p: Values) -> np.ndarray:
+        cov = align(self.cov_at(t, p), 2, np.ndim(x) - 1)
         return np.broadcast_to(cov, (self.size, self.size, *np.shape(x)[1:]))
 
-    def _moved(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-        return self._mean(t, x) + np.einsum("ij...,j...->i...", factor(self.cov_at(t)), v)
+    @cached_property
+    def conditional(self) -> Conditional:
+        """See `StochasticMap.conditional`."""
+        return super().conditional if self.symbolic else Conditional(self._mean, self._cov, None)
+
+    def value(self, t: float, x: np.ndarray, v: np.ndarray, p: Values = ()) -> np.ndarray:
+        """See `StochasticMap.value`."""
+        if self.symbolic:
+            return super().value(t, x, v, p)
+        noise = np.einsum("ij...,j...->i...", cholesky(self.cov_at(t, p)), v)
+        return self._mean(t, x, p) + noise
 
     @property
     def has_log_density(self) -> bool:
         """Always: the noise is Gaussian and is added."""
         return True
+
+    @property
+    def gaussian_density(self) -> bool:
+        """Always."""
+        return True
+
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
+        """See `StochasticMap.log_density`."""
+        mean, cov, _ = self.conditional
+        return gaussian_logpdf(y, mean(t, x, p), cov(t, x, p))
 
 
 class LinearSystem(DiscreteSystem):
@@ -180,8 +230,8 @@ class LinearSystem(DiscreteSystem):
         m = len(np.atleast_2d(R(0.0))) if m is None else m
         rows, columns = {"F": n, "Q": n, "B": n}, {"F": n, "H": n, "Q": n, "R": m}
         for name, M in made.items():
-            if not callable(M):
-                as_shape(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
+            if not _varies(M):
+                as_real(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
                 if name in "QR":
                     as_covariance(name, M)
         diffuse = tuple(diffuse)
@@ -251,9 +301,9 @@ class LinearSystem(DiscreteSystem):
         """
         drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        as_shape("drift", drift, noise.shape)
+        as_real("drift", drift, noise.shape)
         push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
-        as_shape("B", push, (len(drift), len(inputs) if B is not None else 0))
+        as_real("B", push, (len(drift), len(inputs) if B is not None else 0))
         steps = Discretised(drift, noise, push)
         if step is None:
             F, Q, B = (SteppedMatrix(steps, part) for part in range(3))
@@ -263,9 +313,14 @@ class LinearSystem(DiscreteSystem):
         return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, B=B, D=D, inputs=inputs)
 
 
+def _varies(matrix: Any) -> bool:
+    """Whether a matrix is no constant."""
+    return callable(matrix) or isinstance(matrix, Entries)
+
+
 def _entries(name: str, matrix: Any) -> Any:
     """A matrix of numbers, or a function of time where it is one or has expressions for entries."""
-    if callable(matrix):
+    if callable(matrix):  # of the time
         return matrix
     entries = np.array(matrix, dtype=object)
     if not any(hasattr(entry, "free_symbols") for entry in entries.flat):
@@ -274,7 +329,7 @@ def _entries(name: str, matrix: Any) -> Any:
 
 
 class Entries:
-    """A matrix of SymPy expressions in the time and in parameters, as a function of time.
+    """A matrix of SymPy expressions in the time and in parameters.
 
     Parameters
     ----------
@@ -292,23 +347,21 @@ class Entries:
         import sympy
 
         from seedslib.base.parameters import parameters_of
-        from seedslib.models.codegen import compile_components, known_expressions
+        from seedslib.models.codegen import known_expressions
 
-        self._made_of, self.shape = (name, entries), entries.shape
-        time = sympy.Symbol("t")
-        known = known_expressions(name, entries, entries.shape, {}, {time})
-        self._function = compile_components([time], list(known.flat))
-        self.mentions: tuple[Any, ...] = parameters_of(known.flat)
-        self.expressions: np.ndarray = known
+        self.shape: tuple[int, ...] = entries.shape
+        self.time: Any = sympy.Symbol("t")
+        self.expressions: np.ndarray = known_expressions(
+            name, entries, entries.shape, {}, {self.time}
+        )
+        self.mentions: tuple[Any, ...] = parameters_of(self.expressions.flat)
 
-    def __call__(self, t: float) -> np.ndarray:
-        """The matrix at a time."""
-        from seedslib.models.codegen import stack
+    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
+        """The matrix as a function (t, p)."""
+        from seedslib.models.codegen import compile_components, stack
 
-        return stack(self._function(t), self.shape)
+        function = compile_components([self.time, parameters], list(self.expressions.flat))
+        return lambda t, p: stack(function(t, p), self.shape)
 
     def __len__(self) -> int:
         return self.shape[0]
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Entries, self._made_of

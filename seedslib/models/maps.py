@@ -8,16 +8,16 @@ its log-density where that has a closed form.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.blocks import Source
 from seedslib.base.circle import Periods, as_periods, wrapped
-from seedslib.base.correction import gaussian_logpdf
-from seedslib.base.objects import Shown, Travelling
-from seedslib.base.values import with_values
+from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.objects import Pickled, changed
+from seedslib.base.values import Values, in_order
 from seedslib.models.noise import Noise, named_noise
 
 
@@ -29,8 +29,8 @@ class Conditional(NamedTuple):
     weight: Any
 
 
-class StochasticMap(Travelling, Shown):
-    """y = value(t, x, v), in a branch of probability weight(t, x, v).
+class StochasticMap(Pickled):
+    """y = value(t, x, v, p), in a branch of probability weight(t, x, v, p).
 
     Parameters
     ----------
@@ -46,6 +46,12 @@ class StochasticMap(Travelling, Shown):
     period : mapping of int to float, optional
         Components of y that lie on a circle, as the angles of a bearing, and their periods.
 
+    Attributes
+    ----------
+    parameters : tuple of Parameter
+        Parameters, inputs and elapsed time in the order in which all functions take their numbers
+        as p, a tuple; those that it mentions, and in a system all of the system's.
+
     Raises
     ------
     TypeError, ValueError
@@ -53,11 +59,11 @@ class StochasticMap(Travelling, Shown):
         state, the noise and the time, or one symbol as two of them.
     """
 
-    _shown = "state_size", "size"
     state: Any
     time: Any
     state_size: int
     size: int
+    parameters: tuple[Any, ...]
 
     def __init__(
         self,
@@ -83,8 +89,9 @@ class StochasticMap(Travelling, Shown):
                 require_number(name, part)
         self.state_size, self.size = len(self.state), len(self.expressions)
         self.period: Periods = as_periods("period", period, self.size)
-        self._log_density = None
-        self._compile()
+        self.parameters = self.mentions
+        self._functions: Functions | None = None
+        _ = self._value, self._weight  # what has no code is refused now
 
     @classmethod
     def from_functions(
@@ -122,35 +129,22 @@ class StochasticMap(Travelling, Shown):
             ``log_density(t, y, x) -> (*batch)``; it is asked about measurements with a missing
             (NaN) component, never believed about those that are missing altogether.
         parameters : sequence of Parameter, optional
-            With inputs and `ELAPSED`: all functions are given their values, numbers or of shape
-            (*batch), after their other arguments, ``value(t, x, v, *parameters)``.
+            With inputs and `ELAPSED`: all functions are given their numbers, or arrays (*batch),
+            after their other arguments, ``value(t, x, v, *parameters)``.
         """
-        parts = with_values(parameters, value, weight, mean, cov, log_density)
-        value, weight, mean, cov, log_density = parts
+        if (mean is None) != (cov is None):
+            raise ValueError("mean, cov: wanted both or neither, got one")
         self = object.__new__(cls)
         self.state, self.time, self.expressions, self.weight_expression = None, None, None, None
         self.noise = Noise() if noise is None else noise
         self.state_size, self.size = int(state_size), int(size)
         self.period = as_periods("period", period, self.size)
-        self._value, self._weight, self._log_density = value, weight, log_density
-        self._parameters = tuple(parameters)
-        if (mean is None) != (cov is None):
-            raise ValueError("mean, cov: wanted both or neither, got one")
-        if mean is not None:
-            self.__dict__["conditional"] = Conditional(mean, cov, None)
+        self.parameters = in_order(parameters)
+        self._functions = Functions(value, weight, mean, cov, log_density, tuple(parameters))
         return self
 
-    def _compile(self) -> None:
-        from seedslib.models.codegen import compile_array
-
-        given = (self.time, self.state, self.noise.symbols)
-        self._value = compile_array(given, self.expressions)
-        self._weight = compile_array(given, self.weight_expression)
-
-    def __setstate__(self, state: dict[Any, Any]) -> None:
-        self.__dict__.update(state)
-        if self.symbolic:
-            self._compile()
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}(state_size={self.state_size}, size={self.size})"
 
     @property
     def symbolic(self) -> bool:
@@ -160,51 +154,78 @@ class StochasticMap(Travelling, Shown):
     @property
     def weighted(self) -> bool:
         """Whether the branch has a probability other than one."""
-        return self.weight_expression != 1 if self.symbolic else self._weight is not None
+        if self.symbolic:
+            return self.weight_expression != 1
+        return self._functions.weight is not None
 
-    @cached_property
-    def mentions(self) -> frozenset[Any]:
-        """Parameters, inputs and elapsed time that it mentions."""
+    @property
+    def mentions(self) -> tuple[Any, ...]:
+        """Parameters, inputs and elapsed time that the map itself depends on."""
         if not self.symbolic:
-            return frozenset(self._parameters)
+            return in_order(self._functions.parameters)
         from seedslib.base.parameters import parameters_of
 
-        return frozenset(parameters_of([self.weight_expression, *self.expressions]))
+        return parameters_of([self.weight_expression, *self.expressions])
+
+    def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
+        """The same map in a system with these parameters, all of which its functions take."""
+        if parameters == self.parameters:
+            return self
+        made = changed(self, parameters=parameters)
+        for name in ("_value", "_weight", "conditional", "_by_noise"):
+            vars(made).pop(name, None)
+        return made
 
     def whole(self) -> StochasticMap:
         """The map without its weight: what it does where it applies."""
         if not self.weighted:
             return self
         if self.symbolic:
-            return StochasticMap(
+            made = StochasticMap(
                 self.state, self.expressions, self.noise, time=self.time, period=dict(self.period)
             )
-        given = self.__dict__.get("conditional")
-        made = StochasticMap.from_functions(
-            self.state_size,
-            self.size,
-            self._value,
-            self.noise,
-            mean=given and given.mean,
-            cov=given and given.cov,
-            log_density=self._log_density,
-            period=dict(self.period),
-        )
-        made._parameters = self._parameters
+            return made.taking(self.parameters)
+        made = changed(self, _functions=self._functions._replace(weight=None))
+        vars(made).pop("_weight", None)
         return made
 
-    def value(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def _compiled(self, arguments: Sequence[Any], expressions: Any) -> Callable[..., Any]:
+        """Code of expressions in the time, the arguments and the parameters."""
+        from seedslib.models.codegen import compile_array
+
+        return compile_array((self.time, *arguments, self.parameters), expressions)
+
+    def _given(self, function: Callable[..., Any] | None) -> Callable[..., Any] | None:
+        """A given function as one of p, of which it is told its own parameters."""
+        if function is None:
+            return None
+        places = tuple(map(self.parameters.index, self._functions.parameters))
+        return partial(picked, function, places)
+
+    @cached_property
+    def _value(self) -> Callable[..., Any]:
+        if not self.symbolic:
+            return self._given(self._functions.value)
+        return self._compiled((self.state, self.noise.symbols), self.expressions)
+
+    @cached_property
+    def _weight(self) -> Callable[..., Any] | None:
+        if not self.symbolic:
+            return self._given(self._functions.weight)
+        return self._compiled((self.state, self.noise.symbols), self.weight_expression)
+
+    def value(self, t: float, x: np.ndarray, v: np.ndarray, p: Values = ()) -> np.ndarray:
         """Value y of shape (size, *batch) at states x and noises v (components first)."""
-        result = np.asarray(self._value(t, x, v), dtype=float)
+        result = np.asarray(self._value(t, x, v, p), dtype=float)
         if result.shape[:1] != (self.size,):
             raise ValueError(
                 f"value: wanted shape ({self.size}, *batch) from the function, got {result.shape}"
             )
         return result
 
-    def weight(self, t: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    def weight(self, t: float, x: np.ndarray, v: np.ndarray, p: Values = ()) -> np.ndarray:
         """Probability of the branch, shape (*batch)."""
-        return np.ones(np.shape(x)[1:]) if self._weight is None else self._weight(t, x, v)
+        return np.ones(np.shape(x)[1:]) if self._weight is None else self._weight(t, x, v, p)
 
     @cached_property
     def conditional_expressions(self) -> Conditional:
@@ -225,19 +246,22 @@ class StochasticMap(Travelling, Shown):
 
     @cached_property
     def conditional(self) -> Conditional:
-        """Array functions of (t, x): mean (size, *batch), cov (size, size, *batch), weight.
+        """Array functions of (t, x, p): mean (size, *batch), cov (size, size, *batch), weight.
 
         Raises
         ------
         NoClosedForm
             As `conditional_expressions`.
         """
-        from seedslib.models.codegen import compile_array
+        if not self.symbolic and self._functions.mean is not None:
+            mean, cov = map(self._given, (self._functions.mean, self._functions.cov))
+            return Conditional(mean, cov, None)
+        parts = self.conditional_expressions
+        return Conditional(*(self._compiled((self.state,), part) for part in parts))
 
-        given = (self.time, self.state)
-        return Conditional(*(compile_array(given, part) for part in self.conditional_expressions))
-
-    def conditional_moments(self, t: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def conditional_moments(
+        self, t: float, x: np.ndarray, p: Values = ()
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Mean (size, *batch) and covariance (size, size, *batch) of y given x, in numbers.
 
         The closed forms where there are any; otherwise nine Gauss-Hermite nodes per component
@@ -250,27 +274,28 @@ class StochasticMap(Travelling, Shown):
         """
         try:
             mean, cov, _ = self.conditional
-            return mean(t, x), cov(t, x)
         except ValueError:
             if not self.noise.gaussian:
                 raise
+        else:
+            return mean(t, x, p), cov(t, x, p)
         states, v, weights = self.noise.nodes(np.asarray(x, dtype=float))
-        y = self.value(t, states, v)
+        y = self.value(t, states, v, p)
         mean = np.einsum("is...,s->i...", y, weights)
         centred = y - mean[:, None]
         return mean, np.einsum("is...,js...,s->ij...", centred, centred, weights)
 
-    def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
+    def sample(self, t: float, x: np.ndarray, rng: Source, p: Values = ()) -> np.ndarray:
         """One draw of y, shape (size, *batch), for each state, (n, *batch)."""
         batch = np.shape(x)[1:]
         v = self.noise.draw(rng, int(np.prod(batch, dtype=int))).reshape(self.noise.size, *batch)
-        return wrapped(self.value(t, x, v), self.period)
+        return wrapped(self.value(t, x, v, p), self.period)
 
     @cached_property
     def has_log_density(self) -> bool:
         """Whether `log_density` exists: the given one, or y affine in noise that has one."""
         if not self.symbolic:
-            return self._log_density is not None
+            return self._functions.log_density is not None
         import sympy
 
         v = self.noise.symbols
@@ -286,9 +311,9 @@ class StochasticMap(Travelling, Shown):
     @property
     def gaussian_density(self) -> bool:
         """Whether that density is the Gaussian one of the conditional moments."""
-        return self.has_log_density and self._log_density is None and self.noise.gaussian
+        return self.symbolic and self.has_log_density and self.noise.gaussian
 
-    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
         """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
 
         Raises
@@ -297,17 +322,34 @@ class StochasticMap(Travelling, Shown):
             There is no closed form: the noise enters nonlinearly or has no density. A part of a
             measurement is missing and the given log-density cannot do without it.
         """
-        if self._log_density is not None:
-            return told(self._log_density, t, y, x)
-        if self.has_log_density and not self.noise.gaussian:
-            return told(self._by_noise, t, y, x)
         if not self.has_log_density:
             raise ValueError(
                 "log_density: wanted y affine in Gaussian noise or a given log_density, "
                 "got a map without a closed form"
             )
+        if not self.symbolic:
+            return with_missing(self._given(self._functions.log_density), t, y, x, p)
+        if not self.noise.gaussian:
+            return with_missing(self._by_noise, t, y, x, p)
         mean, cov, _ = self.conditional
-        return gaussian_logpdf(y, mean(t, x), cov(t, x), self.period)
+        return gaussian_logpdf(y, mean(t, x, p), cov(t, x, p), self.period)
+
+
+class Functions(NamedTuple):
+    """The array functions that a map was given, and the parameters that each of them takes last."""
+
+    value: Callable[..., Any]
+    weight: Callable[..., Any] | None
+    mean: Callable[..., Any] | None
+    cov: Callable[..., Any] | None
+    log_density: Callable[..., Any] | None
+    parameters: tuple[Any, ...]
+
+
+def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -> Any:
+    """Value of a function that takes some of the numbers p, its last argument, one by one."""
+    *others, p = given
+    return function(*others, *(p[k] for k in places))
 
 
 def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, Any]:
@@ -357,7 +399,7 @@ def noise_of(map: StochasticMap) -> tuple[Any, list[Any], Any] | None:
 
 
 def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
-    """Log-density (t, y, x) of y from that of the noise, by the change of variables."""
+    """Log-density (t, y, x, p) of y from that of the noise, by the change of variables."""
     found = noise_of(map)
     if map.noise.log_density is None or map.period or found is None:
         return None
@@ -366,10 +408,11 @@ def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
     from seedslib.models.codegen import compile_array
 
     y, noise, volume = found
-    solved = compile_array((map.time, map.state, y), [*noise, sympy.Abs(volume)])
+    given = map.time, map.state, y, map.parameters
+    solved = compile_array(given, [*noise, sympy.Abs(volume)])
 
-    def log_density(t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
-        parts = solved(t, x, y)
+    def log_density(t: float, y: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
+        parts = solved(t, x, y, p)
         batch = np.broadcast_shapes(np.shape(y)[1:], np.shape(x)[1:])
         with np.errstate(divide="ignore"):
             return map.noise.log_density(np.broadcast_to(parts[:-1], (map.size, *batch))) - np.log(
@@ -379,13 +422,15 @@ def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
     return log_density
 
 
-def told(log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+def with_missing(
+    log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray, p: Values
+) -> np.ndarray:
     """The given log-density; zero where the whole measurement is missing (NaN), log 1.
 
     Parameters
     ----------
     log_density : callable
-        ``log_density(t, y, x) -> (*batch)``.
+        ``log_density(t, y, x, p) -> (*batch)``.
     t : float
     y, x : ndarray, shapes (m, *batch) and (n, *batch)
 
@@ -396,9 +441,9 @@ def told(log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray
     """
     y, gaps = np.asarray(y, dtype=float), np.isnan(y)
     if not gaps.any():
-        return log_density(t, y, x)
+        return log_density(t, y, x, p)
     with np.errstate(invalid="ignore"):
-        found = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x))
+        found = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x, p))
     partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), found.shape)
     if partly.any() and np.isnan(found[partly]).all():
         raise ValueError(

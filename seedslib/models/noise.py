@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.arrays import Array
+from seedslib.base.arrays import Array, align
 from seedslib.base.blocks import drawn, normal
-from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.base.semidefinite import factor
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.linalg import cholesky
 from seedslib.gaussian.quadrature import rule_of_rank
 
 HERMITE_ORDER = 9
@@ -68,7 +68,7 @@ class Noise:
             raise TypeError(f"sample: wanted a function (rng, count), got {self.sample!r}")
         if self.log_density is not None and not (callable(self.log_density) and self.sample):
             raise TypeError("log_density: wanted a function (v) beside sample, got another")
-        vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=factor(cov))
+        vars(self).update(symbols=symbols, size=size, mean=mean, cov=cov, root=cholesky(cov))
 
     def __eq__(self, other: object) -> bool:
         """Whether names, moments and sampler are the same."""
@@ -100,7 +100,7 @@ class Noise:
         return drawn(rng, count, self._sampled)
 
     def _sampled(self, rng: np.random.Generator, count: int) -> np.ndarray:
-        return as_shape("noise.sample", self.sample(rng, count), (self.size, count))
+        return as_real("noise.sample", self.sample(rng, count), (self.size, count))
 
     def rule(self, order: int) -> tuple[np.ndarray, np.ndarray]:
         """Gauss-Hermite product rule of the Gaussian law: points (size, S), weights (S,)."""
@@ -120,7 +120,7 @@ class Noise:
         """
         v, weights = self.rule(HERMITE_ORDER)
         batch = (len(weights), *x.shape[1:])
-        v = np.broadcast_to(v.reshape(*v.shape, *(1,) * (x.ndim - 1)), (self.size, *batch))
+        v = np.broadcast_to(align(v, v.ndim, x.ndim - 1), (self.size, *batch))
         return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 
     def expectation(self, expression: Any) -> Any:

@@ -11,7 +11,6 @@ from scipy.linalg import expm, matrix_balance
 
 from seedslib.base.checks import as_covariance, as_positive, as_real, require_shape
 from seedslib.base.clock import lengths_alike, when
-from seedslib.base.values import current
 
 RTOL = 1e-11
 ATOL = 1e-14
@@ -115,15 +114,12 @@ class SteppedMatrix:
     """
 
     def __init__(self, steps: Discretised, part: int) -> None:
-        from seedslib.base.parameters import ELAPSED
-
         self.steps: Discretised = steps
         self.part: int = part
-        self.mentions: tuple[Any, ...] = (ELAPSED,)
 
-    def __call__(self, t: float) -> np.ndarray:
+    def __call__(self, t: float, dt: float) -> np.ndarray:
         """The matrix."""
-        return self.steps(*current(self.mentions))[self.part]
+        return self.steps(dt)[self.part]
 
 
 def balanced(

@@ -16,8 +16,8 @@ from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_real
-from seedslib.base.values import Inputs, on_paths
-from seedslib.models.kinds import AnySystem, as_grid, course_of
+from seedslib.base.values import Inputs, as_trajectory
+from seedslib.models.kinds import AnySystem, as_grid
 
 ARRIVALS = 0x41525256
 """Key of the stream that decides what arrives, among the children of a block's."""
@@ -134,8 +134,8 @@ def simulate(
     Parameters
     ----------
     system : object
-        With ``initial_sample(rng, count)``, ``advance(x, start, stop, rng, **options)`` and
-        ``sensor.sample(t, x, rng)``.
+        With ``initial_sample(rng, count)``, ``advance(x, start, stop, rng, p, **options)``,
+        ``sensor.sample(t, x, rng, p)`` and ``values(inputs, dt)``, which gives the numbers p.
     times : array_like, shape (K+1,)
         Output times; the first is the time of the initial law.
     paths : int
@@ -164,27 +164,28 @@ def simulate(
     times = as_grid("times", times, system)
     paths = as_count("paths", paths)
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
-    course = course_of(system, inputs, len(times), (paths,))
+    trajectory = as_trajectory(system, inputs, len(times), (paths,))
     states = np.empty((len(times), system.state_size, paths))
     measurements = np.full((len(times), system.sensor.size, paths), np.nan)
 
     def work(start: int, stop: int, stream: np.random.SeedSequence) -> None:
         own, x = slice(start, stop), None
-        inputs_at = course.of(own)
+        own_inputs = trajectory.of(own)
         # a path that leaves the range of numbers shows as inf or NaN in the result
-        with on_paths((paths,), own), np.errstate(over="ignore", invalid="ignore"):
+        with np.errstate(over="ignore", invalid="ignore"):
             for k, child in enumerate(stream.spawn(len(times))):
                 moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
                 modes = () if told is None else (told[k, own],)
                 if k == 0:
                     x = system.initial_sample(moving, stop - start, *modes)
                 else:
-                    with inputs_at.at(k - 1):
-                        x = system.advance(x, times[k - 1], times[k], moving, *modes, **options)
+                    before = times[k - 1]
+                    p = system.values(own_inputs.at(k - 1), times[k] - before)
+                    x = system.advance(x, before, times[k], moving, p, *modes, **options)
                 states[k, :, own] = x
                 if schedule.mask[k].any():
-                    with inputs_at.at(k):
-                        measurements[k, :, own] = system.sensor.sample(times[k], x, sensing)
+                    p = system.values(own_inputs.at(k))
+                    measurements[k, :, own] = system.sensor.sample(times[k], x, sensing, p)
                     schedule.leave_out(k, measurements[k, :, own], stream)
 
     in_blocks(work, paths, seed, workers=workers)

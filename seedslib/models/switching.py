@@ -12,11 +12,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_whole
-from seedslib.base.objects import Shown
-from seedslib.base.semidefinite import factor
-from seedslib.base.values import looked_at, on_paths
-from seedslib.models.kinds import as_grid, elapsed
+from seedslib.base.checks import as_count, as_covariance, as_real, as_whole
+from seedslib.base.linalg import cholesky
+from seedslib.base.objects import Pickled
+from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
+from seedslib.models.kinds import as_grid
 from seedslib.models.maps import StochasticMap, noise_of
 from seedslib.models.noise import Noise, lower_times, named_noise
 from seedslib.models.simulation import Simulation, simulate
@@ -25,7 +25,7 @@ CLOSE = 1e-9
 """Probabilities may miss their sum or their range by this much."""
 
 
-class Branch:
+class Branch(Pickled):
     """One branch of a switching map: y = value(t, x, v), taken with probability w(t, x, v).
 
     Parameters
@@ -46,20 +46,17 @@ class Branch:
         self.apart: bool = apart
         self.whole: StochasticMap = map.whole()
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Branch, (self.map, self.apart)  # what was compiled stays behind
-
     @cached_property
     def still(self) -> Branch:
         """The switch alone, the state left where it is; of a probability without noise."""
         map = self.map
         if map.symbolic:
-            return Branch(
-                StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
-            )
+            made = StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
+            return Branch(made.taking(map.parameters))
         weight = partial(_calm, map) if map.weighted else None
         n = map.state_size
-        return Branch(StochasticMap.from_functions(n, n, _same, weight=weight), True)
+        made = StochasticMap.from_functions(n, n, _same, weight=weight, parameters=map.parameters)
+        return Branch(made, True)
 
     @cached_property
     def constant(self) -> bool:
@@ -105,9 +102,10 @@ class Branch:
     def _probability(self):
         from seedslib.models.codegen import compile_array
 
-        return compile_array((self.map.time, self.map.state), self.probability_expression)
+        given = self.map.time, self.map.state, self.map.parameters
+        return compile_array(given, self.probability_expression)
 
-    def probability(self, t: float, x: np.ndarray) -> np.ndarray:
+    def probability(self, t: float, x: np.ndarray, p: Values = ()) -> np.ndarray:
         """Probability of the branch given the state, shape (*batch).
 
         Where it depends on the noise: the closed form if there is one, otherwise nine
@@ -121,17 +119,17 @@ class Branch:
         x = np.asarray(x, dtype=float)
         if not self.depends_on_noise:
             none = np.zeros((self.map.noise.size, *(1,) * (x.ndim - 1)))
-            return np.broadcast_to(self.map.weight(t, x, none), x.shape[1:])
+            return np.broadcast_to(self.map.weight(t, x, none, p), x.shape[1:])
         try:
-            return np.broadcast_to(self._probability(t, x), x.shape[1:])
+            return np.broadcast_to(self._probability(t, x, p), x.shape[1:])
         except ValueError:
             if not self.map.noise.gaussian:
                 raise
         states, v, weights = self.map.noise.nodes(x)
-        shares = np.broadcast_to(self.map.weight(t, states, v), v.shape[1:])
+        shares = np.broadcast_to(self.map.weight(t, states, v, p), v.shape[1:])
         return np.einsum("s...,s->...", shares, weights)
 
-    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
         """Logarithm of the joint density of y and the branch given x, shape (*batch).
 
         A measurement that is missing as a whole (NaN) leaves the probability of the branch.
@@ -142,39 +140,45 @@ class Branch:
             There is no closed form: the noise enters nonlinearly, is not Gaussian, or is not
             determined by the measurement although the probability depends on it.
         """
-        plain = self.whole.log_density(t, y, x)
+        plain = self.whole.log_density(t, y, x, p)
         y = np.asarray(y, dtype=float)
         x = np.asarray(x, dtype=float)
         with np.errstate(divide="ignore"):
             if not self.depends_on_noise:
-                return plain + np.log(self.probability(t, x))
+                return plain + np.log(self.probability(t, x, p))
             if not self.has_log_density:
                 raise ValueError(
                     "log_density: wanted noise that the value determines where the probability "
                     "of a branch depends on it"
                 )
             missing = np.isnan(y).any(axis=0)
-            v = self._residual_noise(t, x, np.where(missing, 0.0, y))
-            found = plain + np.log(self.map.weight(t, x, v))
+            v = self._residual_noise(t, x, np.where(missing, 0.0, y), p)
+            found = plain + np.log(self.map.weight(t, x, v, p))
             if missing.any():
-                blind = plain + np.log(self.probability(t, x))
+                blind = plain + np.log(self.probability(t, x, p))
                 found = np.where(missing, blind, found)
             return found
 
     @cached_property
     def _residual_noise(self):
-        """The noise as a function of (t, x, y) where the value is affine in it and invertible."""
+        """The noise as a function of (t, x, y, p) where the value can be solved for it."""
         found = noise_of(self.map)
         if found is None:
             return None
         from seedslib.models.codegen import compile_array
 
         y, noise, _ = found
-        return compile_array((self.map.time, self.map.state, y), noise)
+        return compile_array((self.map.time, self.map.state, y, self.map.parameters), noise)
 
 
 def branch_table(
-    name: str, table: Sequence, noise: Noise, x: np.ndarray, v: np.ndarray, new: bool = False
+    name: str,
+    table: Sequence,
+    noise: Noise,
+    x: np.ndarray,
+    v: np.ndarray,
+    p: Values,
+    new: bool = False,
 ) -> tuple[tuple[Branch | None, ...], ...]:
     """Branches without those of probability zero; all probabilities are looked at first.
 
@@ -187,6 +191,8 @@ def branch_table(
         That of all maps.
     x, v : ndarray, shapes (n, N) and (noise size, N)
         States and noises where the maps are looked at.
+    p : tuple
+        Numbers of the parameters there.
     new : bool
         Whether the maps of a column have one value, those of the new mode, and not those of a row.
 
@@ -203,15 +209,15 @@ def branch_table(
             if other.size != size:
                 raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
             mode, first = (l, table[0][l]) if new else (i, row[0])
-            values = other.value(0.0, x, v), first.value(0.0, x, v)
+            values = other.value(0.0, x, v, p), first.value(0.0, x, v, p)
             if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
                 raise ValueError(f"{name}: wanted maps of one value in mode {mode}, got several")
-            if new and _noisy(other, x, v):
+            if new and _noisy(other, x, v, p):
                 raise ValueError(
                     f"{name} of mode {i}: wanted probabilities without the noise, which comes "
                     "after the switch where the new mode drives the step"
                 )
-        weight = np.stack([np.broadcast_to(m.weight(0.0, x, v), x.shape[1:]) for m in row])
+        weight = np.stack([np.broadcast_to(m.weight(0.0, x, v, p), x.shape[1:]) for m in row])
         want_probabilities(f"{name} of mode {i}", weight)
         never = [m.symbolic and m.weight_expression.is_zero for m in row]
         pairs = zip(row, never, strict=True)
@@ -230,21 +236,21 @@ def want_probabilities(name: str, weights: ArrayLike) -> None:
         raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")
 
 
-def _noisy(map, x, v) -> bool:
+def _noisy(map, x, v, p) -> bool:
     """Whether the weight of a map depends on the noise: it is looked at with other noises too."""
     if map.symbolic:
         return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
-    return not np.array_equal(map.weight(0.0, x, v), map.weight(0.0, x, v[:, ::-1]))
+    return not np.array_equal(map.weight(0.0, x, v, p), map.weight(0.0, x, v[:, ::-1], p))
 
 
-def _same(t, x, v):
+def _same(t, x, v, *p):
     """The state itself."""
     return x
 
 
-def _calm(map, t, x, v):
+def _calm(map, t, x, v, *p):
     """Weight of a map that does not look at its noise."""
-    return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))))
+    return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))), p)
 
 
 def map_rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
@@ -266,7 +272,7 @@ class InitialMode(NamedTuple):
     cov: np.ndarray
 
 
-class SwitchingSystem(Shown):
+class SwitchingSystem(Parametrized, Pickled):
     """Discrete-time system of several modes, with switching that may depend on the state.
 
     In mode i the state moves as X_{k+1} = a_i(t_k, X_k, V_k), the next mode is l with probability
@@ -331,9 +337,6 @@ class SwitchingSystem(Shown):
         where the new mode drives the step.
     """
 
-    _shown = "state_size", "measurement_size"
-
-    _shown = "state_size", "measurement_size", "modes"
     state: Any
     time: Any
     modes: int
@@ -441,8 +444,6 @@ class SwitchingSystem(Shown):
         if drives not in ("old", "new"):
             raise ValueError(f"drives: wanted 'old' or 'new', got {drives!r}")
         self.drives: str = drives
-        if drives == "new":
-            self._shown = (*self._shown, "drives")
         self.modes, values = len(moves), len(readings[0])
         self.indicators: int = values if indicator else 0
         if len(readings) != self.modes or any(len(row) != values for row in readings):
@@ -464,11 +465,16 @@ class SwitchingSystem(Shown):
         self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
         maps = [m for table in (moves, readings) for row in table for m in row]
-        self.mentions: frozenset[Any] = frozenset().union(*(m.mentions for m in maps))
-        new, sensed = drives == "new", self.sensor_noise
-        with looked_at(self.mentions):
-            self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), new)
-            self.readings: Any = branch_table("indicator", readings, *self._probe(sensed))
+        self.parameters = in_order(p for m in maps for p in m.mentions)
+        self.numbers: Mapping[Any, Any] = {}
+        require_no_step("sensor", [p for row in readings for m in row for p in m.mentions])
+        moves, readings = (
+            [[m.taking(self.parameters) for m in row] for row in table]
+            for table in (moves, readings)
+        )
+        new, p = drives == "new", self.nominal_values()
+        self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), p, new)
+        self.readings: Any = branch_table("indicator", readings, *self._probe(self.sensor_noise), p)
         moved = moves[0] if new else [row[0] for row in moves]
         self.dynamics: tuple[StochasticMap, ...] = tuple(map.whole() for map in moved)
         self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
@@ -486,7 +492,7 @@ class SwitchingSystem(Shown):
                     f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
                 ) from None
             probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
-            mean = as_shape(f"initial[{i}] mean", mean, (n,))
+            mean = as_real(f"initial[{i}] mean", mean, (n,))
             found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         want_probabilities("initial", np.array([part.probability for part in found]))
         return tuple(found)
@@ -513,7 +519,7 @@ class SwitchingSystem(Shown):
         """Whether the indicator does not depend on the state (corollaries 3 and 4)."""
         return all(b is None or b.constant for row in self.readings for b in row)
 
-    @cached_property
+    @property
     def hybrid(self) -> Hybrid:
         """The system as one whose state has the mode as last row, and the measurement J."""
         return Hybrid(self)
@@ -559,7 +565,7 @@ class SwitchingSystem(Shown):
         return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
 
 
-class Hybrid:
+class Hybrid(Parametrized):
     """Mixed state (n + 1, *batch) with the mode as last row, as a number.
 
     Parameters
@@ -575,10 +581,13 @@ class Hybrid:
     sensor : HybridSensor
     mean0 : ndarray, shape (n + 1,)
         A harmless mixed state.
+    parameters, numbers
+        Those of the system.
     """
 
     def __init__(self, system: SwitchingSystem) -> None:
         self.system: SwitchingSystem = system
+        self.parameters, self.numbers = system.parameters, system.numbers
         self.state_size: int = system.state_size + 1
         self.sensor: HybridSensor = HybridSensor(system)
         self.indicators: int = system.indicators
@@ -588,7 +597,7 @@ class Hybrid:
         self.mean0: np.ndarray = np.append(
             likely.mean, float(np.argmax(system.initial_probabilities))
         )
-        self.initial_laws: list[Any] = [(part.mean, factor(part.cov)) for part in system.initial]
+        self.initial_laws: list[Any] = [(part.mean, cholesky(part.cov)) for part in system.initial]
 
     def initial_sample(self, rng: Source, count: int, told: np.ndarray | None = None) -> np.ndarray:
         """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""
@@ -605,12 +614,20 @@ class Hybrid:
         return x
 
     def advance(
-        self, x: np.ndarray, start: float, stop: float, rng: Source, told: np.ndarray | None = None
+        self,
+        x: np.ndarray,
+        start: float,
+        stop: float,
+        rng: Source,
+        p: Values | None = None,
+        told: np.ndarray | None = None,
     ) -> np.ndarray:
         """Mixed states (n + 1, *batch) one step later; the noises are those of the old time.
 
-        The new modes are drawn, unless they are `told`, (*batch).
+        The numbers `p` are the system's own by default. The new modes are drawn, unless they are
+        `told`, (*batch).
         """
+        p = self.values(dt=stop - start) if p is None else p
         flat, old_drives = x.reshape(len(x), -1), self.system.drives == "old"
         moving, choosing = rng.spawn(2)
         v = self.system.noise.draw(moving, flat.shape[1])
@@ -618,19 +635,18 @@ class Hybrid:
         moved = np.empty_like(flat)
         for i, row in enumerate(self.system.branches):
             here = flat[-1] == i
-            old, noise = flat[:-1, here], v[:, here]
-            with elapsed(self, start, stop), on_paths(x.shape[1:], here):
-                if old_drives:
-                    moved[:-1, here] = self.system.dynamics[i].value(start, old, noise)
-                if told is None:
-                    moved[-1, here] = _branch(row, start, old, noise, choice[here])
+            old, noise, own = flat[:-1, here], v[:, here], of_paths(p, x.shape[1:], here)
+            if old_drives:
+                moved[:-1, here] = self.system.dynamics[i].value(start, old, noise, own)
+            if told is None:
+                moved[-1, here] = _branch(row, start, old, noise, own, choice[here])
         if told is not None:
             moved[-1] = told.ravel()
         if not old_drives:
             for l, map in enumerate(self.system.dynamics):
                 here = moved[-1] == l
-                with elapsed(self, start, stop), on_paths(x.shape[1:], here):
-                    moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here])
+                own = of_paths(p, x.shape[1:], here)
+                moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here], own)
         return moved.reshape(x.shape)
 
 
@@ -646,7 +662,7 @@ class HybridSensor:
         """Whether all readings have a density in closed form."""
         return all(b is None or b.has_log_density for row in self.system.readings for b in row)
 
-    def sample(self, t: float, x: np.ndarray, rng: Source) -> np.ndarray:
+    def sample(self, t: float, x: np.ndarray, rng: Source, p: Values = ()) -> np.ndarray:
         """One draw for each mixed state, shape (m or m + 1, *batch)."""
         system, flat = self.system, x.reshape(len(x), -1)
         sensing, choosing = rng.spawn(2)
@@ -656,13 +672,13 @@ class HybridSensor:
         for i, row in enumerate(system.readings):
             here = flat[-1] == i
             state, noise = flat[:-1, here], w[:, here]
-            with on_paths(x.shape[1:], here):
-                y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise)
-                if system.indicators:
-                    y[-1, here] = _branch(row, t, state, noise, choice[here])
+            own = of_paths(p, x.shape[1:], here)
+            y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise, own)
+            if system.indicators:
+                y[-1, here] = _branch(row, t, state, noise, own, choice[here])
         return y.reshape(self.size, *x.shape[1:])
 
-    def log_density(self, t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
+    def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
         """Logarithm of the density of a measurement with its indicator, shape (*batch).
 
         NaN is a missing component; an indicator that is NaN is missing too.
@@ -674,30 +690,29 @@ class HybridSensor:
         for i, row in enumerate(system.readings):
             here = x[-1] == i
             if not system.indicators:
-                with on_paths(batch, here):
-                    found[here] = row[0].log_density(t, y[:, here], x[:-1, here])
+                own = of_paths(p, batch, here)
+                found[here] = row[0].log_density(t, y[:, here], x[:-1, here], own)
                 continue
             unseen = here & np.isnan(y[-1])
             if unseen.any():
-                with on_paths(batch, unseen):
-                    shown, known = y[:-1, unseen], x[:-1, unseen]
-                    found[unseen] = system.sensors[i].log_density(t, shown, known)
+                shown, known, own = y[:-1, unseen], x[:-1, unseen], of_paths(p, batch, unseen)
+                found[unseen] = system.sensors[i].log_density(t, shown, known, own)
             for j, branch in enumerate(row):
                 both = here & (y[-1] == j)
                 if branch is not None and both.any():
-                    with on_paths(batch, both):
-                        found[both] = branch.log_density(t, y[:-1, both], x[:-1, both])
+                    own = of_paths(p, batch, both)
+                    found[both] = branch.log_density(t, y[:-1, both], x[:-1, both], own)
         return found
 
 
 def _branch(
-    row: tuple, t: float, x: np.ndarray, noise: np.ndarray, choice: np.ndarray
+    row: tuple, t: float, x: np.ndarray, noise: np.ndarray, p: Values, choice: np.ndarray
 ) -> np.ndarray:
     """Number of the branch that each uniform number chooses."""
     weights = np.zeros((len(row), x.shape[1]))
     for weight, branch in zip(weights, row, strict=True):
         if branch is not None:
-            weight[:] = branch.map.weight(t, x, noise)
+            weight[:] = branch.map.weight(t, x, noise, p)
     return _chosen(np.cumsum(weights, axis=0)[:-1], choice)
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_bound, as_shape
+from seedslib.base.checks import as_real
 from seedslib.gaussian import RegionMoments, interval, pad_regions, polygon
 
 ROUNDING = 16.0 * np.finfo(float).eps  # relative distance that only rounding can have made
@@ -38,7 +38,7 @@ class Intervals:
     size = 1  # number of restricted components
 
     def __post_init__(self) -> None:
-        edges = as_bound("regions", self.edges)
+        edges = as_real("regions", self.edges, infinite=True)
         whole = edges.ndim == 1 and edges.size > 1 and (edges[[0, -1]] == [-np.inf, np.inf]).all()
         if not whole or not (np.diff(edges) > 0.0).all():
             raise ValueError(f"regions: wanted edges increasing from -inf to inf, got {edges}")
@@ -150,10 +150,10 @@ def line_cells(normals: ArrayLike, offsets: ArrayLike) -> Polygons:
     normals : array_like, shape (2, p)
     offsets : array_like, shape (p,)
     """
-    normals = as_shape("normals", normals, (2, -1))
+    normals = as_real("normals", normals, (2, -1))
     if not normals.any(axis=0).all():
         raise ValueError("normals: wanted nonzero normals, got a zero column")
-    return Polygons(normals, as_shape("offsets", offsets, normals.shape[1:]))
+    return Polygons(normals, as_real("offsets", offsets, normals.shape[1:]))
 
 
 def _area(vertices: np.ndarray) -> float:

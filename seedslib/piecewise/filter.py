@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import logsumexp
 
-from seedslib.base.checks import as_real, as_shape
+from seedslib.base.checks import as_real
 from seedslib.base.clock import when
-from seedslib.base.correction import correct
+from seedslib.base.conditioning import update
 from seedslib.filters.base import Filter, require_time, stays
 from seedslib.gaussian import lift
 from seedslib.linearization import Moments
@@ -112,7 +112,6 @@ class PiecewiseLinearFilter(Filter):
     """
 
     alone = True  # a measurement that no branch explains is an error there
-    _shown = ("prune",)
 
     def __init__(self, system: PiecewiseLinearSystem, *, prune: float = 0.0) -> None:
         as_system("system", system, "PiecewiseLinearSystem")
@@ -132,7 +131,7 @@ class PiecewiseLinearFilter(Filter):
         state = PiecewiseState(None, none, none, none, clean, none, clean, clean > 0.0, whole)
         return self._weighed(whole.pieces(*pieces), state)
 
-    def predict(self, state: PiecewiseState, t: float) -> PiecewiseState:
+    def predict(self, state: PiecewiseState, t: float, *, inputs: None = None) -> PiecewiseState:
         """State at time t without a measurement; a state without a time is only given one.
 
         Raises
@@ -145,7 +144,7 @@ class PiecewiseLinearFilter(Filter):
             return state._replace(time=float(t), loglik=np.zeros_like(state.loglik))
         return self._weighed(self._moved(state), state._replace(time=float(t)))
 
-    def correct(self, state: PiecewiseState, y: object) -> PiecewiseState:
+    def correct(self, state: PiecewiseState, y: object, *, inputs: None = None) -> PiecewiseState:
         """State after the measurement y, (m, *batch), at the time of `state`; NaN is missing.
 
         Raises
@@ -175,7 +174,7 @@ class PiecewiseLinearFilter(Filter):
         """Times, also from the number of steps K, and measurements (K+1, m, *batch), checked."""
         times, y = as_steps(times), as_real("measurements", measurements, nan=True)
         rows = len(self.system.sensor_at(float(times[-1])).offset)
-        return times, as_shape("measurements", y, (len(times), rows, *y.shape[2:]), nan=True)
+        return times, as_real("measurements", y, (len(times), rows, ...), nan=True)
 
     def _estimate(self, state: PiecewiseState) -> np.ndarray | None:
         return state.mean.reshape(len(state.mean), -1) if self.system.adaptive else None
@@ -211,7 +210,7 @@ class PiecewiseLinearFilter(Filter):
         if np.isnan(y).all():  # a sensor need not exist when nothing is measured
             return branches
         c = self.system.sensor_at(state.time, self._estimate(state))
-        y = as_shape("y", y, (len(c.offset), *batch), nan=True).reshape(len(y), -1)
+        y = as_real("y", y, (len(c.offset), *batch), nan=True).reshape(len(y), -1)
         offset, matrix, noise = _from_branches(branches, c)
         predicted, spread = _mapped(offset, matrix, branches.mean, branches.cov)
         cross = np.einsum("ij...,kj...->ik...", branches.cov, matrix)
@@ -220,7 +219,7 @@ class PiecewiseLinearFilter(Filter):
             raise ValueError(f"sensor_noise: a prediction has no spread at t = {when(state.time)}")
         known = branches.mean, branches.cov, y[:, None], Moments(predicted, cross, spread + noise)
         with np.errstate(over="ignore", invalid="ignore"):
-            mean, cov, loglik = correct(*known, noise=lambda: noise)
+            mean, cov, loglik = update(*known, noise=lambda: noise)
             log_unit = branches.log_unit + loglik
         mean = np.where(log_unit > -np.inf, mean, 0.0)  # where a measurement was out of all range
         return branches._replace(mean=mean, cov=cov, log_unit=log_unit)

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array
-from seedslib.base.checks import as_covariance, as_real, as_shape
-from seedslib.base.correction import correct
+from seedslib.base.checks import as_covariance, as_real
+from seedslib.base.conditioning import gaussian_logpdf
+from seedslib.base.values import Parametrized
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
 from seedslib.models.kinds import as_steps
 from seedslib.models.simulation import Simulation
@@ -59,7 +60,7 @@ class Tangents:
         gain, mean = value.jacobian(symbols), value.subs(dict.fromkeys(symbols, 0))
         if gain.free_symbols & set(symbols):
             raise ValueError(f"noise: wanted one that enters linearly, got {list(value)}")
-        given = self.map.time, self.map.state
+        given = self.map.time, self.map.state, self.map.parameters
         parts = list(mean), mean.jacobian(self.map.state), gain
         vars(self).update(functions=[compile_array(given, part) for part in parts])
 
@@ -70,12 +71,13 @@ class Tangents:
             points = np.repeat(points[:, :, None], estimate.shape[1], axis=2)
             points[lead:, :, sound] = estimate[lead:, None, sound]
             points[:, self.cells.locate(estimate[:lead, sound]), sound] = estimate[:, sound]
-        value, slope, noise = (function(t, points) for function in vars(self)["functions"])
+        p = tuple(parameter.value for parameter in self.map.parameters)
+        value, slope, noise = (function(t, points, p) for function in vars(self)["functions"])
         return value - np.einsum("ij...,j...->i...", slope, points), slope, noise
 
 
 @dataclass(frozen=True, eq=False)
-class PiecewiseLinearSystem:
+class PiecewiseLinearSystem(Parametrized):
     """State and sensor that are affine on every cell Q_i of a partition.
 
     In cell i: ``x(t+1) = a_i(t) + A_i(t) x(t) + G_i(t) w(t)`` where x(t) lies in Q_i, and
@@ -164,7 +166,7 @@ class PiecewiseLinearSystem:
         if not np.array_equal(cells.locate(points[None]), np.arange(len(cells))):
             raise ValueError("support: wanted one point in each cell, in the order of the cells")
         state, time, _ = named_model(state, time, None, noise=tuple(noise))
-        mean0 = as_shape("initial[0]", initial[0], (len(state),))
+        mean0 = as_real("initial[0]", initial[0], (len(state),))
         points = np.vstack([points, np.repeat(mean0[1:, None], len(cells), axis=1)])
         allowed = {*state, *noise, time}
         f = known_expressions("dynamics", dynamics, (len(state),), {}, allowed)
@@ -195,7 +197,7 @@ class PiecewiseLinearSystem:
         for part, columns in zip(parts, ((), (self.state_size,), (-1,)), strict=True):
             part, depth = as_real(name, part), 1 + len(columns)
             part = part.reshape(part.shape + (1,) * (depth + 2 - part.ndim))
-            part = as_shape(name, part, (rows, *columns, n if part.shape[depth] > 1 else 1, -1))
+            part = as_real(name, part, (rows, *columns, n if part.shape[depth] > 1 else 1, -1))
             full.append(np.broadcast_to(part, (*part.shape[:depth], n, part.shape[-1])))
         return Coefficients(*full)
 
@@ -246,8 +248,7 @@ class PiecewiseLinearSystem:
 
         def log_density(t: float, y: np.ndarray, x: np.ndarray) -> np.ndarray:
             mean, noise = of_cell(t, x)
-            cov, nothing = np.einsum("ip...,jp...->ij...", noise, noise), np.zeros((1, *mean.shape))
-            return correct(nothing[:, 0], None, y, (mean, nothing, cov))[2]
+            return gaussian_logpdf(y, mean, np.einsum("ip...,jp...->ij...", noise, noise))
 
         noise = Noise(width)
         return StochasticMap.from_functions(

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_vectors
+from seedslib.base.checks import as_real
 from seedslib.gaussian import (
     expectation_function,
     mean_square_errors,
@@ -146,13 +146,15 @@ class TwoStepEstimator:
         """Estimates along measured paths; arguments and errors as `kalman_bucy`."""
         first = kalman_bucy(self.system, times, increments)
         mean, cov = np.moveaxis(first.mean, 0, 1), np.moveaxis(first.cov, 0, 2)
+        # time is the first batch axis of both: the others of the paths follow
         cov = cov.reshape(*cov.shape, *(1,) * (mean.ndim + 1 - cov.ndim))
         values = self.estimate(mean, cov), self.variance(mean, cov), self.plugin(mean)
         return TwoStepPaths(*(np.moveaxis(v, v.ndim + 1 - mean.ndim, 0) for v in values))
 
     def _joint_law(self, mean: ArrayLike, cov: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Law of what f takes: given the measurements the estimate is a constant ((2.3), (2.4))."""
-        mean, cov = as_vectors("mean", mean, self.system.state_size), np.asarray(cov, dtype=float)
+        mean = as_real("mean", mean, (self.system.state_size, ...))
+        cov = np.asarray(cov, dtype=float)
         if self.estimate_variables is None:
             return mean, cov
         n = len(mean)

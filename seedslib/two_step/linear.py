@@ -16,8 +16,8 @@ from numpy.typing import ArrayLike
 from scipy.linalg import LinAlgError, expm, solve_continuous_are, solve_continuous_lyapunov
 
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_count, as_covariance, as_real, as_shape, as_times
-from seedslib.base.semidefinite import square_root, symmetrized
+from seedslib.base.checks import as_count, as_covariance, as_real, as_times
+from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.filters.base import Estimates
 from seedslib.models.propagation import balanced, bounded, distinct_steps, halvings, stepped
 
@@ -109,17 +109,17 @@ class LinearDiffusion:
         drift, noise, sensor, sensor_noise, cov0 = (
             np.atleast_2d(as_real(name, getattr(self, name))) for name in fields
         )
-        n, sensor = len(cov0), as_shape("sensor", sensor, (-1, len(cov0)))
+        n, sensor = len(cov0), as_real("sensor", sensor, (-1, len(cov0)))
         drive = np.eye(n) if self.noise_input is None else self.noise_input
-        drive = as_shape("noise_input", np.atleast_2d(as_real("noise_input", drive)), (n, -1))
+        drive = as_real("noise_input", np.atleast_2d(as_real("noise_input", drive)), (n, -1))
         vars(self).update(
-            drift=as_shape("drift", drift, (n, n)),
+            drift=as_real("drift", drift, (n, n)),
             noise_intensity=as_covariance("noise_intensity", noise, drive.shape[1]),
             sensor=sensor,
             sensor_intensity=as_covariance(
                 "sensor_intensity", sensor_noise, len(sensor), definite=True
             ),
-            mean0=as_shape("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,)),
+            mean0=as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,)),
             cov0=as_covariance("cov0", cov0),
             noise_input=drive,
         )
@@ -164,7 +164,7 @@ class LinearDiffusion:
         joint_diffusion[:n, :n], joint_diffusion[n:, n:] = self.diffusion, self.sensor_intensity
         steps = [stepped(joint_drift, joint_diffusion, h) for h in lengths]
         moves = [np.ascontiguousarray(move[:, :n]) for move, _ in steps]
-        start, roots = square_root(cov), [square_root(noise) for _, noise in steps]
+        start, roots = cholesky(cov), [cholesky(noise) for _, noise in steps]
         states = np.empty((len(times), n, paths))
         increments = np.empty((len(times) - 1, len(self.sensor), paths))
 
@@ -281,7 +281,7 @@ def kalman_bucy_gains(
     """
     times, n, m = as_times("times", times), system.state_size, len(system.sensor)
     shape = len(times) - 1, m
-    observed = as_shape("observed", np.ones(shape) if observed is None else observed, shape) != 0
+    observed = as_real("observed", np.ones(shape) if observed is None else observed, shape) != 0
     mean, cov = system._start(times[0])
     lengths, index = distinct_steps(times)
 
@@ -339,7 +339,7 @@ def kalman_bucy(system: LinearDiffusion, times: ArrayLike, increments: ArrayLike
     times, increments = as_times("times", times), as_real("increments", increments, nan=True)
     batch = increments.shape[2:]
     wanted = len(times) - 1, len(system.sensor), *batch
-    increments = as_shape("increments", increments, wanted, nan=True)
+    increments = as_real("increments", increments, wanted, nan=True)
     flat = increments.reshape(*wanted[:2], math.prod(batch))
     missing = np.isnan(flat)
     if (missing.any(axis=2) & ~missing.all(axis=2)).any():

@@ -9,7 +9,7 @@ import pytest
 import sympy as sp
 
 from seedslib import zoo
-from seedslib.base import Axis, Nodes, correct, interpolate
+from seedslib.base import Axis, Nodes, interpolate, update
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.filters import extended_kalman
@@ -32,7 +32,7 @@ def corrected(**changes):
     plain = {"mean": np.zeros(2), "cov": np.eye(2), "y": np.zeros(3)}
     for name, part in changes.items():
         (moments if name in moments else plain)[name] = part
-    return correct(**plain, moments=Moments(*moments.values()))
+    return update(**plain, moments=Moments(*moments.values()))
 
 
 ROWS = [

@@ -106,7 +106,7 @@ def test_a_design_in_a_file_filters_with_its_model_or_as_tables(run, folder):
         ("level", f"{PLAIN} lag=1 --smooth", smooth(KALMAN, TIMES, Y, lag=1)),
         (
             "level",
-            "'filter=lambda: ParticleFilter(system, 30)' seed=3",
+            "'filter=lambda numbers: ParticleFilter(system, 30)' seed=3",
             ParticleFilter(KALMAN.system, 30).run(TIMES, Y, seed=3),
         ),
     ],
@@ -151,9 +151,8 @@ def test_a_fit_is_that_of_python_and_filters_with_its_values(run, folder):
         assert (code, out) == (0, f"{wanted}\n")
         values = dict(zip(map(str, free), wanted.values.tolist(), strict=True))
         assert json.loads((folder / "fit.json").read_text()) == values
-        assert run(f"filter level.py walk.csv {PLAIN} --assigned fit.json --out x.csv")[0] == 0
-        with wanted.assigned():
-            same("x.csv", KALMAN.run(np.arange(40.0), y), np.arange(40))
+        assert run(f"filter level.py walk.csv {PLAIN} --values fit.json --out x.csv")[0] == 0
+        same("x.csv", KALMAN.bind(wanted.numbers).run(np.arange(40.0), y), np.arange(40))
     (folder / "two.py").write_text(LEVEL.replace("(1, q, 1, r", "(1, q * r, 1, 1"))
     assert run(f"fit two.py walk.csv {PLAIN} --out fit.json")[0] == 1  # only their product matters
 
@@ -187,7 +186,7 @@ filter own.py days.csv --out x.csv | days.csv, unit
 filter own.py d.csv --columns z --out x.csv | d.csv, z
 filter heated.py d.csv 'filter=KalmanFilter(system)' --out x.csv | d.csv, u
 filter plain.npz d.csv --out x.csv | plain.npz, --system
-filter own.py d.csv --assigned none.json --out x.csv | none.json
+filter own.py d.csv --values none.json --out x.csv | none.json
 fit flip.py d.csv 'filter=extended_kalman(system)' | free
 fit level.py d.csv | filter
 """

@@ -123,7 +123,7 @@ def test_recursion_equals_loops_over_all_events(memory, steps):
     np.testing.assert_allclose(np.stack([again.mse, again.mode_error], axis=1), wanted, atol=1e-9)
     compared = 0
     for (best, _, _), step in zip(found, filter.steps, strict=True):
-        shown = step.shown
+        shown = step.update
         assert shown.mode.shape == tuple(axis.count for axis in shown.axes) == shown.prob.shape[1:]
         for (j, b, u), (mean, mode, prob, mass) in best.items():
             if mass < 1e-6:

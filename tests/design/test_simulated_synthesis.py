@@ -130,7 +130,7 @@ def test_two_components_two_measurements_and_default_axes():
     )
     data = system.simulate(times, 2000, np.random.SeedSequence(3).spawn(3)[0])
     parts = [*data.measurements.swapaxes(0, 1), data.states[:, 0]]
-    axes = [*made.steps[1].shown.axes[:2], other.steps[1].shown.axes[2]]
+    axes = [*made.steps[1].update.axes[:2], other.steps[1].update.axes[2]]
     for axis, part, count in zip(axes, parts, (49, 49, 81), strict=True):
         reach = 0.1 * np.ptp(part)
         np.testing.assert_allclose([axis.low, axis.high], [part.min() - reach, part.max() + reach])
@@ -153,4 +153,4 @@ def test_diverged_paths_are_left_out_and_counted():
         made = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
     assert 0 < made.design.diverged < 2000
     assert made.design.paths == 4000
-    assert np.isfinite(made.steps[1].shown.estimate).all()
+    assert np.isfinite(made.steps[1].update.estimate).all()

@@ -9,7 +9,7 @@ import sympy
 
 from oracles.linear import kalman
 from seedslib import zoo
-from seedslib.design import Continuous, Crew, Polynomial, synthesize
+from seedslib.design import Continuous, Executor, Polynomial, synthesize
 from seedslib.designed import Memory, finite_memory
 from seedslib.evaluation import evaluate
 from seedslib.linearization import Cubature, ExactGaussian, Taylor
@@ -222,7 +222,7 @@ def test_design_does_not_depend_on_threads_bit_by_bit(system, options):
         options |= {"step": 0.1, "paths": 17_000}
     one, two = (
         synthesize(system, Memory(1), ExactGaussian(), times, workers=workers, **options)
-        for workers in (Crew(), 2)
+        for workers in (Executor(), 2)
     )
     for a, b in zip(numbers(one), numbers(two), strict=True):
         np.testing.assert_array_equal(a, b)

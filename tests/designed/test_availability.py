@@ -113,7 +113,7 @@ def test_classes_of_polynomial_forecasts_and_their_mean_covariance():
         state = filter.step(state, TIMES[k], shown[k])
         here = ~np.isnan(shown[k])
         fit, group = filter.fits[k], filter.fits[k].table[group, here[0] + 2 * here[2]]
-        assert_array_equal(state.group, group)
+        assert_array_equal(state.history, group)
         ahead = filter.predict(state, TIMES[k + 1])
         for path in range(6):
             one = fit.one(group[path])

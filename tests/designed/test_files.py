@@ -150,13 +150,15 @@ def test_filter_comes_back_bit_for_bit_and_equal_filters_are_equal_bytes(kind, t
 
 @pytest.mark.parametrize("kind", ["polynomial", "modes", "table of modes"])
 def test_file_holds_plain_numbers_and_a_header_that_people_read(kind, tmp_path):
-    """Neither compressed nor dated; every member is an array of numbers that NumPy reads."""
+    """Neither compressed nor dated; every member is a vector of numbers that NumPy reads."""
     path, filter = tmp_path / "f.npz", KINDS[kind]()
     save(filter, path)
     with np.load(path, allow_pickle=False) as archive:
         assert {archive[name].dtype.kind for name in archive.files} <= set("biuf")
         header = json.loads(archive["header"].tobytes().decode())
-        assert archive["times"].tolist() == filter.times.tolist()
+        times = header["filter"]["times"]
+        place = slice(times["start"], times["start"] + len(filter.times))
+        assert archive[times["array"]][place].tolist() == filter.times.tolist()
     with zipfile.ZipFile(path) as archive:
         for entry in archive.infolist():
             assert entry.date_time == (1980, 1, 1, 0, 0, 0)
@@ -184,23 +186,14 @@ def test_table_runs_without_its_model_and_without_sympy(tmp_path, command):
         load(path)
 
 
-def test_linearization_of_ones_own_is_given_again(tmp_path):
-    class Mine(Linearization):
-        def moments(self, map, spread=True):
-            return Taylor().moments(map, spread)
-
-    system, path = zoo.van_der_pol(), tmp_path / "mine.npz"
-    made = synthesize(system, Memory(1), Mine(), TIMES, paths=500, seed=1)
-    save(made, path)
-    with pytest.raises(ValueError, match="linearization"):
-        load(path, system)
-    assert_same(run(load(path, system, linearization=Mine()), system), run(made, system))
-    with pytest.raises(ValueError, match="another model: its moments of the sensor"):
-        load(path, system, linearization=ExactGaussian())
+class Mine(Linearization):
+    def moments(self, map, spread=True):
+        return Taylor().moments(map, spread)
 
 
 def test_only_designed_filters_of_descriptions_are_saved(tmp_path):
     made = linear()
+    foreign = synthesize(zoo.van_der_pol(), Memory(1), Mine(), TIMES, paths=500, seed=1)
     own = minimax_synthesis(
         cubic(), Memory(1), TIMES, paths=300, seed=1, correction=lambda t, m, y: y - m
     )
@@ -209,6 +202,7 @@ def test_only_designed_filters_of_descriptions_are_saved(tmp_path):
         ({}, "filter"),
         (bank, "filter"),
         (replace(made, predictor=object()), "predictor"),
+        (foreign, "linearization"),
         (own, "correction"),
     ):
         with pytest.raises(TypeError, match=name):
@@ -257,135 +251,65 @@ def test_damaged_file_is_refused_or_does_no_harm(contents, tmp_path, kind):
         load(tmp_path / "none.npz", filter.system)
 
 
-INFINITE, NODES = float("inf"), {"class": "GaussHermite"}
+INFINITE, AXIS = float("inf"), {"class": "Axis", "low": -1.0, "high": 1.0}
 HOSTILE = [
-    # kind, part of the header or None for arrays, what is changed
-    *[
-        ("affine", None, change)
-        for change in (
-            {"times": None},
-            {"times": np.array([0.0, 0.5, 0.5, 1.0])},
-            {"times": np.array([0.0, 0.5, 1.0])},
-            {"fits/0/gain": np.zeros((2, 3))},
-            {"fits/1/cov": np.full((2, 2), np.nan)},
-            {"fits/1/cov": -np.eye(2)},
-            {"start/mean": np.zeros(2, dtype=np.float32)},
-            {"node_fits/1/2/offset": None},
-            {"node_times/0": np.array([0.1, 0.3, 0.2, 0.4])},
-            {"node_times/1": np.array([0.1, 0.2, 0.3, 0.4])},
-            {"predicted/rms": np.ones((3, 2))},
-            {"predicted/times": np.linspace(0.01, 1.4, 16)},
-            {"probe_x": None},
-            {"probe_x": np.empty((3, 0))},
-            {"probe_x": np.full((3, 12), np.nan)},
-            {"probe_x": np.ones((2, 12))},
-            {"probe_x": np.ones((3, 12), dtype=np.float32)},
-            {"probe_values/drift": np.ones((12, 2), dtype=int)},
-            {"header": np.frombuffer(b"[" * 100_000, dtype=np.uint8)},
-            {"header": np.frombuffer(b"[1]", dtype=np.uint8)},
-            {"header": np.frombuffer(b"\xff\xfe", dtype=np.uint8)},
-        )
-    ],
-    *[
-        ("affine", "", change)
-        for change in (
-            {"format": "another"},
-            {"version": 1},
-            {"version": 10**6},
-            {"version": "new"},
-            {"filter": None},
-            {"sizes": None},
-            {"filter": "FiniteOrderFilter"},
-        )
-    ],
-    *[
-        ("affine", "filter", change)
-        for change in (
-            {"class": "Memory"},
-            {"class": "os.system"},
-            {"linearization": {"class": "Magic"}},
-            {"linearization": {"class": "Taylor", "power": 9}},
-            {"linearization": "Taylor"},
-            {"linearization": NODES | {"order": INFINITE}},
-            {"memory": None},
-            {"memory": {"class": "Memory", "estimates": -1}},
-            {"memory": {"class": "Memory", "estimates": 3}},
-            {"memory": {"class": "Memory", "estimates": 10**30}},
-            {"memory": {"class": "Memory", "estimates": INFINITE}},
-            {"memory": {"class": "Affine"}},
-            {"predictor": {"class": "os.system"}},
-            {"predictor": {"class": "Continuous"}},
-            {"predictor": {"class": "Polynomial", "mean_degree": INFINITE, "cov_degree": 1}},
-            {"components": 1},
-            {"components": "two"},
-            {"components": INFINITE},
-            {"components": 10**30},
-            {"between": "cubic"},
-            {"node_times": []},
-            {"cycle": 9},
-        )
-    ],
-    ("table of modes", "filter", {"memory": {"class": "Memory", "estimates": 2, "indicators": 2}}),
-    ("table of modes", "filter", {"memory": {"class": "Memory", "measurements": 1}}),
-    *[
-        ("table of modes", "sizes", change)
-        for change in (
-            {"modes": 10**9},
-            {"modes": INFINITE},
-            {"modes": 0},
-            {"modes": -1},
-            {"modes": 3},
-            {"measurement_size": 10**9},
-            {"state_size": INFINITE},
-            {"indicators": 10**12},
-            {"indicators": -1},
-            {"indicators": 3},
-        )
-    ],
-    ("table of modes", None, {"steps/1/shown/estimate": np.zeros((1, 2))}),
-    ("table of modes", None, {"steps/2/shown/estimate": None}),
-    ("table of modes", None, {"steps/1/shown/mode": np.full((3, 31, 2, 2, 9), 2, dtype=np.int8)}),
+    # kind, path in the header, what is put there
+    ("affine", [], [1]),
+    ("affine", ["format"], "another"),
+    ("affine", ["version"], 1),
+    ("affine", ["filter"], None),
+    ("affine", ["sizes"], None),
+    ("affine", ["points"], {"array": "float64", "start": 0, "shape": [3, 0]}),
+    ("affine", ["filter", "class"], "os.system"),
+    ("affine", ["filter", "class"], "Memory"),
+    ("affine", ["filter", "linearization"], {"class": "Magic"}),
+    ("affine", ["filter", "linearization"], {"class": "Taylor", "power": 9}),
+    ("affine", ["filter", "memory"], {"class": "Memory", "estimates": 10**30}),
+    ("affine", ["filter", "memory", "estimates"], -1),
+    ("affine", ["filter", "memory", "estimates"], 3),
+    ("affine", ["filter", "memory", "estimates"], INFINITE),
+    ("affine", ["filter", "predictor", "class"], "Continuous"),
+    ("affine", ["filter", "components"], "two"),
+    ("affine", ["filter", "between"], "cubic"),
+    ("affine", ["filter", "cycle"], 9),
+    ("affine", ["filter", "fits", 0, "gain", "shape"], [2, 3]),
+    ("affine", ["filter", "fits", 0, "gain", "shape"], [10**9, 10**9]),
+    ("affine", ["filter", "fits", 0, "gain", "start"], 10**9),
+    ("affine", ["filter", "fits", 0, "gain", "array"], "float16"),
+    ("polynomial", ["filter", "fits", 0, "mean_degree"], 10**6),
+    ("table of modes", ["filter", "memory", "estimates"], 2),
+    ("table of modes", ["sizes", "modes"], 10**9),
+    ("table of modes", ["sizes", "measurement_size"], 10**9),
+    ("table of modes", ["sizes", "indicators"], -1),
+    ("table of modes", ["filter", "steps", 0, "update", "axes"], [AXIS | {"count": 10**12}]),
+    ("table of modes", ["filter", "steps", 0, "update", "mode"], 3),
 ]
 
 
 @pytest.mark.parametrize("number", range(len(HOSTILE)))
-def test_file_that_contradicts_itself_or_asks_for_too_much(
-    contents, tmp_path, header, rewrite, number
-):
-    """Only what it says is wrong: one sentence, and at once."""
-    kind, part, changes = HOSTILE[number]
+def test_file_that_contradicts_itself_or_asks_for_too_much(contents, tmp_path, number):
+    """One sentence, and at once."""
+    kind, place, value = HOSTILE[number]
+    *where, last = place or [None]
     content, filter = contents(kind)
     path = tmp_path / "f.npz"
     path.write_bytes(content)
-    if part is None:
-        rewrite(path, **changes)
+    with np.load(path) as archive:
+        vectors = {name: archive[name] for name in archive.files}
+    header = json.loads(vectors["header"].tobytes())
+    part = header
+    for step in where:
+        part = part[step]
+    if last is None:
+        header = value
     else:
-        header(path, part or None, **changes)
+        part[last] = value
+    vectors["header"] = np.frombuffer(json.dumps(header).encode(), dtype=np.uint8)
+    np.savez(path, **vectors)
     start = time.perf_counter()
     with pytest.raises(ValueError, match=r"^f\.npz: "):
-        load(path, filter.system if kind == "affine" else None)
+        load(path, None if "table" in kind else filter.system)
     assert time.perf_counter() - start < 4.0
-
-
-def test_parts_of_a_tree_that_ask_for_too_much(contents, tmp_path, header):
-    """An axis of any length, a degree of a million: before anything is made of them."""
-    path = tmp_path / "f.npz"
-    axis = {"class": "Axis", "low": -1.0, "high": 1.0}
-    for kind, field, change in (
-        ("table of modes", "steps", {"axes": [{"class": "Labels", "count": 10**12}]}),
-        ("table of modes", "steps", {"axes": [axis | {"count": INFINITE}]}),
-        ("table of modes", "steps", {"axes": [axis | {"count": 10**12}]}),
-        ("polynomial", "fits", {"mean_degree": 10**6}),
-    ):
-        content, filter = contents(kind)
-        path.write_bytes(content)
-        with np.load(path) as archive:
-            parts = json.loads(archive["header"].tobytes().decode())["filter"][field]
-        target = parts[0]["shown"] if field == "steps" else parts[0]
-        target.update(change)
-        header(path, **{field: parts})
-        with pytest.raises(ValueError, match=r"^f\.npz: "):
-            load(path, filter.system)
 
 
 def test_files_of_other_arrays_are_refused(contents, tmp_path):
@@ -395,15 +319,18 @@ def test_files_of_other_arrays_are_refused(contents, tmp_path):
     path.write_bytes(content)
     with zipfile.ZipFile(path) as archive:
         old = {entry.filename: archive.read(entry) for entry in archive.infolist()}
-    for part in (old["times.npy"][:60], b"times"):
+    for part in (old["float64.npy"][:60], b"numbers"):
         with zipfile.ZipFile(path, "w") as archive:
-            for name, member in {**old, "times.npy": part}.items():
+            for name, member in {**old, "float64.npy": part}.items():
                 archive.writestr(name, member)
         with pytest.raises(ValueError, match=r"^f\.npz: "):
             load(path, filter.system)
-    np.savez(path, times=np.array([object()], dtype=object))
-    with pytest.raises(ValueError, match=r"^f\.npz: "):
-        load(path, filter.system)
-    np.savez(path, x=np.arange(3))
-    with pytest.raises(ValueError, match=r"^f\.npz: "):
-        load(path, filter.system)
+    for arrays in (
+        {"times": np.array([object()], dtype=object)},
+        {"x": np.arange(3)},
+        {"header": np.frombuffer(b"[" * 100_000, dtype=np.uint8)},
+        {"header": np.frombuffer(b"\xff\xfe", dtype=np.uint8)},
+    ):
+        np.savez(path, **arrays)
+        with pytest.raises(ValueError, match=r"^f\.npz: "):
+            load(path, filter.system)

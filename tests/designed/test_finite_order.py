@@ -104,6 +104,13 @@ def of_paths(part, count):
     return np.broadcast_to(part.reshape(*part.shape[:2], -1), (*part.shape[:2], count))
 
 
+def of_records(estimates, count):
+    """Estimates whose covariances are those of each record."""
+    cov = estimates.cov
+    cov = cov if cov.ndim > 3 else np.repeat(cov[..., None], count, axis=3)
+    return estimates._replace(cov=cov)
+
+
 def on_grid(record):
     """The same at the times of a finer grid."""
     whole = np.full((len(GRID), *record.shape[1:]), np.nan)
@@ -119,7 +126,7 @@ def test_design_of_a_linear_system_has_the_errors_of_regressions_on_its_memory(l
     for fit, wanted in pairs:
         assert_allclose(fit.cov, wanted.cov, rtol=1e-6, atol=1e-8)
     assert filter.design.exact
-    assert filter.design.thin == filter.design.pairs == filter.design.mended == 0
+    assert filter.design.pooled == filter.design.pairs == filter.design.repaired == 0
     at = np.isin(filter.predicted.times, TIMES)
     errors = np.sqrt([np.diagonal(cov) for cov in expected.errors])
     assert_allclose(filter.predicted.rms[at], errors, rtol=1e-6)
@@ -132,7 +139,7 @@ def test_run_of_a_linear_system_equals_the_recursion_of_its_regressions(linear):
     filter, expected = linear
     record, _ = expected.draw(6, seed=3)
     shown = on_grid(record)
-    found = filter.run(GRID, shown, covariances=True)
+    found = of_records(filter.run(GRID, shown, covariances=True), 6)
     alone = filter.run(GRID, shown[..., 4], covariances=True)
     plane = filter.run(GRID, shown.reshape(*shown.shape[:2], 3, 2))
     assert_array_equal(plane.mean.reshape(found.mean.shape), found.mean)
@@ -158,7 +165,7 @@ def test_steps_of_a_linear_system_equal_its_run(linear):
     filter, expected = linear
     record, _ = expected.draw(4, seed=5)
     shown = on_grid(record)
-    found = filter.run(GRID, shown, covariances=True)
+    found = of_records(filter.run(GRID, shown, covariances=True), 4)
     for batch in ((), (4,)):
         state = filter.initial(batch)
         for j, now in enumerate(GRID):

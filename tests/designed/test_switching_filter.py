@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from oracles.switching import SwitchingOracle, merged
 from seedslib import zoo
-from seedslib.base import ELAPSED, Input, assigned
+from seedslib.base import ELAPSED, Input
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor, Unscented
@@ -163,18 +163,16 @@ def test_steps_of_a_jump_linear_system_equal_its_run(drives):
     laws, forecasts, _ = expected.run(record[..., 4], shown[:, 4])
     state = filter.initial((2,))
     for k, now in enumerate(TIMES):
-        with assigned({u: INPUT[max(k - 1, 0)]}):
-            if k:
-                ahead = filter.forecast(state, now)
-                mean, cov = merged(forecasts[k])
-                assert_allclose(ahead.mean[:, 1], mean, rtol=1e-9)
-                assert_allclose(ahead.cov[..., 1], cov, rtol=1e-9)
-                prob = [part[0] for part in forecasts[k]]
-                assert_allclose(ahead.mode_prob[:, 1], prob, rtol=1e-9)
-                assert ahead.modes[1] == np.argmax(prob)
-            state = filter.predict(state, now)
-        with assigned({u: INPUT[k]}):
-            state = filter.correct(state, record[k][:, [0, 4]], shown[k][[0, 4]])
+        if k:
+            ahead = filter.forecast(state, now, inputs={u: INPUT[max(k - 1, 0)]})
+            mean, cov = merged(forecasts[k])
+            assert_allclose(ahead.mean[:, 1], mean, rtol=1e-9)
+            assert_allclose(ahead.cov[..., 1], cov, rtol=1e-9)
+            prob = [part[0] for part in forecasts[k]]
+            assert_allclose(ahead.mode_prob[:, 1], prob, rtol=1e-9)
+            assert ahead.modes[1] == np.argmax(prob)
+        state = filter.predict(state, now, inputs={u: INPUT[max(k - 1, 0)]})
+        state = filter.correct(state, record[k][:, [0, 4]], shown[k][[0, 4]], inputs={u: INPUT[k]})
         for name in ("mean", "cov", "mode_prob", "loglik"):
             said, wanted = getattr(filter.report(state), name), getattr(found, name)[k]
             assert_allclose(said[..., [1]], wanted[..., [4]], rtol=1e-10, atol=1e-13)

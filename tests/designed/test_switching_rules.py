@@ -216,13 +216,15 @@ def test_rules_of_points_mend_probabilities_and_variances():
     )
     assert_allclose(found.law.prob, whole.law.prob, rtol=1e-12)
     assert_allclose(found.loglik, whole.loglik, atol=1e-12)
-    assert found.mended == whole.mended == 0
+    assert found.repaired == whole.repaired == 0
     bad, tiny = state.law.cov.copy(), state.law.cov.copy()
     bad[0, 0, 1, 0, 0], tiny[0, 0, 1, 0, 0] = -0.2, 1e-14
     found, wanted = (
-        rules.correct(state._replace(law=state.law._replace(cov=cov), mended=5), record, None, None)
+        rules.correct(
+            state._replace(law=state.law._replace(cov=cov), repaired=5), record, None, None
+        )
         for cov in (bad, tiny)
     )
-    assert found.mended == 6
-    assert wanted.mended == 5
+    assert found.repaired == 6
+    assert wanted.repaired == 5
     assert_allclose(found.mean, wanted.mean, rtol=1e-9)

@@ -12,6 +12,7 @@ from seedslib.designed import SwitchingFilter
 from seedslib.filters import KalmanFilter, smooth
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
 from seedslib.models import LinearSystem, Noise, SwitchingSystem
+from seedslib.zoo import manoeuvring_target
 
 MOVES = [np.array([[1, 1], [0, 0.98]]), np.array([[1, 1], [0, 0.7]])]
 PUSHES = [np.zeros(2), np.array([0.5, 1.0])]
@@ -160,6 +161,23 @@ def test_modes_that_never_switch_are_a_mixture(tracked, drives):
         mean = sum(p * part[1] for p, part in zip(prob, alone, strict=True))
         assert_allclose(found.mode_prob[..., path], np.tile(prob, (7, 1)), atol=1e-11)
         assert_allclose(found.mean[..., path], mean, atol=1e-11)
+
+
+def test_rounding_of_the_measurements_is_all_that_it_moves():
+    """Where nothing is measured, later measurements tell of one direction of the state only.
+
+    What they tell of the other is rounding, which counts as none up to 1e-12.
+    """
+    system, times = manoeuvring_target(), np.arange(9.0)
+    data = system.simulate(times, 6, 6)
+    y = data.measurements.copy()
+    y[4, :, 2] = y[5] = np.nan
+    filter = SwitchingFilter(system, Taylor())
+    one, two = (
+        smooth(filter, times, factor * y, indicators=data.indicators) for factor in (1.0, 1 + 1e-14)
+    )
+    for name in ("mean", "cov", "mode_prob"):
+        assert_allclose(getattr(one, name), getattr(two, name), atol=1e-10)
 
 
 @pytest.mark.parametrize("blind", [True, False])

@@ -85,8 +85,8 @@ def by_hand(filter, y, shown):
             past += [mode] if mode is not None and memory.estimates else []
             past += [seen] if memory.indicators else []
             past += [z] if memory.estimates else [measured]
-        there, blind = ~np.isnan(y[k, 0]), looked_up(step.blind, [*told, *past])
-        seen = looked_up(step.shown, [*told, np.nan_to_num(y[k, 0]), *past])
+        there, blind = ~np.isnan(y[k, 0]), looked_up(step.forecast, [*told, *past])
+        seen = looked_up(step.update, [*told, np.nan_to_num(y[k, 0]), *past])
         row = [
             None if a is None else np.where(there, a, b) for a, b in zip(seen, blind, strict=True)
         ]
@@ -168,7 +168,7 @@ def test_order_change_and_size_of_tables(table):
     assert isinstance(table, TableFilter)
     said = [
         f"{a.count} nodes from {a.low:g} to {a.high:g}"
-        for a in table.steps[1].shown.axes
+        for a in table.steps[1].update.axes
         if isinstance(a, Axis)
     ]
     assert all(each in str(table) for each in said)
@@ -204,7 +204,7 @@ def test_forecasts_go_by_the_nodes_to_the_next_measurement():
         state = filter.step(state, TIMES[k], y[k])
     z, (one, two) = state.mean[0], filter.node_times[1]
     inside = [looked_up(table, [z])[0] for table in filter.node_fits[1]]
-    end = looked_up(filter.steps[2].blind, [z])[0]
+    end = looked_up(filter.steps[2].forecast, [z])[0]
     assert_allclose(filter.predict(state, 0.5).mean, end, atol=1e-12)
     for now, wanted in (
         (0.25, state.mean),
@@ -226,7 +226,7 @@ def test_forecasts_go_by_the_nodes_to_the_next_measurement():
     longer = np.array([*TIMES, 1.0 + one - 0.25, 1.25, 1.5])
     more = np.concatenate([y, np.full((1, 1, 7), np.nan), y[:2]])
     run = lasting.run(longer, more, covariances=True)
-    last = filter.steps[-1].shown
+    last = filter.steps[-1].update
     assert_allclose(run.mean[6], looked_up(last, [y[0, 0], run.mean[4, 0]])[0], atol=1e-9)
     assert_allclose(run.mean[7], looked_up(last, [y[1, 0], run.mean[6, 0]])[0], atol=1e-9)
     node = looked_up(filter.node_fits[-1][0], [run.mean[4, 0]])[0]
@@ -249,7 +249,7 @@ def test_tables_of_several_components_see_a_measurement_as_a_whole():
     y = np.random.default_rng(1).normal(size=(2, 2, 5))
     found = filter.run([0.0, 0.5], y).mean
     assert found.shape == (2, 2, 5)
-    assert_allclose(found[1], looked_up(filter.steps[1].shown, [*y[1], *found[0]])[0], atol=1e-10)
+    assert_allclose(found[1], looked_up(filter.steps[1].update, [*y[1], *found[0]])[0], atol=1e-10)
     assert_array_equal(filter.output(1, y[1], found[0]).mean, found[1])
     assert_allclose(filter.run([0.0], np.full((1, 2), np.nan)).mean[0], [2.0, 0.0], atol=1e-12)
 

@@ -9,7 +9,7 @@ from scipy.optimize import minimize
 from scipy.stats import multivariate_normal
 
 from oracles.linear import Regression
-from seedslib.base import Parameter, assigned
+from seedslib.base import Parameter
 from seedslib.designed import SwitchingFilter
 from seedslib.evaluation import fit
 from seedslib.filters import GridBayesFilter, KalmanFilter
@@ -52,8 +52,8 @@ def test_maximum_and_errors_are_those_of_the_dense_likelihood(nile):
         low, high = nile.interval(level).T
         np.testing.assert_allclose((high - low) / 2, width * nile.errors, rtol=1e-6)
         np.testing.assert_allclose((high + low) / 2, nile.values)
-    with nile.assigned():
-        again = KalmanFilter(LinearSystem(1, Q, 1, R, 1000, 1e5)).run(YEARS, NILE[:, None])
+    filter = KalmanFilter(LinearSystem(1, Q, 1, R, 1000, 1e5)).bind(nile.numbers)
+    again = filter.run(YEARS, NILE[:, None])
     assert again.loglik.sum() == pytest.approx(nile.loglik, abs=1e-9)
     assert f"{q:.6g}" in str(nile)
     assert "not converged" not in str(nile)
@@ -118,15 +118,14 @@ def test_indicators_of_each_record_are_told():
         indicator=[[0.8, 0.2], [0.1, 0.9]],
     )
     times, bank = range(20), SwitchingFilter(system, Taylor())
-    with assigned({level: 1.5}):
-        data = system.simulate(times, 3, 1)
+    data = system.bind({level: 1.5}).simulate(times, 3, 1)
     y, shown = data.measurements, data.indicators
     found = fit(bank, times, y, [level], indicators=shown)
 
     def loglik(value):
-        with assigned({level: value}):
-            runs = (bank.run(times, y[..., k], indicators=shown[:, k]) for k in range(3))
-            return sum(run.loglik.sum() for run in runs)
+        bound = bank.bind({level: value})
+        runs = (bound.run(times, y[..., k], indicators=shown[:, k]) for k in range(3))
+        return sum(run.loglik.sum() for run in runs)
 
     best = found.values[0]
     assert found.loglik == pytest.approx(loglik(best), abs=1e-8)
@@ -148,13 +147,13 @@ def test_a_filter_on_a_grid_is_made_for_every_value():
         [(0.5, [0], [[1]])] * 2,
     )
     axis, times = (-5.0, 5.0, 21), np.arange(15.0)
-    with assigned({deviation: 0.5}):
-        y = np.asarray(system.simulate(times, 1, 2).measurements)[..., 0]
-    found = fit(lambda: GridBayesFilter(system, axis), times, y, [deviation])
+    bound = system.bind({deviation: 0.5})
+    y = np.asarray(bound.simulate(times, 1, 2).measurements)[..., 0]
+    made = lambda numbers: GridBayesFilter(system.bind(numbers), axis)  # noqa: E731
+    found = fit(made, times, y, [deviation])
 
     def loglik(value):
-        with assigned({deviation: value}):
-            return GridBayesFilter(system, axis).run(times, y).loglik.sum()
+        return made({deviation: value}).run(times, y).loglik.sum()
 
     best = found.values[0]
     assert found.converged

@@ -64,7 +64,7 @@ ROWS = [
         "z",
     ),
     (lambda: fitted([Q], filter=Silent(SYSTEM)), ValueError, "filter"),
-    (lambda: fitted([Q], filter=lambda: Silent(SYSTEM)), ValueError, "filter"),
+    (lambda: fitted([Q], filter=lambda numbers: Silent(SYSTEM)), ValueError, "filter"),
 ]
 
 

@@ -16,7 +16,7 @@ import sympy
 
 import systems
 from seedslib import zoo
-from seedslib.base import ELAPSED, Input, assigned
+from seedslib.base import ELAPSED, Input
 from seedslib.design import (
     Continuous,
     Polynomial,
@@ -252,8 +252,8 @@ class Case:
         return isinstance(self.filter, CovarianceFilter)
 
     def at(self, k, i=0):
-        """The inputs at measurement k of a record, as a context."""
-        return assigned({p: values[k, i] for p, values in self.inputs.items()})
+        """The inputs at measurement k of a record."""
+        return {p: values[k, i] for p, values in self.inputs.items()}
 
 
 @lru_cache

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import sympy
 
-from seedslib.base import Parameter, assigned
+from seedslib.base import Parameter
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.evaluation import fit
@@ -147,34 +147,33 @@ def test_records_may_lie_in_memory_in_any_way():
 
 
 @pytest.mark.parametrize("make", [extended_kalman, unscented_kalman])
-def test_values_of_parameters_are_read_at_each_call(make):
+def test_a_compiled_filter_is_bound_to_other_numbers(make):
     """Those of a batch may differ from record to record."""
     filter = make(polynomial())
     quick = compiled(filter)
     y = records(filter.system, 9)
     own = {PULL: np.linspace(0.1, 0.9, 9), SPREAD: 0.8}
     usual = quick.run(TIMES, y).mean
-    with assigned(own):
-        wanted, found = filter.run(TIMES, y), quick.run(TIMES, y)
-        state = quick.initial((9,))
-        for t, row in zip(TIMES, y, strict=True):
-            state = quick.step(state, t, row)
+    bound = quick.bind(own)
+    wanted, found = filter.bind(own).run(TIMES, y), bound.run(TIMES, y)
+    state = bound.initial((9,))
+    for t, row in zip(TIMES, y, strict=True):
+        state = bound.step(state, t, row)
     for part in ("mean", "cov", "loglik"):
         np.testing.assert_allclose(getattr(found, part), getattr(wanted, part), rtol=1e-11)
         np.testing.assert_allclose(getattr(state, part), getattr(wanted, part)[-1], rtol=1e-11)
     assert np.abs(usual - found.mean).max() > 0.01
-    with assigned({PULL: 0.3}):
-        one = quick.step(quick.initial(), 0.0, y[0, :, 0])
-        one = quick.step(one, 1.0, [0.1, 0.2])
-        other = filter.step(filter.step(filter.initial(), 0.0, y[0, :, 0]), 1.0, [0.1, 0.2])
+    one, other = (
+        each.step(each.step(each.initial(), 0.0, y[0, :, 0]), 1.0, [0.1, 0.2])
+        for each in (quick.bind({PULL: 0.3}), filter.bind({PULL: 0.3}))
+    )
     np.testing.assert_allclose(one.mean, other.mean, rtol=1e-12)
 
 
 def test_a_fit_through_a_compiled_filter_is_that_of_the_filter():
     Q, R = Parameter("q", 1.0, positive=True), Parameter("r", 3.0, positive=True)
     filter, times = KalmanFilter(LinearSystem(1, Q, 1, R, 0, 1)), np.arange(60.0)
-    with assigned({Q: 0.2, R: 1.0}):
-        y = filter.system.simulate(times, 3, 1).measurements
+    y = filter.system.bind(q=0.2, r=1.0).simulate(times, 3, 1).measurements
     wanted, found = (fit(each, times, y, [Q, R]) for each in (filter, compiled(filter)))
     np.testing.assert_allclose(found.values, wanted.values, rtol=1e-6)
     np.testing.assert_allclose(found.loglik, wanted.loglik, rtol=1e-12)

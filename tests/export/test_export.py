@@ -28,10 +28,8 @@ def step(filter, one, state, k, i):
     """The state after measurement k of record i, or of all records with a slice for i."""
     t, y = one.times[k], one.y[k, :, i]
     if one.inputs and one.carried:  # they may change at each measurement
-        with one.at(max(k - 1, 0), i):
-            state = filter.predict(state, t)
-        with one.at(k, i):
-            return filter.correct(state, y)
+        state = filter.predict(state, t, inputs=one.at(max(k - 1, 0), i))
+        return filter.correct(state, y, inputs=one.at(k, i))
     return filter.step(state, t, y, *(() if one.indicators is None else (one.indicators[k, i],)))
 
 

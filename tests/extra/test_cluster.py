@@ -12,7 +12,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.design import Continuous, Crew, Polynomial, synthesize
+from seedslib.design import Continuous, Executor, Polynomial, synthesize
 from seedslib.designed import Memory
 from seedslib.extra import cluster
 from seedslib.linearization import Cubature, ExactGaussian, Taylor
@@ -106,7 +106,7 @@ def test_an_address_is_enough_and_a_client_is_left_open(processes):
     with cluster(processes.client.scheduler.address) as workers:
         assert numbers(plain(workers=workers)) == numbers(plain())
     with cluster(processes.client) as workers:
-        assert isinstance(workers, Crew)
+        assert isinstance(workers, Executor)
     assert processes.client.status == "running"
 
 

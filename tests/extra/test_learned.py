@@ -9,7 +9,8 @@ from sklearn.linear_model import LinearRegression
 from seedslib import zoo
 from seedslib.design import grid_risk, synthesize
 from seedslib.designed import large_order
-from seedslib.extra import learn, to_c
+from seedslib.export import to_c
+from seedslib.extra import learn
 from seedslib.linearization import ExactGaussian
 
 pytestmark = [

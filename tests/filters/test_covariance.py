@@ -7,7 +7,6 @@ from scipy.integrate import solve_ivp
 from scipy.stats import norm
 
 from oracles.linear import Linear, Regression, constant, discretised, kalman, moment_rates, moments
-from seedslib.base import assigned
 from seedslib.filters import (
     CovarianceFilter,
     KalmanFilter,
@@ -83,13 +82,12 @@ def test_jump_diffusion_equals_its_moment_equations(rule):
     close(filter.run(TIMES, Y, inputs={U: PUSH}), wanted, 3e-6)
     state = filter.initial((1,))
     for k, now in enumerate(TIMES[:3]):
-        with assigned({U: PUSH[max(k - 1, 0)]}):
-            state = filter.predict(state, now)
-        with assigned({U: PUSH[k]}):
-            state = filter.correct(state, Y[k, :, None])
+        state = filter.predict(state, now, inputs={U: PUSH[max(k - 1, 0)]})
+        state = filter.correct(state, Y[k, :, None], inputs={U: PUSH[k]})
     np.testing.assert_allclose(state.mean[:, 0], wanted.mean[2], rtol=3e-6)
-    with assigned({U: PUSH[2]}):  # two forecasts are one
-        ahead = filter.forecast(filter.predict(state, 2.8), TIMES[3])
+    ahead = filter.forecast(
+        filter.predict(state, 2.8, inputs={U: PUSH[2]}), TIMES[3], inputs={U: PUSH[2]}
+    )
     np.testing.assert_allclose(ahead.mean[:, 0], wanted.predicted_mean[3], rtol=3e-6)
 
 
@@ -325,3 +323,16 @@ def test_path_that_overflows_has_diverged_alone(options):
     assert estimates.diverged.tolist() == [False, True]
     assert np.isfinite(estimates.mean[..., 0]).all()
     assert filter.run([0.0, 1.0], y[..., 1]).diverged
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+@pytest.mark.parametrize("start", [0.0, 0.3])
+def test_points_follow_a_known_position_that_is_driven_through_its_velocity(order, start):
+    """In the first stages of a step its variance is zero and its covariance is not."""
+    pick = np.array(order)
+    state, noise = np.array([x, v])[pick], np.array([[0], [1]])[pick]
+    drift, cov0 = np.array([v, -v / 2])[pick], np.diag([0.0, start])[np.ix_(pick, pick)]
+    system = JumpDiffusion(state, drift, noise, [x + w], Noise([w]), [0, 0], cov0, step=0.1)
+    wanted = extended_kalman(system).run(TIMES, Y[:, :1])
+    for filter in (unscented_kalman(system), cubature_kalman(system)):
+        close(filter.run(TIMES, Y[:, :1]), wanted, 1e-12)

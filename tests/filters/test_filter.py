@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from oracles.linear import Regression, along, histories
-from seedslib.base import Parameter, assigned
+from seedslib.base import Parameter
 from seedslib.filters import (
     CovarianceFilter,
     KalmanFilter,
@@ -148,14 +148,12 @@ def test_steps_and_forecasts_equal_the_exact_law(case):
     state = case.filter.initial(**case.told(0)[1])
     for k, t in enumerate(case.times):
         shown, mode = case.told(k)
-        with assigned(case.inputs_at(max(k - 1, 0))):
-            ahead = case.filter.forecast(state, t, **mode)
-            state = case.filter.predict(state, t, *mode.values())
+        ahead = case.filter.forecast(state, t, **mode, inputs=case.inputs_at(max(k - 1, 0)))
+        state = case.filter.predict(state, t, *mode.values(), inputs=case.inputs_at(max(k - 1, 0)))
         close(ahead, case.law(k, k - 1) if k else case.law(0, -1))
         assert ahead.loglik is None
         assert ahead.diverged is None
-        with assigned(case.inputs_at(k)):
-            state = case.filter.correct(state, case.y[k], *shown)
+        state = case.filter.correct(state, case.y[k], *shown, inputs=case.inputs_at(k))
         estimate = case.filter.report(state)
         close(estimate, case.law(k, k))
         np.testing.assert_allclose(estimate.loglik, case.logliks[k], rtol=1e-10, atol=1e-12)
@@ -165,16 +163,17 @@ def test_two_forecasts_in_a_row_equal_the_exact_law(case):
     state = case.filter.initial(**case.told(0)[1])
     for k in range(2):
         shown, mode = case.told(k)
-        with assigned(case.inputs_at(0)):
-            state = case.filter.predict(state, case.times[k], *mode.values())
-        with assigned(case.inputs_at(k)):
-            state = case.filter.correct(state, case.y[k], *shown)
-    with assigned(case.inputs_at(1)):
-        state = case.filter.predict(state, case.times[2], *case.told(2)[1].values())
-    with assigned(case.inputs_at(2)):
-        close(case.filter.forecast(state, case.times[3], **case.told(3)[1]), case.law(3, 1))
-        with pytest.raises(ValueError, match=r"^t: "):
-            case.filter.predict(state, case.times[1])
+        state = case.filter.predict(state, case.times[k], *mode.values(), inputs=case.inputs_at(0))
+        state = case.filter.correct(state, case.y[k], *shown, inputs=case.inputs_at(k))
+    state = case.filter.predict(
+        state, case.times[2], *case.told(2)[1].values(), inputs=case.inputs_at(1)
+    )
+    close(
+        case.filter.forecast(state, case.times[3], **case.told(3)[1], inputs=case.inputs_at(2)),
+        case.law(3, 1),
+    )
+    with pytest.raises(ValueError, match=r"^t: "):
+        case.filter.predict(state, case.times[1], inputs=case.inputs_at(2))
     assert state.time == case.times[2]
 
 
@@ -212,17 +211,16 @@ def test_many_records_with_inputs_of_their_own_equal_single_ones(case):
             np.testing.assert_allclose(a, b.reshape(a.shape), rtol=1e-13, atol=1e-14)
 
 
-def test_inputs_that_do_not_change_may_be_assigned_once():
-    system = discrete_system()
+def test_inputs_that_do_not_change_may_be_bound():
     y = record(linear_numbers())[1]
     constant = {u: np.full(7, 0.1 + k) for k, u in enumerate(INPUTS)}
-    filter, state = extended_kalman(system), extended_kalman(system).initial()
+    filter = extended_kalman(discrete_system())
     wanted = filter.run(TIMES, y, inputs=constant)
-    with assigned({u: values[0] for u, values in constant.items()}):
-        np.testing.assert_array_equal(filter.run(TIMES, y).mean, wanted.mean)
-        for k, t in enumerate(TIMES):
-            state = filter.step(state, t, y[k])
-            np.testing.assert_array_equal(state.mean, wanted.mean[k])
+    bound, state = filter.bind({u: values[0] for u, values in constant.items()}), filter.initial()
+    np.testing.assert_array_equal(bound.run(TIMES, y).mean, wanted.mean)
+    for k, t in enumerate(TIMES):
+        state = bound.step(state, t, y[k])
+        np.testing.assert_array_equal(state.mean, wanted.mean[k])
 
 
 def test_a_system_without_inputs_equals_one_with_inputs_of_zero():
@@ -246,10 +244,10 @@ def test_parameters_of_records_reach_all_blocks_and_threads():
     )
     filter, y = extended_kalman(system), np.repeat(record(linear_numbers())[1][..., None], 5, -1)
     values = np.arange(5.0)
-    with assigned({shift: values}):
-        whole = filter.run(TIMES, y, inputs=INPUTS)
-        filter.block = lambda *_: 2
-        parts = filter.run(TIMES, y, inputs=INPUTS, workers=2)
+    filter = filter.bind({shift: values})
+    whole = filter.run(TIMES, y, inputs=INPUTS)
+    filter.block = lambda *_: 2
+    parts = filter.run(TIMES, y, inputs=INPUTS, workers=2)
     np.testing.assert_array_equal(whole.mean, parts.mean)
     model = linear_numbers()
     for i, value in enumerate(values):
@@ -274,12 +272,12 @@ def test_steps_of_unequal_length_need_the_elapsed_time():
     filter, y = KalmanFilter(even), record(linear_numbers(EVEN, means=False))[1]
     with pytest.raises(ValueError, match=r"^times: "):
         filter.run(TIMES, y, inputs=INPUTS)
-    with assigned(dict.fromkeys(INPUTS, 0.0)):
-        state = filter.predict(filter.predict(filter.initial(), EVEN[0]), EVEN[1])
-        for wrong in (EVEN[2] + 0.1, EVEN[1] - 0.1):
-            with pytest.raises(ValueError, match=r"^t: "):
-                filter.predict(state, wrong)
-        later = filter.predict(state, EVEN[2])
+    filter = filter.bind(dict.fromkeys(INPUTS, 0.0))
+    state = filter.predict(filter.predict(filter.initial(), EVEN[0]), EVEN[1])
+    for wrong in (EVEN[2] + 0.1, EVEN[1] - 0.1):
+        with pytest.raises(ValueError, match=r"^t: "):
+            filter.predict(state, wrong)
+    later = filter.predict(state, EVEN[2])
     assert later.time == EVEN[2]
     same = filter.predict(state, EVEN[1])
     np.testing.assert_array_equal(same.mean, state.mean)

@@ -8,7 +8,7 @@ import sympy
 from scipy.stats import norm
 
 from oracles.linear import Linear, Regression, Switching, histories
-from seedslib.base import ELAPSED, Input, Nodes, assigned
+from seedslib.base import ELAPSED, Input, Nodes
 from seedslib.filters import GridBayesFilter, KalmanFilter, ParticleFilter, smooth
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
 from seedslib.zoo import dependent_switching
@@ -102,14 +102,14 @@ def test_modes_on_nodes_equal_the_sum_over_histories():
     state = filter.initial()
     for k in range(5):
         close(estimates, histories(MODES, Y, SHOWN, k, k), k)
-        with assigned({u: PUSH[max(k - 1, 0)]}):
-            state = filter.predict(state, TIMES[k])
+        state = filter.predict(state, TIMES[k], inputs={u: PUSH[max(k - 1, 0)]})
         close(state, histories(MODES, Y, SHOWN, k, k - 1))
         if k == 3:
-            with assigned({u: PUSH[3]}):
-                close(filter.forecast(state, TIMES[4]), histories(MODES, Y, SHOWN, 4, 2))
-        with assigned({u: PUSH[k]}):
-            state = filter.correct(state, Y[k], SHOWN[k])
+            close(
+                filter.forecast(state, TIMES[4], inputs={u: PUSH[3]}),
+                histories(MODES, Y, SHOWN, 4, 2),
+            )
+        state = filter.correct(state, Y[k], SHOWN[k], inputs={u: PUSH[k]})
     np.testing.assert_array_equal(estimates.modes, estimates.mode_prob.argmax(axis=1))
     assert not estimates.diverged
 
@@ -227,11 +227,10 @@ def test_measurement_that_leaves_the_nodes_is_marked_for_good(modes):
         assert np.isfinite(estimates.mean).all()
         assert abs(estimates.mean[-1, 0, 2]) < 1
         state = filter.initial((4,))
-        with assigned({u: 0.5}):
-            for k in range(5):
-                shown = (options["indicators"][k],) if modes else ()
-                state = filter.step(state, TIMES[k], y[k], *shown)
-                assert filter.report(state).diverged.tolist() == [False, k > 0, k > 0, False]
+        for k in range(5):
+            shown = (options["indicators"][k],) if modes else ()
+            state = filter.step(state, TIMES[k], y[k], *shown, inputs={u: 0.5})
+            assert filter.report(state).diverged.tolist() == [False, k > 0, k > 0, False]
         smoothed = smooth(filter, TIMES, y, inputs={u: PUSH}, **options)
         assert smoothed.diverged.tolist() == [False, True, True, False]
 

@@ -7,7 +7,6 @@ import pytest
 import sympy as sp
 
 from oracles.linear import Regression, histories, moments
-from seedslib.base import assigned
 from seedslib.filters import ParticleFilter
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
 from systems import (
@@ -65,16 +64,23 @@ def test_particles_of_modes_come_to_the_sum_over_histories(drives):
     state, numbers = filter.initial((RUNS,), seed=5), switching_numbers()
     for k in range(4):
         law = histories(numbers, y, shown, k, k - 1, drives)
-        with assigned({u: values[max(k - 1, 0)] for u, values in INPUTS.items()}):
-            ahead = filter.forecast(state, TIMES[k])
-            state = filter.predict(state, TIMES[k])
+        ahead = filter.forecast(
+            state, TIMES[k], inputs={u: values[max(k - 1, 0)] for u, values in INPUTS.items()}
+        )
+        state = filter.predict(
+            state, TIMES[k], inputs={u: values[max(k - 1, 0)] for u, values in INPUTS.items()}
+        )
         assert within(ahead.mean, law.mean)
         assert within(ahead.mode_prob, law.mode_prob)
         assert ahead.loglik is None
         law = histories(numbers, y, shown, k, k, drives)
-        with assigned({u: values[k] for u, values in INPUTS.items()}):
-            seen = np.repeat(y[k][:, None], RUNS, axis=1)
-            state = filter.correct(state, seen, np.full(RUNS, shown[k]))
+        seen = np.repeat(y[k][:, None], RUNS, axis=1)
+        state = filter.correct(
+            state,
+            seen,
+            np.full(RUNS, shown[k]),
+            inputs={u: values[k] for u, values in INPUTS.items()},
+        )
         said = filter.report(state)
         assert within(said.mean, law.mean)
         assert within(said.cov, law.cov, count=5)
@@ -131,15 +137,20 @@ def test_seeds_matter_and_threads_and_verbs_do_not():
     single = filter.run(TIMES, y, inputs=INPUTS, seed=7)
     assert single.mean.shape == (7, 3)
     assert single.cov.shape == (7, 3, 3)
-    with assigned(dict.fromkeys(INPUTS, 0.5)):
-        state, again = filter.initial((2,), seed=3), filter.initial((2,), seed=3)
-        for k in range(3):
-            state = filter.step(state, TIMES[k], many[k, :, :2])
-            again = filter.correct(filter.predict(again, TIMES[k]), many[k, :, :2])
-        np.testing.assert_array_equal(state.mean, again.mean)
-        np.testing.assert_array_equal(state.particles, again.particles)
-        ahead = filter.forecast(state, TIMES[3])
-        np.testing.assert_array_equal(ahead.mean, filter.forecast(again, TIMES[3]).mean)
+    state, again = filter.initial((2,), seed=3), filter.initial((2,), seed=3)
+    for k in range(3):
+        state = filter.step(state, TIMES[k], many[k, :, :2], inputs=dict.fromkeys(INPUTS, 0.5))
+        again = filter.correct(
+            filter.predict(again, TIMES[k], inputs=dict.fromkeys(INPUTS, 0.5)),
+            many[k, :, :2],
+            inputs=dict.fromkeys(INPUTS, 0.5),
+        )
+    np.testing.assert_array_equal(state.mean, again.mean)
+    np.testing.assert_array_equal(state.particles, again.particles)
+    ahead = filter.forecast(state, TIMES[3], inputs=dict.fromkeys(INPUTS, 0.5))
+    np.testing.assert_array_equal(
+        ahead.mean, filter.forecast(again, TIMES[3], inputs=dict.fromkeys(INPUTS, 0.5)).mean
+    )
     assert filter.initial((2,)).particles.shape == (3, 2000, 2)
 
 
@@ -156,14 +167,13 @@ def test_measurement_that_no_particle_explains_is_marked_for_good(modes):
     assert estimates.diverged.tolist() == [False, True, False]
     assert np.isneginf(estimates.loglik[1, 1])
     assert np.isfinite(estimates.mean).all()
-    with assigned(dict.fromkeys(INPUTS, 0.5)):
-        state = filter.initial((3,))
-        for k in range(4):
-            shown = (np.zeros(3, int),) if modes else ()
-            state = filter.step(state, TIMES[k], y[k], *shown)
-            assert filter.report(state).diverged.tolist() == [False, k > 0, False]
-            assert state.diverged.tolist() == [False, k > 0, False]
-        assert filter.forecast(state, TIMES[4]).diverged is None
+    state = filter.initial((3,))
+    for k in range(4):
+        shown = (np.zeros(3, int),) if modes else ()
+        state = filter.step(state, TIMES[k], y[k], *shown, inputs=dict.fromkeys(INPUTS, 0.5))
+        assert filter.report(state).diverged.tolist() == [False, k > 0, False]
+        assert state.diverged.tolist() == [False, k > 0, False]
+    assert filter.forecast(state, TIMES[4], inputs=dict.fromkeys(INPUTS, 0.5)).diverged is None
 
 
 def test_measurement_far_from_all_particles_is_warned_about():

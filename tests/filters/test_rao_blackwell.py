@@ -5,7 +5,6 @@ import pytest
 import sympy
 
 from oracles.linear import histories
-from seedslib.base import assigned
 from seedslib.filters import KnownModeFilter, RaoBlackwellFilter
 from seedslib.models import Noise, SwitchingSystem
 from seedslib.zoo import manoeuvring_target
@@ -65,13 +64,14 @@ def test_threads_and_streams_of_drawn_histories():
     assert not np.array_equal(one.mean, other.mean)
     few = RaoBlackwellFilter(system, 4)
     state = few.initial((20,), seed=7)
-    with assigned(dict.fromkeys(INPUTS, 0.5)):
-        for k, now in enumerate(TIMES):
-            ahead = few.forecast(state, now)
-            state = few.step(state, now, many[k], shown[k])
-            assert ahead.mode_prob.sum(axis=0) == pytest.approx(1.0)
-        later = (few.step(state, 5.0, many[1], shown[1]) for _ in range(2))
-        np.testing.assert_array_equal(*(each.mean for each in later))
+    for k, now in enumerate(TIMES):
+        ahead = few.forecast(state, now, inputs=dict.fromkeys(INPUTS, 0.5))
+        state = few.step(state, now, many[k], shown[k], inputs=dict.fromkeys(INPUTS, 0.5))
+        assert ahead.mode_prob.sum(axis=0) == pytest.approx(1.0)
+    later = (
+        few.step(state, 5.0, many[1], shown[1], inputs=dict.fromkeys(INPUTS, 0.5)) for _ in range(2)
+    )
+    np.testing.assert_array_equal(*(each.mean for each in later))
 
 
 def test_indicator_that_no_mode_shows_is_marked_for_good():
@@ -99,8 +99,8 @@ def test_indicator_that_no_mode_shows_is_marked_for_good():
         assert filter.report(state).diverged.tolist() == [False, k > 0]
         if k == 1:  # of what no mode shows nothing is kept: all is as it was forecast
             for part, before in zip(
-                (state.mean, state.cov, *state.law),
-                (ahead.mean, ahead.cov, *ahead.law),
+                (state.mean, state.cov, state.means, state.covs),
+                (ahead.mean, ahead.cov, ahead.means, ahead.covs),
                 strict=True,
             ):
                 np.testing.assert_array_equal(part[..., 1], before[..., 1])

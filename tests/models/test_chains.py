@@ -7,7 +7,7 @@ from scipy.integrate import solve_ivp
 from scipy.stats import multivariate_normal, norm
 
 from seedslib import zoo
-from seedslib.base import ELAPSED, Nodes, Parameter, assigned
+from seedslib.base import ELAPSED, Nodes, Parameter
 from seedslib.models import (
     DiscreteChain,
     DiscreteSystem,
@@ -128,8 +128,8 @@ def test_a_discrete_chain_takes_a_step_as_long_as_it_is():
             (1.0, 1.5, 1.0),
             (1.0, 1.5, 2.0),
         ):
-            with assigned({a: rate}):
-                found = chain.transition(start, stop)[:, [40, 75]]
+            p = system.bind(a=rate).values(dt=stop - start)
+            found = chain.transition(start, stop, p)[:, [40, 75]]
             slope = np.exp(-rate * (stop - start))
             wanted = masses(
                 slope * nodes[[40, 75]], np.sqrt(1 - slope**2), nodes[:, None], weights[:, None]

@@ -9,7 +9,7 @@ from scipy.integrate import quad_vec
 from scipy.linalg import expm
 
 from oracles.linear import Regression
-from seedslib.base import ELAPSED, Input, assigned
+from seedslib.base import ELAPSED, Input
 from seedslib.filters import extended_kalman
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, inputs_of
 from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
@@ -45,16 +45,15 @@ def test_functions_of_time_simulate_and_average_as_formulas_do():
     data = of_functions.simulate(EVEN, PATHS, 1, inputs=INPUTS)
     assert_joint_law(data, Regression(linear_numbers(EVEN, means=False)))
     at = np.random.default_rng(0).normal(size=(3, 4))
-    told = {u: row[2] for u, row in INPUTS.items()} | {ELAPSED: 0.4}
-    with assigned(told):
-        for name in ("dynamics", "sensor"):
-            one, two = (
-                getattr(system, name).conditional_moments(2.3, at)
-                for system in (of_functions, formulas)
-            )
-            np.testing.assert_allclose(one[0], two[0], rtol=1e-13)
-            cov = np.broadcast_to(two[1].reshape(*two[1].shape[:2], -1), one[1].shape)
-            np.testing.assert_allclose(one[1], cov, rtol=1e-12)
+    inputs = {u: row[2] for u, row in INPUTS.items()}
+    for name in ("dynamics", "sensor"):
+        one, two = (
+            getattr(system, name).conditional_moments(2.3, at, system.values(inputs, 0.4))
+            for system in (of_functions, formulas)
+        )
+        np.testing.assert_allclose(one[0], two[0], rtol=1e-13)
+        cov = np.broadcast_to(two[1].reshape(*two[1].shape[:2], -1), one[1].shape)
+        np.testing.assert_allclose(one[1], cov, rtol=1e-12)
     assert of_functions.sensor.has_log_density
 
 
@@ -89,8 +88,8 @@ def test_continuous_matrices_are_discretised_exactly_for_each_step():
         spread = quad_vec(lambda s: expm(drift * s) @ noise @ expm(drift * s).T, 0, step)[0]
         for system in (even, free, pickle.loads(pickle.dumps(free))):
             u, s = sorted(inputs_of(system), key=str, reverse=True)
-            with assigned({ELAPSED: step, u: 0.8, s: -0.6}):
-                mean, cov = system.dynamics.conditional_moments(0.0, at[:, None])
+            p = system.values({u: 0.8, s: -0.6}, step)
+            mean, cov = system.dynamics.conditional_moments(0.0, at[:, None], p)
             moved = expm(drift * step) @ at + wanted @ [0.8, -0.6]
             assert mean[:, 0] == pytest.approx(moved, rel=1e-10)
             assert cov.reshape(2, 2, -1)[..., 0] == pytest.approx(spread, rel=1e-8)
@@ -116,5 +115,5 @@ def test_unequal_steps_are_for_maps_that_see_them():
     with pytest.raises(ValueError, match=r"^t"):
         filter.predict(state, 1.6e9 + 0.5)
     sensed = StochasticMap([x], [x + ELAPSED * w], Noise((w,)))
-    with pytest.raises(ValueError, match=r"^dt"):
-        extended_kalman(DiscreteSystem(even.dynamics, sensed, [0], [[1]])).run([0, 1], [[0.0]] * 2)
+    with pytest.raises(ValueError, match=r"^sensor"):
+        DiscreteSystem(even.dynamics, sensed, [0], [[1]])

@@ -7,7 +7,7 @@ import pytest
 import sympy
 
 from oracles.linear import moment_rates
-from seedslib.base import Parameter, assigned
+from seedslib.base import Parameter
 from seedslib.models import JumpDiffusion, Noise, StochasticMap
 from systems import COV0, INPUTS, MEAN0, TIMES, U, continuous_numbers, continuous_system
 
@@ -111,12 +111,11 @@ def test_array_functions_have_the_paths_and_the_rates_of_formulas():
     at = np.random.default_rng(0).normal(size=(2, 5))
     model, lower = continuous_numbers(), np.tril_indices(2)
     for now in (1.5, 2.3):
-        with assigned({U: 0.6}):
-            velocity, spread = (
-                [getattr(s, f).value(now, at, np.empty((0, 5))) for s in (system, numeric)]
-                for f in ("drift_map", "spread_map")
-            )
-            np.testing.assert_allclose(system.intensity(now, at), model.mu(now))
+        velocity, spread = (
+            [getattr(s, f).value(now, at, np.empty((0, 5)), (0.6,)) for s in (system, numeric)]
+            for f in ("drift_map", "spread_map")
+        )
+        np.testing.assert_allclose(system.intensity(now, at, (0.6,)), model.mu(now))
         for k in range(5):
             wanted, square = moment_rates(model, now, at[:, k], np.zeros((2, 2)), 0.6)
             for found in velocity:
@@ -225,9 +224,10 @@ def test_an_initial_law_may_be_sampled_and_parameters_may_be_put_in():
     assert fixed.drift(0.0, np.array([[2.0, 1.0]])).tolist() == [[6, 3]]
     free = Parameter("q", 0.5)
     system = scalar(diffusion=free * x)
-    assert system.mentions == {free}
-    with assigned({free: 2.0}):
-        assert pickle.loads(pickle.dumps(system)).diffusion(0.0, np.ones((1, 1))).item() == 2.0
+    assert system.parameters == (free,)
+    again = pickle.loads(pickle.dumps(system.bind(q=2.0)))
+    assert again.diffusion(0.0, np.ones((1, 1))).item() == 2.0
+    assert system.diffusion(0.0, np.ones((1, 1))).item() == 0.5
 
 
 def test_array_functions_without_noise_and_with_a_sampled_start():

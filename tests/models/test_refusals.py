@@ -219,7 +219,7 @@ def test_models_travel_and_show_themselves(make):
         assert repr(other) == repr(model)
         if hasattr(model, "simulate"):
             times = [1.5, 2.5]
-            inputs = {u: [0.3, 0.1] for u in model.mentions if u.role == "input"}
+            inputs = {u: [0.3, 0.1] for u in model.parameters if u.role == "input"}
             one, two = (each.simulate(times, 5, 3, inputs=inputs).states for each in (model, other))
         else:
             one, two = (each.transition(0.0, 1.0) for each in (model, other))

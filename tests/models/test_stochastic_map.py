@@ -9,7 +9,7 @@ import pytest
 import sympy
 from scipy import stats
 
-from seedslib.base import ELAPSED, Input, Parameter, assigned
+from seedslib.base import ELAPSED, Input, Parameter
 from seedslib.linearization import Taylor, Unscented
 from seedslib.models import DiscreteSystem, Noise, StochasticMap, inputs_of
 
@@ -98,13 +98,11 @@ def sensed(t, x, v, a, u, dt):
 
 def test_array_functions_are_given_parameters_after_their_own_arguments():
     map = StochasticMap.from_functions(1, 1, sensed, Noise(1), parameters=(rate, u, ELAPSED))
-    assert map.mentions == {rate, u, ELAPSED}
+    assert map.parameters == (rate, u, ELAPSED)
     system = DiscreteSystem(map, StochasticMap([x], [x + w], Noise((w,))), [0], [[1]])
     assert inputs_of(system) == {u}
     point = 0.0, np.array([[1.0, 3.0]]), np.array([[0.1, -0.2]])
-    values = {u: np.array([1.0, 2.0]), ELAPSED: 0.5, rate: 2.0}
-    with assigned(values):
-        got = pickle.loads(pickle.dumps(map)).value(*point)
+    got = pickle.loads(pickle.dumps(map)).value(*point, (2.0, np.array([1.0, 2.0]), 0.5))
     np.testing.assert_allclose(got, [[np.exp(-1.0) + 0.1, 3 * np.exp(-1.0) - 0.4]], rtol=1e-15)
     every = StochasticMap.from_functions(
         1,
@@ -117,13 +115,12 @@ def test_array_functions_are_given_parameters_after_their_own_arguments():
         log_density=lambda t, y, x, a: -0.5 * ((y - x)[0] / a) ** 2 - np.log(a),
         weight=lambda t, x, v, a: np.exp(-a * x[0] ** 2),
     )
-    assert every.whole().mentions == {rate}
+    assert every.whole().parameters == (rate,)
     assert not every.whole().weighted
     at = np.array([[0.5]])
-    with assigned({rate: 2.0}):
-        assert every.conditional_moments(0.0, at)[1].item() == 4.0
-        assert every.log_density(0.0, at + 1, at) == pytest.approx(-0.125 - np.log(2))
-        assert every.weight(0.0, at, at) == pytest.approx(np.exp(-0.5))
+    assert every.conditional_moments(0.0, at, (2.0,))[1].item() == 4.0
+    assert every.log_density(0.0, at + 1, at, (2.0,)) == pytest.approx(-0.125 - np.log(2))
+    assert every.weight(0.0, at, at, (2.0,)) == pytest.approx(np.exp(-0.5))
 
 
 # Moments given the state
@@ -157,7 +154,7 @@ def test_conditional_moments_of_a_map_of_correlated_noises():
 
 def test_a_weight_that_looks_at_the_noise_tilts_the_moments():
     branch = StochasticMap((x,), [x + 2 * v], Noise((v,)), weight=sympy.exp(-((v - x) ** 2) / 2))
-    mean, cov, weight = (f(0, np.array([[0.7]])) for f in branch.conditional)
+    mean, cov, weight = (f(0, np.array([[0.7]]), ()) for f in branch.conditional)
     nodes, weights = np.polynomial.hermite_e.hermegauss(80)
     share = weights / weights.sum() * np.exp(-((nodes - 0.7) ** 2) / 2)
     value = 0.7 + 2 * nodes

@@ -7,7 +7,7 @@ from scipy.integrate import quad
 from scipy.stats import norm
 
 from seedslib import zoo
-from seedslib.base import Parameter, assigned
+from seedslib.base import Parameter
 from seedslib.designed import SwitchingFilter
 from seedslib.linearization import GaussHermite
 from seedslib.models import (
@@ -219,10 +219,10 @@ def test_density_of_a_measurement_with_its_indicator():
     wanted = norm.logpdf(shown[0], middle, np.where(first, 1.0, 0.5))
     wanted += np.where(np.isnan(shown[1]), 0.0, told)
     sensor = model.hybrid.sensor
-    with assigned({a: own}):
-        np.testing.assert_allclose(sensor.log_density(1.5, shown, state), wanted, rtol=1e-12)
-        many = np.repeat(state[:, None], 4000, axis=1)
-        drawn = sensor.sample(1.5, many, np.random.default_rng(4))
+    p = model.bind({a: own}).values()
+    np.testing.assert_allclose(sensor.log_density(1.5, shown, state, p), wanted, rtol=1e-12)
+    many = np.repeat(state[:, None], 4000, axis=1)
+    drawn = sensor.sample(1.5, many, np.random.default_rng(4), p)
     assert np.abs(drawn[0].mean(axis=0) - middle).max() < 0.07
     assert np.abs((drawn[1] == 0).mean(axis=0) - chance).max() < 0.035
 

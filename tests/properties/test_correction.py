@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from oracles.drawn import covariances, vectors
-from seedslib.base.correction import correct
+from seedslib.base import update
 from seedslib.linearization import Moments
 
 UNITS = st.sampled_from([1e-150, 1e-70, 1e-6, 1.0, 2.5, 1e8, 1e70, 1e150])
@@ -16,7 +16,7 @@ def corrected(mean, cov, y, sensor, noise):
     """By a linear sensor with independent noises."""
     cross = cov @ sensor.T
     moments = Moments(sensor @ mean, cross, sensor @ cross + np.diag(noise))
-    return correct(mean, cov, y, moments)
+    return update(mean, cov, y, moments)
 
 
 def same(one, other, rtol=1e-9):
@@ -70,5 +70,5 @@ def test_what_is_measured_makes_no_less_certain(mean, cov, y, sensor, noise):
     batch = [np.stack([part, part], axis=-1) for part in (mean, cov, y)]
     cross = (cov @ sensor.T)[..., None].repeat(2, axis=-1)
     spread = (sensor @ cov @ sensor.T + np.diag(noise))[..., None].repeat(2, axis=-1)
-    whole = correct(*batch, Moments((sensor @ mean)[:, None].repeat(2, axis=1), cross, spread))
+    whole = update(*batch, Moments((sensor @ mean)[:, None].repeat(2, axis=1), cross, spread))
     np.testing.assert_allclose(whole[1][..., 1], after, rtol=1e-12, atol=1e-13)

@@ -1,0 +1,339 @@
+"""Filters of switching systems: the IMM filter, and filters of finite order designed offline."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import as_times
+from seedslib.base.clock import Clock, when
+from seedslib.base.values import Values
+from seedslib.designed.accuracy import Design, HeldOut, Prediction, page
+from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
+from seedslib.designed.between import Interval
+from seedslib.designed.checks import check_fields
+from seedslib.designed.lemmas import ModeLaw, total_covariance
+from seedslib.designed.memory import Memory, Past
+from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
+from seedslib.filters.base import Estimates, first_step
+from seedslib.filters.weights import mix, most_probable
+from seedslib.linearization.moments import Linearization, as_linearization
+from seedslib.models.kinds import as_system
+from seedslib.models.switching import SwitchingSystem
+
+
+class CellFit(NamedTuple):
+    """Normal distribution of state and memory in each cell and mode.
+
+    With C cells, L modes and a memory of d numbers:
+
+    Attributes
+    ----------
+    log_weight : ndarray, shape (L, C)
+        Logarithm of the probability of cell and mode, less that of the density's factor.
+    centre : ndarray, shape (d, L, C)
+    white : ndarray, shape (d, d, L, C)
+        The density of the memory falls with half the square of ``white (z - centre)``; rows of
+        zeros where the memory is singular.
+    gain, offset : ndarray, shapes (n, d, L, C) and (n, L, C)
+        Gamma and kappa of (6.34).
+    cov : ndarray, shape (n, n, L, C)
+        T of (6.34).
+    """
+
+    log_weight: np.ndarray
+    centre: np.ndarray
+    white: np.ndarray
+    gain: np.ndarray
+    offset: np.ndarray
+    cov: np.ndarray
+
+    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
+        """Mode and state given the memory: (6.32) to (6.34).
+
+        Parameters
+        ----------
+        cell : ndarray of int, shape (*batch)
+        z : ndarray, shape (d, *batch)
+
+        Returns
+        -------
+        ModeLaw
+            Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
+        """
+        with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
+            weight, centre, white, gain, offset, cov = (self._of_cell(a, cell, z) for a in self)
+            residual = z[:, None] - centre
+            score = np.zeros(np.broadcast_shapes(weight.shape, (len(weight), *z.shape[1:])))
+            score += weight
+            for row in white:
+                square = row[0] * residual[0]
+                for factor, part in zip(row[1:], residual[1:], strict=True):
+                    square = square + factor * part
+                score -= 0.5 * square * square
+            score -= score.max(axis=0)
+            score -= np.log(np.exp(score).sum(axis=0))
+            mean = np.empty((len(offset), *score.shape))
+            for component, row, start in zip(mean, gain, offset, strict=True):
+                component[...] = start
+                for factor, part in zip(row, z, strict=True):
+                    component += factor * part
+        return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
+
+    def check(self, name: str, memory: Memory, system: SwitchingSystem, k: int) -> None:
+        """Refuse arrays that are not those of the memory after measurement k."""
+        n, modes = system.state_size, system.modes
+        d = memory.dimension(k, n, system.measurement_size, modes)
+        tail = modes, cell_count(memory, system, k)
+        check_fields(
+            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail), centre=(d, *tail)
+        )
+
+    @staticmethod
+    def _of_cell(array, cell, z):
+        if array.shape[-1] == 1:
+            return array.reshape(*array.shape[:-1], *(1,) * (z.ndim - 1))
+        return array[..., cell]
+
+
+def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:
+    """Number of the memory's cell, newest block first; zeros where no mode is remembered."""
+    number = np.zeros(batch, dtype=np.intp)
+    for block in past.modes:
+        number = number * modes + block
+    for block in past.indicators:
+        number = number * indicators + block
+    return number
+
+
+def cell_count(memory: Memory, system: SwitchingSystem, k: int) -> int:
+    """Number of cells of the memory after measurement k."""
+    return system.modes ** min(k + 1, memory.estimates) * system.indicators ** min(
+        k + 1, memory.indicators
+    )
+
+
+def require_memory(memory: Memory, system: SwitchingSystem) -> None:
+    """Refuse a memory of what a switching system does not have.
+
+    Raises
+    ------
+    TypeError, ValueError
+        No memory; one of indicators where there are none, or of log-odds of one mode.
+    """
+    if not isinstance(memory, Memory):
+        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
+    if memory.indicators and not system.indicators:
+        raise ValueError(f"memory: wanted no indicators, the system has none: {memory}")
+    if memory.log_odds and system.modes == 1:
+        raise ValueError("memory: wanted several modes for log-odds, got one")
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class SwitchingFilter(DesignedFilter):
+    """Mode and state of a switching system, by a Gaussian distribution in each mode.
+
+    Without a memory it carries the posterior in all modes: the normal approximation of the
+    optimal filter (AOF), an IMM filter with the timing of this model and state-dependent
+    switching. With a memory it is the filter of theorem 3 of the switching paper: only the memory
+    is carried (decided modes and estimates for the large-order filter, FBP; indicators and
+    measurements for the filter with finite memory, FKP), and the distribution given the memory
+    comes from a design; `seedslib.design.synthesize` makes it.
+
+    Parameters
+    ----------
+    system : SwitchingSystem
+    linearization : Linearization
+        `Taylor` gives the linearised filter (an IMM of extended Kalman filters), `ExactGaussian`
+        the Gaussian one.
+    memory : Memory, optional
+    times : array_like, shape (K+1,), optional
+        Times of the design.
+    fits : sequence of CellFit, length K
+        Mode and state given the memory after each measurement but the last. Anything with
+        ``forecast(cell, z) -> ModeLaw`` will do.
+    normalisation : {"consistent", "printed"}
+        How the moments of a measurement are formed where the indicator depends on the state: from
+        the moments of the mixture, or as (6.21) is printed, which is wrong there.
+    predicted : Prediction, optional
+    design : Design, optional
+    cycle : int
+        See `DesignedFilter`.
+    held_out : HeldOut, optional
+
+    Raises
+    ------
+    TypeError, ValueError
+        Arguments that do not fit together.
+    NoClosedForm
+        The linearization has no formulas for a branch; the message offers one that works.
+    """
+
+    node_times = node_fits = ()  # forecasts are for the next measurement only
+
+    system: SwitchingSystem
+    linearization: Linearization
+    memory: Memory | None = None
+    times: MaybeArray = None
+    fits: Sequence[Any] = ()
+    normalisation: str = "consistent"
+    predicted: Prediction | None = None
+    design: Design | None = None
+    cycle: int = 0
+    held_out: HeldOut | None = None
+
+    def __post_init__(self) -> None:
+        as_system("system", self.system, "SwitchingSystem")
+        as_linearization(self.linearization)
+        vars(self).update(fits=tuple(self.fits))
+        if self.memory is not None:
+            require_memory(self.memory, self.system)
+            if self.times is None:
+                raise ValueError("times: wanted the times of the design with a memory")
+            times = as_times("times", self.times)
+            vars(self).update(times=times, clock=Clock(times))
+            self.check_shapes()
+        _ = self.rules  # a linearization without formulas is refused now
+        freeze((self.times, self.predicted, self.held_out, self.fits))
+
+    @cached_property
+    def rules(self) -> SwitchingRules:
+        """The compiled steps."""
+        return compiled_rules(self.system, self.linearization, self.normalisation)
+
+    def check_shapes(self) -> None:
+        """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
+        super().check_shapes()
+        if len(self.fits) != len(self.times) - 1:
+            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
+        for k, fit in enumerate(self.fits):
+            if isinstance(fit, CellFit):
+                fit.check(f"fits[{k}]", self.memory, self.system, k)
+
+    @property
+    def order(self) -> int:
+        """Numbers that are remembered, modes and indicators included: l (n + 1) at full memory."""
+        n, memory = self.system.state_size, self.memory
+        if memory is None:
+            return self.system.modes * (1 + n + n * (n + 1) // 2) - 1
+        numbers = memory.order(n, self.system.measurement_size, self.system.modes)
+        return numbers + memory.estimates + memory.indicators
+
+    # Step by step
+
+    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> SwitchingState:
+        """State before any measurement; the filter draws nothing from `seed`."""
+        return self.rules.start(tuple(batch))
+
+    def predict(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> SwitchingState:
+        """Forecast for time t, the next measurement time; the first state is only given it.
+
+        Raises
+        ------
+        ValueError
+            A time that is not later, or for a designed filter not the next one of the design; a
+            state that was not corrected.
+        """
+        t = float(t)
+        if self.memory is not None:
+            return super().predict(state, t, inputs=inputs)
+        if state.index < 0:
+            return self.propagate(state, t, ())
+        require_corrected(state)
+        if not t > state.time:
+            raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
+        interval = first_step(state, t, self.system)
+        p = self.system.values(inputs, t - state.time)
+        return self.propagate(state, t, p)._replace(interval=interval)
+
+    def propagate(
+        self, state: SwitchingState, t: float, p: Values, interval: Interval | None = None
+    ) -> SwitchingState:
+        """See `DesignedFilter.propagate`."""
+        if state.index < 0:
+            return state._replace(index=0, time=t)
+        law = self.rules.predict(state.time, self.posterior(state), p)
+        return state._replace(
+            index=state.index + 1,
+            time=t,
+            law=law,
+            mean=None,
+            mode=None,
+            loglik=0.0,
+            corrected=False,
+        )
+
+    def posterior(self, state: SwitchingState) -> ModeLaw:
+        """Mode and state after a correction, given the memory alone where there is one."""
+        if self.memory is None:
+            return state.law
+        system, past = self.system, state.past
+        cell = cell_number(past, system.modes, system.indicators, state.mode.shape)
+        return self.fits[self.served(state.index + 1) - 1].forecast(cell, past.vector)
+
+    def update(
+        self,
+        state: SwitchingState,
+        y: np.ndarray,
+        p: Values,
+        indicator: MaybeArray = None,
+        covariance: bool = True,
+    ) -> SwitchingState:
+        """See `DesignedFilter.update`."""
+        return self.rules.correct(state, y, indicator, self.memory, p)
+
+    def batch_of(self, state: SwitchingState) -> tuple[int, ...]:
+        """Batch axes of a forecast."""
+        return state.law.log_prob.shape[2:]
+
+    def without_claims(self, state: SwitchingState, before: Any, gap: Any) -> SwitchingState:
+        """See `DesignedFilter.without_claims`."""
+        law = state.law._replace(cov=nan_where(gap, state.law.cov))
+        return state._replace(law=law, loglik=np.where(before, np.nan, state.loglik), gap=gap)
+
+    def report(self, state: SwitchingState, covariance: bool = True) -> Estimates:
+        """What is estimated after a correction."""
+        cov = total_covariance(state.law) if covariance else None
+        return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
+
+    def forecast(
+        self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
+    ) -> Estimates:
+        """Mean (n, *batch), covariance and probabilities of the modes at the next time."""
+        law = self.predict(state, t, inputs=inputs).law
+        parts, batch = (law.prob, law.mean, law.cov), law.prob.shape[2:]
+        mixed = mix(*(part.reshape(*part.shape[:c], -1, *batch) for c, part in enumerate(parts)))
+        prob = parts[0].sum(axis=1)
+        cov = nan_where(state.gap, mixed.cov)
+        return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
+
+    def smoother(self) -> Any:
+        """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""
+        if self.memory is not None:
+            return super().smoother()
+        from seedslib.designed.switching_smoother import SwitchingSmoother
+
+        return SwitchingSmoother(self)
+
+    def parts(self, chosen: list[int]) -> dict[str, Any]:
+        """Fits of the chosen steps."""
+        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
+
+    def __repr__(self) -> str:
+        carried = "laws of all modes" if self.memory is None else str(self.memory)
+        return f"<SwitchingFilter: {carried}; {self.linearization}>"
+
+    def __str__(self) -> str:
+        carried = "carries the laws of all modes" if self.memory is None else f"of {self.memory}"
+        return page(
+            self,
+            f"Filter of {self.system.modes} modes, {carried}; {self.linearization}",
+            f"order        {self.order}",
+        )

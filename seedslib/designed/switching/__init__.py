@@ -1,1 +1,0 @@
-"""Shelf: the filter of a switching system, what its memory says, its steps and their lemmas."""
