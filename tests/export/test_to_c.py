@@ -96,7 +96,7 @@ def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick
     filter = extended_kalman(DiscreteSystem(move, shows, [0.3, -0.2], [[0.5, 0.1], [0.1, 0.8]]))
     twin, first = compiled(filter), np.array([0.7, 0.2])
     before, other_before = (each.step(each.initial(), 0.0, first) for each in (filter, twin))
-    for y, possible in ((first, True), (first + [0.0, 1e-3], False)):
+    for y, possible in ((first, True), (first + np.array([0.0, 1e-3]), False)):
         state, other = filter.step(before, 0.0, y), twin.step(other_before, 0.0, y)
         assert np.isfinite(other.loglik) == np.isfinite(state.loglik) == possible
         for part in ("mean", "cov", "loglik"):
