@@ -137,4 +137,5 @@ def recorded(filter: Any, parameters: bool = False) -> Step:
                 _warn_of_wide_prior(filter)
             record(step)
             return step
-    raise TypeError(f"filter: wanted a filter that has C, got {type(filter).__name__}")
+    more = "; see filter.tabulated(y=..., z=...)" if hasattr(filter, "tabulated") else ""
+    raise TypeError(f"filter: wanted a filter that has C, got {type(filter).__name__}{more}")

@@ -9,12 +9,12 @@ import numpy as np
 
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import outside
-from seedslib.base.tables import Axis, Grid, Nodes
+from seedslib.base.tables import Axis, Grid, Nodes, as_grids
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
-from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
+from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
@@ -91,12 +91,13 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
-            require_scalar(system)
-            self.chain: Any = SwitchingChain(system, Axis.of("x", x))
-            self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
+            require_few(system, 1)
+            axes: Any = [Axis.of("x", x)]
         else:
-            self.chain = DiscreteChain(system, x)
-            self.axes = self.chain.axes
+            require_few(system)
+            axes = as_grids("x", x, system.state_size)
+        self.chain: GridChain = grid_chain(system, axes)
+        self.axes: tuple[Axis | Nodes, ...] = self.chain.axes
         self._modes: int = self.chain.modes
         self._count: int = self.chain.values.shape[1] // self._modes
         x = self.chain.values[: len(self.axes), : self._count]
@@ -105,7 +106,7 @@ class GridBayesFilter(Filter):
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self._modes, self._count)
-        node_prob = align(self.chain.start().reshape(shape), 2, len(batch))
+        node_prob = align(self.chain.initial.reshape(shape), 2, len(batch))
         log_prob, node_prob = _split(np.broadcast_to(node_prob, (*shape, *batch)))
         self._warn_of_loss(log_prob, 0.0)
         parts = {"log_prob": log_prob, "node_prob": node_prob}
