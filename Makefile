@@ -7,10 +7,9 @@ export JUPYTER_PLATFORM_DIRS := 1
 # Every kernel and test process would compile the library again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: book test checks portable lab sweep execute lint style types clean setup
+.PHONY: book test checks lab sweep execute lint style types clean setup
 
 book: setup execute
-	@$(PY) -m bookkit pages
 	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
 	@$(PY) -m bookkit check-html _build/html
 	@echo "The book is built: open $(CURDIR)/_build/html/index.html"
@@ -23,10 +22,6 @@ test: setup style
 
 checks: setup
 	@$(PY) -m pytest -q -n 2 --dist=loadscope --processor=$(PROCESSOR)
-
-# Everything that draws random numbers, as on other processors; about ten minutes a setting.
-portable: setup
-	@$(PY) -m bookkit portable --table benchmarks/portable.csv
 
 lab: setup
 	@$(VENV)/bin/jupyter lab notebooks
@@ -45,10 +40,11 @@ style: setup
 	@$(VENV)/bin/ruff format --check .
 
 types: setup
-	@$(PY) -m bookkit typecheck README.md notebooks/*.md
+	@rm -rf build/programs && $(PY) -m bookkit programs build/programs
+	@$(VENV)/bin/basedpyright --pythonpath $(PY)
 
 clean:
-	rm -rf $(VENV) _build runs book/claims.md book/where.md book/api .pytest_cache .ruff_cache
+	rm -rf $(VENV) _build build runs book/claims.md book/figures .pytest_cache .ruff_cache
 
 setup: $(VENV)/.installed
 

@@ -10,11 +10,10 @@ from collections import Counter
 from pathlib import PurePosixPath
 from unittest.mock import patch
 
-from jupyter_client.provisioning import local_provisioner
 from nbval.plugin import IPyNbCell, IPyNbFile
 
-from bookkit import kernels, portable
-from bookkit.comparison import deviation, differences, without_records
+from bookkit.comparison import differences, without_records
+from bookkit.processor import environment
 
 _compare_to_the_letter = IPyNbCell.compare_outputs
 _start_kernel = IPyNbFile.setup
@@ -22,27 +21,19 @@ _start_kernel = IPyNbFile.setup
 
 def pytest_addoption(parser):
     parser.addoption("--processor", default="own", help="as which one notebooks are run again")
-    parser.addoption("--forked-kernels", action="store_true", help="kernels that start at once")
-    parser.addoption("--deviations", help="file to which the deviations of numbers are added")
 
 
 def _compare_outputs(self, test, ref, skip_compare=None):
-    found = differences(ref, test)
+    errors = differences(ref, test)
     same = _compare_to_the_letter(self, without_records(test), without_records(ref), skip_compare)
-    if log := self.config.getoption("--deviations"):
-        portable.note(log, self.parent.name, deviation(ref, test))
-    if found:
-        self.comparison_traceback.extend(found)
-    return same and not found
+    if errors:
+        self.comparison_traceback.extend(errors)
+    return same and not errors
 
 
 def _setup(self):
-    with patch.dict(os.environ, portable.environment(self.config.getoption("--processor"))):
-        if self.config.getoption("--forked-kernels"):
-            with patch.object(local_provisioner, "launch_kernel", kernels.launch):
-                _start_kernel(self)
-        else:
-            _start_kernel(self)
+    with patch.dict(os.environ, environment(self.config.getoption("--processor"))):
+        _start_kernel(self)
 
 
 def _subject(nodeid):

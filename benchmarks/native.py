@@ -44,7 +44,7 @@ from seedslib.filters import KalmanFilter, extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
 
-TIMES, TRACKS, FEW, ROUNDS = np.arange(31.0), 4096, 10, 20
+TIMES, TRACKS, FEW, ROUNDS = np.arange(31.0), 4096, 10, 60
 
 x = x1, x2, x3, x4 = sympy.symbols("x1:5", real=True)
 w, v = sympy.symbols("w1:5", real=True), sympy.symbols("v1:3", real=True)
@@ -313,7 +313,7 @@ def main() -> None:
             work()
         for turn in range(ROUNDS):
             for name, program, work, count in known:
-                if turn % 5 and not program.startswith("compiled"):
+                if turn % 10 and not program.startswith("compiled"):
                     continue  # they take long
                 for _ in range(30 if count == 1 else 1):
                     begin = time.process_time()

@@ -13,12 +13,6 @@ import pytest
 
 from seedslib import zoo
 
-QUICK = str(Path(__file__).with_name("quick"))  # what tests' own processes had better not import
-if QUICK not in os.environ.get("PYTHONPATH", ""):
-    given = os.environ.get("PYTHONPATH")
-    os.environ["PYTHONPATH"] = os.pathsep.join([QUICK, given] if given else [QUICK])
-
-
 LONGEST = (
     "export/test_export",
     "bookkit/test_sweeps",

@@ -26,27 +26,13 @@ const live = ((paths) => {
       const said = found.map((f, j) => `${data.filters[j].label} ${f.rms.toFixed(3)} ± ${f.error.toFixed(3)}`);
       return { charts, said: `Error over ${data.paths} new paths: ${said.join("; ")}.`, found, drawn };
     },
-    table(data, given) {
-      const own = data.sliders.slice(0, -1), at = given[own.length];
-      const pick = (values) => own.reduce((part, _, i) => part[given[i]], values);
-      const curves = data.curves.map((c) => ({ label: c.label, y: pick(c.values),
-        error: c.errors && pick(c.errors) }));
-      const said = curves.map((c) => `${c.label} ${show(c.y[at])}${c.error ? ` ± ${show(c.error[at])}` : ""}`);
-      return { charts: [chart({ ...data, curves, x: data.x, mark: data.x[at] })], said: `${said.join("; ")}.` };
-    },
-    law(data, given) { // loss of the plug-in estimate, from the signal-to-noise ratio alone
-      const loss = (s) => 50 / Math.sqrt(1 + s), s = data.sliders[0].values[given[0]];
-      const x = data.sliders[0].values, y = x.map(loss);
-      return { charts: [chart({ ...data, x, curves: [{ label: "law", y }], mark: s })],
-        said: `The plug-in estimate loses ${loss(s).toFixed(2)} %.`, value: loss(s) };
-    },
   };
 
   const show = (x) => Math.abs(x) >= 1000 ? x.toFixed(0) : String(Number(x.toPrecision(3)));
 
   // Curves as SVG text, so that it can be drawn without a page as well.
-  function chart({ x, curves, band, dots = [], mark, xlabel, ylabel, logx, logy, zero }) {
-    const W = 520, H = 270, L = 60, R = 18, B = 46, fx = logx ? Math.log10 : Number;
+  function chart({ x, curves, band, dots = [], xlabel, ylabel, zero }) {
+    const W = 520, H = 270, L = 60, R = 18, B = 46;
     let row = 0, place = L;
     const keys = curves.map(({ label }) => { // names above the curves, in as many rows as needed
       const wide = 46 + 7.8 * label.length;
@@ -54,29 +40,21 @@ const live = ((paths) => {
       place += wide;
       return [place - wide, 14 + 18 * row];
     });
-    const T = 34 + 18 * row;
-    const fy = logy ? Math.log10 : Number, seen = dots.filter((d) => Number.isFinite(d[1]));
-    const all = [...curves.flatMap((c) => c.error ? c.y.flatMap((v, i) => [v - 2 * c.error[i], v + 2 * c.error[i]]) : c.y),
-      ...seen.map((d) => d[1]), ...(band ? [...band.low, ...band.high] : []), ...(zero ? [0] : [])];
-    const ok = all.filter((v) => Number.isFinite(v) && (!logy || v > 0)).map(fy), xs = x.map(fx);
-    const [x0, x1] = [Math.min(...xs), Math.max(...xs)], [y0, y1] = [Math.min(...ok), Math.max(...ok)];
-    const px = (v) => (L + (fx(v) - x0) / (x1 - x0 || 1) * (W - L - R)).toFixed(1);
-    const py = (v) => {
-      const part = (fy(logy && !(v > 0) ? 10 ** y0 : v) - y0) / (y1 - y0 || 1);
-      return (H - B - part * (H - T - B)).toFixed(1);
-    };
+    const T = 34 + 18 * row, seen = dots.filter((d) => Number.isFinite(d[1]));
+    const all = [...curves.flatMap((c) => c.y), ...seen.map((d) => d[1]), ...(band ? [...band.low, ...band.high] : []), ...(zero ? [0] : [])];
+    const ok = all.filter(Number.isFinite), [x0, x1] = [Math.min(...x), Math.max(...x)], [y0, y1] = [Math.min(...ok), Math.max(...ok)];
+    const px = (v) => (L + (v - x0) / (x1 - x0 || 1) * (W - L - R)).toFixed(1);
+    const py = (v) => (H - B - (v - y0) / (y1 - y0 || 1) * (H - T - B)).toFixed(1);
     const line = (y) => y.map((v, i) => `${i ? "L" : "M"}${px(x[i])} ${py(v)}`).join("");
     const out = [`<svg viewBox="0 0 ${W} ${H}" aria-hidden="true">`];
-    for (const v of ticks(y0, y1, logy)) out.push(`<path class="rule" d="M${L} ${py(v)}H${W - R}"/>`,
+    for (const v of ticks(y0, y1)) out.push(`<path class="rule" d="M${L} ${py(v)}H${W - R}"/>`,
       `<text x="${L - 7}" y="${py(v)}" dy="4" text-anchor="end">${show(v)}</text>`);
-    for (const v of ticks(x0, x1, logx)) out.push(
+    for (const v of ticks(x0, x1)) out.push(
       `<text x="${px(v)}" y="${H - B + 18}" text-anchor="middle">${show(v)}</text>`);
     if (band) out.push(`<path class="band" d="${line(band.high)}${x.map((v, i) => `L${px(v)} ${py(band.low[i])}`).reverse().join("")}Z"/>`);
-    if (mark !== undefined) out.push(`<path class="mark" d="M${px(mark)} ${T}V${H - B}"/>`);
     for (const d of seen) out.push(`<circle class="dot" cx="${px(d[0])}" cy="${py(d[1])}" r="3"/>`);
     curves.forEach((c, j) => {
       out.push(`<path class="curve c${j}" d="${line(c.y)}"/>`);
-      if (c.error) c.y.forEach((v, i) => out.push(`<path class="curve bar c${j}" d="M${px(x[i])} ${py(v - 2 * c.error[i])}V${py(v + 2 * c.error[i])}"/>`));
       const [at, high] = keys[j];
       out.push(`<path class="curve c${j}" d="M${at} ${high}h26"/>`, `<text x="${at + 32}" y="${high + 4}">${c.label}</text>`);
     });
@@ -84,12 +62,7 @@ const live = ((paths) => {
       `<text transform="translate(14 ${(T + H - B) / 2}) rotate(-90)" text-anchor="middle">${ylabel}</text></svg>`);
     return out.join("");
   }
-  function ticks(low, high, log) {
-    if (log) {
-      const found = [], fine = high - low < 1.6 ? [1, 2, 5] : [1];
-      for (let e = Math.floor(low); e <= high; e++) for (const m of fine) found.push(m * 10 ** e);
-      return found.filter((v) => Math.log10(v) >= low - 1e-9 && Math.log10(v) <= high + 1e-9);
-    }
+  function ticks(low, high) {
     const rough = (high - low) / 5 || 1, ten = 10 ** Math.floor(Math.log10(rough));
     const step = ten * [1, 2, 5, 10].find((m) => m * ten >= rough), found = [];
     for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);

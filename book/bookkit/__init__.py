@@ -9,13 +9,10 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from bookkit import plots as plots
-    from bookkit.design_plots import plot_design as plot_design
     from bookkit.parameters import check as check
     from bookkit.parameters import choice as choice
-    from bookkit.parameters import flag as flag
     from bookkit.parameters import integer as integer
     from bookkit.parameters import real as real
-    from bookkit.parameters import reals as reals
     from bookkit.recording import claim as claim
     from bookkit.recording import record as record
     from bookkit.sweeps import run_sweep as run_sweep

@@ -1,15 +1,20 @@
-"""What the ledger of claims is: its entries, and the rules that no entry may break."""
+"""The ledger of claims: its entries, their rules, and where it differs from the notebooks.
+
+A verdict is written in the ledger and computed by a notebook, which also lists the planted faults
+that would change it.
+"""
 
 from __future__ import annotations
 
 from collections import Counter
-from functools import cache
+from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Literal
 
+import yaml
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
-from bookkit.files import read_yaml
 from bookkit.parameters import explain
 
 PAPERS = {
@@ -28,7 +33,8 @@ ORIGINS = {
     "implied": "it follows from the paper, which does not say it",
     "ours": "we found it",
 }
-VERDICTS = ("reproduced", "corrected", "refuted", "open", "checked")
+VERDICTS = ("refuted", "corrected", "open", "reproduced", "checked")
+"""In the order in which a reader of the papers wants to see them."""
 LEDGER = "book/claims.yml"
 
 
@@ -46,7 +52,7 @@ class Claim(BaseModel):
     `printed` are numbers that can be read in the paper; `reference` those of a second route of
     ours, which the file `source` computes or holds. `because` is the sentence that says why a
     tolerance is wider than the last printed digit, by which route a reference without a file was
-    found, or what an open claim lacks; `reading` what we had to assume where the paper does not
+    computed, or what an open claim lacks; `reading` what we had to assume where the paper does not
     say it.
     """
 
@@ -57,7 +63,6 @@ class Claim(BaseModel):
     place: str
     statement: str
     reading: str = ""
-    kind: Literal["identity", "number", "figure", "qualitative"]
     notebook: Annotated[str, Field(pattern=r"^notebooks/\w+\.md$")]
     printed: Numbers = None
     reference: Numbers = None
@@ -70,7 +75,7 @@ class Claim(BaseModel):
 
     @property
     def expected(self) -> list[float] | None:
-        """The numbers that ours are held against, the paper's or those of a second route."""
+        """The numbers that ours are compared with, the paper's or those of a second route."""
         return self.printed if self.printed is not None else self.reference
 
     @property
@@ -79,31 +84,30 @@ class Claim(BaseModel):
         count, given = len(self.expected or ()), self.tolerance or []
         return given * count if len(given) == 1 else given
 
-    def faults(self) -> list[str]:
+    def errors(self) -> Iterable[str]:
         """The rules that this entry breaks, a sentence each."""
-        ours, found = self.origin == "ours", []
+        ours = self.origin == "ours"
         if ours != (self.verdict == "checked") and self.verdict != "open":
-            found.append(f"a claim whose origin is {self.origin} cannot be {self.verdict}")
+            yield f"a claim whose origin is {self.origin} cannot be {self.verdict}"
         if ours and self.printed is not None:
-            found.append("printed numbers are a paper's; ours are a reference")
+            yield "printed numbers are a paper's; ours are a reference"
         if self.printed is not None and self.reference is not None:
-            found.append("printed and reference: wanted one of them")
+            yield "printed and reference: wanted one of them"
         if self.reference is not None and not (self.source or self.because):
-            found.append("a reference wants its source or a because")
+            yield "a reference wants its source or a because"
         if (self.tolerance is None) != (self.expected is None):
-            found.append("numbers and a tolerance want each other")
+            yield "numbers and a tolerance want each other"
         elif len(self.widths) != len(self.expected or ()):
-            found.append("as many tolerances as numbers, or one for all")
+            yield "as many tolerances as numbers, or one for all"
         for value, width in zip(self.expected or (), self.widths, strict=False):
             if width >= abs(value) and width > 0:
-                found.append(f"{value:g} ± {width:g}: a tolerance as wide as the number")
+                yield f"{value:g} ± {width:g}: a tolerance as wide as the number"
             elif self.printed is not None and not self.because and width > 1.001 * _half(value):
-                found.append(f"{value:g} ± {width:g}: more than the last digit wants a because")
+                yield f"{value:g} ± {width:g}: more than the last digit wants a because"
         if self.verdict == "corrected" and not (self.printed_formula and self.corrected_formula):
-            found.append("corrected wants what is printed and what is right")
+            yield "corrected wants what is printed and what is right"
         if self.verdict == "open" and not self.because:
-            found.append("open wants a because: what is missing")
-        return found
+            yield "open wants a because: what is missing"
 
 
 def _half(value: float) -> float:
@@ -118,57 +122,82 @@ def read_ledger(path: Path) -> list[Claim]:
     Raises
     ------
     ValueError
-        No such file, not YAML, or an entry that is not a claim; the entry is named.
+        Not YAML, or an entry that is not a claim; the entry is named.
     """
-    entries = read_yaml(path, "ledger") or []
-    if not isinstance(entries, list):
-        raise ValueError(f"{path}: wanted a list of claims")
+    try:
+        return _parsed(path.read_text())
+    except ValueError as error:
+        raise ValueError(f"{path.name}: {error}") from None
+
+
+@lru_cache(maxsize=2)  # every notebook asks for the same ledger
+def _parsed(text: str) -> list[Claim]:
+    try:
+        entries = yaml.load(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)) or []
+    except yaml.YAMLError as error:
+        raise ValueError(f"not YAML: {error}") from None
     claims, problems = [], []
     for position, entry in enumerate(entries):
-        name = f"entry {position}"
-        if isinstance(entry, dict | str):
-            name = entry.get("id", name) if isinstance(entry, dict) else entry
         try:
             claims.append(Claim.model_validate(entry))
         except ValidationError as error:
+            name = entry.get("id") if isinstance(entry, dict) else f"entry {position}"
             problems.append(f"{name}: {explain(error)}")
     counts = Counter(claim.id for claim in claims)
     problems += [f"{name}: stands {n} times in the ledger" for name, n in counts.items() if n > 1]
     if problems:
-        raise ValueError(f"{path.name}: " + "; ".join(problems))
+        raise ValueError("; ".join(problems))
     return claims
 
 
 def look_up(name: str) -> Claim:
-    """A claim of the ledger of the project that runs, which is at or above the present folder.
+    """A claim of the ledger of the project at or above the working directory.
 
     Raises
     ------
     ValueError
-        The ledger has no such entry.
+        No ledger, or no such entry.
     """
-    here = Path.cwd()
-    beside = Path(__file__).parents[2]
-    for folder in (here, *here.parents, beside):
+    for folder in (Path.cwd(), *Path.cwd().parents):
         if (folder / LEDGER).is_file():
-            known = _by_name(folder / LEDGER)
-            if name in known:
-                return known[name]
+            for claim in read_ledger(folder / LEDGER):
+                if claim.id == name:
+                    return claim
             raise ValueError(f"claim {name}: not in the ledger {LEDGER}")
     raise ValueError(f"claim {name}: no ledger {LEDGER} at or above this folder")
 
 
-def own_claims(path: Path, notebook: str) -> list[Claim]:
-    """The claims of a ledger that one notebook decides; none where there is no ledger."""
-    if not path.is_file():
-        return []
-    return [claim for claim in _by_name(path).values() if claim.notebook == notebook]
+def disagreements(root: Path, recorded: dict[str, dict[str, dict]]) -> list[str]:
+    """Rules that the ledger breaks, and where it differs from what the notebooks compute.
+
+    Parameters
+    ----------
+    root : Path
+        The project's folder.
+    recorded : mapping
+        What `read_verdicts` reads.
+    """
+    claims, recorded = read_ledger(root / LEDGER), dict(recorded)
+    errors = []
+    for claim in claims:
+        errors += [f"{claim.id}: {error}" for error in claim.errors()]
+        if claim.source and not (root / claim.source).is_file():
+            errors.append(f"{claim.id}: no source {claim.source}")
+        entries = recorded.pop(claim.id, {})
+        if set(entries) != {claim.notebook}:
+            where = ", ".join(entries) or "no notebook"
+            errors.append(f"{claim.id}: ledger says {claim.notebook}, recorded by {where}")
+        else:
+            errors += [f"{claim.id}: {text}" for text in _differences(claim, *entries.values())]
+    return errors + [f"{name}: recorded, but not in the ledger" for name in recorded]
 
 
-@cache
-def _read(path: Path, changed: int) -> dict[str, Claim]:
-    return {claim.id: claim for claim in read_ledger(path)}
-
-
-def _by_name(path: Path) -> dict[str, Claim]:
-    return _read(path, path.stat().st_mtime_ns)
+def _differences(claim: Claim, entry: dict) -> Iterable[str]:
+    if entry["verdict"] != claim.verdict:
+        yield f"ledger says {claim.verdict}, {claim.notebook} finds {entry['verdict']}"
+    if claim.verdict != "open" and not entry.get("wrong"):
+        yield f"no planted fault: {claim.notebook} does not say what it would fail with"
+    for fault in entry.get("missed", []):
+        yield f"true as well with this fault: {fault}"
+    if claim.verdict == "refuted" and not (entry.get("computed") or entry["note"]):
+        yield "refuted wants our numbers, or what shows it"

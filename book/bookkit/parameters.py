@@ -23,51 +23,32 @@ def integer(**bounds: int) -> Any:
     return Annotated[int, Field(strict=True, **bounds)]
 
 
-def reals(min_length: int = 1, max_length: int | None = None, **bounds: float) -> Any:
-    """A list of finite real numbers, each within the bounds."""
-    return Annotated[list[real(**bounds)], Field(min_length=min_length, max_length=max_length)]
-
-
 def choice(*options: str | int) -> Any:
     """One of the given values."""
     return Literal[options]
 
 
-def flag() -> Any:
-    """True or False."""
-    return Annotated[bool, Field(strict=True)]
-
-
 def explain(error: ValidationError) -> str:
-    """All faults that pydantic found, one clause each: name, what came, what is wanted."""
+    """All errors that pydantic reports, one clause each: name, value, what is wanted."""
     clauses = []
-    for fault in error.errors(include_url=False):
-        name = ".".join(str(part) for part in fault["loc"])
-        wanted = fault["msg"][:1].lower() + fault["msg"][1:]
-        if fault["type"] == "missing":
-            clauses.append(f"{name} is not set")
-        else:
-            clauses.append(f"{name} = {_shown(fault['input'])}: {wanted}")
+    for one in error.errors(include_url=False):
+        name = ".".join(str(part) for part in one["loc"])
+        wanted = one["msg"][:1].lower() + one["msg"][1:]
+        missing = one["type"] == "missing"
+        clauses.append(f"{name} is not set" if missing else f"{name} = {one['input']!r}: {wanted}")
     return "; ".join(clauses)
 
 
-def _shown(value: object) -> str:
-    try:
-        return repr(value)
-    except RecursionError:
-        return f"a {type(value).__name__} that is nested too deep"
-
-
 def check(namespace: Mapping[str, object], /, **fields: Any) -> None:
-    """Check a notebook's parameters; every fault is named in one message.
+    """Check a notebook's parameters; every error is named in one message.
 
     Parameters
     ----------
     namespace : mapping
-        Where the parameters stand: ``globals()`` in a notebook.
+        The variables, by name: ``globals()`` in a notebook.
     **fields
-        For each parameter what it may be: `real`, `integer`, `choice`, `flag`, `reals`, or any
-        type that pydantic understands.
+        For each parameter what it may be: `real`, `integer`, `choice`, or any type
+        that pydantic understands.
 
     Raises
     ------
@@ -78,7 +59,7 @@ def check(namespace: Mapping[str, object], /, **fields: Any) -> None:
         raise ValueError("check: wanted at least one parameter")
     model: type[BaseModel] = create_model(
         "Parameters",
-        __config__=ConfigDict(strict=True, extra="forbid", arbitrary_types_allowed=True),
+        __config__=ConfigDict(strict=True, arbitrary_types_allowed=True),
         **{name: (kind, ...) for name, kind in fields.items()},
     )
     try:

@@ -7,7 +7,7 @@ differ by dash and marker.
 from __future__ import annotations
 
 import io
-from typing import Any, overload
+from typing import Any
 
 import matplotlib.pyplot as plt
 from cycler import cycler
@@ -52,7 +52,7 @@ FAMILIES = {
 """Colour, dash and marker by what a filter's name says; the first that fits, longest first."""
 
 FIRST = ("log-odds", "indicator")
-"""What is remembered beside estimates: it tells filters apart before their number of estimates."""
+"""What is remembered beside estimates: it is looked for before the number of estimates."""
 
 DOTS = 110
 """A figure's dots to the inch on the page; its picture has twice as many."""
@@ -73,12 +73,6 @@ _STYLE = {
 }
 
 
-@overload
-def axes(*, size: tuple[float, float] | None = None, **options: Any) -> tuple[Figure, Axes]: ...
-@overload
-def axes(
-    rows: int, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
-) -> tuple[Figure, Any]: ...
 def axes(
     rows: int = 1, columns: int = 1, *, size: tuple[float, float] | None = None, **options: Any
 ) -> tuple[Figure, Any]:

@@ -1,18 +1,21 @@
-"""Numbers and verdicts that leave a notebook.
+"""Numbers and verdicts that a notebook publishes, and how they are read.
 
-One call of `record` or `claim` is read by four readers: the tolerant re-run test, the sweep
-tables, the text of the book, and the ledger of claims. What it writes is plain JSON inside the
-notebook's outputs, so reading needs nothing but this module.
+One call of `record` or `claim` has four readers: the tolerant re-run test, the sweep tables, the
+text of the book, and the ledger of claims. What it writes is plain JSON inside the notebook's
+outputs, so reading needs nothing but this module.
 """
 
 from __future__ import annotations
 
+import html
+import json
+import re
 import sys
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 from bookkit.claims import Claim, look_up
-from bookkit.tables import typeset
 
 MIME = "application/vnd.seedslib.record+json"
 GLUE = "application/papermill.record/"
@@ -52,10 +55,10 @@ def plain(name: str, value: object) -> object:
     return value
 
 
-def shown(value: object) -> str:
-    """Value for the page: six significant digits."""
+def formatted(value: object) -> str:
+    """Value as text: six significant digits."""
     if isinstance(value, list):
-        return ", ".join(shown(item) for item in value)
+        return ", ".join(formatted(item) for item in value)
     if isinstance(value, float):
         return f"{value:.6g}"
     return str(value)
@@ -68,7 +71,7 @@ def _publish(data: dict, metadata: dict | None = None) -> None:
 
 
 def record(*, rtol: float = RTOL, atol: float = ATOL, **values: object) -> None:
-    """Let numbers leave the notebook, under names that are unique in it.
+    """Publish numbers of the notebook, under names that are unique in it.
 
     Parameters
     ----------
@@ -85,10 +88,10 @@ def record(*, rtol: float = RTOL, atol: float = ATOL, **values: object) -> None:
     if not values:
         raise ValueError("record: wanted at least one named value")
     clean = {name: plain(name, value) for name, value in values.items()}
-    lines = "\n".join(f"{name} = {shown(value)}" for name, value in clean.items())
+    lines = "\n".join(f"{name} = {formatted(value)}" for name, value in clean.items())
     _publish({MIME: {"values": clean, "rtol": rtol, "atol": atol}, "text/plain": lines})
     for name, value in clean.items():
-        text = shown(value) if isinstance(value, list) else repr(value).strip("'")
+        text = formatted(value) if isinstance(value, list) else repr(value).strip("'")
         _publish({GLUE + "text/plain": text}, {"scrapbook": {"name": name, "mime_prefix": GLUE}})
 
 
@@ -106,7 +109,7 @@ def claim(
 ) -> None:
     """Record the verdict on one claim, computed from numbers.
 
-    What is claimed, the numbers it is held against and their tolerance are in the ledger,
+    What is claimed, the numbers it is compared with and their tolerance are in the ledger,
     ``book/claims.yml``.
 
     Parameters
@@ -118,7 +121,7 @@ def claim(
     computed : float or sequence of float, optional
         Our numbers; where the ledger has numbers the claim holds when each pair agrees.
     corrected : bool, optional
-        For a claim that does not hold: whether our corrected statement was found true.
+        For a claim that does not hold: whether our corrected statement is true.
     wrong : mapping of str to bool or numbers, optional
         What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that
         name the fault. A condition that is true then is no condition: the box says so, and the
@@ -136,11 +139,10 @@ def claim(
         An id that is not in the ledger, or numbers that do not fit the ledger's in number.
     """
     entry = look_up(name)
-    evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _said(entry)}
+    evidence: dict[str, object] = {"paper": entry.origin != "ours", "says": _statement(entry)}
     holds, corrected = _boolean(name, "holds", holds), _boolean(name, "corrected", corrected)
     if computed is not None:
-        ours = plain("computed", computed)
-        evidence["computed"] = ours if isinstance(ours, list) else [ours]
+        evidence["computed"] = _numbers(name, computed)
     if entry.expected is not None:
         if computed is None:
             raise ValueError(f"claim {name}: the ledger has numbers; wanted computed ones")
@@ -158,17 +160,17 @@ def claim(
     if missed:
         evidence["missed"] = missed
     verdict = "open" if undecided else _verdict(holds, corrected, bool(evidence["paper"]))
-    found = {"verdict": verdict, **evidence, "wrong": list(wrong or ()), "note": note}
+    result = {"verdict": verdict, **evidence, "wrong": list(wrong or ()), "note": note}
     _publish(
         {
-            MIME: {"claims": {name: found}, "rtol": rtol, "atol": atol},
-            "text/html": claim_html(name, found),
+            MIME: {"claims": {name: result}, "rtol": rtol, "atol": atol},
+            "text/html": claim_html(name, result),
             "text/plain": f"{name}: {verdict}",
         }
     )
 
 
-def _said(entry: Claim) -> str:
+def _statement(entry: Claim) -> str:
     """What is claimed and where, as one paragraph of text."""
     parts = [entry.statement.strip()]
     if entry.reading:
@@ -190,11 +192,15 @@ def _boolean(name: str, label: str, value: object) -> bool | None:
     return None if value is None else bool(value)
 
 
+def _numbers(name: str, value: object) -> list:
+    numbers = plain(f"claim {name}", value)
+    return numbers if isinstance(numbers, list) else [numbers]
+
+
 def _agrees(entry: Claim, computed: object) -> bool:
-    ours, theirs = plain(f"claim {entry.id}", computed), entry.expected
+    ours, theirs = _numbers(entry.id, computed), entry.expected
     if theirs is None:
-        raise ValueError(f"claim {entry.id}: the ledger has no numbers to hold these against")
-    ours = ours if isinstance(ours, list) else [ours]
+        raise ValueError(f"claim {entry.id}: the ledger has no numbers to compare these with")
     if len(ours) != len(theirs):
         raise ValueError(
             f"claim {entry.id}: wanted {len(theirs)} numbers as in the ledger, got {len(ours)}"
@@ -211,36 +217,29 @@ def _verdict(holds: bool | None, corrected: bool | None, paper: bool) -> str:
 
 
 FEW = 6
-"""As many numbers are shown in a box; of more, only how well they agree."""
+"""Numbers that a box lists; of more it only says how many they are."""
 
 
 def evidence(entry: Mapping) -> list[str]:
     """What was found on a claim, from its record, as a few sentences."""
     parts, ours = [], entry.get("computed", [])
     if ours and len(ours) <= FEW:
-        parts.append("computed " + shown(ours))
+        parts.append("computed " + formatted(ours))
     for kind in ("printed", "reference"):
         if kind in entry:
             theirs, widths = entry[kind], entry["tolerance"]
             if len(theirs) <= FEW:
                 same = widths[:1] if len(set(widths)) == 1 else widths
-                parts.append(f"{kind} {shown(theirs)} (± {shown(same)})")
+                parts.append(f"{kind} {formatted(theirs)} (± {formatted(same)})")
             else:
-                worst = max(
-                    abs(a - b) / w if w else float(a != b)
-                    for a, b, w in zip(ours, theirs, widths, strict=True)
-                )
-                parts.append(
-                    f"{len(theirs)} numbers held against {kind} ones; the farthest is "
-                    f"{worst:.2f} of its tolerance away"
-                )
+                parts.append(f"{len(theirs)} numbers compared with {kind} ones")
     if "source" in entry:
         parts.append("from " + entry["source"])
     if entry["note"]:
         parts.append(entry["note"])
     missed = entry.get("missed", [])
-    if told := [fault for fault in entry["wrong"] if fault not in missed]:
-        parts.append("Would fail with: " + ", ".join(told))
+    if caught := [fault for fault in entry["wrong"] if fault not in missed]:
+        parts.append("Would fail with: " + ", ".join(caught))
     if missed:
         parts.append("Would not fail with: " + ", ".join(missed))
     return parts
@@ -256,6 +255,20 @@ def claim_html(name: str, entry: Mapping) -> str:
     )
 
 
+def typeset(text: str) -> str:
+    """A text as HTML; MathJax sets what is between dollars, on a page and in JupyterLab."""
+    return re.sub(r"\$([^$]+)\$", r'<span class="math">\\(\1\\)</span>', html.escape(text))
+
+
+def columns(values: Mapping[str, Any]) -> dict[str, Any]:
+    """Values with the entries of a list ``x`` under ``x_0``, ``x_1``, ..."""
+    result: dict[str, Any] = {}
+    for name, value in values.items():
+        items = enumerate(value) if isinstance(value, list) else ()
+        result |= {f"{name}_{index}": item for index, item in items} or {name: value}
+    return result
+
+
 def payloads(outputs: Sequence[Mapping]) -> list[dict]:
     """The records among the outputs of one cell, in order."""
     return [out["data"][MIME] for out in outputs if MIME in out.get("data", {})]
@@ -267,14 +280,12 @@ def read_records(notebook: Mapping) -> Records:
     Raises
     ------
     ValueError
-        A name was recorded twice, or an output of this kind that neither `record` nor `claim`
-        made.
+        A name was recorded twice.
     """
     values: dict[str, object] = {}
     claims: dict[str, dict] = {}
     for cell in notebook["cells"]:
         for payload in payloads(cell.get("outputs", [])):
-            _check_payload(payload)
             for kind, into in (("values", values), ("claims", claims)):
                 for name, value in payload.get(kind, {}).items():
                     if name in into:
@@ -283,19 +294,16 @@ def read_records(notebook: Mapping) -> Records:
     return Records(values, claims)
 
 
-def _check_payload(payload: object) -> None:
-    """Refuse an output that says it is a record and has another shape."""
-    if not isinstance(payload, Mapping):
-        raise ValueError(f"a record of another shape: wanted a mapping, got {payload!r:.40}")
-    for kind in ("values", "claims"):
-        entries = payload.get(kind, {})
-        if not isinstance(entries, Mapping):
-            raise ValueError(f"a record of another shape: {kind}: wanted a mapping")
-        for name, entry in entries.items():
-            if kind == "claims" and not isinstance(entry, Mapping):
-                raise ValueError(f"a record of another shape: claim {name}: wanted a mapping")
-            if kind == "values":
-                try:
-                    plain(name, entry)
-                except TypeError as error:
-                    raise ValueError(f"a record of another shape: {error}") from None
+def read_notebooks(root: Path) -> dict[str, Records]:
+    """What each executed notebook of a project recorded, by its name."""
+    paths = sorted((root / "notebooks").glob("*.ipynb"))
+    return {path.stem: read_records(json.loads(path.read_text())) for path in paths}
+
+
+def read_verdicts(root: Path) -> dict[str, dict[str, dict]]:
+    """The verdicts of the executed notebooks: by claim, by notebook."""
+    by_claim: dict[str, dict[str, dict]] = {}
+    for stem, records in read_notebooks(root).items():
+        for name, entry in records.claims.items():
+            by_claim.setdefault(name, {})[f"notebooks/{stem}.md"] = entry
+    return by_claim

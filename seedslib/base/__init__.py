@@ -1,8 +1,9 @@
-"""The ground floor: what several rooms need and no subject owns.
+"""What several packages need and no subject owns.
 
-Checks of arguments, blocks and bundles of paths with their seeds, semidefinite matrices, the one
-correction, tables and their look-up, parameters and inputs, how objects travel,
-and the lazy names of these doors. No model, no filter.
+Checks of arguments, batch axes, blocks and bundles of paths with their seeds, positive
+semidefinite matrices (`linalg`), Gaussian moments given a measurement (`conditioning`), tables and
+their look-up, parameters and inputs, how objects print and are pickled, and the lazy names of
+these packages. No model, no filter.
 
 May import: none.
 """

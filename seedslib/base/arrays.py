@@ -43,3 +43,13 @@ def batch_shape(*shapes: tuple[int, ...]) -> tuple[int, ...]:
                 return np.broadcast_shapes(*shapes)
             joint = shape
     return joint
+
+
+def product(A: np.ndarray, B: np.ndarray, core: int) -> np.ndarray:
+    """Matrix A (m, n) or (m, n, *batch) times B: a vector (core 1) or a matrix (core 2) per item.
+
+    A matrix that is common to all items multiplies all of them at once, laid side by side.
+    """
+    if A.ndim == 2:
+        return (A @ B.reshape(len(B), -1)).reshape(len(A), *B.shape[1:])
+    return np.einsum("ij...,j...->i..." if core == 1 else "ij...,jk...->ik...", A, B)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, NamedTuple
 
@@ -114,6 +114,13 @@ class Nodes:
     weights : array_like, shape (S,), optional
         Positive; those of the trapezoid rule by default.
 
+    Attributes
+    ----------
+    count : int
+        Number of nodes.
+    low, high : float
+        First and last node.
+
     Raises
     ------
     TypeError, ValueError
@@ -122,6 +129,9 @@ class Nodes:
 
     nodes: Any
     weights: Any = None
+    count: int = field(init=False)
+    low: float = field(init=False)
+    high: float = field(init=False)
 
     def __post_init__(self) -> None:
         nodes = as_real("nodes", self.nodes)
@@ -130,25 +140,11 @@ class Nodes:
         gaps = np.diff(nodes, prepend=nodes[0], append=nodes[-1])
         weights = 0.5 * (gaps[1:] + gaps[:-1])
         if self.weights is not None:
-            weights = as_real("weights", as_real("weights", self.weights), nodes.shape)
+            weights = as_real("weights", self.weights, nodes.shape)
         if not (weights > 0).all():
             raise ValueError(f"weights: wanted positive numbers, got {weights.min():g}")
-        vars(self).update(nodes=nodes, weights=weights)
-
-    @property
-    def count(self) -> int:
-        """Number of nodes."""
-        return len(self.nodes)
-
-    @property
-    def low(self) -> float:
-        """First node."""
-        return float(self.nodes[0])
-
-    @property
-    def high(self) -> float:
-        """Last node."""
-        return float(self.nodes[-1])
+        vars(self).update(nodes=nodes, weights=weights, count=len(nodes))
+        vars(self).update(low=float(nodes[0]), high=float(nodes[-1]))
 
     def place(self, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """As `Axis.place`."""
@@ -216,8 +212,8 @@ class Located(NamedTuple):
 
     def rows(self, table: np.ndarray) -> np.ndarray:
         """`linear` in each of p tables, shape (p, count of each axis...): (p, *batch)."""
-        found = [self.linear(row.reshape(-1)) for row in table]
-        return found[0][None] if len(found) == 1 else np.stack(found)
+        values = [self.linear(row.reshape(-1)) for row in table]
+        return values[0][None] if len(values) == 1 else np.stack(values)
 
     def nearest(self, flat: np.ndarray) -> np.ndarray:
         """Entry at the nearest node, the lower one of two equally near ones, shape (*batch)."""
@@ -229,10 +225,10 @@ class Located(NamedTuple):
     @property
     def offsets(self) -> list[int]:
         """From the lowest corner to each corner of the cell."""
-        found = [0]
+        offsets = [0]
         for stride in self.strides:
-            found = [offset + up for offset in found for up in (0, stride)]
-        return found
+            offsets = [offset + up for offset in offsets for up in (0, stride)]
+        return offsets
 
 
 def locate(axes: Sequence[Axis | Labels], points: Sequence[np.ndarray]) -> Located:

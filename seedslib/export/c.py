@@ -8,6 +8,7 @@ import re
 import textwrap
 from collections import Counter
 from collections.abc import Callable
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -121,7 +122,7 @@ class C:
         """Declarations of memory for one step, which is zero at first."""
         kind = self.types[array.kind]
         if array.indexed:
-            return [f"{kind} {array.name}{sizes(array)} = {{ 0 }};"]
+            return [f"{kind} {array.name}{shape(array)} = {{ 0 }};"]
         places = (self.place(array, index) for index in np.ndindex(*array.shape))
         return [f"{kind} {place} = 0.0;" for place in places]
 
@@ -174,15 +175,9 @@ class C:
         return result
 
 
-def sizes(array: Array) -> str:
+def shape(array: Array) -> str:
     """The sizes of an array in a declaration."""
     return "".join(f"[{n}]" for n in array.shape)
-
-
-def constants(kind: str, name: str, values: np.ndarray, written: Callable[[Any], str]) -> str:
-    """A table."""
-    dimensions = "".join(f"[{size}]" for size in values.shape)
-    return f"static const {kind} {name}{dimensions} = {_braces(values, written)};"
 
 
 def _braces(values: np.ndarray, written: Callable[[Any], str], indent: str = "") -> str:
@@ -204,9 +199,10 @@ def tables(step: Step, writer: C) -> list[str]:
     result = []
     for a in step.arrays.values():
         if a.owner == "table":
-            written = (lambda v: str(int(v))) if a.kind == "int" else writer.constant
-            kind = writer.types[a.kind]
-            result.append(constants(kind, f"{writer.name}_{a.name}", a.values, written))
+            written = str if a.kind == "int" else writer.constant
+            values = a.values.astype(int) if a.kind == "int" else a.values
+            head = f"static const {writer.types[a.kind]} {writer.name}_{a.name}{shape(a)}"
+            result.append(f"{head} = {_braces(values, written)};")
     return result
 
 
@@ -216,86 +212,19 @@ def signature(step: Step, writer: C) -> str:
     kinds = {"time": "double ", "y": real, "indicator": "int ", "held": real, "u": real, "p": real}
     given = [f"{writer.name}_state *s", *(kinds[a] + a for a in arguments(step))]
     head = f"static inline int {writer.name}_step("
-    lines = textwrap.wrap(", ".join(given), WIDTH - len(head), break_long_words=False)
-    return head + ("\n" + " " * len(head)).join(lines) + ")"
+    lines = [head]
+    for part in given:
+        if len(lines[-1]) + len(part) + 2 > WIDTH:
+            lines[-1] = lines[-1].rstrip()
+            lines.append(" " * len(head))
+        lines[-1] += part + ", "
+    return "\n".join(lines)[:-2] + ")"
 
 
 def arguments(step: Step) -> list[str]:
     """Names of the arguments of a step in their order."""
     known = [step.arrays.get(name) for name in ("time", "y", "indicator", "held", "u", "p")]
     return [a.name for a in known if a is not None and a.owner == "argument"]
-
-
-HEAD = """\
-#ifndef @NAME_H
-#define @NAME_H
-
-#include <math.h>
-#include <string.h>
-
-#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__)
-#error "@name: wanted a compiler that keeps NaN; leave -ffast-math and -ffinite-math-only out"
-#endif
-
-typedef double @name_real; /* what numbers are; times stay double */
-
-#define @NAME_OK 0       /* what the functions return */
-#define @NAME_END 1      /* no more measurement times in the design */
-#define @NAME_INFINITE 2 /* a measurement that is infinite */
-#define @NAME_PARTLY 3   /* a measurement of which only some components are there */
-#define @NAME_TIME 4     /* a time that is not where it should be */
-#define @NAME_RANGE 5    /* an indicator that is none */
-#define @NAME_STRAY 6    /* a component that the schedule of the design leaves out */
-#define @NAME_UNTOLD 7   /* inputs that are missing */
-
-"""
-
-HALVES = """\
-/* Forecast to a time, without a measurement. */
-static inline int @name_predict(@name_state *s, double time@INPUTS)
-{
-    @name_real y[@NAME_MEASUREMENT];
-    const @name_real loglik = s->loglik;
-    int i, code;
-    for (i = 0; i < @NAME_MEASUREMENT; i++) y[i] = (@name_real)NAN;
-    code = @name_step(s, time, y@PASSED);
-    s->loglik = loglik;
-    return code;
-}
-
-/* Correction by a measurement at the time of the state. */
-static inline int @name_correct(@name_state *s, const @name_real *y@INPUTS)
-{
-    return s->started ? @name_step(s, s->t, y@PASSED) : @NAME_TIME;
-}
-"""
-
-RULES = """\
-Use: declare a @name_state, call @name_init, then @name_step for each measurement. It \
-returns @NAME_OK, or why it refused; the state is then as before. \
-A component of a measurement is NaN where it is missing. Compile with -ffp-contract=off to get \
-the numbers of the Python library but for rounding; along a record the filter carries a difference \
-on as it does any error of an estimate, and may make it larger. Never compile with -ffast-math or \
--ffinite-math-only."""
-
-REDUNDANT = """\
-A component of the measurement is left out exactly where it is missing: zero innovation, unit \
-pivot. One that the components before it determine (its pivot is at most 1e-13 of its variance) \
-gets the gain zero and is not counted in loglik, which is minus infinity where such a component \
-is impossible. A covariance of the measurement that is clearly indefinite gives NaN."""
-
-INPUTS = """\
-The inputs are @WHICH: held are those since the last time, which act in the dynamics, u those at \
-this time, which act in the sensor."""
-
-MODES = """\
-An indicator is -1 where it is missing; what no mode can show says nothing, and loglik is minus \
-infinity."""
-
-WHOLE = """\
-A measurement is missing as a whole or not at all; where the tables end their last values are \
-used. There is no likelihood; cov is the error covariance that the design found, NaN where the \
-measurement is missing."""
 
 
 def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "filter") -> str:
@@ -371,40 +300,39 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
 
 def header(step: Step, name: str) -> str:
     """The header of a recorded step."""
-    parts = [
-        about(step.filter, [RULES, *notes(step)]),
-        HEAD,
-        "".join(f"#define @NAME_{key} {value}\n" for key, value in dimensions(step).items()),
-        *source(step, name),
-    ]
-    if isinstance(step.filter, CovarianceFilter) and not step.parameters:
-        inputs = (", const @name_real *u", ", u, u") if step.inputs else ("", "")
-        parts.append(HALVES.replace("@INPUTS", inputs[0]).replace("@PASSED", inputs[1]))
-    text = "\n".join([*parts, "#endif\n"])
-    return text.replace("@name", name).replace("@NAME", name.upper())
-
-
-def source(step: Step, name: str) -> list[str]:
-    """C of a step: tables, state, and the functions that begin it and take a measurement."""
-    writer = C(name)
+    writer, upper = C(name), name.upper()
     state = [a for a in step.arrays.values() if a.owner == "state"]
-    fields = "\n".join(f"    {writer.types[a.kind]} {a.name}{sizes(a)};" for a in state)
-    start = "".join(
+    sizes = (f"#define {upper}_{key} {value}\n" for key, value in dimensions(step).items())
+    start = (
         f"    {writer.place(step.arrays[field], index)} = {writer.constant(value)};\n"
         for field, values in step.start().items()
         for index, value in np.ndenumerate(values)
     )
-    upper = name.upper()
     untold = f"    if (held == NULL || u == NULL) return {upper}_UNTOLD;"
-    lines = [*([untold] if step.inputs else []), *writer.body(step), f"    return {upper}_OK;"]
-    return [
-        *tables(step, writer),
-        f"typedef struct {{\n{fields}\n}} {name}_state;\n",
-        f"static inline void {name}_init({name}_state *s)",
-        f"{{\n    memset(s, 0, sizeof *s);\n{start}}}\n",
-        "/* One measurement. NaN: component missing. */",
-        signature(step, writer) + "\n{\n" + "\n".join(lines) + "\n}\n",
-    ]
+    lines = [untold] * bool(step.inputs) + writer.body(step)
+    names = {"name": name, "NAME": upper}
+    inputs = (f", const {name}_real *u", ", u, u") if step.inputs else ("", "")
+    halves = filled("halves.h", {**names, "INPUTS": inputs[0], "PASSED": inputs[1]})
+    marks = {
+        **names,
+        "SIZES": "".join(sizes),
+        "TABLES": "\n".join(tables(step, writer)),
+        "FIELDS": "\n".join(f"    {writer.types[a.kind]} {a.name}{shape(a)};" for a in state),
+        "START": "".join(start),
+        "SIGNATURE": signature(step, writer),
+        "LINES": "\n".join(lines),
+        "HALVES": halves if carries_cov(step) and not step.parameters else "",
+    }
+    return about(step, "C").replace("@name", name).replace("@NAME", upper) + filled(
+        "header.h", marks
+    )
+
+
+def filled(file: str, marks: dict[str, Any]) -> str:
+    """A text of this package with its marks, such as ``@name``, filled in."""
+    names = "|".join(sorted(marks, key=len, reverse=True))
+    text = files("seedslib.export").joinpath(file).read_text()
+    return re.sub(f"@({names})", lambda found: str(marks[found[1]]), text)
 
 
 def checked_name(name: object) -> str:
@@ -424,40 +352,36 @@ def checked_name(name: object) -> str:
     return name
 
 
-def notes(step: Step) -> list[str]:
-    """What people should know about a kind of filter."""
-    table = isinstance(step.filter, TableFilter)
-    which = ", ".join(map(str, step.inputs))
-    result = [WHOLE if table else REDUNDANT]
-    result += [MODES] if step.modes and not table else []
-    return result + ([INPUTS.replace("@WHICH", which)] if step.inputs else [])
-
-
 def dimensions(step: Step) -> dict[str, int]:
     """Sizes that a caller wants to know."""
     known = {"STATE": step.n, "MEASUREMENT": step.m, "ESTIMATE": step.rows}
     known |= {"MODES": step.modes, "INDICATORS": step.indicators, "INPUTS": len(step.inputs)}
     if step.designed:
         known |= {"TIMES": len(step.filter.times), "CYCLE": step.filter.cycle or 0}
-        known |= (
-            {"MEMORY": math.prod(step.arrays["memory"].shape)} if "memory" in step.arrays else {}
-        )
+        memory = step.arrays.get("memory")
+        known["MEMORY"] = 0 if memory is None else math.prod(memory.shape)
     return {key: value for key, value in known.items() if value}
 
 
-def about(filter: Any, rules: list[str]) -> str:
+def about(step: Step, language: str) -> str:
     """The comment that a program begins with: the filter, the model, what people must know."""
-    return comment([described(filter), model_lines(filter.system), *rules])
+    filter, which = step.filter, ", ".join(map(str, step.inputs))
+    known = filled("notes.txt", {"WHICH": which}).strip().split("\n\n")
+    notes = dict(paragraph.split(": ", 1) for paragraph in known)
+    table = isinstance(filter, TableFilter)
+    chosen = [language, "WHOLE" if table else "REDUNDANT"]
+    chosen += ["MODES"] * (step.modes > 0 and not table) + ["INPUTS"] * bool(step.inputs)
+    described = str(filter)
+    if carries_cov(step):  # it prints as its class and its arguments
+        described = f"Filter that carries mean and covariance: {filter.linearization}"
+        if filter.continuous:
+            described += f"\n  {filter.integrator}, steps of {filter.integration_step:g}"
+    return comment([described, model_lines(filter.system), *(notes[name] for name in chosen)])
 
 
-def described(filter: Any) -> str:
-    """The filter in words, its predicted errors included where it has some."""
-    if not isinstance(filter, CovarianceFilter):
-        return str(filter)
-    lines = [f"Filter that carries mean and covariance: {filter.linearization}"]
-    if filter.continuous:
-        lines.append(f"  integrated   {filter.integrator}, steps of {filter.integration_step:g}")
-    return "\n".join(lines)
+def carries_cov(step: Step) -> bool:
+    """Whether the state of the filter is a time, a mean and a covariance."""
+    return isinstance(step.filter, CovarianceFilter)
 
 
 def comment(paragraphs: list[str]) -> str:

@@ -307,6 +307,7 @@ class CompiledFilter(Filter):
             self.times = filter.times
         self._designed = step.designed
         self._inputs, self._parameters = step.inputs, step.parameters
+        self._indicators = step.indicators
         # a step holds the interpreter, which is quicker; whole records let others run
         held, free = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path))
         # without declared arguments, which would cost more than C
@@ -378,7 +379,10 @@ class CompiledFilter(Filter):
         return _new(CompiledState, (out, (), form))
 
     def _measured(self, y: ArrayLike, batch: tuple[int, ...]) -> np.ndarray:
-        return as_real("y", y, (*self._shape, *batch), nan=True)
+        shape = (*self._shape, *batch)
+        if type(y) is ndarray and y.dtype is DOUBLE and y.shape == shape:
+            return y  # C sees whether it is finite
+        return as_real("y", y, shape, nan=True)
 
     def _stepped(
         self,
@@ -390,13 +394,17 @@ class CompiledFilter(Filter):
     ) -> CompiledState:
         """A step of several records, or with more than a time and a measurement."""
         batch = state.batch
-        indicator = as_indicators(indicator, self.system, batch, "indicator")
         u, p = self._numbers(inputs)
+        known = type(indicator) is int and not batch and self._indicators > 0  # C sees its range
+        if not known:
+            indicator = as_indicators(indicator, self.system, batch, "indicator")
         rows = [t, *y, -1 if indicator is None else indicator, *u, *u, *p]
-        given = np.array([np.broadcast_to(row, batch) for row in rows], dtype=float)
-        out = bytes(len(state.raw))
-        code = self._many(state.raw, out, given.tobytes(), len(out) // self._size)
-        if code:
+        if batch:
+            given = np.array([np.broadcast_to(row, batch) for row in rows], dtype=float).tobytes()
+        else:
+            given = struct.pack(f"{len(rows)}d", *rows)
+        out = bytes(len(state.raw))  # nobody has seen it, so that C may write it
+        if code := self._many(state.raw, out, given, len(out) // self._size):
             raise ValueError(REFUSALS[CODES[code]])
         return CompiledState(out, batch, self._form)
 

@@ -4,42 +4,16 @@ from __future__ import annotations
 
 import math
 import os
-import re
-from importlib.resources import files
 from itertools import accumulate
 from typing import Any
 
 import numpy as np
 
 from seedslib.base.atomic import write_whole
-from seedslib.export.c import C, about, arguments, sizes
+from seedslib.export.c import C, about, arguments, carries_cov, filled, shape
 from seedslib.export.programs import recorded
 from seedslib.export.step import CODES, Step
 from seedslib.export.tape import Array, Loop, Number, Scalar, When
-from seedslib.filters.covariance import CovarianceFilter
-
-RULES = """\
-One ECMAScript module without dependencies. init() gives a state; step(state, y), or step(state, \
-time, y) where the filter carries its distribution, takes in a measurement and returns OK, or why \
-it refused; the state is then as before. y is an array; a component is NaN where it is missing. \
-With modes an indicator comes next, then, of a model with inputs, those since the last time and \
-those at this time. state.mean, state.cov (row by row), state.loglik and, where there are any, \
-state.mode and state.prob are the result. run(state, [times,] ys) takes in a whole record. The \
-operations are those of the C that to_c writes; only their functions may round differently."""
-
-HALVES = """
-// Forecast to a time, without a measurement.
-export function predict(state, time@INPUTS) {
-  const loglik = state.loglik, code = step_(state.S, time, new Array(@M).fill(NaN)@PASSED);
-  state.S[@LOGLIK] = loglik;
-  return code;
-}
-
-// Correction by a measurement at the time of the state.
-export function correct(state, y@INPUTS) {
-  return state.S[@STARTED] ? step(state, state.S[@TIME], y@PASSED) : TIME;
-}
-"""
 
 
 class JavaScript(C):
@@ -55,7 +29,7 @@ class JavaScript(C):
     def constant(self, value: float) -> str:
         """See `C.constant`."""
         value = float(value)
-        if value.is_integer() and abs(value) < 1e15 and math.copysign(1.0, value) * value > 0:
+        if value.is_integer() and abs(value) < 1e15 and repr(value) != "-0.0":
             return str(int(value))
         return repr(value).replace("inf", "Infinity").replace("nan", "NaN")
 
@@ -149,32 +123,28 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     """
     step = recorded(filter)
     writer, names = JavaScript(step), arguments(step)
-    given = ", ".join(names)
     each = {"time": "times[k]", "indicator": "indicators[k]", "y": "y"}
     each |= {"held": _row(step, "k - (k > 0)"), "u": _row(step, "k")}
-    passed = (", u", ", u, u") if step.inputs else ("", "")
-    halves = HALVES.replace("@M", str(step.m)).replace("@INPUTS", passed[0])
-    halves = halves.replace("@PASSED", passed[1])
-    for name, field in (("LOGLIK", "loglik"), ("STARTED", "started"), ("TIME", "t")):
-        halves = halves.replace(f"@{name}", str(writer.start.get(field)))
     record = {"time": "times", "indicator": "indicators", "y": "ys", "u": "inputs"}
+    inputs = (", u", ", u, u") if step.inputs else ("", "")
     marks = {
         "CODES": "\n".join(f"export const {code} = {k};" for k, code in enumerate(CODES)),
         "TABLES": "\n".join(_tables(step, writer)),
         "SIZE": writer.size,
         "GETTERS": "\n".join(_getters(step, writer)),
         "START": "".join(_start(step, writer)),
-        "GIVEN": given,
+        "GIVEN": ", ".join(names),
         "M": step.m,
         "N": step.rows,
         "LINES": "\n".join(writer.body(step)),
-        "HALVES": halves if isinstance(filter, CovarianceFilter) else "",
         "RECORD": ", ".join(record[name] for name in names if name != "held"),
         "EACH": ", ".join(each[name] for name in names),
-        **{name.upper(): writer.start[name] for name in ("mean", "cov", "loglik")},
+        "INPUTS": inputs[0],
+        "PASSED": inputs[1],
+        **{f"AT_{name.upper()}": start for name, start in writer.start.items()},
     }
-    template = files("seedslib.export").joinpath("module.mjs").read_text()
-    text = about(filter, [RULES]) + re.sub(r"@([A-Z]+)", lambda m: str(marks[m[1]]), template)
+    marks["HALVES"] = filled("halves.mjs", marks) if carries_cov(step) else ""
+    text = about(step, "JAVASCRIPT") + filled("module.mjs", marks)
     if path is not None:
         write_whole(path, text.encode("ascii"))
     return text
@@ -202,7 +172,7 @@ def _getters(step: Step, writer: JavaScript) -> list[str]:
         if name in step.arrays:
             size, start = math.prod(step.arrays[name].shape), writer.start[name]
             value = (
-                f"part(this.S, {start}, {size})" if sizes(step.arrays[name]) else f"this.S[{start}]"
+                f"part(this.S, {start}, {size})" if shape(step.arrays[name]) else f"this.S[{start}]"
             )
             result.append(f"  get {name}() {{ return {value}; }}")
     return result

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.export.c import SIGNS, C, sizes
+from seedslib.export.c import SIGNS, C, shape
 from seedslib.export.step import Step
 from seedslib.export.tape import Array, Let, Load, Loop, Number, Scalar, Store, When
 
@@ -138,7 +138,7 @@ class Lanes(C):
         if array.name not in self.varying:
             return super().local(array)
         if array.indexed:
-            return [f"vec {array.name}{sizes(array)} = {{ {{ 0 }} }};"]
+            return [f"vec {array.name}{shape(array)} = {{ {{ 0 }} }};"]
         return [f"vec {self.place(array, at)} = {{ 0 }};" for at in np.ndindex(*array.shape)]
 
     def state(self, step: Step) -> str:
@@ -146,7 +146,7 @@ class Lanes(C):
         kept = [a for a in step.arrays.values() if a.owner == "state"]
         kinds = ["vec" if a.name in self.varying else self.types[a.kind] for a in kept]
         lines = ["typedef struct {"]
-        lines += [f"    {kind} {a.name}{sizes(a)};" for a, kind in zip(kept, kinds, strict=True)]
+        lines += [f"    {kind} {a.name}{shape(a)};" for a, kind in zip(kept, kinds, strict=True)]
         lines += ["} lanes;", f"static void begin(lanes *s, const {self.name}_state *one)", "{"]
         for a in kept:
             own = f"SPREAD({a.name}, {self.types[a.kind]}, {math.prod(a.shape)})"

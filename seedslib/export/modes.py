@@ -18,7 +18,7 @@ from seedslib.export.designs import places
 from seedslib.export.kernels import correct, lower_of, unpacked
 from seedslib.export.step import Step, any_of
 from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
-from seedslib.filters.weights import TIE
+from seedslib.filters.weights import TIE, logarithm
 from seedslib.linearization.formulas import Names, mentions
 from seedslib.linearization.moments import TINY
 from seedslib.models.codegen import compile_components
@@ -112,9 +112,8 @@ def switching(step: Step) -> None:
     ahead = Mixture.of(step, "ahead", modes * parts, n)
     with step.when(first):
         for i, start in enumerate(system.initial):
-            for part in range(parts):
-                weight = start.probability if part == 0 else 0.0
-                log = np.log(weight) if weight > 0.0 else -np.inf
+            logs = logarithm(start.probability * np.eye(1, parts)[0])
+            for part, log in enumerate(logs):  # all of it is in the first part
                 ahead.store(i * parts + part, log, start.mean, start.cov)
     with step.when(~first):
         if step.designed:
@@ -323,7 +322,7 @@ def _where_possible(varies: bool, log: Number, mean: np.ndarray, cov: np.ndarray
 
 
 def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
-    """Fill in state and measurement in each mode given the indicator; whether it is possible."""
+    """State and measurement in each mode, given the indicator; whether any mode can have it."""
     if not step.indicators:
         _sense_value(step, t, ahead, sensed, 0)
         return True
@@ -403,17 +402,12 @@ def _moments(
 
 def _memory(step: Step) -> dict[str, Array]:
     """Numbers, decided modes and indicators that are remembered, newest first."""
-    memory = step.filter.memory
-    sizes = {
-        "memory": (memory.order(step.n, step.m, step.modes), "real"),
-        "modes": (memory.estimates, "int"),
-        "indicators": (memory.indicators, "int"),
-    }
-    return {
-        name: step.array(name, (size,), kind, "state")
-        for name, (size, kind) in sizes.items()
-        if size
-    }
+    memory, numbers = step.filter.memory, step.filter.memory.order(step.n, step.m, step.modes)
+    arrays = {"memory": step.array("memory", (numbers,), owner="state")}
+    for name, count in (("modes", memory.estimates), ("indicators", memory.indicators)):
+        if count:
+            arrays[name] = step.array(name, (count,), "int", "state")
+    return arrays
 
 
 def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Number], list[Gaussian]]:

@@ -62,9 +62,9 @@ export function run(state, @RECORD, into = rows(ys.length / @M)) {
     for (let i = 0; i < @M; i++) y[i] = ys[k * @M + i];
     const code = step_(S, @EACH);
     if (code !== OK) throw new RangeError(`measurement ${k}: refused with code ${code}`);
-    for (let i = 0; i < @N; i++) mean[k * @N + i] = S[@MEAN + i];
-    for (let i = 0; i < @N * @N; i++) cov[k * @N * @N + i] = S[@COV + i];
-    loglik[k] = S[@LOGLIK];
+    for (let i = 0; i < @N; i++) mean[k * @N + i] = S[@AT_MEAN + i];
+    for (let i = 0; i < @N * @N; i++) cov[k * @N * @N + i] = S[@AT_COV + i];
+    loglik[k] = S[@AT_LOGLIK];
   }
   return into;
 }

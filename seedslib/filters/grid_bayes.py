@@ -33,15 +33,15 @@ class GridState(NamedTuple):
     """Distribution of mode and state on the nodes, and the last estimate.
 
     ``log_prob`` (L, *batch) are logarithms of the probabilities of the modes, so that none
-    vanishes however small it becomes, L = 1 where there are none; ``law`` (L, S, *batch) is the
-    distribution of the state in each mode. ``mode_prob`` has shape (L, *batch), ``mean``
+    vanishes however small it becomes, L = 1 where there are none; ``node_prob`` (L, S, *batch) are
+    the probabilities of the nodes in each mode. ``mode_prob`` has shape (L, *batch), ``mean``
     (n, *batch), ``cov`` (n, n, *batch); ``diverged`` marks the records with a measurement that no
     node explains or that leaves only the outermost, ``interval`` is the length of the first step.
     """
 
     time: float | None
     log_prob: np.ndarray
-    law: np.ndarray
+    node_prob: np.ndarray
     mode_prob: np.ndarray
     mean: np.ndarray
     cov: np.ndarray
@@ -105,38 +105,42 @@ class GridBayesFilter(Filter):
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self._modes, self._count)
-        law = align(self.chain.start().reshape(shape), 2, len(batch))
-        log_prob, law = _split(np.broadcast_to(law, (*shape, *batch)))
+        node_prob = align(self.chain.start().reshape(shape), 2, len(batch))
+        log_prob, node_prob = _split(np.broadcast_to(node_prob, (*shape, *batch)))
         self._warn_of_loss(log_prob, 0.0)
-        moments, diverged = self._moments(log_prob, law), np.zeros(batch, dtype=bool)
-        return GridState(None, log_prob, law, *moments, np.zeros(batch), diverged)
+        moments, diverged = self._moments(log_prob, node_prob), np.zeros(batch, dtype=bool)
+        return GridState(None, log_prob, node_prob, *moments, np.zeros(batch), diverged)
 
     def propagate(self, state: GridState, t: float, p: Values) -> GridState:
         """The distribution one step of the system later."""
-        shape, transition = state.law.shape, self.chain.transition(state.time, t, p)
+        shape, transition = state.node_prob.shape, self.chain.transition(state.time, t, p)
         weight, highest, _ = relative(state.log_prob, 0)
-        joint = weight[:, None] * state.law
-        log_prob, law = _split((transition @ joint.reshape(len(transition), -1)).reshape(shape))
+        joint = weight[:, None] * state.node_prob
+        log_prob, node_prob = _split(
+            (transition @ joint.reshape(len(transition), -1)).reshape(shape)
+        )
         faint = log_prob < FAINT
         log_prob += highest
         for l in np.flatnonzero(faint.any(axis=tuple(range(1, faint.ndim)))):
             mask = faint[l]
-            log_prob[l, mask], law[l][:, mask] = self._into_mode(
-                l, transition, state.log_prob[:, mask], state.law[:, :, mask]
+            log_prob[l, mask], node_prob[l][:, mask] = self._into_mode(
+                l, transition, state.log_prob[:, mask], state.node_prob[:, :, mask]
             )
         self._warn_of_loss(log_prob, state.log_prob)
-        prob, mean, cov = self._moments(log_prob, law)
-        return state._replace(log_prob=log_prob, law=law, mode_prob=prob, mean=mean, cov=cov)
+        prob, mean, cov = self._moments(log_prob, node_prob)
+        return state._replace(
+            log_prob=log_prob, node_prob=node_prob, mode_prob=prob, mean=mean, cov=cov
+        )
 
     def _into_mode(
-        self, l: int, transition: np.ndarray, log_prob: np.ndarray, law: np.ndarray
+        self, l: int, transition: np.ndarray, log_prob: np.ndarray, node_prob: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Logarithm of the probability of mode l, and the state in it, relative to itself."""
         modes, count = self._modes, self._count
         rows = transition[l * count : (l + 1) * count].reshape(count, modes, count)
-        masses, laws = _split(np.stack([rows[:, i] @ law[i] for i in range(modes)]))
+        masses, parts = _split(np.stack([rows[:, i] @ node_prob[i] for i in range(modes)]))
         share, highest, empty = relative(log_prob + masses, 0)
-        total, mixed = _split((share[:, None] * laws).sum(axis=0)[None])
+        total, mixed = _split((share[:, None] * parts).sum(axis=0)[None])
         return np.where(empty, 0.0, highest) + total[0], mixed[0]
 
     def update(
@@ -147,28 +151,30 @@ class GridBayesFilter(Filter):
             y = np.concatenate([indicator[None].astype(float), y])
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             score = self.chain.log_likelihood(state.time, y.reshape(len(y), -1), p).T
-        score = np.where(np.isfinite(score), score, -np.inf).reshape(state.law.shape)
+        score = np.where(np.isfinite(score), score, -np.inf).reshape(state.node_prob.shape)
         weight, highest, impossible = relative(np.moveaxis(score, 1, 0), 0)
-        evidence, law = _split(np.moveaxis(weight, 0, 1) * state.law)
+        evidence, node_prob = _split(np.moveaxis(weight, 0, 1) * state.node_prob)
         each = np.where(impossible, -np.inf, highest + evidence) + state.log_prob
         log_prob, loglik = normalised(each, 0)
         unexplained = ~np.isfinite(loglik)
         if unexplained.any():
             loglik = np.where(unexplained, -np.inf, loglik)
             log_prob = np.where(unexplained, state.log_prob, log_prob)
-        law = np.where((evidence == -np.inf)[:, None] | unexplained, state.law, law)
+        node_prob = np.where(
+            (evidence == -np.inf)[:, None] | unexplained, state.node_prob, node_prob
+        )
         diverged = state.diverged | unexplained
         if not np.isnan(y).all():
-            diverged = diverged | self._at_ends(log_prob, law)
-        prob, mean, cov = self._moments(log_prob, law)
+            diverged = diverged | self._at_ends(log_prob, node_prob)
+        prob, mean, cov = self._moments(log_prob, node_prob)
         return GridState(
-            state.time, log_prob, law, prob, mean, cov, loglik, diverged, state.interval
+            state.time, log_prob, node_prob, prob, mean, cov, loglik, diverged, state.interval
         )
 
-    def _at_ends(self, log_prob: np.ndarray, law: np.ndarray) -> np.ndarray:
+    def _at_ends(self, log_prob: np.ndarray, node_prob: np.ndarray) -> np.ndarray:
         """Where nearly all that is left of the probability is on the outermost nodes, (*batch)."""
         prob = np.exp(log_prob)
-        beyond = (prob * law[:, self._ends].sum(axis=1)).sum(axis=0)
+        beyond = (prob * node_prob[:, self._ends].sum(axis=1)).sum(axis=0)
         return beyond > ENDS * prob.sum(axis=0)
 
     def smoother(self) -> GridSmoother:
@@ -176,7 +182,7 @@ class GridBayesFilter(Filter):
         return GridSmoother(self)
 
     def moments_of(self, joint: np.ndarray) -> tuple[Any, ...]:
-        """Mode probabilities or None, mean and covariance of joint laws (S, N)."""
+        """Mode probabilities or None, mean and covariance of joint distributions (S, N)."""
         return self._moments(*_split(joint.reshape(self._modes, self._count, -1)))
 
     def _warn_of_loss(self, log_prob: np.ndarray, before: np.ndarray | float) -> None:
@@ -192,11 +198,15 @@ class GridBayesFilter(Filter):
                 stacklevel=outside(),
             )
 
-    def _moments(self, log_prob: np.ndarray, law: np.ndarray) -> tuple[Any, ...]:
-        prob, x, depth = np.exp(log_prob), self.chain.values[:, : self._count], law.ndim - 2
+    def _moments(self, log_prob: np.ndarray, node_prob: np.ndarray) -> tuple[Any, ...]:
+        prob, x, depth = (
+            np.exp(log_prob),
+            self.chain.values[:, : self._count],
+            node_prob.ndim - 2,
+        )
         if self.chain.loses:
             prob = prob / prob.sum(axis=0)
-        marginal = np.einsum("l...,ls...->s...", prob, law)
+        marginal = np.einsum("l...,ls...->s...", prob, node_prob)
         # about a node, so that no digits are lost far from the origin
         origin = x[:, self._count // 2]
         offset = x - origin[:, None]
@@ -227,7 +237,7 @@ class GridSmoother(Smoother):
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
-        joint = np.exp(state.log_prob)[:, None] * state.law
+        joint = np.exp(state.log_prob)[:, None] * state.node_prob
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
     def back(
@@ -247,10 +257,10 @@ class GridSmoother(Smoother):
 
 
 def _split(joint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Logarithms of the masses of the modes (L, *batch), and the law in each, from (L, S, *batch).
+    """Logarithms of the masses (L, *batch) of the modes, and probabilities of the nodes in each.
 
-    The law of a mode without mass is zero.
+    The latter are zero in a mode without mass.
     """
     mass = joint.sum(axis=1)
-    law = joint / np.where(mass > 0, mass, 1.0)[:, None]
-    return logarithm(mass), law
+    node_prob = joint / np.where(mass > 0, mass, 1.0)[:, None]
+    return logarithm(mass), node_prob

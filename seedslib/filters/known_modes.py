@@ -134,8 +134,8 @@ class KnownModeFilter(Filter):
                 if transition is None:
                     raise ValueError(f"mode: wanted possible switches, got one from {i} to {l}")
                 own = of_paths(p, mask.shape, mask)
-                law = transition(state.time, state.mean[:, mask], state.cov[:, :, mask], own)
-                _put(mean, cov, mask, law)
+                moments = transition(state.time, state.mean[:, mask], state.cov[:, :, mask], own)
+                _put(mean, cov, mask, moments)
         return state._replace(mode=mode, mean=mean, cov=cov)
 
     def update(
@@ -154,8 +154,8 @@ class KnownModeFilter(Filter):
                 if branch is not None:
                     _, prior, moments = branch(state.time, *prior, own)
                 sensor = self._sensors[i]
-                *law, loglik[mask] = sensor(state.time, *prior, y[:, mask], own, moments)
-                _put(mean, cov, mask, law)
+                *posterior, loglik[mask] = sensor(state.time, *prior, y[:, mask], own, moments)
+                _put(mean, cov, mask, posterior)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
     def report(self, state: KnownModeState) -> Estimates:
@@ -164,6 +164,6 @@ class KnownModeFilter(Filter):
         return Estimates(state.mean, state.cov, certain, state.loglik, None, state.mode)
 
 
-def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, law: Sequence[Any]) -> None:
+def _put(mean: np.ndarray, cov: np.ndarray, mask: np.ndarray, moments: Sequence[Any]) -> None:
     """Write moments of some items, whose covariance may be common to them all, and comes last."""
-    mean[:, mask], cov[:, :, mask] = law[0], align(np.asarray(law[-1]), 2, 1)
+    mean[:, mask], cov[:, :, mask] = moments[0], align(np.asarray(moments[-1]), 2, 1)

@@ -23,14 +23,15 @@ class RaoBlackwellState(NamedTuple):
 
     Each of P drawn histories is continued by every mode, so the mode of the present is the first
     of the two axes of the logarithms of their probabilities, ``log_prob`` (L, P, *batch), and of
-    ``law``, the means (n, L, P, *batch) and covariances (n, n, L, P, *batch). ``seed`` and
+    their ``means`` (n, L, P, *batch) and ``covs`` (n, n, L, P, *batch). ``seed`` and
     ``draws`` fix the random numbers that come next. ``mode_prob`` has shape (L, *batch);
     ``interval`` is the length of the first step.
     """
 
     time: float | None
     log_prob: np.ndarray
-    law: tuple[Any, ...]
+    means: np.ndarray
+    covs: np.ndarray
     seed: np.random.SeedSequence
     draws: int
     mean: np.ndarray
@@ -97,13 +98,14 @@ class RaoBlackwellFilter(Filter):
             np.broadcast_to(align(part, part.ndim, 1 + len(batch)), (*part.shape, 1, *batch))
             for part in (prob, mean, cov)
         )
-        law, loglik, diverged = (mean, cov), np.zeros(batch), np.zeros(batch, dtype=bool)
-        return RaoBlackwellState(None, prob, law, seed, 0, *_estimate(prob, law), loglik, diverged)
+        estimate = _estimate(prob, mean, cov)
+        loglik, diverged = np.zeros(batch), np.zeros(batch, dtype=bool)
+        return RaoBlackwellState(None, prob, mean, cov, seed, 0, *estimate, loglik, diverged)
 
     def propagate(self, state: RaoBlackwellState, t: float, p: Values) -> RaoBlackwellState:
         """Histories one step of the system later."""
         modes, n, batch = self.system.modes, self.system.state_size, state.log_prob.shape[2:]
-        log_prob, mean, cov = _flattened(state.log_prob, state.law)
+        log_prob, mean, cov = _flattened(state.log_prob, state.means, state.covs)
         count, draws = len(log_prob), state.draws
         mode = align(np.repeat(np.arange(modes), count // modes), 1, len(batch))
         mode = np.broadcast_to(mode, log_prob.shape)
@@ -125,10 +127,8 @@ class RaoBlackwellFilter(Filter):
                     log_switch[l, mask] = np.broadcast_to(chance, mask.shape)[mask]
         if self.system.drives == "new":  # each history moves in every mode that continues it
             moments = [dynamics(state.time, mean, cov, p) for dynamics in self._dynamics]
-            law = (
-                np.stack([y for y, _, _ in moments], axis=1),
-                np.stack([_batched(square, y) for y, _, square in moments], axis=2),
-            )
+            means = np.stack([y for y, _, _ in moments], axis=1)
+            covs = np.stack([_batched(square, y) for y, _, square in moments], axis=2)
         else:
             new_mean, new_cov = np.empty(mean.shape), np.empty(cov.shape)
             for i, dynamics in enumerate(self._dynamics):
@@ -136,14 +136,18 @@ class RaoBlackwellFilter(Filter):
                 own = of_paths(p, mask.shape, mask)
                 y, _, square = dynamics(state.time, mean[:, mask], cov[:, :, mask], own)
                 new_mean[:, mask], new_cov[:, :, mask] = y, _batched(square, y)
-            law = (
-                np.broadcast_to(new_mean[:, None], (n, modes, *log_prob.shape)),
-                np.broadcast_to(new_cov[:, :, None], (n, n, modes, *log_prob.shape)),
-            )
+            means = np.broadcast_to(new_mean[:, None], (n, modes, *log_prob.shape))
+            covs = np.broadcast_to(new_cov[:, :, None], (n, n, modes, *log_prob.shape))
         log_prob = log_prob + log_switch
-        mean, cov, mode_prob = _estimate(log_prob, law)
+        mean, cov, mode_prob = _estimate(log_prob, means, covs)
         return state._replace(
-            log_prob=log_prob, law=law, draws=draws, mean=mean, cov=cov, mode_prob=mode_prob
+            log_prob=log_prob,
+            means=means,
+            covs=covs,
+            draws=draws,
+            mean=mean,
+            cov=cov,
+            mode_prob=mode_prob,
         )
 
     def update(
@@ -155,12 +159,12 @@ class RaoBlackwellFilter(Filter):
     ) -> RaoBlackwellState:
         """Correct every history by the measurement and weight it; see `Filter.update`."""
         system, t = self.system, state.time
-        law = np.empty(state.law[0].shape), np.empty(state.law[1].shape)
+        means, covs = np.empty(state.means.shape), np.empty(state.covs.shape)
         score = np.empty(state.log_prob.shape)
         for i, sensor in enumerate(self._sensors):
-            prior = state.law[0][:, i], state.law[1][:, :, i]
-            law[0][:, i], cov, score[i] = sensor(t, *prior, y[:, None], p)
-            law[1][:, :, i] = _batched(cov, prior[0])
+            prior = state.means[:, i], state.covs[:, :, i]
+            means[:, i], cov, score[i] = sensor(t, *prior, y[:, None], p)
+            covs[:, :, i] = _batched(cov, prior[0])
             if indicator is not None:
                 none, size = np.zeros(y.shape[1:]), system.state_size
                 row = system.readings[i]
@@ -173,11 +177,13 @@ class RaoBlackwellFilter(Filter):
         if unexplained.any():  # no history explains the measurement: all stays as predicted
             log_prob = np.where(unexplained, state.log_prob, log_prob)
             loglik = np.where(unexplained, -np.inf, loglik)
-            law = tuple(np.where(unexplained, *pair) for pair in zip(state.law, law, strict=True))
-        mean, cov, mode_prob = _estimate(log_prob, law)
+            means = np.where(unexplained, state.means, means)
+            covs = np.where(unexplained, state.covs, covs)
+        mean, cov, mode_prob = _estimate(log_prob, means, covs)
         return state._replace(
             log_prob=log_prob,
-            law=law,
+            means=means,
+            covs=covs,
             mean=mean,
             cov=cov,
             mode_prob=mode_prob,
@@ -226,15 +232,17 @@ def _batched(cov: np.ndarray, mean: np.ndarray) -> np.ndarray:
     return np.broadcast_to(align(cov, 2, mean.ndim - 1), (len(mean), *mean.shape))
 
 
-def _flattened(prob: np.ndarray, law: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+def _flattened(prob: np.ndarray, means: np.ndarray, covs: np.ndarray) -> tuple[np.ndarray, ...]:
     """Weights, means and covariances of all histories, whatever their mode, along one axis."""
-    batch, n = prob.shape[2:], len(law[0])
-    mean, cov = law[0].reshape(n, -1, *batch), law[1].reshape(n, n, -1, *batch)
-    return prob.reshape(-1, *batch), mean, cov
+    batch, n = prob.shape[2:], len(means)
+    means, covs = means.reshape(n, -1, *batch), covs.reshape(n, n, -1, *batch)
+    return prob.reshape(-1, *batch), means, covs
 
 
-def _estimate(log_prob: np.ndarray, law: tuple[np.ndarray, ...]) -> tuple[np.ndarray, ...]:
+def _estimate(
+    log_prob: np.ndarray, means: np.ndarray, covs: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance and mode probabilities of a weighted mixture."""
     prob = np.exp(log_prob)
-    _, mean, cov = mix(*_flattened(prob, law))
+    _, mean, cov = mix(*_flattened(prob, means, covs))
     return mean, cov, prob.sum(axis=1)

@@ -1,9 +1,9 @@
 """Means of functions of a Gaussian vector.
 
-Closed forms of E f(x) from symbols (`algebra`, `reader`, `formulas`) to numbers (`means`,
-`kernels`, `polynomial`, `functions`), exact mean-square errors of estimates of f (`errors`,
-`hermite`, `forms`), moments over intervals and polygons (`intervals`, `polygons`, `regions`) and
-`quadrature`. No system and no time; what a filter does with a mean is decided elsewhere.
+Closed forms of E f(x) from symbols (`algebra`, `formulas`) to numbers (`means`, `kernels`,
+`polynomial`, `functions`, `forms`), exact mean-square errors of estimates of f (`errors`,
+`hermite`), moments over intervals and polygons (`regions`, `polygons`) and `quadrature`. No system
+and no time; what a filter does with a mean is decided elsewhere.
 
 May import: base.
 """
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from seedslib.gaussian.functions import sine_errors as sine_errors
     from seedslib.gaussian.functions import sine_moments as sine_moments
     from seedslib.gaussian.hermite import hermite_expansion as hermite_expansion
-    from seedslib.gaussian.intervals import interval as interval
     from seedslib.gaussian.means import FunctionClass as FunctionClass
     from seedslib.gaussian.means import classify as classify
     from seedslib.gaussian.means import expectation_function as expectation_function
@@ -42,6 +41,7 @@ if TYPE_CHECKING:
     from seedslib.gaussian.quadrature import mean_of as mean_of
     from seedslib.gaussian.quadrature import unscented as unscented
     from seedslib.gaussian.regions import RegionMoments as RegionMoments
+    from seedslib.gaussian.regions import interval as interval
     from seedslib.gaussian.regions import lift as lift
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -5,15 +5,22 @@ coefficients, so that sines and cosines are exponentials; beside it stands the E
 affine map. A half-space may be blurred: its boundary is moved by a normal number of its own, which
 makes its indicator on average the normal distribution function, hence the error function. Sums and
 products of terms are terms again (at most one half-space to a term).
+
+Reading a SymPy expression is evaluating it in the algebra: `Reader`. Functions are checked, get
+real stand-ins for their symbols, and are read once: `parse`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache, reduce
 from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
+
+from seedslib.base.symbols import as_expression, as_symbols, require_known, require_number
+from seedslib.gaussian.special import NormalCDF
 
 
 class NoClosedForm(ValueError):
@@ -177,3 +184,278 @@ def is_semidefinite(gram: sp.Matrix) -> bool:
         return False
     values = np.linalg.eigvalsh(np.array(gram.evalf().tolist(), dtype=float))
     return bool(values[0] >= -1e-12 * max(values[-1], 0.0))
+
+
+class Parsed(NamedTuple):
+    """A function of p values in the algebra: its own real symbols and one term sum each."""
+
+    symbols: tuple[sp.Symbol, ...]
+    parameters: tuple[sp.Symbol, ...]
+    components: tuple[Terms, ...]
+    scalar: bool
+
+
+def components_of(f: object) -> tuple[tuple[sp.Expr, ...], bool]:
+    """Components of a scalar expression, a list or a column of expressions; whether scalar."""
+    if isinstance(f, sp.MatrixBase):
+        if 1 not in f.shape:
+            raise ValueError(f"f: wanted a scalar or a vector, got a matrix of shape {f.shape}")
+        return tuple(f), False
+    if isinstance(f, (list, tuple)):
+        if not f:
+            raise ValueError("f: wanted at least one component, got an empty list")
+        return tuple(as_expression("f", item) for item in f), False
+    return (as_expression("f", f),), True
+
+
+def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence[Any] = ()) -> Parsed:
+    """Read a scalar or vector function of `variables`; cached by (expressions, symbols).
+
+    Raises
+    ------
+    ValueError
+        Repeated variables, unknown symbols in f, a complex or infinite value.
+    TypeError
+        Variables that are no symbols.
+    NoClosedForm
+        A term is outside the class.
+    """
+    expressions, scalar = components_of(f)
+    variables, parameters = as_symbols("variables", variables), as_symbols("parameters", parameters)
+    return Parsed(*_parse(expressions, variables, parameters), scalar)
+
+
+def check_symbols(
+    expressions: Sequence[sp.Expr],
+    variables: tuple[sp.Symbol, ...],
+    parameters: tuple[Any, ...] = (),
+) -> None:
+    """Refuse repeated or missing variables, unknown symbols and values that are not real."""
+    known = (*variables, *parameters)
+    if not variables or len(set(known)) < len(known):
+        raise ValueError(f"variables: wanted distinct symbols, at least one, got {known}")
+    require_known("f", expressions, known, f"; the variables are {known}")
+    for expression in expressions:
+        require_number("f", expression)
+
+
+@lru_cache(maxsize=256)
+def _parse(expressions: tuple, variables: tuple, parameters: tuple) -> tuple:
+    check_symbols(expressions, variables, parameters)
+    # real stand-ins let SymPy evaluate moduli and roots whatever the caller assumed
+    real = {s: sp.Dummy(s.name, real=True) for s in (*variables, *parameters)}
+    symbols = tuple(real[s] for s in variables)
+    reader = Reader(symbols, {stand_in: own for own, stand_in in real.items()})
+    components = []
+    for expression in expressions:
+        terms = folded(reader.read(expression.xreplace(real)))
+        for key, poly in terms.items():
+            if key.norm is not None and (key.exponent or key.plane or poly.total_degree() > 0):
+                raise reader.refuse(expression, "wanted a constant multiple of a norm")
+        components.append(terms)
+    return symbols, tuple(real[s] for s in parameters), tuple(components)
+
+
+EXPONENTIALS: dict[type, Callable[..., Any]] = {
+    sp.exp: lambda e: [(1, e)],
+    sp.sin: lambda e: [(-sp.I / 2, sp.I * e), (sp.I / 2, -sp.I * e)],
+    sp.cos: lambda e: [(sp.S.Half, sp.I * e), (sp.S.Half, -sp.I * e)],
+    sp.sinh: lambda e: [(sp.S.Half, e), (-sp.S.Half, -e)],
+    sp.cosh: lambda e: [(sp.S.Half, e), (sp.S.Half, -e)],
+}
+
+
+class Reader:
+    """Evaluates an expression of given real symbols in the algebra of terms.
+
+    `names` maps the symbols back to the caller's own, for the messages.
+    """
+
+    def __init__(self, symbols: Sequence[sp.Symbol], names: Mapping[sp.Symbol, sp.Symbol]) -> None:
+        self.symbols: tuple[Any, ...] = tuple(symbols)
+        self.names = names
+        self.one: Any = self.constant(sp.S.One)
+
+    def refuse(self, node: sp.Expr, why: str) -> NoClosedForm:
+        """Exception that names the term."""
+        return NoClosedForm(f"no closed form for {node.xreplace(self.names)}: {why}")
+
+    def constant(self, value: sp.Expr) -> Terms:
+        """A polynomial as terms."""
+        return clean({PLAIN: sp.Poly(value, *self.symbols)})
+
+    def read(self, node: sp.Expr) -> Terms:
+        """Terms of an expression; raises `NoClosedForm` naming what is outside the class."""
+        try:
+            return self._read(node)
+        except Clash as clash:
+            raise self.refuse(node, str(clash)) from None
+
+    def _read(self, node: sp.Expr) -> Terms:
+        if node.is_polynomial(*self.symbols):
+            # powers in the polynomial ring: far faster than expanding the expression
+            whole = node.is_Pow and node.has(*self.symbols)
+            base, power = node.as_base_exp() if whole else (node, sp.S.One)
+            return clean({PLAIN: sp.Poly(base, *self.symbols) ** int(power)})
+        if node.is_Add:
+            return self._fold(add_terms, {}, node.args)
+        if node.is_Mul:
+            return self._fold(multiply, self.one, node.args)
+        if node.is_Pow:
+            return self._power(node)
+        if node.func in EXPONENTIALS:
+            return self._exponential(node.func, node.args[0], node)
+        if isinstance(node, (sp.erf, sp.erfc, NormalCDF)):
+            return self._normal_cdf(node)
+        if isinstance(node, sp.Abs):
+            return self._abs(node.args[0], node)
+        if isinstance(node, sp.sign):
+            return self._sign(node.args[0], node)
+        if isinstance(node, sp.Heaviside):
+            return self._step(node.args[0], node.args[1], node)
+        if isinstance(node, (sp.Max, sp.Min)) and len(node.args) == 2:
+            return self._larger(node)
+        if isinstance(node, sp.Piecewise):
+            return self._piecewise(node)
+        raise self.refuse(node, f"{node.func.__name__} is outside the closed class")
+
+    def _less(self, left: Terms, right: Terms) -> Terms:
+        return add_terms(left, multiply(self.constant(sp.S.NegativeOne), right))
+
+    def _fold(self, operation: Callable, start: Terms, nodes: Sequence[sp.Expr]) -> Terms:
+        return reduce(lambda total, node: operation(total, self.read(node)), nodes, start)
+
+    def _power(self, node: sp.Pow) -> Terms:
+        base, power = node.as_base_exp()
+        if power.is_Float and (2 * float(power)).is_integer():
+            power = sp.Rational(int(2 * float(power)), 2)  # x**2.0 is meant as x**2
+        if not base.has(*self.symbols):
+            return self._exponential(sp.exp, power * sp.log(base), node)
+        if power.is_Integer and power > 0:
+            return reduce(multiply, [self.read(base)] * int(power))
+        if (2 * power).is_Integer and power > 0 and base.is_polynomial(*self.symbols):
+            whole = self.constant(sp.S.One)
+            if power > 1:
+                whole = self.read(base ** (power - sp.S.Half))
+            return multiply(whole, self._norm(sp.Poly(base, *self.symbols), node))
+        raise self.refuse(node, "wanted a positive integer power, or a number to a quadratic power")
+
+    def _norm(self, square: sp.Poly, node: sp.Expr) -> Terms:
+        gram = quadratic_gram(square) if square.total_degree() <= 2 else None
+        if gram is None or not is_semidefinite(gram):
+            raise self.refuse(node, "wanted the root of a sum of squares of affine functions")
+        if gram.rank() == 1:
+            # one square: its root is the modulus of an affine function
+            row = next(i for i in range(gram.rows) if gram[i, i] != 0)
+            coefficients = gram.row(row) / sp.sqrt(gram[row, row])
+            affine = coefficients[0] + sum(
+                c * x for c, x in zip(coefficients[1:], self.symbols, strict=True)
+            )
+            return self._abs(affine, node)
+        return {Key(norm=square): self.one[PLAIN]}
+
+    def _exponential(self, function: type, argument: sp.Expr, node: sp.Expr) -> Terms:
+        inner = self.read(argument)
+        planes = {key.plane for key in inner}
+        beyond = any(key.exponent or key.norm or (key.plane and key.plane.blurred) for key in inner)
+        if beyond or len(planes - {None}) > 1:
+            raise self.refuse(node, "wanted an exponent that is a polynomial of degree two")
+        outside = inner.get(PLAIN, sp.Poly(0, *self.symbols))
+        off = self._affine_exponential(function, outside, node)
+        if planes <= {None}:
+            return off
+        # g(a + 1{u > 0} b) = 1{u > 0} g(a + b) + 1{u < 0} g(a): each exponential only on its own
+        # side, where it does not overflow and nothing cancels
+        (key,) = (key for key in inner if key.plane)
+        on = self._affine_exponential(function, outside + inner[key], node)
+        sides = [(key.plane, on), (opposite(key.plane), off)]
+        halves = [multiply({Key(plane=side): self.one[PLAIN]}, terms) for side, terms in sides]
+        return add_terms(*halves)
+
+    def _affine_exponential(self, function: type, argument: sp.Poly, node: sp.Expr) -> Terms:
+        if argument.total_degree() > 2:
+            raise self.refuse(node, "wanted an exponent that is a polynomial of degree two")
+        total: Terms = {}
+        for coefficient, exponent in EXPONENTIALS[function](argument.as_expr()):
+            parts = sp.Poly(exponent, *self.symbols).as_dict(native=False)
+            free = parts.pop((0,) * len(self.symbols), sp.S.Zero)
+            key = Key(tuple(sorted(parts.items())))
+            scale = sp.Poly(coefficient * sp.exp(free), *self.symbols)
+            total = add_terms(total, {key: scale})
+        return total
+
+    def _affine(self, argument: sp.Expr, node: sp.Expr) -> sp.Poly:
+        if argument.is_polynomial(*self.symbols):
+            poly = sp.Poly(argument, *self.symbols)
+            if poly.total_degree() <= 1:
+                return poly
+        raise self.refuse(
+            node, f"wanted an affine switching function, got {argument.xreplace(self.names)}"
+        )
+
+    def _step(self, argument: sp.Expr, edge: sp.Expr, node: sp.Expr) -> Terms:
+        """Indicator of ``argument > 0``, in a normal form that recognises equal planes."""
+        poly = self._affine(argument, node)
+        if poly.total_degree() <= 0:  # no variables, or they cancel
+            return self.constant(sp.Heaviside(poly.as_expr(), edge))
+        normal = [poly.coeff_monomial(x) for x in self.symbols]
+        lead = next(c for c in normal if c != 0)
+        if lead.is_negative:
+            return self._less(self.one, self._step(-argument, 1 - edge, node))
+        scale = lead if lead.is_positive else sp.S.One
+        plane = Plane(
+            tuple(c / scale for c in normal), poly.coeff_monomial(sp.S.One) / scale, sp.S(edge)
+        )
+        return {Key(plane=plane): self.one[PLAIN]}
+
+    def _normal_cdf(self, node: sp.Expr) -> Terms:
+        """Error functions by ``Phi(u) = E 1{u > U}``, in the form with a positive leading sign."""
+        argument = node.args[0] * (1 if isinstance(node, NormalCDF) else sp.sqrt(2))
+        poly = self._affine(sp.expand(argument), node)
+        if poly.total_degree() <= 0:
+            return self.constant(node.xreplace({node.args[0]: sp.expand(node.args[0])}))
+        normal = tuple(poly.coeff_monomial(x) for x in self.symbols)
+        plane = Plane(normal, poly.coeff_monomial(sp.S.One), sp.S.Half, blurred=True)
+        minus = next(c for c in normal if c != 0).is_negative
+        below = {Key(plane=opposite(plane) if minus else plane): self.one[PLAIN]}
+        if minus:
+            below = self._less(self.one, below)
+        if isinstance(node, NormalCDF):
+            return below
+        shift, scale = (-1, 2) if isinstance(node, sp.erf) else (2, -2)
+        return add_terms(self.constant(sp.S(shift)), multiply(self.constant(sp.S(scale)), below))
+
+    def _abs(self, argument: sp.Expr, node: sp.Expr) -> Terms:
+        affine = self.constant(self._affine(argument, node).as_expr())
+        return multiply(affine, self._sign(argument, node))
+
+    def _sign(self, argument: sp.Expr, node: sp.Expr) -> Terms:
+        step = self._step(argument, sp.S.Half, node)
+        return add_terms(multiply(self.constant(sp.S(2)), step), self.constant(sp.S.NegativeOne))
+
+    def _larger(self, node: sp.Expr) -> Terms:
+        first, second = node.args
+        gap = sp.expand(first - second if isinstance(node, sp.Max) else second - first)
+        step = self._step(gap, sp.S.Half, node)
+        signed = self.read(sp.expand(first - second))
+        return add_terms(self.read(second), multiply(signed, step))
+
+    def _piecewise(self, node: sp.Piecewise) -> Terms:
+        total, left = self.constant(sp.S.Zero), self.one
+        for value, condition in node.args:
+            here = multiply(left, self._condition(condition, node))
+            total = add_terms(total, multiply(here, self.read(value)))
+            left = self._less(left, here)
+        if left:
+            raise self.refuse(node, "wanted a value for every x, the last condition True")
+        return total
+
+    def _condition(self, condition: sp.Basic, node: sp.Expr) -> Terms:
+        if condition == sp.true:
+            return self.one
+        if isinstance(condition, (sp.Gt, sp.Ge, sp.Lt, sp.Le)):
+            edge = sp.S.One if isinstance(condition, (sp.Ge, sp.Le)) else sp.S.Zero
+            return self._step(condition.gts - condition.lts, edge, node)
+        raise self.refuse(
+            node, f"wanted one inequality to a piece, got {condition.xreplace(self.names)}"
+        )

@@ -7,7 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.checks import ASYMMETRY, as_covariance, as_real, require_semidefinite
+from seedslib.base.checks import (
+    ASYMMETRY,
+    as_covariance,
+    as_real,
+    require_semidefinite,
+)
 
 
 def gaussian_arguments(
@@ -20,33 +25,26 @@ def gaussian_arguments(
     TypeError, ValueError
         Not real, not finite, shapes that do not fit, or a matrix that is no covariance.
     """
-    mean = as_real("mean", mean)
-    if mean.ndim == 0 or mean.shape[0] == 0:
-        raise ValueError(f"mean: wanted shape (n, ...), got {mean.shape}")
-    n = mean.shape[0]
-    if size not in (None, n):
-        raise ValueError(f"mean: wanted {size} components, got shape {mean.shape}")
-    array = as_real("cov", cov)
-    if array.ndim == 2:
-        return mean, as_covariance("cov", array, n)
-    if array.ndim < 2 or array.shape[:2] != (n, n):
-        raise ValueError(f"cov: wanted shape ({n}, {n}, ...), got {array.shape}")
+    mean, cov = as_real("mean", mean), as_real("cov", cov)
+    n = len(mean) if mean.ndim else 0
+    if n == 0 or size not in (None, n):
+        raise ValueError(f"mean: wanted shape ({size or 'n'}, ...), got {mean.shape}")
+    if cov.ndim < 2 or cov.shape[:2] != (n, n):
+        raise ValueError(f"mean, cov: wanted cov of shape ({n}, {n}, ...), got {cov.shape}")
     try:
-        np.broadcast_shapes(mean.shape[1:], array.shape[2:])
+        np.broadcast_shapes(mean.shape[1:], cov.shape[2:])
     except ValueError:
         raise ValueError(
-            f"cov: batch axes {array.shape[2:]} do not fit those of the mean {mean.shape[1:]}"
+            f"cov: batch axes {cov.shape[2:]} do not fit those of the mean {mean.shape[1:]}"
         ) from None
-    if array.size == 0:
-        return mean, array
-    swapped = np.swapaxes(array, 0, 1)
-    scale = np.abs(array).max(axis=(0, 1))
-    asymmetry = np.abs(array - swapped).max(axis=(0, 1))
-    if (asymmetry > ASYMMETRY * scale).any():
+    swapped = np.swapaxes(cov, 0, 1)
+    asymmetry = np.abs(cov - swapped)
+    if (asymmetry.max(axis=(0, 1)) > ASYMMETRY * np.abs(cov).max(axis=(0, 1))).any():
         raise ValueError(f"cov: wanted symmetric matrices, got asymmetry {asymmetry.max():.3g}")
-    array = 0.5 * (array + swapped)
-    require_semidefinite("cov", np.moveaxis(array, (0, 1), (-2, -1)))
-    return mean, array
+    cov = 0.5 * (cov + swapped)
+    if cov.size:
+        require_semidefinite("cov", np.moveaxis(cov, (0, 1), (-2, -1)))
+    return mean, cov
 
 
 def variance_argument(name: str, value: object) -> np.ndarray:
@@ -63,7 +61,7 @@ def variance_argument(name: str, value: object) -> np.ndarray:
     return array
 
 
-def as_joint_law(
+def estimate_arguments(
     mean: object, cov: object, error_cov: object, size: int | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Checked mean (n,), covariance C (n, n) and error covariance P (n, n) with P <= C.
@@ -93,15 +91,6 @@ def as_joint_law(
             f"got the scaled eigenvalue {smallest:.3g}"
         )
     return mean, cov, error_cov
-
-
-def symmetric_part(matrix: np.ndarray) -> np.ndarray:
-    """``(M + M') / 2``."""
-    return 0.5 * (matrix + matrix.T)
-
-
-LARGEST_TENSOR = 3_000_000
-RULE_ERROR = 1e-4
 
 
 def blockwise(

@@ -16,15 +16,15 @@ from scipy.special import erfcx, ndtr, owens_t
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
-    as_joint_law,
     blockwise,
+    estimate_arguments,
     gaussian_arguments,
     variance_argument,
 )
 from seedslib.gaussian.quadrature import gauss_hermite
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
-FAR, TINY = 100.0, 1e-200
+FAR = 100.0  # deviations beyond which no normal probability changes
 # Panels on either side of a kink, with breaks in deviations of the estimate and of its error
 PANEL, REACH = np.polynomial.legendre.leggauss(18), 9.5
 WIDE = np.array([0.0, 2.0, 4.0, 6.5, REACH])
@@ -147,13 +147,8 @@ def norm_errors(cov: ArrayLike) -> tuple[float, float]:
     return float(optimal), float(optimal + gap**2)
 
 
-def density(x: ArrayLike) -> np.ndarray:
-    """Standard normal density; an infinite argument gives zero."""
-    return np.exp(-0.5 * np.square(np.clip(x, -40.0, 40.0))) / ROOT_TWO_PI
-
-
 def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
-    """Quotient by a nonnegative number; x/0 is infinite, and 0/0 zero."""
+    """Quotient; x/0 is infinite, and 0/0 zero."""
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
@@ -182,23 +177,19 @@ def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> Functio
     var = variance_argument("var", var)
     root = np.sqrt(var)
     scaled = ratio(distance, root)
-    gap = 2 * positive_part(scaled)[0]
+    gap = 2 * mean_excess(scaled)
     shrunk = 1.0 - gap * (2 * np.minimum(scaled, 40.0) + gap)
     return FunctionMoments(distance + root * gap, var * shrunk)
 
 
-def positive_part(distance: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Mean of ``u⁺``, of its square, and ``P(u > 0)`` for ``u ~ N(-distance, 1)``, distance >= 0.
-
-    All are positive to underflow.
-    """
+def mean_excess(distance: np.ndarray) -> np.ndarray:
+    """Mean of ``max(u, 0)`` for ``u ~ N(-distance, 1)``, distance >= 0; positive to underflow."""
     distance = np.minimum(distance, 40.0)
     mills = np.sqrt(np.pi / 2) * erfcx(distance / np.sqrt(2))
-    square = (1.0 + distance * distance) * mills - distance
-    return tuple(density(distance) * part for part in (1.0 - distance * mills, square, mills))
+    return np.exp(-0.5 * distance * distance) / ROOT_TWO_PI * (1.0 - distance * mills)
 
 
-def _scalar_law(
+def _scalar_arguments(
     mean: ArrayLike, var: ArrayLike, error_var: ArrayLike
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     mean = as_real("mean", mean)
@@ -239,7 +230,7 @@ def abs_errors(
     TypeError, ValueError
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
-    mean, var, error_var = _scalar_law(mean, var, error_var)
+    mean, var, error_var = _scalar_arguments(mean, var, error_var)
     mean, known = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
     z, weight = split_rule(mean, known, np.sqrt(error_var))
     modulus, variance = abs_moments(mean + known * z, error_var)
@@ -288,7 +279,7 @@ def sine_errors(mean: ArrayLike, var: ArrayLike, error_var: ArrayLike) -> MeanSq
     TypeError, ValueError
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
-    mean, var, error_var = _scalar_law(mean, var, error_var)
+    mean, var, error_var = _scalar_arguments(mean, var, error_var)
     rest = 2 * var - error_var
     inner = -np.expm1(-rest) + 2 * np.exp(-rest) * np.cos(mean) ** 2
     optimal = -0.5 * np.expm1(-error_var) * inner
@@ -320,7 +311,7 @@ def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     mean, cov = gaussian_arguments(mean, cov, 2)
     root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
     scaled = np.minimum(np.abs(ratio(gap, root)), 40.0)
-    excess = positive_part(scaled)[0]
+    excess = mean_excess(scaled)
     shared = excess * (scaled + excess)
     tail = ndtr(-scaled)
     shares = 1.0 - tail - shared, np.maximum(tail - shared, 0.0)
@@ -352,7 +343,7 @@ def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSqu
     TypeError, ValueError
         Not two components, not real, not finite, not covariances, or P above C.
     """
-    mean, cov, error_cov = as_joint_law(mean, cov, error_cov, 2)
+    mean, cov, error_cov = estimate_arguments(mean, cov, error_cov, 2)
     spread, gap = _spread(error_cov), mean[0] - mean[1]
     known = np.sqrt(np.maximum(_spread(cov) - spread, 0.0))
     z, weight = split_rule(gap, known, np.sqrt(spread))
@@ -388,8 +379,7 @@ def split_rule(mean: np.ndarray, deviation: np.ndarray, error: np.ndarray) -> tu
 def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarray:
     """Probability that X <= h and Y <= k for standard normals with correlation rho.
 
-    By Owen's function T; absolute error below 1e-15. Infinite limits are allowed, and at
-    ``rho = ±1`` the limit is returned.
+    By Owen's function T; absolute error below 1e-15. Infinite limits and ``rho = ±1`` are allowed.
 
     Parameters
     ----------
@@ -406,35 +396,22 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     TypeError, ValueError
         Not real, NaN, or a correlation outside [-1, 1].
     """
-    h, k, rho = np.broadcast_arrays(
-        as_real("h", h, infinite=True), as_real("k", k, infinite=True), _correlation(rho)
-    )
-    # nothing changes beyond a hundred standard deviations, or below 1e-200 of one
-    h, k = (
-        np.where(np.abs(v) < TINY, 0.0, np.where(np.abs(v) > FAR, np.copysign(np.inf, v), v))
-        for v in (h, k)
-    )
-    root = np.sqrt((1.0 - rho) * (1.0 + rho))
-    below, above = np.minimum(h, k), np.maximum(h, k)
-    edge = np.where(rho > 0, ndtr(below), np.maximum(0.0, ndtr(below) - ndtr(-above)))
-    regular = (root > 0) & np.isfinite(h) & np.isfinite(k)
-    h, k, rho = (np.where(regular, values, 0.0) for values in (h, k, rho))
-    root = np.where(regular, root, 1.0)
-    inner = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho, root) - _owen(k, h, rho, root)
-    inner -= 0.5 * ((h * k < 0) | ((h * k == 0) & (h + k < 0)))
-    inner = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), inner)
-    unbounded = np.where(np.isneginf(below), 0.0, ndtr(below))
-    edge = np.where(np.isinf(below) | np.isposinf(above), unbounded, edge)
-    return np.where(regular, np.clip(inner, 0.0, 1.0), edge)[()]
+    h, k = as_real("h", h, infinite=True), as_real("k", k, infinite=True)
+    h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
+    h, k = np.clip(h, -FAR, FAR), np.clip(k, -FAR, FAR)
+    value = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho) - _owen(k, h, rho)
+    value -= 0.5 * ((np.minimum(h, k) < 0) & (np.maximum(h, k) >= 0))
+    value = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), value)
+    return np.clip(value, 0.0, 1.0)[()]
 
 
-def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray, root: np.ndarray) -> np.ndarray:
-    zero = h == 0
+def _owen(h: np.ndarray, k: np.ndarray, rho: np.ndarray) -> np.ndarray:
+    """Owen's ``T(h, (k - rho h) / (h sqrt(1 - rho^2)))`` and its limits."""
     # near one of the ends k - rho h cancels, but what it is made of is exact
     end = np.copysign(1.0, rho)
-    apart = np.where(np.abs(rho) > 0.99, (k - end * h) + (end - rho) * h, k - rho * h)
-    slope = apart / np.where(zero, 1.0, h * root)
-    return owens_t(h, np.where(zero, np.copysign(np.inf, k), slope))
+    gap = np.where(np.abs(rho) > 0.99, (k - end * h) + (end - rho) * h, k - rho * h)
+    slope = ratio(gap, h * np.sqrt((1.0 - rho) * (1.0 + rho)))
+    return owens_t(h, np.where(h == 0, np.copysign(np.inf, k), slope))
 
 
 def _correlation(rho: ArrayLike) -> np.ndarray:
@@ -547,15 +524,10 @@ def _sphere(mean: np.ndarray, white: np.ndarray, count: int) -> tuple[np.ndarray
     along = np.einsum("i,iab->ab", centre, turned) / length
     # c - D² is the squared distance of the mean from the ray's line: never negative.
     across = np.square(centre[:, None, None] - along * turned / length).sum(axis=0)
-    root = np.sqrt(np.pi / 2)
-    # sqrt(2π) Φ(D) exp(D²/2) = sqrt(π/2) erfcx(-D/√2): for D > 0 the Gaussian factor is split off.
-    tail = root * erfcx(np.abs(along) / np.sqrt(2))
-    gauss = np.exp(-0.5 * np.square(along))
-    behind = gauss * ((1 + along**2) * tail + along)
-    ahead = np.sqrt(2 * np.pi) * (1 + along**2) - gauss * ((1 + along**2) * tail - along)
-    radial = np.where(along < 0, np.maximum(behind, 0.0), ahead)
+    # behind the origin, D < 0, the terms cancel, but to an error that is small beside those ahead
+    radial = ROOT_TWO_PI * (1 + along**2) * ndtr(along) + along * np.exp(-0.5 * along**2)
     scale = abs(np.linalg.det(white)) / ((2 * np.pi) ** 1.5)
-    density = scale * np.exp(-0.5 * across) * radial / length**3
+    density = scale * np.exp(-0.5 * across) * np.maximum(radial, 0.0) / length**3
     return np.broadcast_to(angle, density.shape), weight * density
 
 

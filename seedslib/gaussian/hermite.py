@@ -12,18 +12,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations_with_replacement, product
-from math import factorial, prod, sqrt
+from math import factorial, sqrt
 
 import numpy as np
 import sympy as sp
-from scipy.special import roots_hermitenorm
+from scipy.special import eval_hermitenorm, roots_hermitenorm
 
+from seedslib.base.linalg import symmetrized
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.arguments import as_joint_law, symmetric_part
+from seedslib.gaussian.algebra import check_symbols, components_of
+from seedslib.gaussian.arguments import estimate_arguments
 from seedslib.gaussian.means import FunctionClass, expectation_function
-from seedslib.gaussian.polynomial import Index, heat, monomial_means
+from seedslib.gaussian.polynomial import Index, factorial_of, mean_derivatives, smoothing_bias
 from seedslib.gaussian.quadrature import rule_of_rank
-from seedslib.gaussian.reader import check_symbols, components_of
 
 LARGEST_TENSOR = 3_000_000
 RANK = 1e-13
@@ -44,7 +45,7 @@ def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np
     keep = values > RANK * max(values[-1], 0.0)
     root = np.sqrt(values[keep])
     whiten = vectors[:, keep] / (scale[:, None] * root)
-    shares, rotation = np.linalg.eigh(symmetric_part(whiten.T @ error_cov @ whiten))
+    shares, rotation = np.linalg.eigh(symmetrized(whiten.T @ error_cov @ whiten))
     # whiten transposed maps back: scale * vectors * root is its pseudo-inverse
     factor = (scale[:, None] * vectors[:, keep] * root) @ rotation
     return factor, np.where(shares > 1.0 - UNINFORMED, 1.0, np.maximum(shares, 0.0))
@@ -56,10 +57,6 @@ class HermiteExpansion:
 
     Attributes
     ----------
-    mean : ndarray (n,)
-        Prior mean mu.
-    factor : ndarray (n, rank)
-        T with ``C = T T'`` and ``P = T diag(shares) T'``.
     shares : ndarray (rank,)
         pi, the unexplained share of each prior direction, in [0, 1].
     indices : ndarray of int (count, rank)
@@ -70,17 +67,10 @@ class HermiteExpansion:
         ``Cov f`` beyond the expansion; zero for polynomials.
     """
 
-    mean: np.ndarray
-    factor: np.ndarray
     shares: np.ndarray
     indices: np.ndarray
     coefficients: np.ndarray
     remainder: np.ndarray
-
-    @property
-    def degrees(self) -> np.ndarray:
-        """Total degree of each term, shape (count,)."""
-        return self.indices.sum(axis=1)
 
     def _unexplained(self) -> np.ndarray:
         """``1 - (1 - pi)^beta``, exact for small and for unit shares."""
@@ -92,27 +82,23 @@ class HermiteExpansion:
     def _weighted(self, weights: np.ndarray) -> np.ndarray:
         return (self.coefficients * weights) @ self.coefficients.T
 
-    def lower(self) -> np.ndarray:
-        """Optimal mean-square error (p, p) of the expanded part: a lower bound, or exact."""
+    def optimal_error(self) -> np.ndarray:
+        """Optimal mean-square error (p, p) of the expanded part: exact, or a lower bound."""
         return self._weighted(self._unexplained())
-
-    def upper(self) -> np.ndarray:
-        """Upper bound (p, p) of the optimal error: all of the remainder counts as lost."""
-        return self.lower() + self.remainder
 
     def degree_errors(self) -> np.ndarray:
         """Errors P_K (degree + 1, p, p) of the best estimators of degree 0, 1, ..., degree.
 
         ``P_0`` is the prior covariance of f, ``P_1`` the error of the linear estimator, and the
-        sequence falls to the optimal error (its upper bound, where there is a remainder).
+        sequence falls to the optimal error, or to an upper bound of it where there is a remainder,
+        all of which counts as unexplained.
         """
-        lost = self._unexplained()
-        degrees = self.degrees
+        unexplained, degrees = self._unexplained(), self.indices.sum(axis=1)
         errors = [
-            self._weighted(np.where((degrees > k) & (degrees > 0), 1.0, lost)) + self.remainder
+            self._weighted(np.where((degrees > k) & (degrees > 0), 1.0, unexplained))
             for k in range(int(degrees.max(initial=0)) + 1)
         ]
-        return np.array(errors)
+        return np.array(errors) + self.remainder
 
 
 def hermite_expansion(
@@ -155,11 +141,11 @@ def hermite_expansion(
         Unknown symbols, bad mean or covariances, `degree` not below `nodes`, too large a rule.
     """
     size, coordinates, symbols = active(f, variables)
-    law = marginal(coordinates, *as_joint_law(mean, cov, error_cov, size))
+    moments = marginal(coordinates, *estimate_arguments(mean, cov, error_cov, size))
     function = expectation_function(f, symbols)
     if function.kind is FunctionClass.POLYNOMIAL:
-        return polynomial_expansion(function.compiled.polynomial(), *law)
-    mean, cov, error_cov = law
+        return polynomial_expansion(function.compiled.polynomial(), *moments)
+    mean, cov, error_cov = moments
     factor, shares = joint_factor(cov, error_cov)
     rank = factor.shape[1]
     if not 0 <= degree < nodes:
@@ -167,12 +153,10 @@ def hermite_expansion(
     grid, density = rule_of_rank(rank, nodes)
     values = function.compiled.value(mean[:, None] + factor @ grid)
     points, weights = roots_hermitenorm(nodes)
-    table = [np.ones(nodes), points]
-    for k in range(1, degree):
-        table.append((points * table[k] - sqrt(k) * table[k - 1]) / sqrt(k + 1))
-    table = np.array(table[: degree + 1]) * (weights / weights.sum())
+    table = [eval_hermitenorm(k, points) / sqrt(factorial(k)) for k in range(degree + 1)]
+    table = np.array(table) * (weights / weights.sum())
     average = values @ density
-    spread = ((values - average[:, None]) * density) @ (values - average[:, None]).T
+    cov_f = ((values - average[:, None]) * density) @ (values - average[:, None]).T
     # expanding the centred values keeps a large mean out of the remainder
     tensor = (values - average[:, None]).reshape(len(values), *(nodes,) * rank)
     for _ in range(rank):
@@ -181,14 +165,8 @@ def hermite_expansion(
     coefficients[:, 0] = average
     indices = np.array(list(product(range(degree + 1), repeat=rank)), dtype=int)
     rest = coefficients[:, 1:]
-    return HermiteExpansion(
-        mean,
-        factor,
-        shares,
-        indices.reshape(coefficients.shape[1], rank),
-        coefficients,
-        spread - rest @ rest.T,
-    )
+    indices = indices.reshape(coefficients.shape[1], rank)
+    return HermiteExpansion(shares, indices, coefficients, cov_f - rest @ rest.T)
 
 
 def active(
@@ -218,12 +196,12 @@ def plugin_excess(
 
     The bias ``zhat - f(xhat)`` is itself a polynomial of xhat, built without its leading part.
     """
-    bias = heat(polynomial, error_cov, first=1)
+    bias = smoothing_bias(polynomial, error_cov)
     size = len(next(iter(polynomial.values())))
     if not bias:
         return np.zeros((size, size))
     factor, shares = joint_factor(cov, error_cov)
-    known = symmetric_part((factor * (1.0 - shares)) @ factor.T)
+    known = symmetrized((factor * (1.0 - shares)) @ factor.T)
     coefficients = polynomial_expansion(bias, mean, known, known).coefficients
     return coefficients @ coefficients.T
 
@@ -260,36 +238,8 @@ def polynomial_expansion(
             indices.append(beta)
             columns.append(tensor[(slice(None), *axes)] / sqrt(factorial_of(beta)))
     coefficients = np.array(columns).T
-    return HermiteExpansion(
-        mean,
-        factor,
-        shares,
-        np.array(indices, dtype=int).reshape(len(indices), rank),
-        coefficients,
-        np.zeros((len(coefficients),) * 2),
-    )
-
-
-def factorial_of(index: Index) -> int:
-    """``beta! = prod beta_i!``."""
-    return prod(map(factorial, index))
-
-
-def mean_derivatives(
-    polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray
-) -> dict[Index, np.ndarray]:
-    """``E (d/dx)^beta f`` (p,) for every multi-index beta that does not annihilate f."""
-    splits = [
-        (alpha, beta, tuple(a - b for a, b in zip(alpha, beta, strict=True)))
-        for alpha in polynomial
-        for beta in product(*(range(k + 1) for k in alpha))
-    ]
-    means = monomial_means(dict.fromkeys(rest for *_, rest in splits), mean, cov)
-    result: dict[Index, np.ndarray] = {}
-    for alpha, beta, rest in splits:
-        weight = factorial_of(alpha) // factorial_of(rest)
-        result[beta] = result.get(beta, 0.0) + weight * means[rest] * polynomial[alpha]
-    return result
+    indices = np.array(indices, dtype=int).reshape(len(indices), rank)
+    return HermiteExpansion(shares, indices, coefficients, np.zeros((len(coefficients),) * 2))
 
 
 def contracted(means: Mapping[Index, np.ndarray], order: int, factor: np.ndarray) -> np.ndarray:

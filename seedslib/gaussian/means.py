@@ -12,12 +12,18 @@ import sympy as sp
 
 from seedslib.base.arrays import align
 from seedslib.base.symbols import as_symbols
-from seedslib.gaussian.algebra import Key, NoClosedForm, quadratic_gram
+from seedslib.gaussian.algebra import (
+    Key,
+    NoClosedForm,
+    Parsed,
+    components_of,
+    parse,
+    quadratic_gram,
+)
 from seedslib.gaussian.arguments import gaussian_arguments, in_range
 from seedslib.gaussian.functions import norm_mean
 from seedslib.gaussian.kernels import Group, HalfSpace, group_mean, group_value
 from seedslib.gaussian.polynomial import Coefficients, polynomial_value
-from seedslib.gaussian.reader import Parsed, components_of, parse
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,15 +33,12 @@ class Norm:
     coefficient: np.ndarray
     factor: np.ndarray
 
-    def law(self, mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def affine(self, mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Mean and covariance of the affine map under the norm."""
         slope = self.factor[:, 1:]
         origin = self.factor[:, 0].reshape(-1, *(1,) * (mean.ndim - 1))
-        if cov.ndim == 2:
-            spread = slope @ cov @ slope.T
-        else:
-            spread = np.einsum("ia,ab...,jb->ij...", slope, cov, slope)
-        return origin + np.tensordot(slope, mean, axes=1), 0.5 * (spread + spread.swapaxes(0, 1))
+        image = np.einsum("ia,ab...,jb->ij...", slope, cov, slope)
+        return origin + np.tensordot(slope, mean, axes=1), 0.5 * (image + image.swapaxes(0, 1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,7 +61,7 @@ class Compiled:
         for group in self.groups:
             total += group_mean(group, mean, cov, batch)
         for norm in self.norms:
-            length = norm_mean(*norm.law(mean, cov))
+            length = norm_mean(*norm.affine(mean, cov))
             total += norm.coefficient.reshape(-1, *(1,) * len(batch)) * length
         return total
 
@@ -75,7 +78,7 @@ class Compiled:
         for group in self.groups:
             total += group_value(group, point, self.size)
         for norm in self.norms:
-            affine, _ = norm.law(point, np.zeros((len(point),) * 2))
+            affine, _ = norm.affine(point, np.zeros((len(point),) * 2))
             length = np.linalg.norm(affine, axis=0)
             total += norm.coefficient.reshape(-1, *(1,) * length.ndim) * length
         return total

@@ -1,4 +1,4 @@
-"""Moments of Gaussian laws over polygons, bounded or not, by one quadrature rule.
+"""Moments of Gaussian distributions over polygons, bounded or not, by one quadrature rule.
 
 The region is cut into trapezoids between the abscissae of its vertices. Given x, y lies in an
 interval and is normal, so that its mass, mean and variance are those of an interval, known to full
@@ -21,10 +21,17 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import align
 from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import blockwise, gaussian_arguments
-from seedslib.gaussian.intervals import flat_interval, peak_rule, reach_of, unit_nodes
-from seedslib.gaussian.regions import SINGULAR, RegionMoments, difference_of_products
+from seedslib.gaussian.regions import (
+    SINGULAR,
+    RegionMoments,
+    difference_of_products,
+    flat_interval,
+    from_the_peak,
+    peak_rule,
+    unit_nodes,
+)
 
-BLOCK, PAIRS = 512, 100_000  # laws at a time, and pairs of their edges
+BLOCK, PAIRS = 512, 100_000  # distributions at a time, and pairs of their edges
 ORDER = 18  # nodes of a panel
 RESOLVED = 1e-8  # last Legendre coefficients beside the integral of a panel
 SMOOTH = 3.0  # nats by which the integrand of a panel varies where only rounding is left
@@ -32,7 +39,7 @@ NATS = 46.0  # what is bounded this far below the largest integrand is left out
 DEPTH = 80  # halvings of a panel
 FAR = 60.0  # standard deviations beyond which an unbounded region may be closed
 NEVER = 1e15  # squared distance beyond which the mass is zero
-ROUNDING, NOISY = 2.0**-52, 1e-4  # the widths of a region known less well than NOISY are refused
+ROUNDING = 2.0**-52
 LARGEST, TINY = 1e100, 1e-300  # in standard deviations
 
 
@@ -40,27 +47,24 @@ def polygon(
     mean: ArrayLike,
     cov: ArrayLike,
     vertices: ArrayLike,
-    about: ArrayLike | None = None,
     *,
     rays: ArrayLike | None = None,
 ) -> RegionMoments:
-    """Mass, mean and covariance of a Gaussian law in the plane over polygons (Kolessa, lemma 3).
+    """Mass, mean and covariance of a Gaussian vector in the plane over polygons (Kolessa, lemma 3).
 
-    Polygons may be non-convex, slender, huge, far in the tails, and the law nearly or exactly
-    singular; about twelve digits, six where a rounding of a vertex or of the covariance moves the
-    moments that much. A law whose determinant is below 1e-15 of the product of its variances lives
-    on a line or at a point; polygons are then half-open, so that a boundary point belongs to one
-    cell of a partition.
+    Polygons may be non-convex, slender, huge, far in the tails, and the covariance nearly or
+    exactly singular; about twelve digits, six where a rounding of a vertex or of the covariance
+    moves the moments that much. A distribution whose determinant is below 1e-15 of the product of
+    its variances lives on a line or at a point; polygons are then half-open, so that a boundary
+    point belongs to one cell of a partition.
 
     Parameters
     ----------
     mean, cov : array_like, shapes (2, ...) and (2, 2, ...)
-        The law. Batch axes come last and broadcast among all arguments.
+        Batch axes come last and broadcast among all arguments.
     vertices : array_like, shape (V, 2, ...)
         In order, in either orientation; repeated ones are padding (see `pad_regions`). Where the
         boundary touches itself, what an even number of edges separates from infinity is outside.
-    about : array_like, shape (2, ...), optional
-        Reference point of `RegionMoments.second`; the origin by default.
     rays : array_like, shape (2, 2, ...), optional
         Makes the region unbounded: directions from the first and from the last vertex to infinity.
         The boundary comes in along the first ray and goes out along the second one; the region
@@ -76,13 +80,12 @@ def polygon(
     Raises
     ------
     TypeError, ValueError
-        Not real, not finite, shapes that do not fit, no covariance; a polygon without area, whose
-        boundary crosses itself where the law has mass, or so thin beside its coordinates that
-        rounding decides its width.
+        Not real, not finite, shapes that do not fit, no covariance; a polygon without area, or
+        one whose boundary crosses itself where there is mass.
 
     Examples
     --------
-    The quadrant ``x > 1, y > 1`` of the standard law:
+    The quadrant ``x > 1, y > 1`` of two independent standard normal numbers:
 
     >>> import numpy as np
     >>> quadrant = polygon([0, 0], np.eye(2), [[1, 1]], rays=[[0, 1], [1, 0]])
@@ -109,13 +112,12 @@ def polygon(
         )
         for part, axes in parts
     ]
-    found = blockwise(
+    parts = blockwise(
         lambda block: _moments(*(part[..., block] for part in flat)),
         flat[0].shape[-1],
         max(1, min(BLOCK, PAIRS // len(vertices) ** 2)),
     )
-    moments = RegionMoments(*(part.reshape((*part.shape[:-1], *batch)) for part in found))
-    return moments if about is None else moments.referred_to(about)
+    return RegionMoments(*(part.reshape((*part.shape[:-1], *batch)) for part in parts))
 
 
 def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:
@@ -146,128 +148,109 @@ def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:
     return np.stack(padded, axis=-1)
 
 
-class Law(NamedTuple):
-    """Unit variances, correlation, deviation of y given x; whitened place of the nearest point."""
+class Whitened(NamedTuple):
+    """Correlation, deviation of y given x and nearest point, all for unit variances.
+
+    The point (u, v) of the region nearest to the mean is that of the whitened coordinates: x, and
+    what y has beyond its regression on x in its own deviations.
+    """
 
     correlation: np.ndarray
     rest: np.ndarray
     u: np.ndarray
     v: np.ndarray
 
-    def whitened(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """A vector in deviations as x and what y has beyond its regression, in its deviations."""
+    def coordinates(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """A vector in deviations, whitened."""
         return x, (y - self.correlation * x) / self.rest
 
 
 def _moments(
     mean: np.ndarray, cov: np.ndarray, vertices: np.ndarray, rays: np.ndarray
 ) -> list[np.ndarray]:
-    """Log-mass (B,), mean (2, B) and covariance (2, 2, B); laws on a line go their own way."""
-    deviation = np.sqrt(np.array([cov[0, 0], cov[1, 1]]))
-    # powers of two keep the products in range and are exact
-    first, second = (np.frexp(d)[1] for d in deviation)
-    a, b, c = (
-        np.ldexp(cov[i, j], -(p + q))
-        for i, j, p, q in ((0, 0, first, first), (0, 1, first, second), (1, 1, second, second))
-    )
+    """Log-mass (B,), mean (2, B) and covariance (2, 2, B)."""
+    (a, b), (_, c) = cov
+    deviation = np.sqrt(np.array([a, c]))
+    unbounded = rays.any(axis=(0, 1))
+    unit = np.where(deviation > 0, deviation, 1.0)
+    if unbounded.any():
+        ends = _far_points((vertices - mean) / unit, rays / unit, unbounded)
+        vertices = np.concatenate([vertices, np.where(unbounded, mean + unit * ends, vertices[-1])])
+    _refuse_crossings(*np.moveaxis((vertices - mean) / unit, 1, 0))
     product = np.where(a * c > 0, a * c, 1.0)
     determinant = np.where(a * c > 0, difference_of_products(a, c, b, b) / product, 0.0)
     plane = determinant > SINGULAR
-    law = Law(b / np.sqrt(product), np.sqrt(np.maximum(determinant, 0.0)), *np.zeros((2, 1)))
-    found = [np.empty(plane.shape), np.empty(mean.shape), np.empty(cov.shape)]
+    whitened = Whitened(b / np.sqrt(product), np.sqrt(np.maximum(determinant, 0.0)), 0 * a, 0 * a)
+    result = [np.empty(plane.shape), np.empty(mean.shape), np.empty(cov.shape)]
     for chosen in (plane, ~plane):
         if not chosen.any():
             continue
-        region = (part[..., chosen] for part in (mean, vertices, rays, deviation))
+        region = (part[..., chosen] for part in (mean, vertices, deviation))
         if chosen is plane:
-            parts = _in_the_plane(
-                *region, law._replace(correlation=law.correlation[chosen], rest=law.rest[chosen])
-            )
+            parts = _in_the_plane(*region, Whitened(*(part[chosen] for part in whitened)))
         else:
-            parts = _on_a_line(*region, np.where(cov[0, 1] < 0, -1.0, 1.0)[chosen])
-        for whole, part in zip(found, parts, strict=True):
+            parts = _on_a_line(*region, np.where(b < 0, -1.0, 1.0)[chosen])
+        for whole, part in zip(result, parts, strict=True):
             whole[..., chosen] = part
-    return found
+    return result
 
 
 def _in_the_plane(
-    mean: np.ndarray, vertices: np.ndarray, rays: np.ndarray, deviation: np.ndarray, law: Law
+    mean: np.ndarray, vertices: np.ndarray, deviation: np.ndarray, whitened: Whitened
 ) -> tuple[np.ndarray, ...]:
     away = (vertices - mean) / deviation
-    unbounded = rays.any(axis=(0, 1))
-    if unbounded.any():
-        far = _far_points(away, rays / deviation, unbounded, law)
-        away = np.concatenate([away, far])
-        vertices = np.concatenate([vertices, mean + deviation * far])
-    z = law.whitened(away[:, 0], away[:, 1])
+    z = whitened.coordinates(away[:, 0], away[:, 1])
     if not (np.abs(z) < LARGEST).all():
         raise ValueError("vertices: wanted vertices within 1e100 standard deviations; use rays")
-    _refuse_crossings(away[:, 0], away[:, 1])
     edge, share, inside = _nearest(*z)
     corner = np.take_along_axis(vertices, edge[None, None], 0)[0]
     following = np.take_along_axis(np.roll(vertices, -1, axis=0), edge[None, None], 0)[0]
     origin = np.where(inside, mean, corner + share * (following - corner))
-    place = (origin - mean) / deviation
-    place = np.array(law.whitened(*place))
-    square = (place * place).sum(axis=0)
+    u, v = whitened.coordinates(*((origin - mean) / deviation))
+    square = u * u + v * v
     none = square > NEVER
-    law = law._replace(u=np.where(none, 0.0, place[0]), v=np.where(none, 0.0, place[1]))
+    whitened = whitened._replace(u=np.where(none, 0.0, u), v=np.where(none, 0.0, v))
     x, y = np.moveaxis((vertices - origin) / deviation, 1, 0)
-    reach = np.sqrt(law.u**2 + law.v**2 + 2.0 * NATS)
-    panels = _trapezoids(x, y, -law.u - reach, -law.u + reach)
-    mass, mx, my, xx, xy, yy = _integrated(panels, law)
+    mass, mx, my, xx, xy, yy = _integrated(_trapezoids(x, y, whitened), whitened)
     if ((mass == 0) & ~none).any():
         raise ValueError("vertices: wanted polygons with an area, got a degenerate polygon")
     log_mass = np.log(np.where(none, 1.0, mass)) - 0.5 * square - np.log(2.0 * np.pi)
     centre = origin + deviation * np.stack([mx, my])
-    spread = deviation[:, None] * deviation * np.array([[xx, xy], [xy, yy]])
+    cov = deviation[:, None] * deviation * np.array([[xx, xy], [xy, yy]])
     return (
         np.where(none, -np.inf, np.minimum(log_mass, 0.0)),
         np.where(none, np.nan, centre),
-        np.where(none, np.nan, spread),
+        np.where(none, np.nan, cov),
     )
 
 
 def _on_a_line(
-    mean: np.ndarray,
-    vertices: np.ndarray,
-    rays: np.ndarray,
-    deviation: np.ndarray,
-    sign: np.ndarray,
+    mean: np.ndarray, vertices: np.ndarray, deviation: np.ndarray, sign: np.ndarray
 ) -> tuple[np.ndarray, ...]:
-    """A law along one direction, or at a point: a mixture of intervals.
+    """A distribution along one direction, or at a point: a mixture of intervals.
 
     A point of the line on the boundary belongs to one of two neighbours.
     """
     along = deviation * np.stack([np.ones_like(sign), sign])
-    length = np.hypot(*along)
-    point = length == 0
-    unit = np.where(point, 1.0, length)
-    ex, ey = np.where(point, 1.0, along[0] / unit), along[1] / unit
-
-    def turned(part: np.ndarray) -> np.ndarray:
-        x, y = part[:, 0], part[:, 1]
-        return np.stack([x * ex + y * ey, y * ex - x * ey], axis=1) / unit
-
-    away, unbounded = turned(vertices - mean), rays.any(axis=(0, 1))
-    if unbounded.any():
-        plain = Law(*np.array([[0.0], [1.0], [0.0], [0.0]]))
-        away = np.concatenate([away, _far_points(away, turned(rays), unbounded, plain)])
-    x, y = away[:, 0], away[:, 1]
-    _refuse_crossings(x, y)
+    point = ~along.any(axis=0)
+    direction = np.where(point, np.array([[1.0], [0.0]]), along)
+    # the line is x = 0, 1 at one deviation from the mean, and y across it
+    away = (vertices - mean) / (direction**2).sum(axis=0)
+    x = (away * direction).sum(axis=1)
+    y = away[:, 1] * direction[0] - away[:, 0] * direction[1]
     nx, ny = np.roll(x, -1, axis=0), np.roll(y, -1, axis=0)
     crossed = (y > 0) != (ny > 0)
     at = x - y * (nx - x) / np.where(crossed, ny - y, 1.0)
     at = np.sort(np.where(crossed, at, np.inf), axis=0)
     pairs = len(at) // 2
     low, high = at[: 2 * pairs : 2], at[1::2]
-    var, zero = np.broadcast_to(np.where(point, 0.0, 1.0), low.shape), np.zeros(low.shape)
-    logs, means, variances = flat_interval(*(p.ravel() for p in (zero, var, low, high)))
+    var, zero = np.broadcast_to(np.where(point, 0.0, 1.0), low.shape), np.zeros(low.size)
+    logs, means, variances = flat_interval(zero, var.ravel(), low.ravel(), high.ravel())
     owner = np.broadcast_to(np.arange(low.shape[1]), low.shape).ravel()
     top = logs.reshape(low.shape).max(axis=0)
     none = top == -np.inf
     top = np.where(none, 0.0, top)
-    weight, zero = np.exp(logs - top[owner]), zero.ravel()
+    weight = np.exp(logs - top[owner])
     parts = [np.where(weight > 0, part, 0.0) for part in (weight, means, zero, variances)]
     mass, centre, _, square, _, _ = _mixed(owner, [*parts, zero, zero], low.shape[1])
     return (
@@ -277,22 +260,22 @@ def _on_a_line(
     )
 
 
-def _far_points(away: np.ndarray, rays: np.ndarray, unbounded: np.ndarray, law: Law) -> np.ndarray:
+def _far_points(away: np.ndarray, rays: np.ndarray, unbounded: np.ndarray) -> np.ndarray:
     """Points (9, 2, B) that close an unbounded region: from the last vertex to the first one."""
-    z = law.whitened(away[:, 0], away[:, 1])
-    directions = law.whitened(rays[:, 0], rays[:, 1])
-    norm = np.where(unbounded, np.hypot(*directions), 1.0)
-    (ix, ox), (iy, oy) = (d / norm for d in directions)
-    turn = np.arctan2(ox * iy - oy * ix, ox * ix + oy * iy)
+    norm = np.where(unbounded, np.hypot(rays[:, 0], rays[:, 1]), 1.0)
+    inward, outward = rays / norm[:, None]
+    turn = np.arctan2(
+        outward[0] * inward[1] - outward[1] * inward[0], (outward * inward).sum(axis=0)
+    )
     # equal directions: the strip between the rays, or all but it
-    around = (turn == 0) & (ox * (z[1][0] - z[1][-1]) - oy * (z[0][0] - z[0][-1]) < 0)
+    across = away[0] - away[-1]
+    around = (turn == 0) & (outward[0] * across[1] - outward[1] * across[0] < 0)
     turn = np.where((turn < 0) | around, turn + 2 * np.pi, turn)
-    radius = 4.0 * (np.hypot(*z).max(axis=0) + FAR)
-    angle = np.arctan2(oy, ox) + turn * np.linspace(0.0, 1.0, 9)[1:-1, None]
-    u, v = 2.0 * radius * np.cos(angle), 2.0 * radius * np.sin(angle)
-    arc = np.stack([u, law.correlation * u + law.rest * v], axis=1)
-    out, back = away[-1] + radius * rays[1] / norm[1], away[0] + radius * rays[0] / norm[0]
-    return np.where(unbounded, np.concatenate([out[None], arc, back[None]]), away[-1])
+    radius = 4.0 * (np.hypot(away[:, 0], away[:, 1]).max(axis=0) + FAR)
+    angle = np.arctan2(outward[1], outward[0]) + turn * np.linspace(0.0, 1.0, 9)[1:-1, None]
+    arc = 2.0 * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    ends = (away[-1] + radius * outward)[None], (away[0] + radius * inward)[None]
+    return np.concatenate([ends[0], arc, ends[1]])
 
 
 def _refuse_crossings(x: np.ndarray, y: np.ndarray) -> None:
@@ -301,8 +284,8 @@ def _refuse_crossings(x: np.ndarray, y: np.ndarray) -> None:
     terms = [(nx - x)[:, None] * (y - y[:, None]), (ny - y)[:, None] * (x - x[:, None])]
     area = terms[0] - terms[1]  # of edge i and vertex j; its sign is the side
     area[np.abs(area) <= 8.0 * ROUNDING * (np.abs(terms[0]) + np.abs(terms[1]))] = 0.0
-    apart = np.sign(area) * np.sign(np.roll(area, -1, axis=1)) < 0.0
-    if (apart & np.swapaxes(apart, 0, 1)).any():
+    opposite = np.sign(area) * np.sign(np.roll(area, -1, axis=1)) < 0.0
+    if (opposite & np.swapaxes(opposite, 0, 1)).any():
         raise ValueError("vertices: wanted a polygon whose boundary does not cross itself")
 
 
@@ -325,8 +308,8 @@ def _nearest(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.n
 class Panels(NamedTuple):
     """Trapezoids (N,): whose they are, where x begins and its length, the sides in y.
 
-    `sides` (3, 2, N) holds the lower and the upper side and the width, at both ends of x. Last the
-    rounding error of the widths, relatively.
+    `sides` (3, 2, N) holds the lower and the upper side and the width, at both ends of x. Last
+    what rounding makes of the integrand, relatively.
     """
 
     owner: np.ndarray
@@ -338,31 +321,23 @@ class Panels(NamedTuple):
     def halved(self) -> Panels:
         """Each cut in two of half the length."""
         half = 0.5 * self.step
-        middle = 0.5 * (self.sides[:, :1] + self.sides[:, 1:])
-        sides = [
-            np.concatenate(p, axis=1)
-            for p in ((self.sides[:, :1], middle), (middle, self.sides[:, 1:]))
-        ]
+        low, high = self.sides[:, :1], self.sides[:, 1:]
+        middle = 0.5 * (low + high)
+        pairs = [np.concatenate(pair, axis=1) for pair in ((low, middle), (middle, high))]
         start = np.concatenate([self.start, self.start + half])
         owner, half, noise = (np.tile(part, 2) for part in (self.owner, half, self.noise))
-        return Panels(owner, start, half, np.concatenate(sides, axis=2), noise)
+        return Panels(owner, start, half, np.concatenate(pairs, axis=2), noise)
 
     def take(self, chosen: np.ndarray) -> Panels:
         """Some of them."""
         return Panels(*(part[..., chosen] for part in self))
 
-    def rounding(self, law: Law) -> np.ndarray:
-        """What rounding makes of the integrand, relatively, by the coordinates of the corners."""
-        x = np.maximum(np.abs(self.start), np.abs(self.start + self.step))
-        y = np.abs(self.sides[:2]).max(axis=1).min(axis=0)
-        distance, rest = (np.hypot(law.u, law.v) + 10.0)[self.owner], law.rest[self.owner]
-        y = np.where(y > 2.0 * (x + rest * distance), 0.0, y)  # no mass comes near such a side
-        return ROUNDING * (x + y) * distance / rest
 
-
-def _trapezoids(x: np.ndarray, y: np.ndarray, low: np.ndarray, high: np.ndarray) -> Panels:
-    """Polygons (V, B) between two abscissae, cut at those of their vertices."""
-    levels = np.sort(np.clip(x, low, high), axis=0)
+def _trapezoids(x: np.ndarray, y: np.ndarray, whitened: Whitened) -> Panels:
+    """Polygons (V, B), from their nearest point, cut at the abscissae of their vertices."""
+    distance = np.hypot(whitened.u, whitened.v)
+    reach = np.sqrt(distance**2 + 2.0 * NATS)
+    levels = np.sort(np.clip(x, -whitened.u - reach, -whitened.u + reach), axis=0)
     nx, ny = np.roll(x, -1, axis=0), np.roll(y, -1, axis=0)
     slope = (ny - y) / np.where(nx != x, nx - x, 1.0)
     bottom, top = np.minimum(y, ny), np.maximum(y, ny)
@@ -381,87 +356,65 @@ def _trapezoids(x: np.ndarray, y: np.ndarray, low: np.ndarray, high: np.ndarray)
     crossing &= (levels[1:] > levels[:-1])[:, None]
     order = np.argsort(np.where(crossing, at(middle), np.inf), axis=1)
     crossing = np.take_along_axis(crossing, order, 1)
-    ends = [np.take_along_axis(at(level), order, 1) for level in (levels[:-1], levels[1:])]
-    terms = np.abs(ay) + np.abs(levels[:, None] - ax) * np.abs(slope)
-    terms = np.take_along_axis(np.maximum(terms[:-1], terms[1:]), order, 1)
-    rounding = ROUNDING * np.maximum(terms[:, :-1], terms[:, 1:])
-    gaps = [end[:, 1:] - end[:, :-1] for end in ends]
-    used = crossing[:, :-1] & (np.maximum(*gaps) > 0)
+    low, high = (np.take_along_axis(at(level), order, 1) for level in (levels[:-1], levels[1:]))
+    size = np.take_along_axis((np.abs(ay) + np.abs(ax * slope))[None], order, 1)
+    size = np.maximum(size[:, :-1], size[:, 1:])
+    gaps = np.stack([end[:, 1:] - end[:, :-1] for end in (low, high)])
+    used = crossing[:, :-1] & (gaps.max(axis=0) > 0)
     used[:, 1::2] = False
     slab, _, owner = np.nonzero(used)
-    sides = np.array(
-        [
-            [end[:, :-1][used] for end in ends],
-            [end[:, 1:][used] for end in ends],
-            [np.maximum(gap[used], 0.0) for gap in gaps],
-        ]
-    )
-    noise = rounding[used] / sides[2].max(axis=0)
+    width = np.maximum(gaps[:, used], 0.0)
+    sides = [[end[:, :-1][used] for end in (low, high)], [end[:, 1:][used] for end in (low, high)]]
     start, stop = levels[slab, owner], levels[slab + 1, owner]
-    return Panels(owner, start, stop - start, sides, noise)
+    noise = ROUNDING * size[used] / width.max(axis=0)
+    steepness = 2.0 * (distance + 10.0) / whitened.rest
+    noise += ROUNDING * np.maximum(np.abs(start), np.abs(stop)) * steepness[owner]
+    return Panels(owner, start, stop - start, np.stack([*np.array(sides), width]), noise)
 
 
-def _integrated(panels: Panels, law: Law) -> list[np.ndarray]:
+def _integrated(panels: Panels, whitened: Whitened) -> list[np.ndarray]:
     """Mass beside the density of the nearest point, mean and covariance of each region."""
-    best = np.full(law.u.size, -np.inf)
+    best = np.full(whitened.u.size, -np.inf)
     done = []
     for _ in range(DEPTH):
-        values, missed, (least, height), bound = _evaluated(panels, law)
-        rounding = panels.rounding(law)
+        values, missed, (least, height), bound = _evaluated(panels, whitened)
         np.maximum.at(best, panels.owner, height)
-        smooth = (height - least < SMOOTH) & (missed <= 8.0 * rounding)
+        smooth = (height - least < SMOOTH) & (missed <= 8.0 * panels.noise)
         fine = (missed <= RESOLVED) | smooth | (bound < best[panels.owner] - NATS)
-        done.append((panels.owner[fine], (panels.noise + rounding)[fine], *values[:, fine]))
+        done.append((panels.owner[fine], *values[:, fine]))
         if fine.all():
             break
         panels = panels.take(~fine).halved()
     else:
         raise ValueError("vertices: wanted a region that panels resolve, got one beyond rounding")
-    owner, noise, *parts = map(np.concatenate, zip(*done, strict=True))
-    mixed = _mixed(owner, parts, best.size)
-    if (np.bincount(owner, noise * parts[0], best.size) > NOISY * mixed[0]).any():
-        raise ValueError("vertices: wanted a wider region, got one whose width is rounding")
-    return mixed
+    owner, *parts = map(np.concatenate, zip(*done, strict=True))
+    return _mixed(owner, parts, best.size)
 
 
-def _evaluated(panels: Panels, law: Law) -> tuple[np.ndarray, ...]:
+def _evaluated(panels: Panels, whitened: Whitened) -> tuple[np.ndarray, ...]:
     """Mass, mean and covariance (6, N) of panels; how much of the mass the rule may have missed.
 
     Then the range of the logarithm of the integrand at the nodes, and its bound between them.
     """
     nodes, weights, last, ends = _rule()
-    correlation, rest, u, v = (part[panels.owner] for part in law)
+    correlation, rest, u, v = (part[panels.owner] for part in whitened)
     x = panels.start + panels.step * nodes
     low, high, width = (side[0] + (side[1] - side[0]) * nodes for side in panels.sides)
     # the interval of the whitened y: steps from the nearest point, then places
-    below, above, length = (
-        (low - correlation * x) / rest,
-        (high - correlation * x) / rest,
-        width / rest,
-    )
-    mirrored = v + above <= 0.0
-    near = np.where(mirrored, -(v + above), v + below)
-    tail = near >= 0.0
-    peak = np.where(tail, near, 0.0)
-    reach = reach_of(peak)
-    left = np.where(tail, 0.0, np.maximum(near, -reach))
-    extent = np.minimum(np.where(tail, length, v + above), reach) - left
-    total, offset, spread = (
+    below, above = (low - correlation * x) / rest, (high - correlation * x) / rest
+    interval = from_the_peak(v + below, v + above, width / rest)
+    mirrored, tail, peak, left, extent = interval
+    total, offset, shrunk = (
         part.reshape(x.shape)
         for part in peak_rule(peak.ravel(), left.ravel(), np.maximum(extent, TINY).ravel())
     )
     step = np.where(tail, np.where(mirrored, above, below), -v)
     height = np.log(total) - 0.5 * (x * (x + 2.0 * u) + step * (step + 2.0 * v))
-    outside = np.where(mirrored, high - rest * offset, low + rest * offset)
-    y = np.where(tail, outside, correlation * x + rest * (offset - v))
+    beyond = np.where(mirrored, high - rest * offset, low + rest * offset)
+    y = np.where(tail, beyond, correlation * x + rest * (offset - v))
     bound, inside = _bound(height, nodes), slice(1, -1)
-    x, y, spread, height, edges = (
-        x[inside],
-        y[inside],
-        spread[inside],
-        height[inside],
-        height[:: ORDER + 1],
-    )
+    edges = height[[0, -1]]
+    x, y, shrunk, height = x[inside], y[inside], shrunk[inside], height[inside]
     top = height.max(axis=0)
     inner = np.exp(height - top)
     missed = np.abs(last @ inner).max(axis=0)
@@ -473,7 +426,7 @@ def _evaluated(panels: Panels, law: Law) -> tuple[np.ndarray, ...]:
     mx, my = (share * x).sum(axis=0), (share * y).sum(axis=0)
     dx, dy = x - mx, y - my
     square = [
-        (share * part).sum(axis=0) for part in (dx * dx, dx * dy, rest * rest * spread + dy * dy)
+        (share * part).sum(axis=0) for part in (dx * dx, dx * dy, rest * rest * shrunk + dy * dy)
     ]
     values = np.stack([mass * panels.step * np.exp(top), mx, my, *square])
     return values, missed / mass, (height.min(axis=0), top), bound

@@ -1,7 +1,7 @@
-"""Gaussian means of polynomials: the Stein-Isserlis recursion and the heat operator.
+"""Gaussian means of polynomials: the Stein-Isserlis recursion, and what follows from it.
 
 A polynomial map of n variables with p values is a dictionary ``{alpha: c}`` from multi-indices
-(tuples of n exponents) to coefficients, arrays of shape (p,). Both algorithms use only sums and
+(tuples of n exponents) to coefficients, arrays of shape (p,). The recursion uses only sums and
 products of the components of the mean and of the covariance, so the same lines serve single
 numbers, batches (batch axes last), complex shifts of the mean and SymPy symbols.
 """
@@ -10,6 +10,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import lru_cache
+from itertools import product
+from math import comb, factorial, prod
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -120,62 +122,53 @@ def polynomial_mean(
     return total
 
 
-def _laplacian(polynomial: Mapping[Index, object], cov: Sequence) -> dict[Index, object]:
-    """``(1/2) P : grad grad`` applied to the coefficients."""
-    image: dict[Index, object] = {}
-    for alpha, coefficient in polynomial.items():
-        for i, k in enumerate(alpha):
-            if k == 0:
-                continue
-            once = _lowered(alpha, i)
-            for j in range(i, len(alpha)):
-                if once[j] == 0:
-                    continue
-                # the diagonal carries the factor 1/2, a pair i < j occurs twice
-                weight = k * once[j] * cov[i][j]
-                weight = weight / 2 if i == j else weight
-                twice = _lowered(once, j)
-                image[twice] = image.get(twice, 0) + weight * coefficient
-    return image
+def factorial_of(index: Index) -> int:
+    """``beta! = prod beta_i!``."""
+    return prod(map(factorial, index))
 
 
-def heat(
-    polynomial: Mapping[Index, object], cov: Sequence[Any], *, first: int = 0
-) -> dict[Index, object]:
-    """Heat operator ``exp(P : grad grad / 2)`` on the coefficients of a polynomial.
+def _splits(indices: Iterable[Index]) -> list[tuple[Index, Index, Index]]:
+    """Every alpha with every beta <= alpha and the rest, alpha - beta."""
+    return [
+        (alpha, beta, tuple(a - b for a, b in zip(alpha, beta, strict=True)))
+        for alpha in indices
+        for beta in product(*(range(k + 1) for k in alpha))
+    ]
 
-    The value of the image at m is the mean of the polynomial under N(m, P), for every positive
-    semidefinite P. With `first` = 1 the identity is left out, which gives ``E f(x) - f(m)``
-    without a subtraction.
 
-    Parameters
-    ----------
-    polynomial : dict from multi-index to coefficient
-        Coefficients may be arrays (p,) or SymPy expressions.
-    cov : array_like (n, n) or nested sequence of expressions
-        P.
-    first : int
-        First power of ``P : grad grad / 2`` that is kept.
+def mean_derivatives(
+    polynomial: Mapping[Index, np.ndarray], mean: np.ndarray, cov: np.ndarray
+) -> Coefficients:
+    """``E (d/dx)^beta f`` (p, *batch) for every multi-index beta that does not annihilate f."""
+    splits = _splits(polynomial)
+    rests = dict.fromkeys(rest for *_, rest in splits)
+    means = monomial_means(rests, mean, cov, zeroth=np.ones(mean.shape[1:]))
+    result: Coefficients = {}
+    for alpha, beta, rest in splits:
+        weight = factorial_of(alpha) // factorial_of(rest)
+        part = np.multiply.outer(weight * polynomial[alpha], means[rest])
+        result[beta] = result.get(beta, 0.0) + part
+    return result
 
-    Returns
-    -------
-    dict
-        Coefficients of the image; empty for the zero polynomial.
+
+def smoothing_bias(polynomial: Mapping[Index, np.ndarray], cov: np.ndarray) -> Coefficients:
+    """Coefficients of ``E f(x + e) - f(x)``, e ~ N(0, cov), a polynomial in x.
+
+    Nothing is subtracted: it consists of the even moments of e of positive degree.
     """
-    total: dict[Index, object] = {}
-    power, order = dict(polynomial), 0
-    while power:
-        if order >= first:
-            for alpha, coefficient in power.items():
-                total[alpha] = total.get(alpha, 0) + coefficient
-        order += 1
-        power = {a: c / order for a, c in _laplacian(power, cov).items()}
-    return total
+    splits = [s for s in _splits(polynomial) if any(s[1]) and sum(s[1]) % 2 == 0]
+    means = monomial_means({beta: None for _, beta, _ in splits}, np.zeros(len(cov)), cov)
+    result: Coefficients = {}
+    for alpha, beta, rest in splits:
+        weight = prod(map(comb, alpha, beta)) * means[beta]
+        result[rest] = result.get(rest, 0.0) + weight * polynomial[alpha]
+    return result
 
 
-def derivative(polynomial: Mapping[Index, np.ndarray], axis: int) -> Coefficients:
-    """Coefficients of the partial derivative along one variable."""
-    return {_lowered(a, axis): a[axis] * c for a, c in polynomial.items() if a[axis]}
+def taylor_coefficients(polynomial: Mapping[Index, np.ndarray], point: np.ndarray) -> Coefficients:
+    """Coefficients (p, *batch) of a polynomial map in the step from points (n, *batch)."""
+    derivatives = mean_derivatives(polynomial, point, np.zeros((len(point),) * 2))
+    return {beta: value / factorial_of(beta) for beta, value in derivatives.items()}
 
 
 def polynomial_value(

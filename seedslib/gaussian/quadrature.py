@@ -155,8 +155,14 @@ def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) 
     TypeError, ValueError
         Illegal mean or covariance, a rule for another dimension, or f returns a wrong shape.
     """
-    points = points_of(mean, cov, rule)
-    flat = points.reshape(len(points), -1)
+    mean, cov = gaussian_arguments(mean, cov)
+    n = mean.shape[0]
+    if rule.points.shape[0] != n:
+        raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
+    offsets = np.einsum("ij...,jk->ik...", cholesky(cov), rule.points)
+    depth = max(mean.ndim - 1, offsets.ndim - 2)
+    points = align(mean[:, None], 2, depth) + align(offsets, 2, depth)
+    flat = points.reshape(n, -1)
     values = np.asarray(f(flat))
     if values.shape[-1:] != flat.shape[1:] or values.ndim > 2:
         raise ValueError(
@@ -164,27 +170,3 @@ def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) 
         )
     values = values.reshape(*values.shape[:-1], *points.shape[1:])
     return np.tensordot(rule.weights, values, (0, values.ndim - points.ndim + 1))[()]
-
-
-def points_of(mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:
-    """Points of a rule for N(mean, cov), shape (n, L, ...).
-
-    Parameters
-    ----------
-    mean, cov : array_like
-        Shapes (n, ...) and (n, n) or (n, n, ...).
-    rule : Rule
-        For dimension n.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Illegal mean or covariance, or a rule for another dimension.
-    """
-    mean, cov = gaussian_arguments(mean, cov)
-    n = mean.shape[0]
-    if rule.points.shape[0] != n:
-        raise ValueError(f"rule: wanted a rule for {n} variables, got {rule.points.shape[0]}")
-    offsets = np.einsum("ij...,jk->ik...", cholesky(cov), rule.points)
-    depth = max(mean.ndim - 1, offsets.ndim - 2)
-    return align(mean[:, None], 2, depth) + align(offsets, 2, depth)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import MaybeArray, align, product
 from seedslib.base.linalg import lower_triangle, symmetric, symmetrized
 from seedslib.base.values import Values
 from seedslib.models.linear import LinearMap
@@ -192,12 +192,11 @@ class Matrices(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             slope = map.slope_at(t, p)
-            lean = np.einsum("ij...,jk...->ik...", slope, cov)  # cov(y, x)
-            y = map.pushed(t, np.einsum("ij...,j...->i...", slope, mean), p)
-            cross = np.swapaxes(lean, 0, 1)
+            y = map.pushed(t, product(slope, mean, 1), p)
+            cross = product(slope, cov, 2).swapaxes(0, 1)
             if not spread:
                 return Moments(y, cross, None)
-            square = np.einsum("ij...,kj...->ik...", lean, slope)
+            square = product(slope, cross, 2)
             square, noise = symmetrized(square), map.cov_at(t, p)
             depth = max(square.ndim, noise.ndim) - 2  # one of them may be common to all paths
             return Moments(y, cross, align(square, 2, depth) + align(noise, 2, depth))

@@ -2,12 +2,10 @@
 
 import shutil
 from pathlib import Path
-from unittest.mock import patch
 
 import pytest
-from jupyter_client.provisioning import local_provisioner
 
-from bookkit import execution, kernels
+from bookkit import execution
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -53,26 +51,11 @@ LEDGER = """- id: TS-X1
   origin: stated
   place: example 0
   statement: The three terms of the sum make 7.
-  kind: number
   notebook: notebooks/tiny.md
   printed: 7
   tolerance: 1.0e-9
   verdict: reproduced
 """
-
-PLACES = """two-step:
-- item: "(1)"
-  says: a sum
-  at: ["notebooks/tiny.md#A small notebook"]
-  claims: [TS-X1]
-"""
-
-
-@pytest.fixture(scope="module")
-def kernels_at_once():
-    """Kernels are forked from one process: not how they start is tested."""
-    with patch.object(local_provisioner, "launch_kernel", kernels.launch):
-        yield
 
 
 @pytest.fixture(scope="session")
@@ -84,10 +67,9 @@ def executed_project(tmp_path_factory):
     (root / "requirements.lock").write_text("nothing==1.0\n")
     (root / "notebooks" / "tiny.md").write_text(TINY)
     (root / "book" / "claims.yml").write_text(LEDGER)
-    (root / "book" / "places.yml").write_text(PLACES)
     shutil.copy(ROOT / "conftest.py", root)
     (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")
-    assert execution.execute(root) == [execution.Outcome(root / "notebooks" / "tiny.md", "")]
+    assert execution.execute(root) == {"tiny.md": ""}
     return root
 
 

@@ -9,8 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from bookkit.live import filters, tables
-from bookkit.live.fragment import SCRIPTS, STATIC, data_of, unpooled
+from bookkit import live
 from seedslib import zoo
 from seedslib.export import to_js
 
@@ -22,15 +21,23 @@ pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node")
 
 
-def text_of(name):
-    return (ROOT / "book" / "live" / f"{name}.html").read_text(encoding="utf-8")
+def data_of(name):
+    """The data of a committed figure."""
+    text = (ROOT / "book" / "live" / f"{name}.html").read_text(encoding="utf-8")
+    return json.loads(re.search(r'<script type="application/json">(.*?)</script>', text)[1])
+
+
+def module(data, name):
+    """The text of a filter in a figure's data: runs of lines, each a first line and a number."""
+    lines, runs = data["lines"], data["modules"][name]
+    pairs = zip(runs[::2], runs[1::2], strict=True)
+    return "\n".join(line for at, count in pairs for line in lines[at : at + count])
 
 
 def node(script, given):
     """What a script prints, which knows the page's scripts and `given`."""
     script = f"""
-const {{ paths }} = require({json.dumps(str(STATIC / SCRIPTS[0]))});
-const {{ live }} = require({json.dumps(str(STATIC / SCRIPTS[1]))});
+const {{ paths }} = require({json.dumps(str(live.STATIC / "live_filters.js"))});
 const given = JSON.parse(require('fs').readFileSync(0, 'utf8'));
 console.log(JSON.stringify({script}));"""
     done = subprocess.run(
@@ -50,18 +57,24 @@ def assert_same(found, wanted):
 @pytest.fixture(scope="module")
 def made():
     """Filters of two figures, made today."""
-    return {"dropouts": filters.linear_filters(), "van_der_pol": filters.van_der_pol_filters(2)}
+    return {"dropouts": live.linear_filters(), "van_der_pol": live.van_der_pol_filters(2)}
 
 
-def test_filters_and_tables_of_the_figures_are_those_of_the_library(made):
-    for name, found in made.items():
-        kept = unpooled(data_of(text_of(name)))
-        for key, filter in found.items():
-            assert_same(kept[key], to_js(filter))
-    for figure in tables.figures():
-        data = data_of(text_of(figure.name))
-        for key, value in figure.data.items():
-            assert_same(json.dumps(data[key]), json.dumps(value))
+def test_filters_of_the_figures_are_those_of_the_library(made):
+    for name, filters in made.items():
+        for key, filter in filters.items():
+            assert_same(module(data_of(name), key), to_js(filter))
+
+
+@needs_node
+def test_a_figure_has_its_data_and_a_first_picture(made):
+    slider = live.Slider("missing", "share", live.MISSING, 3)
+    data = data_of("dropouts") | live.pooled({"kf": to_js(made["dropouts"]["kf"])})
+    data["filters"] = [{"key": "kf", "label": "Kalman < all"}]
+    text = live.fragment(live.Figure("x", slider, "a caption", data))
+    assert text.count("<svg") == 2
+    assert "Kalman &lt; all" in text
+    assert 'aria-valuetext="0.3"' in text
 
 
 ESTIMATES = """Object.fromEntries(Object.entries(given).map(([name, { data, keys, options }]) => {
@@ -80,7 +93,7 @@ ESTIMATES = """Object.fromEntries(Object.entries(given).map(([name, { data, keys
 def test_estimates_of_a_page_are_those_of_python(made):
     """From the page's own measurements, gaps among them."""
     given = {
-        name: {"data": data_of(text_of(name)), "keys": list(made[name]), "options": options}
+        name: {"data": data_of(name), "keys": list(made[name]), "options": options}
         for name, options in (("dropouts", {"missing": 0.4}), ("van_der_pol", {"noise": 1.0}))
     }
     found = node(ESTIMATES, given)

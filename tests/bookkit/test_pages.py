@@ -1,39 +1,33 @@
-"""What is made into pages: tables, the reference, programs, colours of words."""
+"""What pages take from notebooks, and what is refused in built pages."""
 
+import base64
 import re
+import struct
 from pathlib import Path
 
 import numpy as np
 import pytest
-from docutils import nodes
-from docutils.utils import new_document
 
 import seedslib
-from bookkit import folding, programs, reference
+from bookkit import html_check, pages, programs
+from bookkit.recording import MIME
 
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def test_a_printed_table_becomes_a_table_with_each_number_in_its_column():
-    table = "name     a     b\none            2\ntwo    1.5   3\na<b    2.5"
-    output = nodes.container(nb_element="cell_code_output")
-    output += nodes.literal_block("", f"a line\n\n{table}", classes=["output", "stream"])
-    document = new_document("page")
-    document += output
-    folding.TextTables(document).run()
-    text, made = (child.astext() for child in output.children)
-    assert text.strip() == "a line"
-    assert '<th scope="row" class="text">one</th><td></td><td>2</td>' in made
-    assert '<th scope="row" class="text">a&lt;b</th><td>2.5</td><td></td>' in made
+def test_a_page_leaves_records_out_and_keeps_boxes_and_figures_at_half_their_pixels():
+    png = b"\x89PNG\r\n\x1a\n" + struct.pack(">I4sII", 13, b"IHDR", 640, 480)
+    record, box = {MIME: {}, "text/plain": "x = 1"}, {MIME: {}, "text/html": "<div></div>"}
+    figure = {"image/png": base64.b64encode(png).decode()}
+    cell = {"metadata": {}, "outputs": [{"data": data} for data in (record, box, figure)]}
+    pages.as_shown({"cells": [cell]})
+    assert [output["data"] for output in cell["outputs"]] == [box, figure]
+    assert cell["metadata"]["mystnb"]["image"]["width"] == "320px"
 
 
-def test_every_public_name_of_the_library_is_in_the_reference():
-    packages = set(seedslib.__all__) - {"commands"}  # `python -m seedslib --help` describes them
-    assert set(reference.ROOMS) == packages
-    for package in packages:
-        text = reference.page(package)
-        described = set(re.findall(r"^\.\. (?:auto\w+|py:module):: (\S+)$", text, re.MULTILINE))
-        assert described == {name for name, _ in reference.public(package)}
+def test_every_package_has_a_page_in_the_reference():
+    described = {path.stem for path in (ROOT / "book" / "api").glob("*.md")}
+    assert described == set(seedslib.__all__) - {"commands"}  # its `--help` describes it
 
 
 def test_the_program_of_the_readme_runs_and_its_errors_are_ordered():
@@ -45,28 +39,37 @@ def test_the_program_of_the_readme_runs_and_its_errors_are_ordered():
     np.testing.assert_allclose(plugin / steady - 1, loss, rtol=1e-6)
 
 
-CSS = (ROOT / "book" / "_static" / "claims.css").read_text()
-WORDS = ("reproduced", "checked", "corrected", "refuted", "open", "book-ink", "book-quiet")
+def test_programs_have_the_lines_of_their_page(tmp_path):
+    programs.write(ROOT, tmp_path / "programs")
+    page = (ROOT / "notebooks" / "field_nile.md").read_text().splitlines()
+    lines = (tmp_path / "programs" / "field_nile.py").read_text().splitlines()
+    code = [(k, line) for k, line in enumerate(lines) if line]
+    assert len(code) > 20
+    assert [line for k, line in code if page[k] != line] == []
 
 
-def luminance(colour):
-    parts = [int(colour[k : k + 2], 16) / 255 for k in (1, 3, 5)]
-    linear = [p / 12.92 if p <= 0.04045 else ((p + 0.055) / 1.055) ** 2.4 for p in parts]
-    return 0.2126 * linear[0] + 0.7152 * linear[1] + 0.0722 * linear[2]
-
-
-def contrast(one, other):
-    low, high = sorted([luminance(one), luminance(other)])
-    return (high + 0.05) / (low + 0.05)
+OUTSIDE = "//cdn.example.org/a"
 
 
 @pytest.mark.parametrize(
-    ("selector", "grounds"),
-    [(":root", ["#ffffff"]), ('html[data-theme="dark"]', ["#121212", "#222832"])],
+    "loads",
+    [
+        f'<script src="https:{OUTSIDE}"></script>',
+        f'<link rel="stylesheet" href="{OUTSIDE}">',
+        f'<img alt="x" src="x.png" srcset="x.png, {OUTSIDE} 2x">',
+        f'<div style="background: url({OUTSIDE})"></div>',
+        f"<style>p {{ background: url('{OUTSIDE}') }}</style>",
+        "css",
+    ],
 )
-def test_words_have_a_contrast_of_four_and_a_half(selector, grounds):
-    assert contrast("#777777", "#ffffff") == pytest.approx(4.48, abs=0.01)
-    block = CSS.split(selector + " {", 1)[1].split("}")[0]
-    colours = dict(re.findall(r"--([\w-]+): (#[0-9a-f]{6})", block))
-    pairs = [(word, g) for word in WORDS for g in (colours["book-panel"], *grounds)]
-    assert [(word, g) for word, g in pairs if contrast(colours[word], g) < 4.5] == []
+def test_what_a_page_loads_from_the_network_is_named(tmp_path, loads):
+    page = tmp_path / "page.html"
+    sound = '<a href="https://example.org/">outside</a><img src="x.png"><link href="a.css">'
+    page.write_text(sound)
+    assert html_check.network_loads(tmp_path) == []
+    if loads == "css":
+        (tmp_path / "style.css").write_text(f'@import "{OUTSIDE}";')
+    else:
+        page.write_text(sound + loads)
+    (found,) = html_check.network_loads(tmp_path)
+    assert re.match(r"(page\.html|style\.css): loads (https:)?//cdn", found)

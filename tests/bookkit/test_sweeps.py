@@ -1,7 +1,5 @@
 """A notebook run over a grid of parameters: the table, what fails, what goes on after a kill."""
 
-import csv
-import ipaddress
 import os
 import signal
 import subprocess
@@ -9,15 +7,10 @@ import sys
 import time
 
 import nbformat
-import psutil
 import pytest
 from dask.distributed import LocalCluster
 
 from bookkit import execution, run_sweep
-from bookkit.limits import Limits
-from bookkit.recording import MIME
-
-pytestmark = pytest.mark.usefixtures("kernels_at_once")
 
 
 @pytest.fixture
@@ -40,15 +33,10 @@ def sweep(project, notebook, scheduler):
 
     def run(grid, **options):
         (project / "grid.yaml").write_text(f"grid: {grid}\n")
-        options = {"quiet": True, "scheduler": scheduler, **options}
+        options = {"scheduler": scheduler, **options}
         return run_sweep(notebook, project / "grid.yaml", project / "out", **options)
 
     return run
-
-
-def rows(report):
-    with report.table.open() as file:
-        return list(csv.DictReader(file))
 
 
 def prepend(notebook, code):
@@ -58,52 +46,40 @@ def prepend(notebook, code):
     nbformat.write(content, notebook)
 
 
-def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, sweep):
-    report = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
-    assert (report.total, report.already, report.failed) == (4, 0, 0)
-    table = [[float(r[name]) for name in ("gain", "count", "total")] for r in rows(report)]
-    assert table == [[1, 2, 2], [1, 3, 3], [3, 2, 4], [3, 3, 13]]
-    assert [float(rows(report)[3][f"terms_{k}"]) for k in range(3)] == [1.0, 3.0, 9.0]
-    assert len(list((project / "out").glob("*.ipynb"))) == 4
-    before = report.table.read_bytes()
-    again = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
-    assert again.already == 4
-    assert again.table.read_bytes() == before
-    for half in (project / "out").glob("*.json"):
-        half.write_text("{")  # what is not whole is no point
-    assert sweep("{gain: [1.0]}").already == 0
+def test_a_sweep_makes_a_tidy_table_and_a_second_one_runs_nothing(project, sweep, capsys):
+    table = sweep("{gain: [1.0, 3.0], count: [2, 3]}")
+    assert [*table] == ["gain", "count", "terms_0", "terms_1", "total", "terms_2", "problem"]
+    known = table[["gain", "count", "total"]].to_numpy().tolist()
+    assert known == [[1, 2, 2], [1, 3, 3], [3, 2, 4], [3, 3, 13]]
+    assert table.loc[3, ["terms_0", "terms_1", "terms_2"]].tolist() == [1.0, 3.0, 9.0]
+    before = (project / "out" / "results.csv").read_bytes()
+    assert b"\n1.0,2,1.0,1.0,2.0,,\n" in before
+    sweep("{gain: [1.0, 3.0], count: [2, 3]}")
+    assert "4 points, 4 already done" in capsys.readouterr().out
+    assert (project / "out" / "results.csv").read_bytes() == before
     (project / "requirements.lock").write_text("")
-    assert sweep("{gain: [1.0]}").already == 0
+    sweep("{gain: [1.0]}")
+    assert "1 points, 0 already done" in capsys.readouterr().out
 
 
 SPOILT = {  # what a point does, and what is said of it; the others go on
     7.0: ("pass", "ArithmeticError: seven is out of reach"),
-    3.0: ("from bookkit import record; record(total=1.0)", "total is recorded twice"),
-    4.0: ("from bookkit import record; record(gain=9.0)", "gain: the name of another column"),
-    5.0: (
-        f"from IPython.display import display; display({{{MIME!r}: {{'values': [1]}}}}, raw=True)",
-        "a record of another shape",
-    ),
     6.0: ("import os; os._exit(1)", "Kernel died"),
 }
 
 
-def test_points_that_fail_keep_their_message_and_the_others_go_on(notebook, sweep):
+def test_points_that_fail_keep_their_message_and_run_again(notebook, sweep, capsys):
     prepend(notebook, "".join(f"if gain == {g}:\n    {code}\n" for g, (code, _) in SPOILT.items()))
-    grid = f"{{gain: {[*SPOILT, 2.0]}, count: [1]}}"
-    report = sweep(grid)
-    assert report.failed == len(SPOILT)
-    *bad, good = rows(report)
-    for row, (gain, (_, problem)) in zip(bad, SPOILT.items(), strict=True):
-        assert float(row["gain"]) == gain
-        assert problem in row["problem"]
-        assert row["total"] == ""
-    assert (good["total"], good["problem"]) == ("1.0", "")
-    assert sweep("{gain: [7.0], count: [1]}").already == 1
-    assert sweep("{gain: [7.0], count: [1]}", retry=True).already == 0
+    for already in (0, 1):
+        table = sweep(f"{{gain: {[*SPOILT, 2.0]}, count: [1]}}")
+        assert f"{already} already done" in capsys.readouterr().out
+        for problem, (_, message) in zip(table["problem"], SPOILT.values(), strict=False):
+            assert message in problem
+        assert table["total"].isna().tolist() == [True] * len(SPOILT) + [False]
+        assert table["problem"].iloc[-1] == ""
 
 
-def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebook, sweep):
+def test_a_killed_sweep_goes_on(project, notebook, sweep, capsys):
     go = project / "go"
     wait = f"if gain > 1.0 and not os.path.exists({str(go)!r}):\n    time.sleep(60)\n"
     prepend(notebook, f"import os\nimport time\n\n{wait}")
@@ -115,25 +91,16 @@ def test_a_killed_sweep_goes_on_and_listens_on_this_machine_only(project, notebo
         stdout=subprocess.DEVNULL,
         stderr=subprocess.DEVNULL,
     )
-    deadline = time.monotonic() + 90
-    while not list((project / "out").glob("*.json")):
+    deadline = time.monotonic() + 300
+    while not list((project / "out").glob("*.ipynb")):
         assert time.monotonic() < deadline, "no point was finished in time"
         time.sleep(0.1)
-    process = psutil.Process(first.pid)
-    listening = {
-        ipaddress.ip_address(connection.laddr.ip)
-        for process in [process, *process.children(recursive=True)]
-        for connection in process.net_connections("tcp")
-        if connection.status == psutil.CONN_LISTEN
-    }
     os.kill(first.pid, signal.SIGKILL)
     first.wait()
-    assert listening
-    assert all(address.is_loopback for address in listening)
     go.touch()
-    report = sweep("{gain: [1.0, 2.0, 3.0], count: [1]}")
-    assert (report.total, report.already, report.failed) == (3, 1, 0)
-    assert [float(r["total"]) for r in rows(report)] == [1.0] * 3
+    table = sweep("{gain: [1.0, 2.0, 3.0], count: [1]}")
+    assert "3 points, 1 already done" in capsys.readouterr().out
+    assert table["total"].tolist() == [1.0] * 3
 
 
 def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, notebook, sweep):
@@ -142,13 +109,10 @@ def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, no
     text = source.read_text().replace("kernelspec:", "inputs: [data.csv]\nkernelspec:", 1)
     code = 'from bookkit import record\n\nrecord(read=float(open("../data.csv").read()))\n'
     source.write_text(text + "\n```{code-cell} ipython3\n" + code + "```\n")
-    assert [o.problem for o in execution.execute(project)] == [""]
-    assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 2.5
+    assert execution.execute(project) == {"tiny.md": ""}
+    assert sweep("{gain: [1.0]}")["read"].tolist() == [2.5]
     data.write_text("3.5\n")
-    assert float(rows(sweep("{gain: [1.0]}"))[0]["read"]) == 3.5
-    data.unlink()
-    with pytest.raises(ValueError, match=r"data\.csv"):
-        sweep("{gain: [1.0]}")
+    assert sweep("{gain: [1.0]}")["read"].tolist() == [3.5]
 
 
 @pytest.mark.parametrize(
@@ -156,20 +120,12 @@ def test_data_files_travel_with_the_notebook_and_are_part_of_a_point(project, no
     [
         ("{gian: [1.0]}", "gian"),
         ("{gain: [1.0, 'two', -3.0]}", "gain = 'two'.*gain = -3.0"),
-        ("{gain: [1.0], gain: [2.0]}", "'gain' stands twice"),
         ("{gain: [.nan]}", "gain"),
-        (f"{{gain: {[1.0] * 200}, count: {[1] * 200}}}", "at most 10000 points, got 40000"),
         ("{gain: [1.0]}\nnotebook: notebooks/other.md", r"other\.md"),
-        ("&g [*g]", "alias"),
+        ("[1.0]", "grid"),
     ],
 )
 def test_a_bad_grid_is_refused_before_anything_runs(project, sweep, grid, message):
     with pytest.raises(ValueError, match=message):
         sweep(grid)
     assert not (project / "out").exists()
-
-
-def test_a_point_that_takes_longer_than_its_limit_fails(notebook, sweep):
-    prepend(notebook, "import time; time.sleep(60)\n")
-    report = sweep("{gain: [1.0]}", limits=Limits(seconds=1.0))
-    assert "took longer than 1 s" in rows(report)[0]["problem"]

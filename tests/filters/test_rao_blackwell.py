@@ -99,8 +99,8 @@ def test_indicator_that_no_mode_shows_is_marked_for_good():
         assert filter.report(state).diverged.tolist() == [False, k > 0]
         if k == 1:  # of what no mode shows nothing is kept: all is as it was forecast
             for part, before in zip(
-                (state.mean, state.cov, *state.law),
-                (ahead.mean, ahead.cov, *ahead.law),
+                (state.mean, state.cov, state.means, state.covs),
+                (ahead.mean, ahead.cov, ahead.means, ahead.covs),
                 strict=True,
             ):
                 np.testing.assert_array_equal(part[..., 1], before[..., 1])

@@ -44,8 +44,8 @@ def over(**change):
     return polygon(**{"mean": ZERO, "cov": EYE, "vertices": TRIANGLE, **change})
 
 
-def lifted(mean=ZERO, cov=EYE, about=None):
-    return lift(interval(0.0, 1.0, 0.0, 1.0), mean, cov, about)
+def lifted(mean=ZERO, cov=EYE):
+    return lift(interval(0.0, 1.0, 0.0, 1.0), mean, cov)
 
 
 REFUSALS = [
@@ -118,7 +118,7 @@ REFUSALS = [
     (lambda: interval(0, 1, NAN, 1), ValueError, "lower"),
     (lambda: interval(0, 1, 0, NAN), ValueError, "upper"),
     (lambda: interval([0, 1, 2], 1, [0, 0], 1), ValueError, "mean"),
-    (lambda: interval(0, 1, 0, 1).referred_to([0.0, NAN]), ValueError, "about"),
+    (lambda: interval(0, 1, 0, 1).second([0.0, NAN]), ValueError, "about"),
     (lambda: over(mean=[0.0, NAN]), ValueError, "mean"),
     (lambda: over(cov=np.eye(3)), ValueError, "cov"),
     (lambda: over(cov=LEANING), ValueError, "cov"),
@@ -129,7 +129,7 @@ REFUSALS = [
     (lambda: over(vertices=np.ones((3, 2, 4)), mean=np.zeros((2, 3))), ValueError, "vertices"),
     (lambda: over(rays=[[1.0, 0.0]]), ValueError, "rays"),
     (lambda: over(rays=[[1.0, 0.0], [0.0, 0.0]]), ValueError, "rays"),
-    (lambda: over(about=np.zeros(3)), ValueError, "about"),
+    (lambda: over().second(np.zeros(3)), ValueError, "about"),
     (lambda: pad_regions([]), ValueError, "regions"),
     (lambda: pad_regions([TRIANGLE, [[1.0, 2.0, 3.0]]]), ValueError, "regions[1]"),
     (lambda: pad_regions([TRIANGLE, np.zeros((0, 2))]), ValueError, "regions[1]"),
@@ -137,7 +137,7 @@ REFUSALS = [
     (lambda: lifted(cov=np.eye(3)), ValueError, "cov"),
     (lambda: lifted(cov=[[1.0, 2.0], [2.0, 1.0]]), ValueError, "cov"),
     (lambda: lifted(np.zeros((2, 3)), np.zeros((2, 2, 4))), ValueError, "cov"),
-    (lambda: lifted(about=[1.0, 2.0, 3.0]), ValueError, "about"),
+    (lambda: lifted().second([1.0, 2.0, 3.0]), ValueError, "about"),
 ]
 
 

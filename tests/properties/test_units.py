@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from seedslib.delay import DelaySystem
 from seedslib.design import synthesize
 from seedslib.designed import SwitchingFilter, large_order
-from seedslib.extra import compiled
+from seedslib.export import compiled
 from seedslib.filters import (
     GridBayesFilter,
     KalmanFilter,

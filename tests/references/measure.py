@@ -13,6 +13,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
+
 ROOT = Path(__file__).resolve().parents[2]
 FILE = Path(__file__).with_name("errors.csv")
 KERNELS = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
@@ -25,8 +27,20 @@ def bound(family: str, error: float) -> float:
     return max(LEAST, float(value))
 
 
+def settings() -> dict[str, dict[str, str]]:
+    """Kernels that this processor can use: variables of the environment by a name."""
+    found = np.show_config(mode="dicts")["SIMD Extensions"].get("found", [])
+    plain = {"NPY_DISABLE_CPU_FEATURES": " ".join(found)} if found else {}
+    needed = {"Prescott": "", "Nehalem": "", "Haswell": "X86_V3", "SkylakeX": "X86_V4"}
+    made = {}
+    for name, group in needed.items():
+        if not group or group in found:
+            kernels = {"OPENBLAS_CORETYPE": name}
+            made |= {f"{name}, plain loops": kernels | plain, name: kernels}
+    return made
+
+
 def main() -> None:
-    from bookkit.portable import settings
     from references.comparison import found_errors, summary, table
 
     if "--own" in sys.argv:

@@ -1,0 +1,146 @@
+"""What the pages of the book take from the notebooks and the ledger; an extension of Sphinx.
+
+Recorded numbers are substitutions in the text of any page, ``{{ '%.3f' % notebook__name }}``, the
+entries of a list ``notebook__name_0`` and so on. So are the counts of verdicts on a paper. The
+claims page and the figures that pages borrow from notebooks are written when the build begins.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import struct
+from collections import Counter
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from bookkit.claims import LEDGER, ORIGINS, PAPERS, VERDICTS, Claim, read_ledger
+from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
+
+
+def substitutions(root: Path) -> dict[str, Any]:
+    """Every recorded value, the verdicts by paper, and version and date of the project."""
+    cited = yaml.safe_load((root / "CITATION.cff").read_text())
+    result = {"project__version": cited["version"], "project__date": str(cited["date-released"])}
+    for stem, records in read_notebooks(root).items():
+        result |= {f"{stem}__{name}": value for name, value in columns(records.values).items()}
+    claims = read_ledger(root / LEDGER)
+    for group in [*PAPERS, "fragments"]:
+        papers = ("compromise", "riemann") if group == "fragments" else (group,)
+        own = [claim for claim in claims if claim.paper in papers]
+        name = group.replace("-", "_")
+        result[f"verdicts__{name}"] = counts(c for c in own if c.origin != "ours")
+        result[f"findings__{name}"] = counts(c for c in own if c.origin == "ours")
+    return result
+
+
+def counts(claims: Iterable[Claim]) -> str:
+    """How many claims have each verdict, such as "1 refuted, 12 reproduced"."""
+    number = Counter(claim.verdict for claim in claims)
+    return ", ".join(f"{number[verdict]} {verdict}" for verdict in VERDICTS if number[verdict])
+
+
+def claims_page(root: Path) -> str:
+    """The claims page, as MyST text: the papers' claims first and ours apart."""
+    claims, recorded = read_ledger(root / LEDGER), read_verdicts(root)
+    theirs = [claim for claim in claims if claim.origin != "ours"]
+    ours = [claim for claim in claims if claim.origin == "ours"]
+    origins = Counter(claim.origin for claim in theirs)
+    lines = [
+        "# Claims",
+        "",
+        f"The papers make {len(theirs)} claims: {counts(theirs)}. {len(ours)} findings of our own",
+        f"are listed apart: {counts(ours)}. Each verdict is computed by the notebook it links to,",
+        "which also says which planted faults would change it. The verdicts are explained in",
+        r"[](#verdicts), the symbols ($\hat x$, $P$) in [](notation.md).",
+        "",
+        "Of the papers' claims "
+        + "; ".join(f"{n} are *{word}* ({ORIGINS[word]})" for word, n in origins.items())
+        + ".",
+    ]
+    for title, chosen in (("What the papers claim", theirs), ("What we found ourselves", ours)):
+        lines += ["", f"## {title}"]
+        for key, name in PAPERS.items():
+            own = sorted(
+                (claim for claim in chosen if claim.paper == key),
+                key=lambda claim: VERDICTS.index(claim.verdict),
+            )
+            if own:
+                ids = ", ".join(f"{{index}}`{claim.id}`" for claim in own)  # for the search
+                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", f"{ids}.", ""]
+                lines += ["```{raw} html", *(_box(claim, recorded) for claim in own), "```"]
+    return "\n".join(lines) + "\n"
+
+
+def _box(claim: Claim, recorded: dict[str, dict[str, dict]]) -> str:
+    """The box of a claim as its notebook shows it, with a link to it there."""
+    page = claim.notebook.removesuffix(".md")
+    link = f'<a href="../{page}.html#{claim.id}">{page.partition("/")[2]}</a>'
+    box = claim_html(claim.id, recorded[claim.id][claim.notebook])
+    return box.removesuffix("</div>") + f" ({link})</div>"
+
+
+def figures(root: Path) -> dict[str, bytes]:
+    """The figures of notebooks that pages show again as ``figures/NAME.png``, by that name."""
+    text = "".join(path.read_text() for path in (root / "book").glob("*.md"))
+    wanted = set(re.findall(r"figures/([\w-]+)\.png", text))
+    return {
+        name: base64.b64decode(output["data"]["image/png"])
+        for path in (root / "notebooks").glob("*.ipynb")
+        for cell in json.loads(path.read_text())["cells"]
+        for output in cell.get("outputs", [])
+        if (name := cell["metadata"].get("mystnb", {}).get("figure", {}).get("name")) in wanted
+        and "image/png" in output.get("data", {})
+    }
+
+
+def as_shown(notebook: dict) -> dict:
+    """A notebook as its page shows it: without the printed records, figures at their own size."""
+    for cell in notebook["cells"]:
+        outputs = []
+        for output in cell.get("outputs", []):
+            data = output.get("data", {})
+            if "image/png" in data:  # two dots of a picture are one of the page
+                width = struct.unpack(">I", base64.b64decode(data["image/png"][:32])[16:20])[0]
+                options = cell["metadata"].setdefault("mystnb", {})
+                options.setdefault("image", {}).setdefault("width", f"{width // 2}px")
+            if MIME not in data or "text/html" in data:  # the box of a claim stays
+                outputs.append(output)
+        if "outputs" in cell:
+            cell["outputs"] = outputs
+    return notebook
+
+
+def setup(app: Any) -> dict[str, bool]:
+    """Called by Sphinx."""
+    root = Path(app.srcdir)
+    (root / "book" / "claims.md").write_text(claims_page(root))
+    (root / "book" / "figures").mkdir(exist_ok=True)
+    for name, picture in figures(root).items():
+        (root / "book" / "figures" / f"{name}.png").write_bytes(picture)
+    app.config.myst_substitutions = substitutions(root)
+    app.connect("source-read", _read_source)
+    app.connect("autodoc-process-docstring", _literal_stars, priority=100)
+    app.connect("autodoc-skip-member", _skip_foreign)
+    return {"parallel_read_safe": True}
+
+
+def _read_source(app: Any, docname: str, source: list[str]) -> None:
+    if str(app.env.doc2path(docname)).endswith(".ipynb"):
+        source[0] = json.dumps(as_shown(json.loads(source[0])))
+
+
+def _literal_stars(app, what, name, thing, options, lines: list[str]) -> None:
+    """A star before a word, as in ``*batch``, is no emphasis."""
+    lines[:] = [re.sub(r"(?<![*\\])\*(?=\w)(?!\w+\*)", r"\\*", line) for line in lines]
+
+
+def _skip_foreign(app, what, name, thing, skip, options) -> bool | None:
+    """Leave out what a class has from Python, such as the methods of an exception or a tuple."""
+    parts = (getattr(thing, part, None) for part in ("fget", "func", "__func__"))
+    module = getattr(next(filter(None, parts), thing), "__module__", None) or ""
+    return True if what in ("class", "exception") and not module.startswith("seedslib") else None
