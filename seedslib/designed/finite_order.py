@@ -318,9 +318,9 @@ class FiniteOrderFilter(DesignedFilter):
         """Estimates at the nodes of an interval and at its end; Euler's steps if continuous."""
         fits = self.node_fits[row] if self.node_fits else ()
         if self.rules.velocity is None:
-            found = [fit_of(fit, state.history).mean(state.past.vector) for fit in fits]
+            values = [fit_of(fit, state.history).mean(state.past.vector) for fit in fits]
             last = fit_of(self.fits[row], state.history).mean(state.past.vector)
-            return [*found, last[: self.components]]
+            return [*values, last[: self.components]]
         start, end = (self.clock.moment(state.index + k, self.cycle) for k in (0, 1))
         stops = [start, *(self.node_times[row] + (start - self.times[row])), end]
         values = [state.mean]
