@@ -1,11 +1,12 @@
 """Classes of histories of what has arrived: few, and those of one class have errors alike.
 
-What arrives is independent of state and noise: given the history of what arrived, the distribution of
-state and filter is that of a design with this history for a schedule, whatever the probabilities
-are. So a design waits for none. After a measurement each class of histories goes on with every pattern of
-the next one; patterns after which the errors have almost one covariance are put into one class, in
-their proportions. A class is a discrete part of the memory as a decided mode is, and functions
-fitted to it are the best that class and memory allow, however coarse the classes are.
+What arrives is independent of state and noise: given the history of what arrived, the distribution
+of state and filter is that of a design with this history for a schedule, whatever the
+probabilities are. So a design waits for none. After a measurement each class of histories goes on
+with every pattern of the next one; patterns after which the errors have almost one covariance are
+put into one class, in their proportions. A class is a discrete part of the memory as a decided
+mode is, and functions fitted to it are the best that class and memory allow, however coarse the
+classes are.
 """
 
 from __future__ import annotations
@@ -103,8 +104,9 @@ class Histories:
         classes = classes_of(self.classes, moments, prob, len(self.prob), self.count)
         if classes.tolerance > FAR >= self._coarsest:
             warnings.warn(
-                f"availability: {len(classes.prob)} classes of histories are few at time {when(t)}, "
-                f"and some hold histories whose deviations differ by {classes.tolerance / 2:.0%}",
+                f"availability: {len(classes.prob)} classes of histories are few at time "
+                f"{when(t)}, and some hold histories whose deviations differ by "
+                f"{classes.tolerance / 2:.0%}",
                 stacklevel=outside(),
             )
         self._coarsest = max(self._coarsest, classes.tolerance)

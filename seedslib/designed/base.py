@@ -608,10 +608,14 @@ class DesignedFilter(Filter):
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
-        times, inputs, values = record.times, record.inputs, self.values
+        times, parameters = record.times, self.system.parameters
+
+        def values(row: int, dt: float = np.nan) -> Values:
+            return self.values(record.inputs.at(row), dt) if parameters else ()
+
         last = 0  # row of the last measurement, whose inputs act until the next
         for j, k in enumerate(numbers):
-            p = values(inputs.at(last), times[j] - times[last])
+            p = values(last, times[j] - times[last])
             if k < 0:
                 interval = interval or self.interval(state, p)
                 mean = at(interval, times[j], self.between)
@@ -621,8 +625,7 @@ class DesignedFilter(Filter):
                 continue
             state = self.propagate(state, times[j], p, interval)
             indicator = None if record.indicators is None else record.indicators[j]
-            p = values(inputs.at(j))
-            state = self.update(state, record.y[j], p, indicator, covariances)
+            state = self.update(state, record.y[j], values(j), indicator, covariances)
             interval, last = None, j
             yield self.report(state, covariances)
         repaired.append(getattr(state, "repaired", 0))
