@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
@@ -94,6 +93,11 @@ class Formulas(Linearization):
             spread[i, j] = spread[j, i] = lower[k]
         return velocity, cross + cross.T + spread
 
+    def _once(self, derive: Any) -> Callable[..., Any]:
+        """What derives once for equal maps; a rule that may change derives whenever it is asked."""
+        settings = vars(type(self)).get("__dataclass_params__")
+        return derive if getattr(settings, "frozen", False) else derive.__wrapped__
+
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
         """See `Linearization.moments`.
 
@@ -103,24 +107,7 @@ class Formulas(Linearization):
             The map is given by array functions, or a mean has no closed form.
         """
         refuse_weight(map)
-        return _derived_once(self, Formulas._moments, [map], spread)
-
-    def _moments(self, maps: list[StochasticMap], spread: bool) -> Callable[..., Moments]:
-        (map,) = maps
-        arguments, mean, cov = _arguments(map, type(self).__name__)
-        parts = self.formulas(map, mean, cov, spread)
-        evaluate = _compiled(arguments, parts if spread else parts[:2])
-        n, m = map.state_size, map.size
-
-        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
-            lower = _lower(cov)
-            y, cross, *square = evaluate(t, mean, lower, p)
-            batch = batch_of(mean, lower)
-            own = None if batch else ()  # covariances may lack the axes of a batch
-            cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
-            return Moments(stack(y, (m,), batch), cross, cov)
-
-        return f
+        return self._once(_moments)(self, map, spread)
 
     def branch(
         self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
@@ -141,40 +128,7 @@ class Formulas(Linearization):
         ValueError
             Maps of different states.
         """
-        return _derived_once(self, Formulas._row, maps)
-
-    def _row(self, maps: list[StochasticMap]) -> Callable[..., list[Weighted]]:
-        arguments, mean, cov = _arguments(maps[0], type(self).__name__)
-        if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
-            raise ValueError("maps: wanted maps of the same state and time")
-        names = Names()
-        branches = [self.branch(map, mean, cov, names) for map in maps]
-        # equal moments of several branches are evaluated and stored once
-        wanted = [
-            [(slot in (0, 2), sympy.ImmutableMatrix(part)) for slot, part in enumerate(branch[1:])]
-            for branch in branches
-        ]
-        parts = list(dict.fromkeys(part for row in wanted for part in row))
-        places = [[parts.index(part) for part in row] for row in wanted]
-        evaluate = _compiled(
-            arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
-        )
-
-        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
-            lower = _lower(cov)
-            batch = batch_of(mean, lower)
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                masses, *values = evaluate(t, mean, lower, p)
-            arrays = [
-                stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
-                for value, (vector, part) in zip(values, parts, strict=True)
-            ]
-            return [
-                _weighted(stack([mass], (), batch), [arrays[k] for k in row])
-                for mass, row in zip(masses, places, strict=True)
-            ]
-
-        return f
+        return self._once(_row)(self, tuple(maps))
 
     def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
@@ -188,37 +142,59 @@ class Formulas(Linearization):
         return lambda t, components, p=(): evaluate(t, components, p)
 
 
-@dataclass(frozen=True)
-class _Written:
-    """A map in formulas, equal to any other that is written in the same way."""
+@lru_cache(maxsize=256)
+def _moments(rule: Formulas, map: StochasticMap, spread: bool) -> Callable[..., Moments]:
+    """Compiled moments of a map; of equal maps they are derived once."""
+    arguments, mean, cov = _arguments(map, type(rule).__name__)
+    parts = rule.formulas(map, mean, cov, spread)
+    evaluate = _compiled(arguments, parts if spread else parts[:2])
+    n, m = map.state_size, map.size
 
-    content: tuple[Any, ...]
-    map: StochasticMap = field(compare=False)
+    def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
+        lower = _lower(cov)
+        y, cross, *square = evaluate(t, mean, lower, p)
+        batch = batch_of(mean, lower)
+        own = None if batch else ()  # covariances may lack the axes of a batch
+        cross, cov = stack(cross, (n, m), own), stack(*square, (m, m), own) if spread else None
+        return Moments(stack(y, (m,), batch), cross, cov)
 
-
-def _derived_once(
-    rule: Formulas, derive: Callable[..., Any], maps: Sequence[StochasticMap], *options: bool
-) -> Any:
-    """What `derive` makes of the maps, made once for equal ones: a system is often made again.
-
-    Rules that may change, being no frozen dataclasses, derive it whenever they are asked.
-    """
-    settings = vars(type(rule)).get("__dataclass_params__")
-    if not getattr(settings, "frozen", False) or not all(map.symbolic for map in maps):
-        return derive(rule, maps, *options)
-    known = (
-        (m.state, m.time, m.parameters, m.period, *m.expressions, m.weight_expression, m.noise)
-        for m in maps
-    )
-    written = (_Written(content, map) for content, map in zip(known, maps, strict=True))
-    return _derived(rule, derive, tuple(written), *options)
+    return f
 
 
 @lru_cache(maxsize=256)
-def _derived(
-    rule: Formulas, derive: Callable[..., Any], maps: tuple[_Written, ...], *options: bool
-) -> Any:
-    return derive(rule, [written.map for written in maps], *options)
+def _row(rule: Formulas, maps: tuple[StochasticMap, ...]) -> Callable[..., list[Weighted]]:
+    """Compiled moments of the branches of a row; of equal ones they are derived once."""
+    arguments, mean, cov = _arguments(maps[0], type(rule).__name__)
+    if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
+        raise ValueError("maps: wanted maps of the same state and time")
+    names = Names()
+    branches = [rule.branch(map, mean, cov, names) for map in maps]
+    # equal moments of several branches are evaluated and stored once
+    wanted = [
+        [(slot in (0, 2), sympy.ImmutableMatrix(part)) for slot, part in enumerate(branch[1:])]
+        for branch in branches
+    ]
+    parts = list(dict.fromkeys(part for row in wanted for part in row))
+    places = [[parts.index(part) for part in row] for row in wanted]
+    evaluate = _compiled(
+        arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
+    )
+
+    def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
+        lower = _lower(cov)
+        batch = batch_of(mean, lower)
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            masses, *values = evaluate(t, mean, lower, p)
+        arrays = [
+            stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
+            for value, (vector, part) in zip(values, parts, strict=True)
+        ]
+        return [
+            _weighted(stack([mass], (), batch), [arrays[k] for k in row])
+            for mass, row in zip(masses, places, strict=True)
+        ]
+
+    return f
 
 
 def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:
