@@ -343,16 +343,17 @@ class PolynomialErrors(_Engine):
             for table in (taylor_coefficients(own, xhat), taylor_coefficients(jump, xhat))
         )
         steps[0] = 0.0
-        start, ones = np.zeros_like(xhat), np.ones(xhat.shape[1])
-        means = monomial_means(pairs, start, cov, zeroth=ones)
-        moments = np.array([ones * means[index] for index in pairs])[place]
+        # of e: common to all estimates where the covariance is
+        start = np.zeros((len(xhat), *(cov.shape[2:] or (1,))))
+        means = monomial_means(pairs, start, cov, zeroth=np.ones(start.shape[1:]))
+        moments = np.array([means[index] for index in pairs])[place]
         first = np.einsum("ak,apk->pk", moments[0], steps)
         by_steps = np.einsum("abk,bpk->apk", moments, steps)
         by_jumps = np.zeros_like(jumps)
         if jumps.any():
             beyond = HalfSpace(-sign * self.plane.normal, -distance, 1.0)
             means, log_scale = half_space_means(pairs, beyond, start, cov)
-            moments = np.array([np.exp(log_scale) * means[index] for index in pairs])[place]
+            moments = (np.exp(log_scale) * np.array([means[index] for index in pairs]))[place]
             first += np.einsum("ak,apk->pk", moments[0], jumps)
             by_steps += np.einsum("abk,bpk->apk", moments, jumps)
             by_jumps = np.einsum("abk,bpk->apk", moments, steps + jumps)
