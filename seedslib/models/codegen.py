@@ -102,12 +102,12 @@ def fold(expression: sympy.Expr, others: Mapping[Any, Any] | None = None) -> sym
 
     `others` are replaced in the same pass.
     """
-    values, seen, waiting = {}, set(), [expression]
+    values, visited, waiting = {}, set(), [expression]
     while waiting:
         part = waiting.pop()
-        if part in seen:
+        if part in visited:
             continue
-        seen.add(part)
+        visited.add(part)
         if part.is_number and part.is_real:
             values[part] = float(part)
         else:
