@@ -11,7 +11,7 @@ from seedslib.base.checks import outside
 from seedslib.base.conditioning import kalman_gain
 from seedslib.base.values import InputTrajectory
 from seedslib.design.regression import LOST, ROUNDING, regress
-from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.finite_order import Rules, Start
 from seedslib.designed.memory import Past
 from seedslib.designed.predictors import AffineFit
@@ -80,7 +80,7 @@ def linear_design(
         "start": start,
         "fits": tuple(fits),
         "node_fits": tuple(node_fits),
-        "predicted": Prediction(stamps, rms, np.zeros_like(rms)),
+        "predicted": Accuracy(stamps, rms, np.zeros_like(rms)),
         "design": Design(0, 0, 0, (), exact=True),
     }
 

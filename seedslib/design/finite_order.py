@@ -217,7 +217,7 @@ def synthesize(
     UserWarning
         Few paths for the memory's dimension; an estimate without information; paths left out;
         errors on the paths held out that are not the predicted ones. Of a switching system also
-        many thin pairs of cell and mode, and mended covariances.
+        many pairs of cell and mode with few paths, and repaired covariances.
     """
     as_system("system", system, *KINDS)
     if not isinstance(memory, Memory):

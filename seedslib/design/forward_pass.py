@@ -24,7 +24,7 @@ from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths import PathSimulator
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
-from seedslib.designed.accuracy import Prediction
+from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.arrivals import ClassFits
 from seedslib.designed.base import FilterState
 from seedslib.designed.finite_order import Rules, Start
@@ -98,7 +98,7 @@ class ForwardPass:
             "start": start,
             "fits": tuple(self.fits),
             "node_fits": tuple(self.node_fits),
-            "predicted": Prediction(*scores, in_sample=True),
+            "predicted": Accuracy(*scores, in_sample=True),
         }
 
     def _start(self, t, inputs) -> Start:

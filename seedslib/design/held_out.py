@@ -15,7 +15,7 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.design.paths import LARGEST
 from seedslib.design.regression import DOMINATED
-from seedslib.designed.accuracy import HeldOut, Prediction
+from seedslib.designed.accuracy import Accuracy
 from seedslib.evaluation import evaluate
 
 SHARE, LEAST = 8, 512
@@ -59,7 +59,7 @@ def with_held_out(
     """
     count, system = max(LEAST, -(-paths // SHARE)), filter.system
     nothing = np.full_like(filter.predicted.rms[: len(filter.times)], np.nan)
-    held_out = HeldOut(filter.times, nothing, nothing, count, count)
+    held_out = Accuracy(filter.times, nothing, nothing, paths=count, diverged=count)
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore", UserWarning)  # of the run: the design has given its own
         with suppress(ValueError):  # of less than two paths on which it has not diverged
@@ -75,23 +75,15 @@ def with_held_out(
                 workers=workers if isinstance(workers, int) else 1,
                 **options,
             )
-            held_out = HeldOut(
-                filter.times,
-                scores.rms,
-                scores.rms_error,
-                count,
-                scores.diverged,
-                scores.mode_error,
-                scores.mode_error_error,
-            )
+            modes = scores.mode_error, scores.mode_error_error
+            errors = scores.rms, scores.rms_error, False, *modes
+            held_out = Accuracy(filter.times, *errors, count, scores.diverged)
     size = np.abs(system.mean0) + np.sqrt(np.diagonal(system.cov0))
     _warn(filter.predicted, held_out, ROUNDING * size, math.sqrt(paths / count))
     return dataclasses.replace(filter, held_out=held_out)
 
 
-def _warn(
-    predicted: Prediction, held_out: HeldOut, rounding: np.ndarray, more_paths: float
-) -> None:
+def _warn(predicted: Accuracy, held_out: Accuracy, rounding: np.ndarray, more_paths: float) -> None:
     """Warn of errors that are not the predicted ones.
 
     `rounding` is the size of errors that do not count, `more_paths` the root of the number of
@@ -123,7 +115,7 @@ def _warn(
         )
 
 
-def _with_modes(accuracy: Prediction | HeldOut) -> tuple[np.ndarray, np.ndarray]:
+def _with_modes(accuracy: Accuracy) -> tuple[np.ndarray, np.ndarray]:
     """Errors and standard errors, with the part of wrong modes as last column where it is known."""
     if accuracy.mode_rate is None:
         return accuracy.rms, accuracy.error

@@ -1,11 +1,12 @@
 """Classes of histories of what has arrived: few, and those of one class have errors alike.
 
-What arrives is independent of state and noise: given the history of what arrived, the law of state
-and filter is that of a design with this history for a schedule, whatever the probabilities are. So
-a design waits for none. After a measurement each class of histories goes on with every pattern of
-the next one; patterns after which the errors have almost one covariance are put into one class, in
-their proportions. A class is a letter of the memory as a decided mode is, and functions fitted to
-it are the best that class and memory allow, however coarse the classes are.
+What arrives is independent of state and noise: given the history of what arrived, the distribution
+of state and filter is that of a design with this history for a schedule, whatever the
+probabilities are. So a design waits for none. After a measurement each class of histories goes on
+with every pattern of the next one; patterns after which the errors have almost one covariance are
+put into one class, in their proportions. A class is a discrete part of the memory as a decided
+mode is, and functions fitted to it are the best that class and memory allow, however coarse the
+classes are.
 """
 
 from __future__ import annotations
@@ -100,16 +101,17 @@ class Histories:
 
         A cell is a class before it and the number of a pattern. Warns where the classes are few.
         """
-        found = classes_of(self.classes, moments, prob, len(self.prob), self.count)
-        if found.tolerance > FAR >= self._coarsest:
+        classes = classes_of(self.classes, moments, prob, len(self.prob), self.count)
+        if classes.tolerance > FAR >= self._coarsest:
             warnings.warn(
-                f"availability: {len(found.prob)} classes of histories are few at time {when(t)}, "
-                f"and some hold histories whose deviations differ by {found.tolerance / 2:.0%}",
+                f"availability: {len(classes.prob)} classes of histories are few at time "
+                f"{when(t)}, and some hold histories whose deviations differ by "
+                f"{classes.tolerance / 2:.0%}",
                 stacklevel=outside(),
             )
-        self._coarsest = max(self._coarsest, found.tolerance)
-        self.classes, self.prob = found, found.prob
-        return found
+        self._coarsest = max(self._coarsest, classes.tolerance)
+        self.classes, self.prob = classes, classes.prob
+        return classes
 
 
 def certain(schedule: Any) -> tuple[np.ndarray, np.ndarray | None]:
@@ -127,14 +129,14 @@ def patterns(read: np.ndarray, availability: np.ndarray) -> Iterator[tuple[int, 
     """Numbers, components (m,) and probabilities of what may arrive of those that are read."""
     may = uncertain(availability)
     for bits in product((False, True), repeat=len(may)):
-        there = read & (availability > 0.0)
+        arrived = read & (availability > 0.0)
         bits = np.array(bits[::-1], dtype=bool)
-        if (bits & ~there[may]).any():
+        if (bits & ~arrived[may]).any():
             continue
-        here, rate = there[may], availability[may]
+        possible, rate = arrived[may], availability[may]
         chance = np.where(bits, rate, 1.0 - rate)
-        there[may] = bits
-        yield int(bits @ 2 ** np.arange(len(bits))), there, float(np.prod(chance[here]))
+        arrived[may] = bits
+        yield int(bits @ 2 ** np.arange(len(bits))), arrived, float(np.prod(chance[possible]))
 
 
 def classes_of(
@@ -146,47 +148,46 @@ def classes_of(
 ) -> Classes:
     """Classes of the cells (class before, pattern), the most probable first.
 
-    A net over the covariances: one cell after another goes into the nearest class that is near
-    enough, or begins a new one. Those of a single silence come first, for long ones should be
-    known well though they are rare, then the more probable ones, which make do with less where
-    there would be too many classes. A silence that goes on changes a little at each step: it must
-    not end in the class that it was in, unless that hardly matters.
+    One cell after another goes into the class with the nearest covariance, if that is near
+    enough, or begins a new one. Histories of a single gap come first, for long gaps should be
+    known well though they are rare, then the more probable ones, which have a larger tolerance
+    where there would be too many classes. A gap that goes on changes the errors a little at each
+    step: it must not stay in its class, unless that hardly matters.
     """
-    changes, run = {}, {}
+    changes, length = {}, {}
     for c, number in prob:
         last = patterns - 1 if old is None else old.members[c][0][1]
         same = number == last
         changes[c, number] = (0 if old is None else int(old.changes[c])) + (not same)
         # everything has arrived: errors come from the noise, not from the time that it took
-        lasts = 1 + (int(old.run[c]) if old is not None and same else 0)
-        run[c, number] = number + patterns * lasts * (number != patterns - 1)
+        steps = 1 + (int(old.run[c]) if old is not None and same else 0)
+        length[c, number] = number + patterns * steps * (number != patterns - 1)
     cells = sorted(prob, key=lambda cell: (changes[cell] > BURST, -prob[cell]))
-    stack = np.stack([moments[cell] for cell in cells])
-    apart = distances(stack, stack)
-    label, several = (np.array([part[cell] for cell in cells]) for part in (run, changes))
-    apart[label[:, None] != label] *= STRICT
-    tolerance, kept, home = ALIKE, [], []
-    while not kept or len(kept) > MOST:
+    covs = np.stack([moments[cell] for cell in cells])
+    distance = distances(covs, covs)
+    label, several = (np.array([part[cell] for cell in cells]) for part in (length, changes))
+    distance[label[:, None] != label] *= STRICT
+    first, members = [], []  # cell that begins a class, and class of each cell
+    tolerance = ALIKE
+    while not first or len(first) > MOST:
         limit = np.where(several <= BURST, np.maximum(ALIKE, tolerance / STRICT), tolerance)
-        kept, home = [], []
-        for i, near in enumerate(apart):
-            if not kept or near[kept].min() > limit[i]:
-                kept.append(i)
-            home.append(int(np.argmin(near[kept])))
+        first, members = [], []
+        for i, row in enumerate(distance):
+            if not first or row[first].min() > limit[i]:
+                first.append(i)
+            members.append(int(np.argmin(row[first])))
         tolerance *= 1.25
-    place = dict(zip(cells, home, strict=True))
+    class_of = dict(zip(cells, members, strict=True))
     table = np.zeros((before, patterns), dtype=int)
-    for c in range(before):
-        for number in range(patterns):
-            # a component that is not read now does not count
-            table[c, number] = place[max(x for x in cells if x[0] == c and x[1] & ~number == 0)]
-    chance = np.bincount(home, weights=[prob[cell] for cell in cells])
+    for c, number in np.ndindex(before, patterns):
+        # a component that is not read now does not count
+        table[c, number] = class_of[max(x for x in cells if x[0] == c and x[1] & ~number == 0)]
+    chance = np.bincount(members, weights=[prob[cell] for cell in cells])
     order = np.argsort(-chance, kind="stable")
-    chosen = [kept[j] for j in order]
-    members = tuple(tuple(x for x in cells if place[x] == j) for j in order)
+    chosen = [first[j] for j in order]
     return Classes(
         np.argsort(order)[table],
-        members,
+        tuple(tuple(x for x in cells if class_of[x] == j) for j in order),
         chance[order],
         several[chosen],
         label[chosen] // patterns,
@@ -194,7 +195,7 @@ def classes_of(
     )
 
 
-def shares(members: Any, prob: dict[Any, float]) -> np.ndarray:
+def shares(members: tuple[tuple[int, int], ...], prob: dict[Any, float]) -> np.ndarray:
     """Parts of a class that its members are; they sum to one."""
-    found = np.array([prob[cell] for cell in members])
-    return found / found.sum()
+    chances = np.array([prob[cell] for cell in members])
+    return chances / chances.sum()

@@ -15,7 +15,7 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
-from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.memory import Memory
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
@@ -456,14 +456,14 @@ class JointLaw:
         self.scores.append((t, square - mass @ means**2))
         return Table.of(self.memory_axes, Output(means))
 
-    def prediction(self) -> Prediction:
+    def prediction(self) -> Accuracy:
         """Root-mean-square errors at measurements and nodes, without sampling error."""
         times, squares = (np.array(part) for part in zip(*self.scores, strict=True))
         rms = np.sqrt(np.maximum(squares, 0.0))[:, None]
         if not self.switching:
-            return Prediction(times, rms, np.zeros_like(rms))
+            return Accuracy(times, rms, np.zeros_like(rms))
         wrong = self.risk().mode_error
-        return Prediction(
+        return Accuracy(
             times, rms, np.zeros_like(rms), mode_rate=wrong, mode_error=np.zeros(len(rms))
         )
 

@@ -81,19 +81,19 @@ def combine(parts: Iterable[Scatter]) -> Scatter:
     return total
 
 
-def root_mean_squares(found: Scatter, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def root_mean_squares(moments: Scatter, n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Root mean squares from the moments of samples whose first `n` rows are squares.
 
     Returns
     -------
     rms, error : ndarray, shape (n,)
         The roots and their standard errors: those of the mean squares by twice the roots.
-    spread : ndarray, shape (p,)
+    deviation : ndarray, shape (p,)
         Standard deviations of all rows.
     """
-    spread = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
-    rms, error = np.sqrt(found.mean[:n]), spread[:n] / math.sqrt(found.count)
-    return rms, np.divide(error, 2.0 * rms, out=np.zeros(n), where=rms > 0), spread
+    deviation = np.sqrt(np.maximum(np.diagonal(moments.cov), 0.0))
+    rms, error = np.sqrt(moments.mean[:n]), deviation[:n] / math.sqrt(moments.count)
+    return rms, np.divide(error, 2.0 * rms, out=np.zeros(n), where=rms > 0), deviation
 
 
 def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
@@ -111,16 +111,15 @@ def inverse_root(cov: np.ndarray, size: np.ndarray | None = None) -> np.ndarray:
         Magnitudes of the components; only exact zeros are dropped without it.
     """
     deviation = np.sqrt(np.maximum(np.diagonal(cov), 0.0))
-    kept = np.flatnonzero(deviation > (0.0 if size is None else ABSOLUTE * size))
-    root = np.zeros((len(cov), 0))
-    if kept.size == 0:
-        return root
-    scale = deviation[kept]
+    varying = np.flatnonzero(deviation > (0.0 if size is None else ABSOLUTE * size))
+    if varying.size == 0:
+        return np.zeros((len(cov), 0))
+    scale = deviation[varying]
     # only W Wᵀ is used, in sums of squares too: another basis turns W by a rotation
-    values, vectors = np.linalg.eigh(cov[np.ix_(kept, kept)] / np.outer(scale, scale))
+    values, vectors = np.linalg.eigh(cov[np.ix_(varying, varying)] / np.outer(scale, scale))
     good = values > RELATIVE * values[-1]
     root = np.zeros((len(cov), np.count_nonzero(good)))
-    root[kept] = vectors[:, good] / np.sqrt(values[good]) / scale[:, None]
+    root[varying] = vectors[:, good] / np.sqrt(values[good]) / scale[:, None]
     return root
 
 
@@ -204,15 +203,15 @@ def fit_forecast(
 
 def fit_affine(gather: Callable[..., Scatter], targets: int, size: np.ndarray) -> AffineFit:
     """Affine forecast of the state from the memory; arguments as `fit_forecast`."""
-    found = gather(lambda x, u: np.concatenate([x, u]))
-    fit = regress(found.mean, found.cov, targets, size)
-    wide = np.diagonal(found.cov)[:targets]
-    if not (np.diagonal(fit.cov) < LOST * wide).any():
+    moments = gather(lambda x, u: np.concatenate([x, u]))
+    fit = regress(moments.mean, moments.cov, targets, size)
+    total = np.diagonal(moments.cov)[:targets]
+    if not (np.diagonal(fit.cov) < LOST * total).any():
         return fit
-    # beside so wide a prior the digits of what is not explained are lost: from itself it has them
-    rest = gather(lambda x, u: np.concatenate([x - fit.mean(u), u]))
-    more = regress(rest.mean, rest.cov, targets, size)
-    if not (np.diagonal(more.cov) > ROUNDING**2 * wide).all():
+    # beside so wide a prior the digits of the residual are lost: its own regression has them
+    residual = gather(lambda x, u: np.concatenate([x - fit.mean(u), u]))
+    more = regress(residual.mean, residual.cov, targets, size)
+    if not (np.diagonal(more.cov) > ROUNDING**2 * total).all():
         return fit  # known exactly
     return AffineFit(fit.gain + more.gain, fit.offset + more.offset, more.cov)
 
@@ -226,14 +225,14 @@ def coefficients_of(predictor: object, dimension: int) -> int:
 
 
 def _polynomial(predictor, gather, n, size):
-    found = gather(lambda x, u: u)
-    deviation = np.sqrt(np.maximum(np.diagonal(found.cov), 0.0))
-    kept = deviation > ABSOLUTE * np.maximum(size, np.abs(found.mean))
+    memory = gather(lambda x, u: u)
+    deviation = np.sqrt(np.maximum(np.diagonal(memory.cov), 0.0))
+    varying = deviation > ABSOLUTE * np.maximum(size, np.abs(memory.mean))
     # a constant component gets the scale zero, which makes it and its powers vanish
-    scale = np.where(kept, 1.0, 0.0) / np.where(kept, deviation, 1.0)
+    scale = np.where(varying, 1.0, 0.0) / np.where(varying, deviation, 1.0)
 
     def lifted(u, degree):
-        return monomials(standardised(u, found.mean, scale), degree)
+        return monomials(standardised(u, memory.mean, scale), degree)
 
     first = gather(lambda x, u: np.concatenate([x, lifted(u, predictor.mean_degree)]))
     mean = regress(first.mean, first.cov, n)
@@ -249,5 +248,5 @@ def _polynomial(predictor, gather, n, size):
         second = gather(products)
         gain, offset, _ = regress(second.mean, second.cov, len(rows))
     return PolynomialFit(
-        found.mean, scale, *mean, gain, offset, predictor.mean_degree, predictor.cov_degree
+        memory.mean, scale, *mean, gain, offset, predictor.mean_degree, predictor.cov_degree
     )

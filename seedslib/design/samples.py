@@ -15,7 +15,7 @@ from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.design.held_out import with_held_out
 from seedslib.design.regression import root_mean_squares, scatter
-from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.tables import Output, OutputFunction, arguments, require_like_blocks
 from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
@@ -228,7 +228,7 @@ def prediction_of(
     wrong: Sequence[np.ndarray],
     *,
     in_sample: bool = False,
-) -> Prediction:
+) -> Accuracy:
     """Errors and their standard errors from those of single paths.
 
     Parameters
@@ -243,7 +243,7 @@ def prediction_of(
     moments = [root_mean_squares(scatter(square), len(square)) for _, square in scores]
     rms, error = (np.array(part) for part in list(zip(*moments, strict=True))[:2])
     if not len(wrong):
-        return Prediction(times, rms, error, in_sample)
+        return Accuracy(times, rms, error, in_sample)
     rate = np.array([part.mean() for part in wrong])
     count = np.array([len(part) for part in wrong])
-    return Prediction(times, rms, error, in_sample, rate, np.sqrt(rate * (1.0 - rate) / count))
+    return Accuracy(times, rms, error, in_sample, rate, np.sqrt(rate * (1.0 - rate) / count))

@@ -10,7 +10,7 @@ import numpy as np
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
 from seedslib.design.samples import prediction_of
-from seedslib.designed.accuracy import HeldOut
+from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.base import DesignedFilter
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import UnknownModel
@@ -144,11 +144,9 @@ def _errors(estimates: Estimates, data: Simulation) -> np.ndarray:
     return estimates.mean - data.states[:, : estimates.mean.shape[1]]
 
 
-def _held_out(filter: DesignedFilter, estimates: Estimates, data: Simulation) -> HeldOut:
+def _held_out(filter: DesignedFilter, estimates: Estimates, data: Simulation) -> Accuracy:
     """Accuracy at the filter's own times."""
     squares = _errors(estimates, data) ** 2
     wrong = () if data.modes is None else (estimates.modes != data.modes)[: len(filter.times)]
-    errors = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
-    paths = data.states.shape[2]
-    rates = errors.mode_rate, errors.mode_error
-    return HeldOut(filter.times, errors.rms, errors.error, paths, 0, *rates)
+    accuracy = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
+    return accuracy._replace(times=filter.times, paths=data.states.shape[2])

@@ -21,7 +21,7 @@ from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
-from seedslib.designed.accuracy import Design, Prediction
+from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.base import warn_of_repairs
 from seedslib.designed.memory import Memory
 from seedslib.designed.rules import SwitchingRules, compiled_rules
@@ -247,7 +247,7 @@ def synthesize_switching(
             times,
             tuple(forward.fits),
             normalisation,
-            Prediction(times, rms, error, True, rate, rate_error),
+            Accuracy(times, rms, error, True, rate, rate_error),
             Design(
                 paths,
                 BLOCK,

@@ -16,15 +16,15 @@ WIDTH = 100
 """Longest line of a page."""
 
 
-class Prediction(NamedTuple):
-    """What the design says about the filter's accuracy.
+class Accuracy(NamedTuple):
+    """Errors of a filter on paths: those that its design predicts, or of other paths.
 
     Attributes
     ----------
     times : ndarray, shape (S,)
-        Measurement times (after the correction) and nodes.
+        Measurement times (after the correction); of a prediction nodes too.
     rms : ndarray, shape (S, n')
-        Root-mean-square errors.
+        Root-mean-square errors; NaN where no path was left.
     error : ndarray, shape (S, n')
         Standard errors of `rms`; zero where moments were exact.
     in_sample : bool
@@ -32,6 +32,8 @@ class Prediction(NamedTuple):
         it a little: by about (coefficients / paths) of the mean-square error.
     mode_rate, mode_error : ndarray, shape (S,), or None
         Of a switching system: part of wrong modes and its standard error.
+    paths, diverged : int
+        Held-out paths, and on how many of them the filter left the range of numbers.
     """
 
     times: np.ndarray
@@ -40,11 +42,13 @@ class Prediction(NamedTuple):
     in_sample: bool = False
     mode_rate: MaybeArray = None
     mode_error: MaybeArray = None
+    paths: int = 0
+    diverged: int = 0
 
-    def of(self, rows: np.ndarray, times: np.ndarray) -> Prediction:
+    def of(self, rows: np.ndarray, times: np.ndarray) -> Accuracy:
         """Some rows, at other times."""
         rate, error = (p if p is None else p[rows] for p in (self.mode_rate, self.mode_error))
-        return Prediction(times, self.rms[rows], self.error[rows], self.in_sample, rate, error)
+        return Accuracy(times, self.rms[rows], self.error[rows], self.in_sample, rate, error)
 
 
 class Design(NamedTuple):
@@ -77,31 +81,6 @@ class Design(NamedTuple):
                 f"{self.repaired} covariances"
             )
         return text
-
-
-class HeldOut(NamedTuple):
-    """Accuracy of a finished filter on paths that its design has not seen.
-
-    Attributes
-    ----------
-    times : ndarray, shape (K+1,)
-        Times of the measurements; errors are those after the correction.
-    rms, error : ndarray, shape (K+1, n')
-        Root-mean-square errors and their standard errors; NaN where no path was left.
-    paths : int
-    diverged : int
-        Paths on which the filter left the range of numbers; they are left out.
-    mode_rate, mode_error : ndarray, shape (K+1,), or None
-        As in `Prediction`.
-    """
-
-    times: np.ndarray
-    rms: np.ndarray
-    error: np.ndarray
-    paths: int
-    diverged: int
-    mode_rate: MaybeArray = None
-    mode_error: MaybeArray = None
 
 
 def page(filter: Any, title: str, *lines: str) -> str:
@@ -165,7 +144,7 @@ def _accuracy(filter, with_errors):
 
 
 def _errors(accuracy, j, with_errors):
-    """Errors and part of wrong modes at one time of a `Prediction` or `HeldOut`."""
+    """Errors and part of wrong modes at one time of an `Accuracy`."""
 
     def number(value, error):
         return f"{value:.4f} ± {error:.4f}" if with_errors else f"{value:.4f}"

@@ -60,10 +60,10 @@ class ClassFits(NamedTuple):
         """Their mean, (n, n)."""
         return np.tensordot(self.prob, self.covs, 1)
 
-    def check(self, name: str, targets: int, dimension: int) -> None:
-        """As `AffineFit.check`, class by class."""
-        for c in range(len(self.prob)):
-            self.one(c).check(f"{name}[{c}]", targets, dimension)
+    @property
+    def dimension(self) -> int:
+        """How many numbers they forecast from."""
+        return self.one(0).dimension
 
 
 class FitsOfPaths(NamedTuple):

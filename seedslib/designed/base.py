@@ -6,7 +6,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,7 +16,6 @@ from seedslib.base.checks import as_real, as_times, is_whole, outside, require_s
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
-from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
 from seedslib.models.kinds import inputs_of, switches
@@ -140,6 +139,9 @@ class DesignedFilter(Filter):
     availability: MaybeArray = None
     between: str = "interpolated"
     takes = ("indicators", "covariances")
+    per_step: ClassVar[Mapping[str, int]] = {"fits": 1}
+    """Fields with an entry for each measurement, and the number of the first that has one."""
+
     memory: Memory | None
     cycle: int
     node_times: tuple[np.ndarray, ...]
@@ -183,7 +185,11 @@ class DesignedFilter(Filter):
         """
         times, tolerance = np.asarray(self.times), self.clock.tolerance
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
-        changed = self.parts(chosen)
+        changed: dict[str, Any] = {}
+        for name, first in self.per_step.items():
+            part, rows = getattr(self, name), [k - first for k in chosen[first:]]
+            of_rows = isinstance(part, np.ndarray)
+            changed[name] = part[rows] if of_rows else tuple(part[k] for k in rows)
         if self.measured is not None:
             changed["measured"] = self.measured[chosen]
         if self.predicted is not None:
@@ -201,37 +207,44 @@ class DesignedFilter(Filter):
             changed["node_fits"] = tuple(self.node_fits[k] for k, _ in intervals)
         return replace(self, times=times[chosen] + shift, held_out=None, cycle=0, **changed)
 
-    def parts(self, chosen: list[int]) -> dict[str, Any]:
-        """Fields of this kind of filter for `taking`."""
-        raise NotImplementedError
-
-    def check_shapes(self) -> None:
-        """Refuse a filter whose parts do not fit together, when it is made or read.
+    def check(self) -> None:
+        """Make the times an array; refuse steps that do not fit them.
 
         Raises
         ------
         TypeError, ValueError
-            Arrays of another shape or kind, numbers that are not finite, times out of order,
-            axes other than those of the memory.
         """
-        check_fields("", self, times=(None,))
-        as_times("times", self.times)
-        if not (is_whole(self.cycle) and 0 <= self.cycle < len(self.times)):
-            raise ValueError(
-                f"cycle: wanted 0 to {len(self.times) - 1} of the steps, got {self.cycle!r}"
-            )
+        vars(self).update(times=as_times("times", self.times))
+        steps = len(self.times)
+        if not (is_whole(self.cycle) and 0 <= self.cycle < steps):
+            raise ValueError(f"cycle: wanted 0 to {steps - 1} of the steps, got {self.cycle!r}")
         mask = self.schedule.mask
         if self.measured is not None and self.measured.shape != mask.shape:
             raise ValueError(f"measured: wanted a mask of shape {mask.shape}")
-        nodes, intervals = self.node_times, len(self.times) - 1
-        if len(nodes) not in (intervals, 0) or len(nodes) != len(self.node_fits):
+        intervals, fits = len(self.node_times), len(self.node_fits)
+        if intervals not in (steps - 1, 0) or intervals != fits:
             raise ValueError(
-                f"node_times, node_fits: wanted {intervals} intervals, got {len(nodes)} and "
-                f"{len(self.node_fits)}"
+                f"node_times, node_fits: wanted {steps - 1} intervals, got {intervals} and {fits}"
             )
-        for k, grid in enumerate(nodes):
-            if not (np.diff([self.times[k], *grid, self.times[k + 1]]) > 0).all():
-                raise ValueError(f"node_times[{k}]: outside of their interval or out of order")
+
+    def check_fits(self, n: int, m: int) -> None:
+        """Refuse forecasts from another memory, by the sizes of an estimate and a measurement.
+
+        Raises
+        ------
+        ValueError
+        """
+        modes = getattr(self.system, "modes", 1)
+        if len(self.fits) != len(self.times) - 1:
+            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
+        for k, fit in enumerate(self.fits):
+            wanted = self.memory.dimension(k, n, m, modes)
+            # a forecast of one's own need not have a dimension
+            if (dimension := getattr(fit, "dimension", wanted)) != wanted:
+                raise ValueError(
+                    f"fits[{k}]: wanted forecasts from {wanted} numbers, for the memory "
+                    f"{self.memory}, got {dimension}"
+                )
 
     # Step by step
 
@@ -595,10 +608,14 @@ class DesignedFilter(Filter):
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
-        times, inputs, values = record.times, record.inputs, self.values
+        times, parameters = record.times, self.system.parameters
+
+        def values(row: int, dt: float = np.nan) -> Values:
+            return self.values(record.inputs.at(row), dt) if parameters else ()
+
         last = 0  # row of the last measurement, whose inputs act until the next
         for j, k in enumerate(numbers):
-            p = values(inputs.at(last), times[j] - times[last])
+            p = values(last, times[j] - times[last])
             if k < 0:
                 interval = interval or self.interval(state, p)
                 mean = at(interval, times[j], self.between)
@@ -608,8 +625,7 @@ class DesignedFilter(Filter):
                 continue
             state = self.propagate(state, times[j], p, interval)
             indicator = None if record.indicators is None else record.indicators[j]
-            p = values(inputs.at(j))
-            state = self.update(state, record.y[j], p, indicator, covariances)
+            state = self.update(state, record.y[j], values(j), indicator, covariances)
             interval, last = None, j
             yield self.report(state, covariances)
         repaired.append(getattr(state, "repaired", 0))

@@ -17,19 +17,12 @@ from seedslib.base.clock import Clock
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
-from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
-from seedslib.designed.arrivals import ClassFits, fit_of, transitions, with_history
-from seedslib.designed.base import (
-    DesignedFilter,
-    FilterState,
-    freeze,
-    nan_where,
-    require_forecast,
-)
+from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
+from seedslib.designed.arrivals import fit_of, transitions, with_history
+from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_where, require_forecast
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory
-from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial, PolynomialFit
+from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
 from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
@@ -202,11 +195,11 @@ class FiniteOrderFilter(DesignedFilter):
         Of ClassFits where there is an availability.
     node_fits : tuple of tuple of AffineFit
         Forecasts Z_k^i; for `Continuous` the fits at the start of each integration step.
-    predicted : Prediction
+    predicted : Accuracy
     design : Design
     between : str
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
-    held_out : HeldOut, optional
+    held_out : Accuracy, optional
     cycle : int
     measured, availability : ndarray, optional
         See `DesignedFilter`.
@@ -227,17 +220,19 @@ class FiniteOrderFilter(DesignedFilter):
     start: Start
     fits: tuple[Any, ...]
     node_fits: tuple[Any, ...]
-    predicted: Prediction
+    predicted: Accuracy
     design: Design
     between: str = "interpolated"
-    held_out: HeldOut | None = None
+    held_out: Accuracy | None = None
     cycle: int = 0
     measured: MaybeArray = None
     availability: MaybeArray = None
 
     def __post_init__(self) -> None:
         require_kind("between", self.between)
-        self.check_shapes()
+        self.check()
+        as_count("components", self.components, 1, len(self.start.mean))
+        self.check_fits(self.components, len(self.start.moments.mean))
         vars(self).update(clock=Clock(self.times), transitions=transitions(self.fits, self.cycle))
         _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
@@ -256,26 +251,6 @@ class FiniteOrderFilter(DesignedFilter):
         return Rules.of(
             self.system, self.memory, self.predictor, self.linearization, self.components
         )
-
-    def check_shapes(self) -> None:
-        """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
-        super().check_shapes()
-        start, n, m = self.start, len(self.start.mean), len(self.start.moments.mean)
-        check_fields("start", start, mean=(n,), cov=(n, n))
-        check_fields("start.moments", start.moments, mean=(m,), cross=(n, m), cov=(m, m))
-        as_count("components", self.components, 1, n)
-        if len(self.fits) != len(self.times) - 1:
-            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
-        continuous = isinstance(self.predictor, Continuous)
-        targets = n if continuous else self.components
-        for k, fit in enumerate(self.fits):
-            nodes = self.node_fits[k] if self.node_fits else ()
-            if self.node_fits and len(nodes) != len(self.node_times[k]) + continuous:
-                raise ValueError(f"node_fits[{k}]: wanted one forecast a node, got {len(nodes)}")
-            dimension = self.memory.dimension(k, self.components, m)
-            for one, rows in ((fit, n), *((node, targets) for node in nodes)):
-                if isinstance(one, AffineFit | PolynomialFit | ClassFits):
-                    one.check(f"fits[{k}]", rows, dimension)
 
     @property
     def order(self) -> int:
@@ -343,19 +318,15 @@ class FiniteOrderFilter(DesignedFilter):
         """Estimates at the nodes of an interval and at its end; Euler's steps if continuous."""
         fits = self.node_fits[row] if self.node_fits else ()
         if self.rules.velocity is None:
-            found = [fit_of(fit, state.history).mean(state.past.vector) for fit in fits]
+            values = [fit_of(fit, state.history).mean(state.past.vector) for fit in fits]
             last = fit_of(self.fits[row], state.history).mean(state.past.vector)
-            return [*found, last[: self.components]]
+            return [*values, last[: self.components]]
         start, end = (self.clock.moment(state.index + k, self.cycle) for k in (0, 1))
         stops = [start, *(self.node_times[row] + (start - self.times[row])), end]
         values = [state.mean]
         for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
             values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
-
-    def parts(self, chosen: list[int]) -> dict[str, Any]:
-        """Forecasts of the chosen steps."""
-        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"

@@ -122,16 +122,16 @@ def _branches(system: SwitchingSystem, points: np.ndarray, p: Values) -> dict[st
     return values
 
 
-def difference(expected: dict[str, np.ndarray], found: dict[str, np.ndarray]) -> str:
+def difference(expected: dict[str, np.ndarray], given: dict[str, np.ndarray]) -> str:
     """How two probes differ, in words; empty where they do not.
 
     Each component has its own unit: a mean is compared by its size and its deviation, a
     covariance by the deviations of its two components, anything else by itself.
     """
-    for name in sorted(expected.keys() | found.keys()):
-        if name not in expected or name not in found:
+    for name in sorted(expected.keys() | given.keys()):
+        if name not in expected or name not in given:
             return f"its {name} is there in only one of them"
-        a, b = expected[name], found[name]
+        a, b = expected[name], given[name]
         if a.shape != b.shape:
             return f"its {name} has shape {b.shape}, not {a.shape}"
         # where neither has a value, such as the root of a negative state, they are equal

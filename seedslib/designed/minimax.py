@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -221,6 +221,7 @@ class MinimaxFilter(OutputFilter):
     steps: tuple[Step, ...] = field(init=False)
     method: Minimax
     fits: tuple[MinimaxFit, ...] = field(kw_only=True)
+    per_step: ClassVar[Mapping[str, int]] = {"fits": 0, "covariances": 0}
 
     def __post_init__(self) -> None:
         steps = tuple(self.basics(k).functions(fit) for k, fit in enumerate(self.fits))
@@ -235,9 +236,3 @@ class MinimaxFilter(OutputFilter):
     def basics(self, k: int) -> Basics:
         """The basic functions of measurement k."""
         return Basics.of(self.system, self.memory, self.method, self.times, k)
-
-    def parts(self, chosen: list[int]) -> dict[str, Any]:
-        """Regressions of the chosen steps."""
-        changed = super().parts(chosen)
-        del changed["steps"]
-        return {**changed, "fits": tuple(self.fits[k] for k in chosen)}

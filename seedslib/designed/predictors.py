@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import combinations_with_replacement
@@ -12,7 +11,6 @@ import numpy as np
 
 from seedslib.base.checks import as_count
 from seedslib.base.linalg import symmetric
-from seedslib.designed.checks import check_fields
 
 CLIP = 3.5
 """Standardised memory components are cut to this range before they are raised to powers."""
@@ -91,11 +89,10 @@ class AffineFit(NamedTuple):
         """Forecast (n, *batch) and its covariance (n, n)."""
         return self.mean(u), self.cov
 
-    def check(self, name: str, targets: int, dimension: int) -> None:
-        """Refuse arrays that do not forecast `targets` components from that many numbers."""
-        check_fields(
-            name, self, gain=(targets, dimension), offset=(targets,), cov=(targets, targets)
-        )
+    @property
+    def dimension(self) -> int:
+        """How many numbers it forecasts from."""
+        return self.gain.shape[1]
 
 
 def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
@@ -157,22 +154,10 @@ class PolynomialFit(NamedTuple):
         cov = bounded_below(symmetric(lower, len(self.residual)), self.residual)
         return mean, cov.reshape(*cov.shape[:2], *u.shape[1:])
 
-    def check(self, name: str, targets: int, dimension: int) -> None:
-        """As `AffineFit.check`."""
-        degrees = self.mean_degree, self.cov_degree
-        powers, others = (math.comb(dimension + degree, degree) - 1 for degree in degrees)
-        entries = targets * (targets + 1) // 2
-        check_fields(
-            name,
-            self,
-            centre=(dimension,),
-            scale=(dimension,),
-            gain=(targets, powers),
-            offset=(targets,),
-            residual=(targets, targets),
-            cov_gain=(entries, others),
-            cov_offset=(entries,),
-        )
+    @property
+    def dimension(self) -> int:
+        """How many numbers it forecasts from."""
+        return len(self.centre)
 
 
 def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.ndarray:

@@ -10,13 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import as_times
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Values
-from seedslib.designed.accuracy import Design, HeldOut, Prediction, page
+from seedslib.designed.accuracy import Accuracy, Design, page
 from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
 from seedslib.designed.between import Interval
-from seedslib.designed.checks import check_fields
 from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
@@ -85,14 +83,10 @@ class CellFit(NamedTuple):
                     component += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
-    def check(self, name: str, memory: Memory, system: SwitchingSystem, k: int) -> None:
-        """Refuse arrays that are not those of the memory after measurement k."""
-        n, modes = system.state_size, system.modes
-        d = memory.dimension(k, n, system.measurement_size, modes)
-        tail = modes, cell_count(memory, system, k)
-        check_fields(
-            name, self, gain=(n, d, *tail), offset=(n, *tail), cov=(n, n, *tail), centre=(d, *tail)
-        )
+    @property
+    def dimension(self) -> int:
+        """How many numbers it forecasts from."""
+        return len(self.centre)
 
     @staticmethod
     def _of_cell(array, cell, z):
@@ -160,11 +154,11 @@ class SwitchingFilter(DesignedFilter):
     normalisation : {"consistent", "printed"}
         How the moments of a measurement are formed where the indicator depends on the state: from
         the moments of the mixture, or as (6.21) is printed, which is wrong there.
-    predicted : Prediction, optional
+    predicted : Accuracy, optional
     design : Design, optional
     cycle : int
         See `DesignedFilter`.
-    held_out : HeldOut, optional
+    held_out : Accuracy, optional
 
     Raises
     ------
@@ -182,10 +176,10 @@ class SwitchingFilter(DesignedFilter):
     times: MaybeArray = None
     fits: Sequence[Any] = ()
     normalisation: str = "consistent"
-    predicted: Prediction | None = None
+    predicted: Accuracy | None = None
     design: Design | None = None
     cycle: int = 0
-    held_out: HeldOut | None = None
+    held_out: Accuracy | None = None
 
     def __post_init__(self) -> None:
         as_system("system", self.system, "SwitchingSystem")
@@ -195,9 +189,9 @@ class SwitchingFilter(DesignedFilter):
             require_memory(self.memory, self.system)
             if self.times is None:
                 raise ValueError("times: wanted the times of the design with a memory")
-            times = as_times("times", self.times)
-            vars(self).update(times=times, clock=Clock(times))
-            self.check_shapes()
+            self.check()
+            vars(self).update(clock=Clock(self.times))
+            self.check_fits(self.system.state_size, self.system.measurement_size)
         _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.predicted, self.held_out, self.fits))
 
@@ -205,15 +199,6 @@ class SwitchingFilter(DesignedFilter):
     def rules(self) -> SwitchingRules:
         """The compiled steps."""
         return compiled_rules(self.system, self.linearization, self.normalisation)
-
-    def check_shapes(self) -> None:
-        """See `DesignedFilter.check_shapes`; forecasts of one's own are taken as they are."""
-        super().check_shapes()
-        if len(self.fits) != len(self.times) - 1:
-            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
-        for k, fit in enumerate(self.fits):
-            if isinstance(fit, CellFit):
-                fit.check(f"fits[{k}]", self.memory, self.system, k)
 
     @property
     def order(self) -> int:
@@ -321,10 +306,6 @@ class SwitchingFilter(DesignedFilter):
         from seedslib.designed.switching_smoother import SwitchingSmoother
 
         return SwitchingSmoother(self)
-
-    def parts(self, chosen: list[int]) -> dict[str, Any]:
-        """Fits of the chosen steps."""
-        return {"fits": tuple(self.fits[k - 1] for k in chosen[1:])}
 
     def __repr__(self) -> str:
         carried = "laws of all modes" if self.memory is None else str(self.memory)

@@ -3,24 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
-from seedslib.base.checks import require_shape
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.base.values import Values
-from seedslib.designed.accuracy import Design, HeldOut, Prediction, measurement_line, page
+from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.checks import check_fields
 from seedslib.designed.memory import Memory, Past
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
+
+if TYPE_CHECKING:
+    from typing import Self
 
 
 class Output(NamedTuple):
@@ -99,21 +100,6 @@ class Table(NamedTuple):
         prob = None if self.prob is None else place.rows(self.prob)
         return Output(place.rows(self.estimate), mode, prob)
 
-    def check(self, name: str, axes: Any, components: int, modes: int, memory: Memory) -> None:
-        """Refuse other axes, or labels, than those of the memory, and arrays of other shapes."""
-        labels, wanted = (
-            [axis.count if isinstance(axis, Labels) else None for axis in several]
-            for several in (self.axes, axes)
-        )
-        if labels != wanted:
-            raise ValueError(f"{name} has other axes than the memory {memory}")
-        shape = tuple(axis.count for axis in self.axes)
-        check_fields(name, self, estimate=(components, *shape))
-        if self.prob is not None:
-            check_fields(name, self, prob=(modes, *shape))
-        if self.mode is not None:
-            require_shape(f"{name}.mode", self.mode, shape)
-
 
 class Step(NamedTuple):
     """Output functions of one measurement, of arguments as `arguments` lists them.
@@ -136,11 +122,7 @@ def prior(system: AnySystem, components: int) -> Table:
 
 
 def step_axes(
-    system: AnySystem,
-    memory: Memory,
-    measured: tuple[Any, ...],
-    estimated: tuple[Any, ...],
-    k: int,
+    system: AnySystem, memory: Memory, measured: tuple[Any, ...], estimated: tuple[Any, ...], k: int
 ) -> tuple[tuple[Any, ...], tuple[Any, ...]]:
     """Axes of the tables of measurement k.
 
@@ -269,7 +251,7 @@ class OutputFilter(DesignedFilter):
         Output functions of each measurement.
     method : object
         How the functions were made.
-    predicted : Prediction
+    predicted : Accuracy
         Accuracy; without standard errors where no random numbers were used.
     covariances : ndarray, shape (K+1, n', n')
         Error covariances that the design found.
@@ -288,7 +270,7 @@ class OutputFilter(DesignedFilter):
         Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     cycle : int
         See `DesignedFilter`.
-    held_out : HeldOut, optional
+    held_out : Accuracy, optional
         Errors on paths that the design has not seen; none where it took no paths.
     """
 
@@ -297,7 +279,7 @@ class OutputFilter(DesignedFilter):
     times: np.ndarray
     steps: tuple[Step, ...]
     method: object
-    predicted: Prediction
+    predicted: Accuracy
     covariances: np.ndarray
     design: Design
     node_times: tuple[np.ndarray, ...] = ()
@@ -305,31 +287,30 @@ class OutputFilter(DesignedFilter):
     changes: MaybeArray = None
     between: str = "interpolated"
     cycle: int = 0
-    held_out: HeldOut | None = None
+    held_out: Accuracy | None = None
+    per_step: ClassVar[Mapping[str, int]] = {"steps": 0, "covariances": 0}
 
     def __post_init__(self) -> None:
         require_kind("between", self.between)
-        self.check_shapes()
+        self.check()
         vars(self).update(clock=Clock(self.times))
         freeze((self.times, self.steps, self.changes, self.node_times, self.node_fits))
         freeze((self.covariances, self.predicted, self.held_out))
 
-    def check_shapes(self) -> None:
-        """See `DesignedFilter.check_shapes`; functions that are no tables are taken as they are."""
-        super().check_shapes()
+    def check(self) -> None:
+        """See `DesignedFilter.check`."""
+        super().check()
         steps, n, m = len(self.times), self.components, self.system.measurement_size
-        if len(self.steps) != steps:
-            raise ValueError(f"steps: wanted {steps}, got {len(self.steps)}")
-        check_fields("", self, covariances=(steps, n, n))
+        if not len(self.steps) == len(self.covariances) == steps:
+            raise ValueError(f"steps, covariances: wanted {steps}, got {len(self.steps)}")
         for k, step in enumerate(self.steps):
             axes = step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
-            tables = [("update", step.update, axes[0]), ("forecast", step.forecast, axes[1])]
-            if k and self.node_fits:
-                tables += [("nodes", fit, axes[1]) for fit in self.node_fits[k - 1]]
-            for name, table, wanted in tables:
-                if isinstance(table, Table):
-                    modes = getattr(self.system, "modes", 0)
-                    table.check(f"steps[{k}].{name}", wanted, n, modes, self.memory)
+            for table, wanted in zip(step, axes, strict=True):
+                if isinstance(table, Table) and len(table.axes) != len(wanted):
+                    raise ValueError(
+                        f"steps[{k}]: wanted tables over {len(wanted)} arguments, for the memory "
+                        f"{self.memory}, got {len(table.axes)}"
+                    )
 
     @property
     def components(self) -> int:
@@ -457,13 +438,10 @@ class OutputFilter(DesignedFilter):
             return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
         return super().forecast(state, t, kind, inputs=inputs)
 
-    def parts(self, chosen: list[int]) -> dict[str, Any]:
-        """Functions of the chosen steps."""
-        return {
-            "steps": tuple(self.steps[k] for k in chosen),
-            "covariances": self.covariances[chosen],
-            "changes": None if self.changes is None else self.changes[:, chosen],
-        }
+    def taking(self, chosen: list[int]) -> Self:
+        """See `DesignedFilter.taking`."""
+        filter = super().taking(chosen)
+        return filter if self.changes is None else replace(filter, changes=self.changes[:, chosen])
 
     def __repr__(self) -> str:
         return f"<{type(self).__name__} of order {self.order}: {self.memory}; {self.made}>"

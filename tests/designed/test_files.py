@@ -268,7 +268,6 @@ HOSTILE = [
     ("affine", ["filter", "memory", "estimates"], -1),
     ("affine", ["filter", "memory", "estimates"], 3),
     ("affine", ["filter", "memory", "estimates"], INFINITE),
-    ("affine", ["filter", "predictor", "class"], "Continuous"),
     ("affine", ["filter", "components"], "two"),
     ("affine", ["filter", "between"], "cubic"),
     ("affine", ["filter", "cycle"], 9),
@@ -276,13 +275,11 @@ HOSTILE = [
     ("affine", ["filter", "fits", 0, "gain", "shape"], [10**9, 10**9]),
     ("affine", ["filter", "fits", 0, "gain", "start"], 10**9),
     ("affine", ["filter", "fits", 0, "gain", "array"], "float16"),
-    ("polynomial", ["filter", "fits", 0, "mean_degree"], 10**6),
     ("table of modes", ["filter", "memory", "estimates"], 2),
     ("table of modes", ["sizes", "modes"], 10**9),
     ("table of modes", ["sizes", "measurement_size"], 10**9),
     ("table of modes", ["sizes", "indicators"], -1),
     ("table of modes", ["filter", "steps", 0, "update", "axes"], [AXIS | {"count": 10**12}]),
-    ("table of modes", ["filter", "steps", 0, "update", "mode"], 3),
 ]
 
 

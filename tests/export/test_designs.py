@@ -22,13 +22,13 @@ def of_large_tables(measurement, memory):
         return table._replace(axes=axes, estimate=values)
 
     first, *others = small.steps
-    steps = [first._replace(shown=wide(first.shown, (y,)))]
-    steps += [Step(wide(step.shown, (y, z)), wide(step.blind, (z,))) for step in others]
+    steps = [first._replace(update=wide(first.update, (y,)))]
+    steps += [Step(wide(step.update, (y, z)), wide(step.forecast, (z,))) for step in others]
     return replace(small, steps=tuple(steps))
 
 
 def numbers_of(filter):
-    return sum(step.shown.estimate.size + step.blind.estimate.size for step in filter.steps)
+    return sum(step.update.estimate.size + step.forecast.estimate.size for step in filter.steps)
 
 
 def test_tables_are_written_as_data():
