@@ -16,7 +16,6 @@ from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
 from seedslib.base.values import Values
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
-from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
@@ -147,7 +146,7 @@ def _kind(map: StochasticMap, conditional: bool) -> object:
     if not map.symbolic:
         return id(map)
     weight = conditional
-    if conditional and mentions(map.weight_expression, map.noise.symbols):
+    if conditional and map.weight_expression.free_symbols & set(map.noise.symbols):
         weight = map.weight_expression  # the noise in the branch depends on it
     return tuple(map.expressions), id(map.noise), weight
 
