@@ -60,18 +60,6 @@ UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
 
 
-def kind_of(system: object) -> str:
-    """One of `KINDS`, by what the object has, or the name of its type."""
-    sensor = getattr(system, "sensor", None)
-    if hasattr(system, "branches") and hasattr(system, "readings"):
-        return "SwitchingSystem"
-    if hasattr(sensor, "value") and hasattr(system, "drift_map"):
-        return "JumpDiffusion"
-    if hasattr(sensor, "value") and hasattr(getattr(system, "dynamics", None), "value"):
-        return "DiscreteSystem"
-    return type(system).__name__
-
-
 def as_system(name: str, value: Any, *wanted: str) -> Any:
     """The system that was passed, or a sentence that says what it is.
 
@@ -91,17 +79,15 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
     ValueError
         A linear system with diffuse components, for which the Kalman filter is made.
     """
-    kind = kind_of(value)
+    kinds = {base.__name__ for base in type(value).__mro__}
     if getattr(value, "diffuse", ()) and "LinearSystem" not in wanted:
         raise ValueError(
             f"{name}: wanted a law of the first state, got one of which nothing is known in "
             f"components {value.diffuse}; see KalmanFilter"
         )
-    if not {kind, *(base.__name__ for base in type(value).__mro__)}.isdisjoint(wanted):
+    if kinds & {*wanted} or (not wanted and isinstance(value, System)):
         return value
-    if not wanted and isinstance(value, System) and hasattr(value.sensor, "sample"):
-        return value
-    got = f"the class {value.__name__}" if isinstance(value, type) else f"a {kind}"
+    got = f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__}"
     raise TypeError(f"{name}: wanted a {' or '.join(wanted or KINDS)}, got {got}")
 
 
