@@ -188,7 +188,7 @@ def _tables(law, k, optimal, probabilities) -> Step:
         output = Output(*(np.concatenate(pair, axis=-2) for pair in zip(output, more, strict=True)))
     update = Table.of(labels + axes + memory, output, probabilities)
     if law.switching:
-        forecast = law.posterior(law.chain.told(t), given)
+        forecast = law.posterior(law.chain.indicator_prob(t), given)
         return Step(update, Table.of(labels + memory, forecast, probabilities))
     if k == 0:
         return Step(update, prior(law.system, 1))

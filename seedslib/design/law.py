@@ -303,7 +303,7 @@ class JointLaw:
         self.values: np.ndarray = self.chain.values
         self.modes: int = self.chain.modes
         self.switching: bool = switches(system)
-        reach = self.chain.reach(float(self.times[0]))
+        reach = self.chain.measurement_moments(float(self.times[0]))
         axes = default_axes(*reach) if y is None else as_axes("y", y, len(reach[0]))
         labels = (Labels(self.chain.indicators),) if self.chain.indicators else ()
         self.measurement_axes: tuple[Any, ...] = labels + axes

@@ -23,7 +23,7 @@ MomentFunction = Callable[..., Any]
 
 def switch_row(system: SwitchingSystem, i: int, linearization: Linearization) -> MomentFunction:
     """Moments of a state that does not move while mode i switches, for each new mode."""
-    switch = [branch and branch.still for branch in system.branches[i]]
+    switch = [branch and branch.switch_only for branch in system.branches[i]]
     if not all(branch is None or branch.constant for branch in switch):
         return _of_one_part(_branch_moments([b and b.map for b in switch], linearization))
 

@@ -165,7 +165,7 @@ def _difference(system, sizes, points, values, likelihood) -> str:
     """How the model of a file differs from another, in words; empty where it does not."""
     if switches(system) != switches(sizes):
         return ", one that has modes" if sizes.modes else ", one without modes"
-    if other_size := sizes.apart(UnknownModel.of(system)):
+    if other_size := sizes.difference(UnknownModel.of(system)):
         word, one, two = other_size
         return f": it has {one} {word}, not {two}"
     reason = difference(values, probe(system, points, likelihood))

@@ -130,7 +130,7 @@ class SwitchingRules:
         # rules of points may have negative weights
         self.guarded: bool = isinstance(linearization, PointRule)
         modes, rows = range(system.modes), None
-        if not system.indicator_is_blind:
+        if not system.indicator_ignores_state:
             try:
                 rows = [split_row(system, i, linearization) for i in modes]
             except ValueError as error:

@@ -251,7 +251,7 @@ def _forecast(
     system, rules, modes = step.filter.system, step.filter.rules, range(step.modes)
     if rules.switch is not None:  # the new mode drives the step: a switch, then a move
         switched = Mixture.of(step, "switched", step.modes, step.n)
-        at_rest = [[branch and branch.still for branch in row] for row in system.branches]
+        at_rest = [[branch and branch.switch_only for branch in row] for row in system.branches]
         rows = [_moments(step, at_rest[i], t, *gaussians[i], p) for i in modes]
         _combine(step, logs, rows, switched)
         logs, gaussians = switched.parts(step.n)

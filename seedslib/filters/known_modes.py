@@ -95,7 +95,7 @@ class KnownModeFilter(Filter):
         whole = self.linearization.moments(self.system.dynamics[l if new else i])
         if branch.constant:
             return whole
-        weighted = self.linearization.weighted((branch.still if new else branch).map)
+        weighted = self.linearization.weighted((branch.switch_only if new else branch).map)
         if new:  # given the switch, and then the dynamics
             return lambda t, mean, cov, p: whole(t, *weighted(t, mean, cov, p).state, p)
         return lambda t, mean, cov, p: weighted(t, mean, cov, p).value

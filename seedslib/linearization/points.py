@@ -148,7 +148,7 @@ def _kind(map: StochasticMap, conditional: bool) -> object:
     from seedslib.linearization.formulas import mentions  # a filter of tables runs without SymPy
 
     weight = conditional
-    if conditional and mentions(map.weight_expression, map.noise.symbols):
+    if conditional and map.weight_expression.free_symbols & set(map.noise.symbols):
         weight = map.weight_expression  # the noise in the branch depends on it
     return tuple(map.expressions), id(map.noise), weight
 

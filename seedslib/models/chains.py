@@ -161,37 +161,38 @@ class GridChain:
         """Probabilities at a later time, shape (S,)."""
         return self.initial if t == start else self.transition(start, t) @ self.initial
 
-    def log_likelihood(self, t: float, shown: np.ndarray, p: Values | None = None) -> np.ndarray:
+    def log_likelihood(self, t: float, y: np.ndarray, p: Values | None = None) -> np.ndarray:
         """Logarithm of the density of measurements (m, Y) at each state: (Y, S).
 
         Where there is an indicator, its values are the first row, (1 + m, Y); -1 is a missing one.
         """
         p = self.numbers(p)
-        indicator = shown[0] if self.indicators else np.zeros(shown.shape[1])
-        y = shown[1:] if self.indicators else shown
-        found = np.full((shown.shape[1], self.modes, self.nodes.shape[1]), -np.inf)
+        indicator, y = (y[0], y[1:]) if self.indicators else (np.zeros(y.shape[1]), y)
+        log_density = np.full((y.shape[1], self.modes, self.nodes.shape[1]), -np.inf)
         for j in np.unique(indicator):
             columns = np.flatnonzero(indicator == j)
             for i in range(self.modes):
                 reading = self._sensors[i] if j < 0 else self._readings[i][int(j)]
                 if reading is not None:
                     density = reading.log_density(t, y[:, columns, None], self.nodes[:, None], p)
-                    found[columns, i] = density
-        return found.reshape(len(found), -1)
+                    log_density[columns, i] = density
+        return log_density.reshape(len(log_density), -1)
 
-    def told(self, t: float, p: Values | None = None) -> np.ndarray:
+    def indicator_prob(self, t: float, p: Values | None = None) -> np.ndarray:
         """Probability of each value of the indicator at each state, and one for none: (M+1, S).
 
         What is known without a measurement; (1, S) where there is no indicator.
         """
         p = self.numbers(p)
-        found = np.ones((self.indicators + 1, self.modes, self.nodes.shape[1]))
+        prob = np.ones((self.indicators + 1, self.modes, self.nodes.shape[1]))
         for j in range(self.indicators):
             for i, row in enumerate(self._readings):
-                found[j, i] = 0.0 if row[j] is None else row[j].probability(t, self.nodes, p)
-        return found.reshape(len(found), -1)
+                prob[j, i] = 0.0 if row[j] is None else row[j].probability(t, self.nodes, p)
+        return prob.reshape(len(prob), -1)
 
-    def reach(self, t: float, p: Values | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def measurement_moments(
+        self, t: float, p: Values | None = None
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of the measurement at each state, both (m, S)."""
         p = self.numbers(p)
         parts = [mean_and_deviation(sensor, t, self.nodes, p) for sensor in self._sensors]
@@ -636,10 +637,10 @@ def shared(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     """
     nodes, size = axis.nodes, axis.count
     mean = np.clip(mean, axis.low, axis.high)
-    found = np.zeros((size, len(mean)))
+    masses = np.zeros((size, len(mean)))
     wide = deviation >= NARROW * axis.step
-    found[:, wide] = np.exp(-0.5 * ((nodes[:, None] - mean[wide]) / deviation[wide]) ** 2)
-    found[:, wide] /= found[:, wide].sum(axis=0)
+    masses[:, wide] = np.exp(-0.5 * ((nodes[:, None] - mean[wide]) / deviation[wide]) ** 2)
+    masses[:, wide] /= masses[:, wide].sum(axis=0)
     mean, deviation = mean[~wide], deviation[~wide]
     first = np.floor((mean - axis.low) / axis.step).astype(int) - POINTS // 2 + 1
     first = np.clip(first, 0, size - POINTS)
@@ -650,8 +651,8 @@ def shared(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
     for a in range(POINTS):
         others = [b for b in range(POINTS) if b != a]
         share = np.prod([(at - b) / (a - b) for b in others], axis=0)
-        found[first + a, columns] = weights @ share
-    return found
+        masses[first + a, columns] = weights @ share
+    return masses
 
 
 def _grown(rate: np.ndarray, time: float) -> np.ndarray:

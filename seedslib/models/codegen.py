@@ -9,7 +9,7 @@ processor.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from functools import lru_cache, partial
 from typing import Any
 
@@ -97,25 +97,21 @@ class _Printer(SciPyPrinter):
         return f"(1.0/({product}))" if power.is_negative else f"({product})"
 
 
-def fold(expression: sympy.Expr, others: Mapping[Any, Any] | None = None) -> sympy.Expr:
-    """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once.
-
-    `others` are replaced in the same pass.
-    """
-    values, seen, waiting = {}, set(), [expression]
+def fold(expression: sympy.Expr) -> sympy.Expr:
+    """Numbers such as pi**2/100 as one constant, so that arrays are multiplied once."""
+    values, visited, waiting = {}, set(), [expression]
     while waiting:
         part = waiting.pop()
-        if part in seen:
+        if part in visited:
             continue
-        seen.add(part)
+        visited.add(part)
         if part.is_number and part.is_real:
             values[part] = float(part)
         else:
             waiting.extend(part.args)
     if not np.isfinite(list(values.values())).all():
         raise ValueError(f"wanted numbers in the range of float64, got {expression}")
-    numbers = {p: sympy.Float(v) for p, v in values.items() if not p.is_Rational}
-    return expression.xreplace(numbers | dict(others or {}))
+    return expression.xreplace({p: sympy.Float(v) for p, v in values.items() if not p.is_Rational})
 
 
 _share = partial(sympy.cse, order="none")
@@ -199,32 +195,21 @@ def compile_components(
     listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
     expressions = [as_expression("expressions", e) for e in expressions]
     require_known("expressions", expressions, listed)
-    # equal expressions are compiled once, whatever their dummies are
-    dummies = {
-        s: sympy.Symbol(f"{k} ", **s.assumptions0)
-        for k, s in enumerate(listed)
-        if isinstance(s, sympy.Dummy)
-    }
-    if dummies:
-        expressions = [e.xreplace(dummies) for e in expressions]
-        arguments = [
-            tuple(dummies.get(s, s) for s in a) if isinstance(a, tuple) else dummies.get(a, a)
-            for a in arguments
-        ]
-    return _lambdified(tuple(arguments), tuple(expressions))
+    # names that no function has; equal expressions are compiled once, whatever their symbols are
+    plain = {s: sympy.Symbol(f"u{k}_", **s.assumptions0) for k, s in enumerate(listed)}
+    return _lambdified(
+        tuple(tuple(plain[s] for s in a) if isinstance(a, tuple) else plain[a] for a in arguments),
+        tuple(e.xreplace(plain) for e in expressions),
+    )
 
 
 @lru_cache(maxsize=512)
 def _lambdified(arguments: tuple, expressions: tuple) -> Callable[..., list[Any]]:
     """The compiled function, once for equal expressions: a system is often made again."""
-    listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
-    # names that no function has
-    plain = {s: sympy.Symbol(f"u{k}_", **s.assumptions0) for k, s in enumerate(listed)}
-    named = [tuple(plain[s] for s in a) if isinstance(a, tuple) else plain[a] for a in arguments]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     try:
-        folded = [fold(e, plain) for e in expressions]
-        return sympy.lambdify(named, folded, MODULES, printer=printer, cse=_share)
+        folded = [fold(e) for e in expressions]
+        return sympy.lambdify(arguments, folded, MODULES, printer=printer, cse=_share)
     except (PrintMethodNotImplementedError, ValueError, OverflowError) as error:
         raise ValueError(
             f"expressions: wanted functions with NumPy code, got {error}; "

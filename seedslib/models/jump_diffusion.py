@@ -168,7 +168,7 @@ class JumpDiffusion(Parametrized, Pickled):
         jump : StochasticMap, optional
             The jump; its conditional moments or Gaussian marks are needed by filters.
         wiener_size : int, optional
-            Number of Wiener processes, found by one call of `diffusion` by default.
+            Number of Wiener processes, from one call of `diffusion` by default.
         parameters : sequence of Parameter, optional
             As `StochasticMap.from_functions`.
 
@@ -185,9 +185,9 @@ class JumpDiffusion(Parametrized, Pickled):
         mean0 = as_real("mean0", mean0, (sensor.state_size,))
         n, probe, p = len(mean0), np.tile(mean0[:, None], 3), self.nominal_values()
         as_real("drift", self.drift(0.0, probe, p), (n, 3))
-        found = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
+        size = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
         as_real("intensity", self.intensity(0.0, probe, p), (3,))
-        self._set_law(n, found if wiener_size is None else wiener_size, mean0, cov0, initial, step)
+        self._set_law(n, size if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
     def _set_parameters(self, rates: Any) -> None:
@@ -408,7 +408,7 @@ CHUNK = 16
 """Normal numbers drawn at a time for each path: a block of them stays in the cache."""
 
 LARGEST_LOSS = 0.05
-"""Share of jumps lost by the rule of one jump per step above which the step is too coarse."""
+"""Share of jumps that come second in a step and are left out above which the step is too coarse."""
 
 
 def advance(
@@ -476,9 +476,9 @@ def advance(
             if clock is not None:
                 clock.jump(t, h, state, moved)
             state = moved
-    if clock is not None and clock.lost > LARGEST_LOSS:
+    if clock is not None and clock.second > LARGEST_LOSS:
         warnings.warn(
-            f"step: about {clock.lost:.2g} of the jumps would come second in a step and are left "
+            f"step: about {clock.second:.2g} of the jumps would come second in a step and are left "
             f"out; take a step below {h:g}",
             stacklevel=2,
         )
@@ -592,7 +592,7 @@ class _JumpClock:
         self.ready += 1
 
     @property
-    def lost(self) -> float:
+    def second(self) -> float:
         """Share of the jumps that would have come second in a step.
 
         Jumps come in proportion to the hazard of a step, so the mean hazard at the jumps is

@@ -60,18 +60,6 @@ UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
 
 
-def kind_of(system: object) -> str:
-    """One of `KINDS`, told by what the object has, or the name of its type."""
-    sensor = getattr(system, "sensor", None)
-    if hasattr(system, "branches") and hasattr(system, "readings"):
-        return "SwitchingSystem"
-    if hasattr(sensor, "value") and hasattr(system, "drift_map"):
-        return "JumpDiffusion"
-    if hasattr(sensor, "value") and hasattr(getattr(system, "dynamics", None), "value"):
-        return "DiscreteSystem"
-    return type(system).__name__
-
-
 def as_system(name: str, value: Any, *wanted: str) -> Any:
     """The system that was passed, or a sentence that says what it is.
 
@@ -91,17 +79,15 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
     ValueError
         A linear system with diffuse components, for which the Kalman filter is made.
     """
-    found = kind_of(value)
+    kinds = {base.__name__ for base in type(value).__mro__}
     if getattr(value, "diffuse", ()) and "LinearSystem" not in wanted:
         raise ValueError(
             f"{name}: wanted a law of the first state, got one of which nothing is known in "
             f"components {value.diffuse}; see KalmanFilter"
         )
-    if not {found, *(base.__name__ for base in type(value).__mro__)}.isdisjoint(wanted):
+    if kinds & {*wanted} or (not wanted and isinstance(value, System)):
         return value
-    if not wanted and isinstance(value, System) and hasattr(value.sensor, "sample"):
-        return value
-    got = f"the class {value.__name__}" if isinstance(value, type) else f"a {found}"
+    got = f"the class {value.__name__}" if isinstance(value, type) else f"a {type(value).__name__}"
     raise TypeError(f"{name}: wanted a {' or '.join(wanted or KINDS)}, got {got}")
 
 
@@ -112,7 +98,7 @@ def switches(system: object) -> bool:
 
 def in_steps(system: object) -> bool:
     """Whether the system moves by one application of a map per step of the time grid."""
-    # a switching system that is seen as one with a mixed state knows the system that it is
+    # a switching system in the form of one with a mixed state knows the system that it is
     return hasattr(getattr(system, "system", system), "dynamics")
 
 
@@ -155,9 +141,9 @@ def require_even(name: str, steps: np.ndarray, times: np.ndarray) -> None:
     ValueError
         A step of another length than the first.
     """
-    apart = np.abs(steps - steps[0]) > UNEVEN * steps.min() + 4.0 * np.spacing(times[-1])
-    if apart.any():
-        k = int(np.argmax(apart))
+    other = np.abs(steps - steps[0]) > UNEVEN * steps.min() + 4.0 * np.spacing(times[-1])
+    if other.any():
+        k = int(np.argmax(other))
         raise ValueError(
             f"{name}: wanted equal steps, for a system in discrete time makes one step from "
             f"each time to the next, got steps of {steps[0]:g} and, from {when(times[k])} on, "
@@ -238,7 +224,7 @@ class UnknownModel(Parametrized):
         """What is known of the sensor: the size of a measurement."""
         return SimpleNamespace(size=self.measurement_size)
 
-    def apart(self, other: UnknownModel) -> tuple[str, int, int] | None:
+    def difference(self, other: UnknownModel) -> tuple[str, int, int] | None:
         """First size that differs: its name, what it is here and there."""
         for name, word in SIZES.items():
             one, two = getattr(self, name), getattr(other, name)

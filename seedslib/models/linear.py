@@ -74,15 +74,15 @@ class LinearMap(StochasticMap):
 
     def _mentioned(self) -> tuple[Any, ...]:
         """Inputs, and parameters in the entries of the matrices."""
-        found = set(self._inputs)
+        parameters = set(self._inputs)
         for M in self._matrices:
             if isinstance(M, Entries):
-                found.update(M.mentions)
+                parameters.update(M.mentions)
             elif isinstance(M, SteppedMatrix):
                 from seedslib.base.parameters import ELAPSED
 
-                found.add(ELAPSED)
-        return in_order(found)
+                parameters.add(ELAPSED)
+        return in_order(parameters)
 
     def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
         """See `StochasticMap.taking`."""

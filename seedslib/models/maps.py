@@ -210,7 +210,7 @@ class StochasticMap(Pickled):
         return compile_array((self.time, *arguments, self.parameters), expressions)
 
     def _given(self, function: Callable[..., Any] | None) -> Callable[..., Any] | None:
-        """A given function as one of p, of which it is told its own parameters."""
+        """A given function as one of p, that takes its own of them."""
         if function is None:
             return None
         places = tuple(map(self.parameters.index, self._functions.parameters))
@@ -408,20 +408,20 @@ def noise_of(map: StochasticMap) -> tuple[Any, list[Any], Any] | None:
     volume = slope.det()
     if volume == 0:
         return None
-    still = value.subs(dict.fromkeys(map.noise.symbols, 0))
-    return y, list(slope.LUsolve(sympy.Matrix(y) - still)), volume
+    rest = value.subs(dict.fromkeys(map.noise.symbols, 0))
+    return y, list(slope.LUsolve(sympy.Matrix(y) - rest)), volume
 
 
 def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
     """Log-density (t, y, x, p) of y from that of the noise, by the change of variables."""
-    found = noise_of(map)
-    if map.noise.log_density is None or map.period or found is None:
+    solution = noise_of(map)
+    if map.noise.log_density is None or map.period or solution is None:
         return None
     import sympy
 
     from seedslib.models.codegen import compile_array
 
-    y, noise, volume = found
+    y, noise, volume = solution
     given = map.time, map.state, y, map.parameters
     solved = compile_array(given, [*noise, sympy.Abs(volume)])
 
@@ -457,11 +457,11 @@ def with_missing(
     if not gaps.any():
         return log_density(t, y, x, p)
     with np.errstate(invalid="ignore"):
-        found = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x, p))
-    partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), found.shape)
-    if partly.any() and np.isnan(found[partly]).all():
+        density = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x, p))
+    partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), density.shape)
+    if partly.any() and np.isnan(density[partly]).all():
         raise ValueError(
             "log_density: wanted numbers where a part of the measurement is missing (NaN), got "
             "NaN; it must integrate over that part, or the measurement be missing as a whole"
         )
-    return found
+    return density

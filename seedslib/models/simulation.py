@@ -125,7 +125,7 @@ def simulate(
     measured: ArrayLike | None = None,
     availability: ArrayLike | None = None,
     inputs: Inputs | None = None,
-    told: MaybeArray = None,
+    modes: MaybeArray = None,
     workers: int = 1,
     **options: Any,
 ) -> Simulation:
@@ -150,8 +150,8 @@ def simulate(
     inputs : mapping of Input to array_like, shape (K+1,) or (K+1, paths), optional
         Values of the inputs that the system mentions: those of a time act in the dynamics from
         there until the next time, and in the sensor at that time.
-    told : ndarray of int, shape (K+1, paths), optional
-        Modes, which ``initial_sample`` and ``advance`` are told as a last argument.
+    modes : ndarray of int, shape (K+1, paths), optional
+        Modes, which ``initial_sample`` and ``advance`` are given as a last argument.
     workers : int
         Threads over blocks of paths.
 
@@ -175,13 +175,13 @@ def simulate(
         with np.errstate(over="ignore", invalid="ignore"):
             for k, child in enumerate(stream.spawn(len(times))):
                 moving, sensing = (np.random.default_rng(s) for s in child.spawn(2))
-                modes = () if told is None else (told[k, own],)
+                mode = () if modes is None else (modes[k, own],)
                 if k == 0:
-                    x = system.initial_sample(moving, stop - start, *modes)
+                    x = system.initial_sample(moving, stop - start, *mode)
                 else:
                     before = times[k - 1]
                     p = system.values(own_inputs.at(k - 1), times[k] - before)
-                    x = system.advance(x, before, times[k], moving, p, *modes, **options)
+                    x = system.advance(x, before, times[k], moving, p, *mode, **options)
                 states[k, :, own] = x
                 if schedule.mask[k].any():
                     p = system.values(own_inputs.at(k))

@@ -32,7 +32,7 @@ class Branch(Pickled):
     ----------
     map : StochasticMap
         With its weight.
-    apart : bool
+    noise_free : bool
         Whether a weight given as an array function is known not to look at the noise.
 
     Attributes
@@ -41,13 +41,13 @@ class Branch(Pickled):
         With the weight, and without.
     """
 
-    def __init__(self, map: StochasticMap, apart: bool = False) -> None:
+    def __init__(self, map: StochasticMap, noise_free: bool = False) -> None:
         self.map: StochasticMap = map
-        self.apart: bool = apart
+        self.noise_free: bool = noise_free
         self.whole: StochasticMap = map.whole()
 
     @cached_property
-    def still(self) -> Branch:
+    def switch_only(self) -> Branch:
         """The switch alone, the state left where it is; of a probability without noise."""
         map = self.map
         if map.symbolic:
@@ -71,7 +71,7 @@ class Branch(Pickled):
         """Whether the probability mentions the noise of the map: dependent noises."""
         map = self.map
         if not map.symbolic:
-            return map.weighted and not self.apart
+            return map.weighted and not self.noise_free
         return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
 
     @cached_property
@@ -153,21 +153,20 @@ class Branch(Pickled):
                 )
             missing = np.isnan(y).any(axis=0)
             v = self._residual_noise(t, x, np.where(missing, 0.0, y), p)
-            found = plain + np.log(self.map.weight(t, x, v, p))
+            joint = plain + np.log(self.map.weight(t, x, v, p))
             if missing.any():
-                blind = plain + np.log(self.probability(t, x, p))
-                found = np.where(missing, blind, found)
-            return found
+                joint = np.where(missing, plain + np.log(self.probability(t, x, p)), joint)
+            return joint
 
     @cached_property
     def _residual_noise(self):
         """The noise as a function of (t, x, y, p) where the value can be solved for it."""
-        found = noise_of(self.map)
-        if found is None:
+        solution = noise_of(self.map)
+        if solution is None:
             return None
         from seedslib.models.codegen import compile_array
 
-        y, noise, _ = found
+        y, noise, _ = solution
         return compile_array((self.map.time, self.map.state, y, self.map.parameters), noise)
 
 
@@ -201,7 +200,7 @@ def branch_table(
     ValueError
         No probabilities, or maps that differ where they must not.
     """
-    size, found = table[0][0].size, []
+    size, branches = table[0][0].size, []
     for i, row in enumerate(table):
         for l, other in enumerate(row):
             if not other.noise.alike(noise):
@@ -221,8 +220,8 @@ def branch_table(
         want_probabilities(f"{name} of mode {i}", weight)
         never = [m.symbolic and m.weight_expression.is_zero for m in row]
         pairs = zip(row, never, strict=True)
-        found.append(tuple(None if none else Branch(m, new) for m, none in pairs))
-    return tuple(found)
+        branches.append(tuple(None if none else Branch(m, new) for m, none in pairs))
+    return tuple(branches)
 
 
 def want_probabilities(name: str, weights: ArrayLike) -> None:
@@ -381,8 +380,8 @@ class SwitchingSystem(Parametrized, Pickled):
         modes = len(moves)
         leave = expressions("switching", switching, (modes, modes), noise)
         shows = expressions("sensor", sensor, (modes, None), sensor_noise)
-        told = [[1]] * modes if indicator is None else indicator
-        tells = expressions("indicator", told, (modes, None), sensor_noise)
+        weights = [[1]] * modes if indicator is None else indicator
+        weights = expressions("indicator", weights, (modes, None), sensor_noise)
 
         def table(values, weights, source, period=None):
             made = partial(StochasticMap, self.state, time=self.time, period=period)
@@ -393,7 +392,7 @@ class SwitchingSystem(Parametrized, Pickled):
 
         moves, readings = (
             table(moves, leave.T if drives == "new" else leave, noise),
-            table(shows, tells, sensor_noise, period),
+            table(shows, weights, sensor_noise, period),
         )
         if drives == "new":  # those of one value are a column: the moves to a mode
             moves = list(zip(*moves, strict=True))
@@ -420,7 +419,7 @@ class SwitchingSystem(Parametrized, Pickled):
             Measurement of mode i, each with the weight of value j of the indicator.
         initial : as in the class
         indicator : bool
-            Whether the indicator is seen.
+            Whether the indicator is observed.
         drives : {"old", "new"}
 
         Raises
@@ -431,7 +430,9 @@ class SwitchingSystem(Parametrized, Pickled):
         """
         moves, readings = map_rows("moves", moves), map_rows("readings", readings)
         if not isinstance(indicator, bool | np.bool_):
-            raise TypeError(f"indicator: wanted True where it is seen or False, got {indicator!r}")
+            raise TypeError(
+                f"indicator: wanted True where it is observed or False, got {indicator!r}"
+            )
         self = object.__new__(cls)
         self.state = moves[0][0].state
         self.time = moves[0][0].time
@@ -451,7 +452,7 @@ class SwitchingSystem(Parametrized, Pickled):
         if any(len(row) != self.modes for row in moves):
             raise ValueError(f"switching: wanted {self.modes} next modes in each row")
         if not indicator and values != 1:
-            raise ValueError("indicator: wanted one column of readings where it is not seen")
+            raise ValueError("indicator: wanted one column of readings where it is not observed")
         self.noise, self.sensor_noise = moves[0][0].noise, readings[0][0].noise
         self.state_size, self.measurement_size = moves[0][0].state_size, readings[0][0].size
         for name, table in (("dynamics", moves), ("sensor", readings)):
@@ -461,8 +462,8 @@ class SwitchingSystem(Parametrized, Pickled):
         self.initial: tuple[InitialMode, ...] = self._initial_modes(initial)
         probability, means, covs = map(np.array, zip(*self.initial, strict=True))
         self.mean0: np.ndarray = probability @ means
-        apart = means - self.mean0
-        self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, apart, apart)
+        deviations = means - self.mean0
+        self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, deviations, deviations)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
         maps = [m for table in (moves, readings) for row in table for m in row]
         self.parameters = in_order(p for m in maps for p in m.mentions)
@@ -483,7 +484,7 @@ class SwitchingSystem(Parametrized, Pickled):
         initial = list(initial)
         if len(initial) != self.modes:
             raise ValueError(f"initial: wanted {self.modes} modes, got {len(initial)}")
-        n, found = self.state_size, []
+        n, modes = self.state_size, []
         for i, part in enumerate(initial):
             try:
                 probability, mean, cov = part
@@ -493,9 +494,9 @@ class SwitchingSystem(Parametrized, Pickled):
                 ) from None
             probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
             mean = as_real(f"initial[{i}] mean", mean, (n,))
-            found.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
-        want_probabilities("initial", np.array([part.probability for part in found]))
-        return tuple(found)
+            modes.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
+        want_probabilities("initial", np.array([part.probability for part in modes]))
+        return tuple(modes)
 
     def _probe(self, noise: Noise) -> tuple[Noise, np.ndarray, np.ndarray]:
         """The noise, and states and noises about the initial law, (n, 64), (noise size, 64)."""
@@ -515,7 +516,7 @@ class SwitchingSystem(Parametrized, Pickled):
         return np.array([part.probability for part in self.initial])
 
     @cached_property
-    def indicator_is_blind(self) -> bool:
+    def indicator_ignores_state(self) -> bool:
         """Whether the indicator does not depend on the state (corollaries 3 and 4)."""
         return all(b is None or b.constant for row in self.readings for b in row)
 
@@ -537,7 +538,7 @@ class SwitchingSystem(Parametrized, Pickled):
         times, paths, seed, **options
             As there.
         modes : array_like of int, shape (K+1,) or (K+1, paths), optional
-            A course of the modes that is imposed on the paths, as in the truth of a benchmark:
+            Modes that are imposed on the paths, as in the truth of a benchmark:
             nothing is switched, and the probabilities of switches are not looked at. The noises
             are those of the same seed without it.
 
@@ -547,22 +548,26 @@ class SwitchingSystem(Parametrized, Pickled):
             As there; modes of a system whose switching depends on the noise, which would have
             another law.
         """
-        told = None
         if modes is not None:
             if any(b is not None and b.depends_on_noise for row in self.branches for b in row):
                 raise ValueError("modes: wanted none, for the switching depends on the noise")
             steps, paths = len(as_grid("times", times, self)), as_count("paths", paths)
-            told = np.asarray(modes)
-            told = np.repeat(told[:, None], paths, axis=1) if told.ndim == 1 else told
-            told = as_whole("modes", told, (steps, paths))
-            if not ((told >= 0) & (told < self.modes)).all():
+            modes = np.asarray(modes)
+            modes = np.repeat(modes[:, None], paths, axis=1) if modes.ndim == 1 else modes
+            modes = as_whole("modes", modes, (steps, paths))
+            if not ((modes >= 0) & (modes < self.modes)).all():
                 raise ValueError(f"modes: wanted numbers from 0 to {self.modes - 1}, got others")
-        made = simulate(self.hybrid, times, paths, seed, told=told, **options)
-        m, shown = self.measurement_size, made.measurements
-        indicators, modes = None, made.states[:, -1].astype(int)
+        data, m = (
+            simulate(self.hybrid, times, paths, seed, modes=modes, **options),
+            self.sensors[0].size,
+        )
+        modes, indicators = data.states[:, -1].astype(int), None
         if self.indicators:
-            indicators = np.where(np.isnan(shown[:, m]), -1.0, shown[:, m]).astype(int)
-        return Simulation(made.times, made.states[:, :-1], shown[:, :m], modes, indicators)
+            values = data.measurements[:, m]
+            indicators = np.where(np.isnan(values), -1.0, values).astype(int)
+        return Simulation(
+            data.times, data.states[:, :-1], data.measurements[:, :m], modes, indicators
+        )
 
 
 class Hybrid(Parametrized):
@@ -577,7 +582,7 @@ class Hybrid(Parametrized):
     state_size : int
         n + 1.
     measurement_size : int
-        m, or m + 1 where an indicator is shown.
+        m, or m + 1 where there is an indicator.
     sensor : HybridSensor
     mean0 : ndarray, shape (n + 1,)
         A harmless mixed state.
@@ -592,19 +597,21 @@ class Hybrid(Parametrized):
         self.sensor: HybridSensor = HybridSensor(system)
         self.indicators: int = system.indicators
         self.measurement_size: int = self.sensor.size
-        # of the numbers the user gave, so no rounding decides; it is a stand-in for lost paths only
+        # of the numbers the user gave, so no rounding decides; it stands in for diverged paths only
         likely = system.initial[int(np.argmax(system.initial_probabilities))]
         self.mean0: np.ndarray = np.append(
             likely.mean, float(np.argmax(system.initial_probabilities))
         )
         self.initial_laws: list[Any] = [(part.mean, cholesky(part.cov)) for part in system.initial]
 
-    def initial_sample(self, rng: Source, count: int, told: np.ndarray | None = None) -> np.ndarray:
-        """Draws of mode and state, shape (n + 1, count); in the modes `told`, (count,), if any."""
+    def initial_sample(
+        self, rng: Source, count: int, modes: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Draws of mode and state, shape (n + 1, count); in given modes, (count,), if any."""
         bounds = np.cumsum(self.system.initial_probabilities)
         moving, choosing = rng.spawn(2)
         mode = _chosen(bounds[:-1, None], drawn(choosing, count, Generator.random))
-        mode = mode if told is None else told
+        mode = mode if modes is None else modes
         noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
@@ -620,12 +627,12 @@ class Hybrid(Parametrized):
         stop: float,
         rng: Source,
         p: Values | None = None,
-        told: np.ndarray | None = None,
+        modes: np.ndarray | None = None,
     ) -> np.ndarray:
         """Mixed states (n + 1, *batch) one step later; the noises are those of the old time.
 
         The numbers `p` are the system's own by default. The new modes are drawn, unless they are
-        `told`, (*batch).
+        given, (*batch).
         """
         p = self.values(dt=stop - start) if p is None else p
         flat, old_drives = x.reshape(len(x), -1), self.system.drives == "old"
@@ -638,10 +645,10 @@ class Hybrid(Parametrized):
             old, noise, own = flat[:-1, here], v[:, here], of_paths(p, x.shape[1:], here)
             if old_drives:
                 moved[:-1, here] = self.system.dynamics[i].value(start, old, noise, own)
-            if told is None:
+            if modes is None:
                 moved[-1, here] = _branch(row, start, old, noise, own, choice[here])
-        if told is not None:
-            moved[-1] = told.ravel()
+        if modes is not None:
+            moved[-1] = modes.ravel()
         if not old_drives:
             for l, map in enumerate(self.system.dynamics):
                 here = moved[-1] == l
@@ -686,23 +693,19 @@ class HybridSensor:
         system = self.system
         batch = np.broadcast_shapes(y.shape[1:], x.shape[1:])
         y, x = np.broadcast_to(y, (len(y), *batch)), np.broadcast_to(x, (len(x), *batch))
-        found = np.full(batch, -np.inf)
+        density = np.full(batch, -np.inf)
         for i, row in enumerate(system.readings):
-            here = x[-1] == i
-            if not system.indicators:
-                own = of_paths(p, batch, here)
-                found[here] = row[0].log_density(t, y[:, here], x[:-1, here], own)
-                continue
-            unseen = here & np.isnan(y[-1])
-            if unseen.any():
-                shown, known, own = y[:-1, unseen], x[:-1, unseen], of_paths(p, batch, unseen)
-                found[unseen] = system.sensors[i].log_density(t, shown, known, own)
-            for j, branch in enumerate(row):
-                both = here & (y[-1] == j)
-                if branch is not None and both.any():
-                    own = of_paths(p, batch, both)
-                    found[both] = branch.log_density(t, y[:-1, both], x[:-1, both], own)
-        return found
+            mode = x[-1] == i
+            readings = [(row[0], mode)]
+            if system.indicators:
+                readings = [(branch, mode & (y[-1] == j)) for j, branch in enumerate(row)]
+                readings.append((system.sensors[i], mode & np.isnan(y[-1])))
+            for reading, mask in readings:
+                if reading is not None and mask.any():
+                    own = of_paths(p, batch, mask)
+                    values = y[: system.measurement_size, mask]
+                    density[mask] = reading.log_density(t, values, x[:-1, mask], own)
+        return density
 
 
 def _branch(

@@ -237,7 +237,7 @@ def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
         wanted = np.where(np.isnan(y), 0.0, wanted)
         wanted = wanted + (np.log(chance[int(told)]) if told >= 0 else 0.0)
         np.testing.assert_allclose(row, wanted, rtol=1e-12, atol=1e-13)
-    mean, deviation = chain.reach(1.5)
+    mean, deviation = chain.measurement_moments(1.5)
     np.testing.assert_allclose(mean[0], [*(nodes + 1.5), *(2 * nodes)])
     np.testing.assert_allclose(deviation[0], [1.0] * 12 + [0.5] * 12)
 
