@@ -129,15 +129,13 @@ class Reciprocals:
 
     Attributes
     ----------
-    inverses : list
-        One for each pivot.
     redundant : dict
         Components that are redundant somewhere: where, and their variances.
     """
 
     def __init__(self, batched: bool) -> None:
         self.everywhere: Callable[[Any], bool] = np.ndarray.all if batched else bool
-        self.inverses: list[Any] = []
+        self.count = 0
         self.redundant: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
@@ -146,11 +144,11 @@ class Reciprocals:
         if self.everywhere(regular):
             inverse = 1.0 / pivot
         else:
-            self.redundant[len(self.inverses)] = np.logical_not(regular), variance
+            self.redundant[self.count] = np.logical_not(regular), variance
             broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
             pivot = np.where(regular, pivot, 1.0)
             inverse = np.where(broken, np.nan, regular / pivot)
-        self.inverses.append(inverse)
+        self.count += 1
         return inverse, pivot
 
 
@@ -170,15 +168,13 @@ def solve_psd(S: np.ndarray, B: np.ndarray) -> np.ndarray:
     X : ndarray, shape (m, k, *batch)
     """
     depth = max(S.ndim, B.ndim) - 2
-    rows, S = list(align(B, 2, depth)), align(S, 2, depth)
+    S, B = align(S, 2, depth), align(B, 2, depth)
     factor = [list(row) for row in S] if depth else S.tolist()
-    reciprocals = Reciprocals(depth > 0)
-    eliminate([], None, rows, [], factor, reciprocals)
-    for j in reversed(range(len(rows))):
-        for i in range(j + 1, len(rows)):
-            rows[j] = rows[j] - factor[i][j] * rows[i]
-        rows[j] = rows[j] * reciprocals.inverses[j]
-    return np.array(rows)
+    # Bᵀ S⁻¹ is what unit innovations of covariance S add to a vector with cross-covariance Bᵀ
+    columns, units = [0.0] * B.shape[1], list(align(np.eye(len(S)), 2, depth))
+    cross = [list(row) for row in B.swapaxes(0, 1)]
+    eliminate(columns, None, units, cross, factor, Reciprocals(depth > 0))
+    return np.stack(columns, axis=1)
 
 
 def mahalanobis(error: np.ndarray, cov: np.ndarray) -> np.ndarray:

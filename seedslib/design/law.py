@@ -19,7 +19,7 @@ from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.memory import Memory
 from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
-from seedslib.models.chains import chain_of
+from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
 
 NEGLIGIBLE = 1e-290
@@ -294,7 +294,8 @@ class JointLaw:
             raise TypeError(f"memory: wanted a Memory, got {memory!r}")
         as_system("system", system, "JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
         (x,) = as_grids("x", x, 1)
-        self.chain: Any = chain_of(system, x)
+        require_few(system, 1)
+        self.chain: GridChain = grid_chain(system, x)
         require_like_blocks(memory, self.chain.indicators, " for a grid")
         self.system: AnySystem = system
         self.memory: Memory = memory
@@ -325,7 +326,7 @@ class JointLaw:
                 f"memory: wanted at most {LARGEST} numbers on the grid, got {entries:.3g}: fewer "
                 "nodes or a shorter memory"
             )
-        self.joint: np.ndarray = self.chain.start()[None]
+        self.joint: np.ndarray = self.chain.initial[None]
         self.errors: list[tuple] = []  # mse, bias, clamped, wrong at each measurement
         self.scores: list[tuple[float, float]] = []  # time and mse, nodes included
 

@@ -65,7 +65,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
 
     Parameters
     ----------
-    chain : PlaneChain or SwitchingChain
+    chain : GridChain
     times : array_like, shape (K+1,)
     z : two of Axis or (low, high, count)
         Nodes of the remembered estimates.
@@ -82,7 +82,7 @@ def plane_steps(chain: Any, times: ArrayLike, *, z: AxesLike, y: AxesLike) -> It
     points, weights = mesh(y), np.ones(1)
     for axis in y:
         weights = np.outer(weights, axis.weights).ravel()
-    law, cells = chain.start()[:, None], np.zeros(1, dtype=np.intp)
+    law, cells = chain.initial[:, None], np.zeros(1, dtype=np.intp)
     for k, t in enumerate(followed(times, "density recursion")):
         if k:
             law = chain.move(law, float(times[k - 1]), float(t))

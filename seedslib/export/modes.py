@@ -19,7 +19,7 @@ from seedslib.export.kernels import correct, lower_of, unpacked
 from seedslib.export.step import Step, any_of
 from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 from seedslib.filters.weights import TIE, logarithm
-from seedslib.linearization.formulas import Names, mentions
+from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import TINY
 from seedslib.models.codegen import compile_components
 from seedslib.models.kinds import inputs_of
@@ -367,7 +367,7 @@ def _moments(
     numbers: Values,
 ) -> list[Any]:
     """Moments of the branches of one mode, None where there is no branch."""
-    rule, n, names = step.filter.linearization, step.n, Names()
+    rule, n = step.filter.linearization, step.n
     symbols, lower, matrix = gaussian_symbols(n)
     known = [branch for branch in branches if branch is not None]
     if all(branch.constant for branch in known):
@@ -375,11 +375,11 @@ def _moments(
         state = list(symbols), matrix
         formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
     else:
-        formulas = [rule.branch(branch.map, list(symbols), matrix, names) for branch in known]
+        formulas = [rule.branch(branch.map, list(symbols), matrix) for branch in known]
     flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
     system = step.filter.system
     arguments = system.time, symbols, lower, system.parameters
-    evaluate = compile_components(arguments, [e for row in flat for e in row], names.table)
+    evaluate = compile_components(arguments, [e for row in flat for e in row])
     values = iter(evaluate(t, list(mean), list(lower_of(cov)), numbers))
     result: list[BranchMoments | None] = []
     for branch in branches:
@@ -387,7 +387,7 @@ def _moments(
             result.append(None)
             continue
         mass, *parts = formulas.pop(0)
-        varies, value = mentions(names.meaning(mass), {*symbols, *lower}), next(values)
+        varies, value = mentions(mass, {*symbols, *lower}), next(values)
         x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
         d = len(y)
         shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)

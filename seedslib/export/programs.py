@@ -137,4 +137,8 @@ def recorded(filter: Any, parameters: bool = False) -> Step:
                 _warn_of_wide_prior(filter)
             record(step)
             return step
-    raise TypeError(f"filter: wanted a filter that has C, got {type(filter).__name__}")
+    tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
+    raise TypeError(
+        "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
+        f"CovarianceFilter, got {type(filter).__name__}" + tables * hasattr(filter, "tabulated")
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import ChainMap
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, TypeAlias
@@ -92,7 +92,7 @@ class Scalar(NDArrayOperatorsMixin):
         if method != "__call__" or options:
             return NotImplemented
         if any(isinstance(x, np.ndarray) and x.ndim for x in inputs):  # element by element
-            return np.frompyfunc(ufunc, len(inputs), 1)(*map(_boxed, inputs))
+            return each(ufunc, *inputs)
         inputs = tuple(x if type(x) is Scalar else float(x) for x in inputs)
         if name in COMPOSED:
             return COMPOSED[name](*inputs)
@@ -147,6 +147,16 @@ def _boxed(value: Any) -> Any:
     return box
 
 
+def each(function: Callable[..., Any], *parts: Any) -> np.ndarray:
+    """A function element by element of arrays.
+
+    By hand: ``np.frompyfunc`` warns of flags of the processor that others have left.
+    """
+    arrays = np.broadcast_arrays(*map(_boxed, parts))
+    rows = zip(*(array.ravel().tolist() for array in arrays), strict=True)
+    return stacked([function(*row) for row in rows]).reshape(arrays[0].shape)
+
+
 def stacked(values: Sequence[Any]) -> np.ndarray:
     """One-dimensional array of numbers."""
     result = np.empty(len(values), dtype=object)
@@ -164,21 +174,17 @@ def _choose(condition: Any, first: Number, second: Number) -> Number:
     return condition.tape.node("choose", condition, first, second)
 
 
-_choose_each = np.frompyfunc(_choose, 3, 1)
-
-
 def choose(condition: Any, first: Any, second: Any) -> Any:
     """`first` where the truth holds, else `second`; element by element of arrays."""
     if any(isinstance(part, np.ndarray) for part in (condition, first, second)):
-        return _choose_each(*map(_boxed, (condition, first, second)))
+        return each(_choose, condition, first, second)
     return _choose(condition, first, second)
 
 
 def _truth_of(name: str) -> Any:
     known = getattr(math, name)
     one = lambda x: x.tape.node(name, x) if type(x) is Scalar else known(x)  # noqa: E731
-    each = np.frompyfunc(one, 1, 1)
-    return lambda x: each(x) if isinstance(x, np.ndarray) else one(x)
+    return lambda x: each(one, x) if isinstance(x, np.ndarray) else one(x)
 
 
 isnan, isinf, isfinite = map(_truth_of, ("isnan", "isinf", "isfinite"))

@@ -339,6 +339,11 @@ def joined(blocks: list[Estimates], batch: tuple[int, ...]) -> Estimates:
     return Estimates(*whole)
 
 
+def clean(batch: tuple[int, ...]) -> dict[str, np.ndarray]:
+    """Fields of a state before any measurement: no log-likelihood, nothing diverged."""
+    return {"loglik": np.zeros(batch), "diverged": np.zeros(batch, dtype=bool)}
+
+
 class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 

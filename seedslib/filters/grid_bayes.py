@@ -9,12 +9,12 @@ import numpy as np
 
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import outside
-from seedslib.base.tables import Axis, Grid, Nodes
+from seedslib.base.tables import Axis, Grid, Nodes, as_grids
 from seedslib.base.values import Values
-from seedslib.filters.base import Estimates, Filter
+from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
-from seedslib.models.chains import DiscreteChain, SwitchingChain, require_scalar
+from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_system, switches
 
 FAINT = -460.0
@@ -91,12 +91,13 @@ class GridBayesFilter(Filter):
         as_system("system", system, "DiscreteSystem", "SwitchingSystem")
         self.system: Any = system
         if switches(system):
-            require_scalar(system)
-            self.chain: Any = SwitchingChain(system, Axis.of("x", x))
-            self.axes: tuple[Axis | Nodes, ...] = (self.chain.axis,)
+            require_few(system, 1)
+            axes: Any = [Axis.of("x", x)]
         else:
-            self.chain = DiscreteChain(system, x)
-            self.axes = self.chain.axes
+            require_few(system)
+            axes = as_grids("x", x, system.state_size)
+        self.chain: GridChain = grid_chain(system, axes)
+        self.axes: tuple[Axis | Nodes, ...] = self.chain.axes
         self._modes: int = self.chain.modes
         self._count: int = self.chain.values.shape[1] // self._modes
         x = self.chain.values[: len(self.axes), : self._count]
@@ -105,11 +106,11 @@ class GridBayesFilter(Filter):
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self._modes, self._count)
-        node_prob = align(self.chain.start().reshape(shape), 2, len(batch))
+        node_prob = align(self.chain.initial.reshape(shape), 2, len(batch))
         log_prob, node_prob = _split(np.broadcast_to(node_prob, (*shape, *batch)))
         self._warn_of_loss(log_prob, 0.0)
-        moments, diverged = self._moments(log_prob, node_prob), np.zeros(batch, dtype=bool)
-        return GridState(None, log_prob, node_prob, *moments, np.zeros(batch), diverged)
+        parts = {"log_prob": log_prob, "node_prob": node_prob}
+        return GridState(None, **parts, **self._estimate(**parts), **clean(batch))
 
     def propagate(self, state: GridState, t: float, p: Values) -> GridState:
         """The distribution one step of the system later."""
@@ -127,10 +128,8 @@ class GridBayesFilter(Filter):
                 l, transition, state.log_prob[:, mask], state.node_prob[:, :, mask]
             )
         self._warn_of_loss(log_prob, state.log_prob)
-        prob, mean, cov = self._moments(log_prob, node_prob)
-        return state._replace(
-            log_prob=log_prob, node_prob=node_prob, mode_prob=prob, mean=mean, cov=cov
-        )
+        parts = {"log_prob": log_prob, "node_prob": node_prob}
+        return state._replace(**parts, **self._estimate(**parts))
 
     def _into_mode(
         self, l: int, transition: np.ndarray, log_prob: np.ndarray, node_prob: np.ndarray
@@ -166,10 +165,9 @@ class GridBayesFilter(Filter):
         diverged = state.diverged | unexplained
         if not np.isnan(y).all():
             diverged = diverged | self._at_ends(log_prob, node_prob)
-        prob, mean, cov = self._moments(log_prob, node_prob)
-        return GridState(
-            state.time, log_prob, node_prob, prob, mean, cov, loglik, diverged, state.interval
-        )
+        parts = {"log_prob": log_prob, "node_prob": node_prob}
+        estimate = self._estimate(**parts)
+        return state._replace(loglik=loglik, diverged=diverged, **parts, **estimate)
 
     def _at_ends(self, log_prob: np.ndarray, node_prob: np.ndarray) -> np.ndarray:
         """Where nearly all that is left of the probability is on the outermost nodes, (*batch)."""
@@ -181,9 +179,9 @@ class GridBayesFilter(Filter):
         """Exact on the nodes; see `Filter.smoother`."""
         return GridSmoother(self)
 
-    def moments_of(self, joint: np.ndarray) -> tuple[Any, ...]:
+    def estimate(self, joint: np.ndarray) -> dict[str, Any]:
         """Mode probabilities or None, mean and covariance of joint distributions (S, N)."""
-        return self._moments(*_split(joint.reshape(self._modes, self._count, -1)))
+        return self._estimate(*_split(joint.reshape(self._modes, self._count, -1)))
 
     def _warn_of_loss(self, log_prob: np.ndarray, before: np.ndarray | float) -> None:
         """Warn where a step changes the probability: by what leaves the nodes or is between."""
@@ -198,12 +196,8 @@ class GridBayesFilter(Filter):
                 stacklevel=outside(),
             )
 
-    def _moments(self, log_prob: np.ndarray, node_prob: np.ndarray) -> tuple[Any, ...]:
-        prob, x, depth = (
-            np.exp(log_prob),
-            self.chain.values[:, : self._count],
-            node_prob.ndim - 2,
-        )
+    def _estimate(self, log_prob: np.ndarray, node_prob: np.ndarray) -> dict[str, Any]:
+        prob, x = np.exp(log_prob), self.chain.values[:, : self._count]
         if self.chain.loses:
             prob = prob / prob.sum(axis=0)
         marginal = np.einsum("l...,ls...->s...", prob, node_prob)
@@ -211,12 +205,12 @@ class GridBayesFilter(Filter):
         origin = x[:, self._count // 2]
         offset = x - origin[:, None]
         shift = np.stack([np.tensordot(row, marginal, 1) for row in offset])
-        centred = list(align(offset, 2, depth) - shift[:, None])
+        centred = list(align(offset, 2, prob.ndim - 1) - shift[:, None])
         cov = [
             [((a**2 if a is b else a * b) * marginal).sum(axis=0) for b in centred] for a in centred
         ]
-        mean = shift + align(origin, 1, depth)
-        return prob if switches(self.system) else None, mean, np.array(cov)
+        mean, cov = shift + align(origin, 1, prob.ndim - 1), np.array(cov)
+        return {"mode_prob": prob if switches(self.system) else None, "mean": mean, "cov": cov}
 
 
 class GridSmoother(Smoother):
@@ -251,9 +245,9 @@ class GridSmoother(Smoother):
 
     def report(self, smoothed: Any) -> Estimates:
         """Mean, covariance, and the modes with their probabilities, where there are modes."""
-        prob, mean, cov = self.filter.moments_of(smoothed)
-        modes = None if prob is None else most_probable(prob)
-        return Estimates(mean, cov, prob, modes=modes)
+        estimate = self.filter.estimate(smoothed)
+        prob = estimate["mode_prob"]
+        return Estimates(**estimate, modes=None if prob is None else most_probable(prob))
 
 
 def _split(joint: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

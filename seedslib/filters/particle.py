@@ -13,7 +13,7 @@ from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
 from seedslib.base.values import Values
-from seedslib.filters.base import Estimates, Filter
+from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
 
@@ -92,9 +92,7 @@ class ParticleFilter(Filter):
         x = self._moving.initial_sample(stream(seed, 0), count)
         x = x.reshape(len(x), self.particles, *batch)
         mean, cov, prob = self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles))
-        return ParticleState(
-            None, x, seed, 1, mean, cov, np.zeros(batch), np.zeros(batch, dtype=bool), prob
-        )
+        return ParticleState(None, x, seed, 1, mean, cov, **clean(batch), mode_prob=prob)
 
     def propagate(self, state: ParticleState, t: float, p: Values) -> ParticleState:
         """The particles at time t."""
@@ -133,15 +131,10 @@ class ParticleFilter(Filter):
         if np.isfinite(y).any():
             chosen = resampled(weight, self.particles, rng)
             x = np.take_along_axis(x, chosen[None], axis=1)
-        return state._replace(
-            particles=x,
-            draws=state.draws + 1,
-            mean=mean,
-            cov=cov,
-            mode_prob=prob,
-            loglik=np.where(unexplained, -np.inf, highest + np.log(total / self.particles)),
-            diverged=state.diverged | unexplained,
-        )
+        loglik = np.where(unexplained, -np.inf, highest + np.log(total / self.particles))
+        diverged = state.diverged | unexplained
+        estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
+        return state._replace(particles=x, draws=state.draws + 1, diverged=diverged, **estimate)
 
     def forecast(self, state: ParticleState, t: float, *, inputs: Any = None) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""

@@ -11,7 +11,7 @@ from seedslib.base.arrays import Count, align
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
 from seedslib.base.values import Values, of_paths
-from seedslib.filters.base import Filter
+from seedslib.filters.base import Filter, clean
 from seedslib.filters.covariance import SensorUpdate
 from seedslib.filters.particle import resampled, stream
 from seedslib.filters.weights import logarithm, mix, normalised
@@ -98,9 +98,9 @@ class RaoBlackwellFilter(Filter):
             np.broadcast_to(align(part, part.ndim, 1 + len(batch)), (*part.shape, 1, *batch))
             for part in (prob, mean, cov)
         )
-        estimate = _estimate(prob, mean, cov)
-        loglik, diverged = np.zeros(batch), np.zeros(batch, dtype=bool)
-        return RaoBlackwellState(None, prob, mean, cov, seed, 0, *estimate, loglik, diverged)
+        return RaoBlackwellState(
+            None, prob, mean, cov, seed, 0, **_estimate(prob, mean, cov), **clean(batch)
+        )
 
     def propagate(self, state: RaoBlackwellState, t: float, p: Values) -> RaoBlackwellState:
         """Histories one step of the system later."""
@@ -111,10 +111,8 @@ class RaoBlackwellFilter(Filter):
         mode = np.broadcast_to(mode, log_prob.shape)
         if count > self.particles:
             chosen = resampled(np.exp(log_prob), self.particles, stream(state.seed, draws))
-            mean, cov = (
-                np.take_along_axis(mean, chosen[None], axis=1),
-                np.take_along_axis(cov, chosen[None, None], axis=2),
-            )
+            mean = np.take_along_axis(mean, chosen[None], axis=1)
+            cov = np.take_along_axis(cov, chosen[None, None], axis=2)
             mode = np.take_along_axis(mode, chosen, axis=0)
             log_prob = np.full(mode.shape, -np.log(self.particles))
             draws += 1
@@ -139,16 +137,8 @@ class RaoBlackwellFilter(Filter):
             means = np.broadcast_to(new_mean[:, None], (n, modes, *log_prob.shape))
             covs = np.broadcast_to(new_cov[:, :, None], (n, n, modes, *log_prob.shape))
         log_prob = log_prob + log_switch
-        mean, cov, mode_prob = _estimate(log_prob, means, covs)
-        return state._replace(
-            log_prob=log_prob,
-            means=means,
-            covs=covs,
-            draws=draws,
-            mean=mean,
-            cov=cov,
-            mode_prob=mode_prob,
-        )
+        parts = {"log_prob": log_prob, "means": means, "covs": covs}
+        return state._replace(draws=draws, **parts, **_estimate(**parts))
 
     def update(
         self,
@@ -179,17 +169,9 @@ class RaoBlackwellFilter(Filter):
             loglik = np.where(unexplained, -np.inf, loglik)
             means = np.where(unexplained, state.means, means)
             covs = np.where(unexplained, state.covs, covs)
-        mean, cov, mode_prob = _estimate(log_prob, means, covs)
-        return state._replace(
-            log_prob=log_prob,
-            means=means,
-            covs=covs,
-            mean=mean,
-            cov=cov,
-            mode_prob=mode_prob,
-            loglik=loglik,
-            diverged=state.diverged | unexplained,
-        )
+        parts = {"log_prob": log_prob, "means": means, "covs": covs}
+        diverged = state.diverged | unexplained
+        return state._replace(loglik=loglik, diverged=diverged, **parts, **_estimate(**parts))
 
 
 def require_jump_linear(system: AnySystem) -> None:
@@ -239,10 +221,8 @@ def _flattened(prob: np.ndarray, means: np.ndarray, covs: np.ndarray) -> tuple[n
     return prob.reshape(-1, *batch), means, covs
 
 
-def _estimate(
-    log_prob: np.ndarray, means: np.ndarray, covs: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _estimate(log_prob: np.ndarray, means: np.ndarray, covs: np.ndarray) -> dict[str, np.ndarray]:
     """Mean, covariance and mode probabilities of a weighted mixture."""
     prob = np.exp(log_prob)
     _, mean, cov = mix(*_flattened(prob, means, covs))
-    return mean, cov, prob.sum(axis=1)
+    return {"mean": mean, "cov": cov, "mode_prob": prob.sum(axis=1)}

@@ -101,8 +101,8 @@ def multiply(left: Terms, right: Terms) -> Terms:
     total: Terms = {}
     for key_a, a in left.items():
         for key_b, b in right.items():
-            if key_a.plane and key_b.plane and _apart(key_a.plane, key_b.plane):
-                continue
+            if key_a.plane and key_b.plane and _disjoint(key_a.plane, key_b.plane):
+                continue  # the two sides of one plane
             poly = a * b
             exponent = dict(key_a.exponent)
             for monomial, c in key_b.exponent:
@@ -112,7 +112,7 @@ def multiply(left: Terms, right: Terms) -> Terms:
             if key_a.norm is not None and key_b.norm is not None:
                 if key_a.norm != key_b.norm:
                     raise Clash("wanted at most one norm to a term")
-                poly, norm = poly * key_a.norm, None
+                poly, norm = poly * key_a.norm, None  # a norm squared is a polynomial
             key = Key(
                 tuple(sorted((m, c) for m, c in exponent.items() if c != 0)),
                 _meet(key_a.plane, key_b.plane),
@@ -133,25 +133,15 @@ def folded(terms: Terms) -> Terms:
     The mean of a tail then keeps its digits, which the difference from the whole would lose.
     """
     result = dict(terms)
-    for whole, poly in terms.items():
-        if whole.plane is not None:
-            continue
-        sides: dict[tuple[Any, ...], Terms] = {}  # those that differ on the boundary together
-        for key, part in terms.items():
-            if key.plane and key._replace(plane=None) == whole:
-                sides.setdefault(key.plane.place, {})[key] = part
-        for side in sides.values():
-            if sum(side.values(), poly).is_zero:
-                del result[whole]
-                for key, part in side.items():
-                    del result[key]
-                    other = key._replace(plane=opposite(key.plane))
-                    result = add_terms(result, {other: -part})
-                break
+    for key, part in terms.items():
+        whole = key._replace(plane=None)
+        if key.plane and whole in result and (result[whole] + part).is_zero:
+            del result[whole], result[key]
+            result = add_terms(result, {key._replace(plane=opposite(key.plane)): -part})
     return result
 
 
-def _apart(left: Plane, right: Plane) -> bool:
+def _disjoint(left: Plane, right: Plane) -> bool:
     """Whether two half-spaces share nothing but their boundary."""
     return not left.blurred and left.place == opposite(right).place
 
@@ -356,32 +346,15 @@ class Reader:
 
     def _exponential(self, function: type, argument: sp.Expr, node: sp.Expr) -> Terms:
         inner = self.read(argument)
-        planes = {key.plane for key in inner}
-        beyond = any(key.exponent or key.norm or (key.plane and key.plane.blurred) for key in inner)
-        if beyond or len(planes - {None}) > 1:
-            raise self.refuse(node, "wanted an exponent that is a polynomial of degree two")
-        outside = inner.get(PLAIN, sp.Poly(0, *self.symbols))
-        off = self._affine_exponential(function, outside, node)
-        if planes <= {None}:
-            return off
-        # g(a + 1{u > 0} b) = 1{u > 0} g(a + b) + 1{u < 0} g(a): each exponential only on its own
-        # side, where it does not overflow and nothing cancels
-        (key,) = (key for key in inner if key.plane)
-        on = self._affine_exponential(function, outside + inner[key], node)
-        sides = [(key.plane, on), (opposite(key.plane), off)]
-        halves = [multiply({Key(plane=side): self.one[PLAIN]}, terms) for side, terms in sides]
-        return add_terms(*halves)
-
-    def _affine_exponential(self, function: type, argument: sp.Poly, node: sp.Expr) -> Terms:
-        if argument.total_degree() > 2:
+        poly = inner.get(PLAIN, sp.Poly(0, *self.symbols))
+        if set(inner) - {PLAIN} or poly.total_degree() > 2:
             raise self.refuse(node, "wanted an exponent that is a polynomial of degree two")
         total: Terms = {}
-        for coefficient, exponent in EXPONENTIALS[function](argument.as_expr()):
+        for coefficient, exponent in EXPONENTIALS[function](poly.as_expr()):
             parts = sp.Poly(exponent, *self.symbols).as_dict(native=False)
             free = parts.pop((0,) * len(self.symbols), sp.S.Zero)
-            key = Key(tuple(sorted(parts.items())))
             scale = sp.Poly(coefficient * sp.exp(free), *self.symbols)
-            total = add_terms(total, {key: scale})
+            total = add_terms(total, {Key(tuple(sorted(parts.items()))): scale})
         return total
 
     def _affine(self, argument: sp.Expr, node: sp.Expr) -> sp.Poly:
@@ -394,36 +367,35 @@ class Reader:
         )
 
     def _step(self, argument: sp.Expr, edge: sp.Expr, node: sp.Expr) -> Terms:
-        """Indicator of ``argument > 0``, in a normal form that recognises equal planes."""
+        """Indicator of ``argument > 0``, in a normal form that recognises equal planes.
+
+        It is not written as one minus that of the other side, which would lose a tail.
+        """
         poly = self._affine(argument, node)
         if poly.total_degree() <= 0:  # no variables, or they cancel
             return self.constant(sp.Heaviside(poly.as_expr(), edge))
         normal = [poly.coeff_monomial(x) for x in self.symbols]
         lead = next(c for c in normal if c != 0)
-        if lead.is_negative:
-            return self._less(self.one, self._step(-argument, 1 - edge, node))
-        scale = lead if lead.is_positive else sp.S.One
+        # a parameter of unknown sign cannot be divided by without turning the side
+        scale = abs(lead) if lead.is_positive or lead.is_negative else sp.S.One
         plane = Plane(
             tuple(c / scale for c in normal), poly.coeff_monomial(sp.S.One) / scale, sp.S(edge)
         )
         return {Key(plane=plane): self.one[PLAIN]}
 
     def _normal_cdf(self, node: sp.Expr) -> Terms:
-        """Error functions by ``Phi(u) = E 1{u > U}``, in the form with a positive leading sign."""
-        argument = node.args[0] * (1 if isinstance(node, NormalCDF) else sp.sqrt(2))
-        poly = self._affine(sp.expand(argument), node)
+        """Error functions by ``Phi(u) = E 1{u > U}`` with an independent normal number U."""
+        scale = {NormalCDF: 1, sp.erf: sp.sqrt(2), sp.erfc: -sp.sqrt(2)}[node.func]
+        poly = self._affine(sp.expand(node.args[0] * scale), node)
         if poly.total_degree() <= 0:
             return self.constant(node.xreplace({node.args[0]: sp.expand(node.args[0])}))
         normal = tuple(poly.coeff_monomial(x) for x in self.symbols)
         plane = Plane(normal, poly.coeff_monomial(sp.S.One), sp.S.Half, blurred=True)
-        minus = next(c for c in normal if c != 0).is_negative
-        below = {Key(plane=opposite(plane) if minus else plane): self.one[PLAIN]}
-        if minus:
-            below = self._less(self.one, below)
+        below = {Key(plane=plane): self.one[PLAIN]}
         if isinstance(node, NormalCDF):
             return below
-        shift, scale = (-1, 2) if isinstance(node, sp.erf) else (2, -2)
-        return add_terms(self.constant(sp.S(shift)), multiply(self.constant(sp.S(scale)), below))
+        shift = self.constant(sp.S(-1 if isinstance(node, sp.erf) else 0))
+        return add_terms(shift, multiply(self.constant(sp.S(2)), below))
 
     def _abs(self, argument: sp.Expr, node: sp.Expr) -> Terms:
         affine = self.constant(self._affine(argument, node).as_expr())
@@ -436,26 +408,29 @@ class Reader:
     def _larger(self, node: sp.Expr) -> Terms:
         first, second = node.args
         gap = sp.expand(first - second if isinstance(node, sp.Max) else second - first)
+        if first == 0:  # as SymPy sorts them; the other side alone keeps a tail
+            return multiply(self.read(second), self._step(-gap, sp.S.Half, node))
         step = self._step(gap, sp.S.Half, node)
-        signed = self.read(sp.expand(first - second))
-        return add_terms(self.read(second), multiply(signed, step))
+        return add_terms(self.read(second), multiply(self.read(sp.expand(first - second)), step))
 
     def _piecewise(self, node: sp.Piecewise) -> Terms:
-        total, left = self.constant(sp.S.Zero), self.one
+        total, rest = self.constant(sp.S.Zero), self.one
         for value, condition in node.args:
-            here = multiply(left, self._condition(condition, node))
-            total = add_terms(total, multiply(here, self.read(value)))
-            left = self._less(left, here)
-        if left:
+            inside, outside = self._condition(condition, node)
+            total = add_terms(total, multiply(multiply(rest, inside), self.read(value)))
+            rest = multiply(rest, outside)
+        if rest:
             raise self.refuse(node, "wanted a value for every x, the last condition True")
         return total
 
-    def _condition(self, condition: sp.Basic, node: sp.Expr) -> Terms:
+    def _condition(self, condition: sp.Basic, node: sp.Expr) -> tuple[Terms, Terms]:
+        """Indicators of where a condition holds and of where it does not."""
         if condition == sp.true:
-            return self.one
+            return self.one, {}
         if isinstance(condition, (sp.Gt, sp.Ge, sp.Lt, sp.Le)):
             edge = sp.S.One if isinstance(condition, (sp.Ge, sp.Le)) else sp.S.Zero
-            return self._step(condition.gts - condition.lts, edge, node)
+            gap = condition.gts - condition.lts
+            return self._step(gap, edge, node), self._step(-gap, 1 - edge, node)
         raise self.refuse(
             node, f"wanted one inequality to a piece, got {condition.xreplace(self.names)}"
         )

@@ -49,7 +49,7 @@ from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
 # is asked for thirteen of them, a variance, which is taken for whole batches, for twelve.
 CANCELLED_ERROR, CANCELLED_VARIANCE = 1e-2, 1e-3
 ENTRIES = 2_000_000  # of the moment matrices of a block: they stay below the memory of a batch
-ROUNDING = 4e-16
+NEGLIGIBLE = 4e-16  # an estimate's share of the variance across a plane: it is a point
 ALMOST_LINEAR = 1e-5  # trace of the covariance beside the squared distance: see `NormErrors`
 
 
@@ -343,16 +343,17 @@ class PolynomialErrors(_Engine):
             for table in (taylor_coefficients(own, xhat), taylor_coefficients(jump, xhat))
         )
         steps[0] = 0.0
-        start, ones = np.zeros_like(xhat), np.ones(xhat.shape[1])
-        means = monomial_means(pairs, start, cov, zeroth=ones)
-        moments = np.array([ones * means[index] for index in pairs])[place]
+        # of e: common to all estimates where the covariance is
+        start = np.zeros((len(xhat), *(cov.shape[2:] or (1,))))
+        means = monomial_means(pairs, start, cov, zeroth=np.ones(start.shape[1:]))
+        moments = np.array([means[index] for index in pairs])[place]
         first = np.einsum("ak,apk->pk", moments[0], steps)
         by_steps = np.einsum("abk,bpk->apk", moments, steps)
         by_jumps = np.zeros_like(jumps)
         if jumps.any():
             beyond = HalfSpace(-sign * self.plane.normal, -distance, 1.0)
             means, log_scale = half_space_means(pairs, beyond, start, cov)
-            moments = np.array([np.exp(log_scale) * means[index] for index in pairs])[place]
+            moments = (np.exp(log_scale) * np.array([means[index] for index in pairs]))[place]
             first += np.einsum("ak,apk->pk", moments[0], jumps)
             by_steps += np.einsum("abk,bpk->apk", moments, jumps)
             by_jumps = np.einsum("abk,bpk->apk", moments, steps + jumps)
@@ -382,7 +383,7 @@ class PiecewiseErrors(PolynomialErrors):
         direction, level = estimate_cov @ normal, normal @ mean + self.plane.offset
         variance, rest = normal @ direction, estimate_cov
         gain, z, weights = np.zeros(len(mean)), np.zeros(1), np.ones(1)
-        if variance > ROUNDING * (normal @ cov @ normal):
+        if variance > NEGLIGIBLE * (normal @ cov @ normal):
             deviation = np.sqrt(variance)
             error = np.sqrt(max(normal @ error_cov @ normal, 0.0))
             z, weights = split_rule(level, deviation, error)
@@ -626,8 +627,8 @@ def _tilted_squares(
     # K = I + P M with M = diag(weight); symmetrised by the root of M it is I + R P R
     root = np.sqrt(weight)
     kernel = root[:, :, None] * cov * root[:, None, :]
-    # singular laws need the rounding of the product covered; where it exceeds one (huge tilts)
-    # the integrand is below the rounding of the total
+    # the rounding of the product would make singular covariances indefinite; where what covers it
+    # exceeds one (huge tilts) the integrand is below the rounding of the total
     kernel += (1.0 + 1e-15 * weight.max(axis=1))[:, None, None] * np.eye(2 * n)
     lower = np.linalg.cholesky(kernel)
     half = np.linalg.solve(

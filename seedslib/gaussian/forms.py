@@ -23,7 +23,7 @@ def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     A : array_like (p, n)
         Any matrix.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -42,7 +42,7 @@ def quadratic_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     A : array_like (n, n)
         Its symmetric part counts.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -64,7 +64,7 @@ def cubic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> n
     B : array_like (n, n)
         Its symmetric part counts.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------
@@ -85,7 +85,7 @@ def quartic_mean(A: ArrayLike, B: ArrayLike, mean: ArrayLike, cov: ArrayLike) ->
     A, B : array_like (n, n)
         Their symmetric parts count.
     mean, cov : array_like (n, ...), (n, n) or (n, n, ...)
-        Law of x.
+        Mean and covariance of x.
 
     Raises
     ------

@@ -12,7 +12,7 @@ import sympy as sp
 from seedslib.base.symbols import as_expression, as_symbols, real_part
 from seedslib.gaussian.algebra import Key, NoClosedForm, components_of, parse
 from seedslib.gaussian.polynomial import monomial_means, predecessors
-from seedslib.gaussian.special import Difference, Divisor, NormalCDF, TiltedCDF
+from seedslib.gaussian.special import Difference, Divisor, NormalCDF
 
 
 def expectation(
@@ -26,7 +26,7 @@ def expectation(
     """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
 
     Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
-    quadratics, times the indicator of one half-space or one error function (erf, erfc) of an
+    quadratics, or times the indicator of one half-space or one error function (erf, erfc) of an
     affine argument. The result is not simplified.
 
     Parameters
@@ -50,7 +50,8 @@ def expectation(
     Raises
     ------
     NoClosedForm
-        A term is outside the class; a norm has only a numeric mean.
+        A term is outside the class; a norm, or an exponential on one side of a plane, has only a
+        numeric mean.
     TypeError, ValueError
         Unknown symbols in f, wrong shapes, an asymmetric covariance.
 
@@ -121,6 +122,7 @@ def covariance_expression(
     NoClosedForm
         A term of f, of g or of their product is outside the class.
     """
+    # exponentials are left whole: their factors may overflow where the product does not
     product = sp.expand(f * g, power_exp=False, power_base=False, log=False)
     components = (sp.sympify(f), sp.sympify(g), product), False
     variables = as_symbols("variables", variables)
@@ -148,10 +150,10 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
     expressions, scalar = components
     parsed = parse(list(expressions), variables, parameters)
     for expression, terms in zip(expressions, parsed.components, strict=True):
-        if any(key.norm is not None for key in terms):
+        if any(key.norm or (key.plane and key.exponent) for key in terms):
             raise NoClosedForm(
-                f"no closed form in symbols for {expression}: the mean of a norm is an integral; "
-                "expectation_function gives its numbers"
+                f"no closed form in symbols for {expression}: the mean of a norm, or of an "
+                "exponential on one side of a plane, has numbers only; see expectation_function"
             )
     n = len(variables)
     mean = sp.Matrix([sp.Dummy(f"m{i}", real=True) for i in range(n)])
@@ -161,6 +163,7 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
         for j in range(i, n)
     }
     cov = sp.Matrix(n, n, lambda i, j: upper[min(i, j), max(i, j)])
+    # the caller's own symbols come back only after everything real has been used
     back = dict(zip(parsed.parameters, parameters, strict=True))
     formulas = [
         sum((_term(*term, mean, cov) for term in terms.items()), sp.S.Zero).xreplace(back)
@@ -171,6 +174,8 @@ def _template(components: tuple, variables: tuple, parameters: tuple) -> tuple:
 
 def _term(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     """Mean of a term under N(m, P)."""
+    if key.plane is not None:
+        return _half_space(key, poly, m, p)
     n = m.rows
     quadratic, linear = sp.zeros(n, n), sp.zeros(n, 1)
     key.put(quadratic, linear)
@@ -181,8 +186,7 @@ def _term(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
     elif any(linear):
         exponent = (linear.T * m)[0] + (linear.T * p * linear)[0] / 2
         m = m + p * linear
-    if key.plane is not None:
-        return factor * _half_space(key, poly, m, p, exponent)
+    # a tilted covariance is a ratio of determinants, which expanding would make longer
     tidy = (lambda value: value) if tilts else sp.expand
     means = monomial_means(poly.monoms(), list(m), p.tolist(), zeroth=sp.S.One, tidy=tidy)
     value = tidy(sum((c * means[a] for a, c in poly.terms()), sp.S.Zero))
@@ -223,28 +227,24 @@ def _tilted(quadratic: sp.Matrix, linear: sp.Matrix, m: sp.Matrix, p: sp.Matrix)
     return reduced * m + new_p * linear, new_p, factor, exponent
 
 
-def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix, exponent: sp.Expr) -> sp.Expr:
-    """``exp(exponent) E p(x) 1{u > 0}`` under N(m, P), by the Stein recursion with its boundary.
+def _half_space(key: Key, poly: sp.Poly, m: sp.Matrix, p: sp.Matrix) -> sp.Expr:
+    """``E p(x) 1{u > 0}`` under N(m, P), by the Stein recursion with its boundary.
 
-    For a blurred half-space u has one more component, which is independent of x. A real exponent
-    and the logarithm of a probability are added before the exponential can overflow.
+    For a blurred half-space u has one more component, which is independent of x.
     """
     normal = sp.Matrix(key.plane.normal)
     direction = p * normal
     location = (normal.T * m)[0] + key.plane.offset
     variance = (normal.T * direction)[0]
+    # with a blur the variance is never zero
     variance = variance + 1 if key.plane.blurred else Divisor(variance)
     z = location / sp.sqrt(variance)
-    if exponent == 0 or exponent.has(sp.I):
-        mass = sp.exp(exponent) * NormalCDF(z)
-    else:
-        mass = TiltedCDF(exponent, z, exponent - z**2 / 2)
-    height = sp.exp(exponent - z**2 / 2) / sp.sqrt(2 * sp.pi * variance)
+    height = sp.exp(-(z**2) / 2) / sp.sqrt(2 * sp.pi * variance)
     gain = direction / variance
     indices = tuple(poly.monoms())
     visited = predecessors(indices)
     on_cov = (p - gain * direction.T).tolist()
     on_plane = monomial_means(visited, list(m - gain * location), on_cov, zeroth=sp.S.One)
     boundary = (list(direction), {a: height * value for a, value in on_plane.items()})
-    means = monomial_means(indices, list(m), p.tolist(), zeroth=mass, boundary=boundary)
+    means = monomial_means(indices, list(m), p.tolist(), zeroth=NormalCDF(z), boundary=boundary)
     return sum((c * means[a] for a, c in poly.terms()), sp.S.Zero)

@@ -1,4 +1,4 @@
-"""Norm, modulus, sine, maximum and elevation of a Gaussian vector; the bivariate normal law.
+"""Norm, modulus, sine, maximum and elevation of a Gaussian vector; a bivariate probability.
 
 Every formula is arranged as a sum of terms of one sign, so that an error keeps its relative
 accuracy when it is many orders of magnitude smaller than the function.
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import erfcx, ndtr, owens_t
 
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import (
@@ -24,7 +25,7 @@ from seedslib.gaussian.arguments import (
 from seedslib.gaussian.quadrature import gauss_hermite
 
 ROOT_TWO_PI = np.sqrt(2 * np.pi)
-FAR = 100.0  # deviations beyond which no normal probability changes
+CERTAIN = 100.0  # deviations beyond which no normal probability changes
 # Panels on either side of a kink, with breaks in deviations of the estimate and of its error
 PANEL, REACH = np.polynomial.legendre.leggauss(18), 9.5
 WIDE = np.array([0.0, 2.0, 4.0, 6.5, REACH])
@@ -89,33 +90,34 @@ def norm_mean(mean: ArrayLike, cov: ArrayLike) -> np.ndarray:
     # any basis will do: of equal eigenvalues only the length of the mean in their space counts
     values, vectors = np.linalg.eigh(np.moveaxis(cov, (0, 1), (-2, -1)))
     centre = np.moveaxis(np.swapaxes(vectors, -1, -2) @ np.moveaxis(mean, 0, -1)[..., None], -2, 0)
-    spread = np.moveaxis(values, -1, 0)
-    spread = spread.reshape(len(mean), *[1] * (len(batch) + 1 - spread.ndim), *spread.shape[1:])
-    shape = len(mean), *batch
-    parts = np.maximum(spread, 0.0), centre[..., 0]
-    spread, centre = (np.broadcast_to(part, shape).reshape(len(mean), -1) for part in parts)
+    # an eigenvalue of minus a rounding counts as zero
+    parts = align(np.moveaxis(np.maximum(values, 0.0), -1, 0), 1, len(batch)), centre[..., 0]
+    variances, centre = (
+        np.broadcast_to(p, (len(mean), *batch)).reshape(len(mean), -1) for p in parts
+    )
     (lengths,) = blockwise(
-        lambda block: (_norm_mean(spread[:, block], centre[:, block]),),
-        spread.shape[1],
+        lambda block: (_norm_mean(variances[:, block], centre[:, block]),),
+        variances.shape[1],
         64,  # arrays that stay in the cache
     )
     return lengths.reshape(batch)[()]
 
 
-def _norm_mean(spread: np.ndarray, centre: np.ndarray) -> np.ndarray:
+def _norm_mean(variances: np.ndarray, centre: np.ndarray) -> np.ndarray:
     """Mean norm from eigenvalues and mean in the eigenvectors, both (n, N)."""
-    largest = np.maximum(np.sqrt(spread.max(axis=0)), np.abs(centre).max(axis=0))
+    # two units: squares of the first stay in range, the second is the c of the substitution
+    largest = np.maximum(np.sqrt(variances.max(axis=0)), np.abs(centre).max(axis=0))
     unit = np.where(largest > 0, largest, 1.0)
-    spread, square = (spread / unit) / unit, (centre / unit) ** 2
-    scale = np.sqrt(2 * spread.max(axis=0) + square.sum(axis=0))
+    variances, square = (variances / unit) / unit, (centre / unit) ** 2
+    scale = np.sqrt(2 * variances.max(axis=0) + square.sum(axis=0))
     scale = np.where(scale > 0, scale, 1.0)
     nodes, weights = sinh_rule(0.125)
     exponent = sums = 0.0
-    for λ, bb in zip(spread / scale**2, square / scale**2, strict=True):
+    for λ, bb in zip(variances / scale**2, square / scale**2, strict=True):
         stretch = 1.0 + 2.0 * np.multiply.outer(nodes, λ)
-        moved = bb / stretch
-        exponent = exponent + 0.5 * np.log(stretch) + nodes[:, None] * moved
-        sums = sums + (λ + moved) / stretch
+        shrunk = bb / stretch
+        exponent = exponent + 0.5 * np.log(stretch) + nodes[:, None] * shrunk
+        sums = sums + (λ + shrunk) / stretch
     return largest * scale * (weights @ (np.exp(-exponent) * sums))
 
 
@@ -231,10 +233,11 @@ def abs_errors(
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
     mean, var, error_var = _scalar_arguments(mean, var, error_var)
-    mean, known = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
-    z, weight = split_rule(mean, known, np.sqrt(error_var))
-    modulus, variance = abs_moments(mean + known * z, error_var)
-    bias = modulus - np.abs(mean + known * z)
+    mean, deviation = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
+    z, weight = split_rule(mean, deviation, np.sqrt(error_var))
+    estimate = mean + deviation * z
+    modulus, variance = abs_moments(estimate, error_var)
+    bias = modulus - np.abs(estimate)
     optimal = (weight * variance).sum(axis=0)
     return MeanSquareErrors(optimal, optimal + (weight * bias * bias).sum(axis=0))
 
@@ -283,8 +286,8 @@ def sine_errors(mean: ArrayLike, var: ArrayLike, error_var: ArrayLike) -> MeanSq
     rest = 2 * var - error_var
     inner = -np.expm1(-rest) + 2 * np.exp(-rest) * np.cos(mean) ** 2
     optimal = -0.5 * np.expm1(-error_var) * inner
-    known = var - error_var
-    square = -0.5 * np.expm1(-2 * known) + np.exp(-2 * known) * np.sin(mean) ** 2
+    estimate_var = var - error_var
+    square = -0.5 * np.expm1(-2 * estimate_var) + np.exp(-2 * estimate_var) * np.sin(mean) ** 2
     return MeanSquareErrors(optimal, optimal + np.expm1(-0.5 * error_var) ** 2 * square)
 
 
@@ -309,7 +312,7 @@ def max_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
         Not two components, not real, not finite, or not a covariance.
     """
     mean, cov = gaussian_arguments(mean, cov, 2)
-    root, gap = np.sqrt(_spread(cov)), mean[0] - mean[1]
+    root, gap = np.sqrt(_gap_variance(cov)), mean[0] - mean[1]
     scaled = np.minimum(np.abs(ratio(gap, root)), 40.0)
     excess = mean_excess(scaled)
     shared = excess * (scaled + excess)
@@ -344,16 +347,17 @@ def max_errors(mean: ArrayLike, cov: ArrayLike, error_cov: ArrayLike) -> MeanSqu
         Not two components, not real, not finite, not covariances, or P above C.
     """
     mean, cov, error_cov = estimate_arguments(mean, cov, error_cov, 2)
-    spread, gap = _spread(error_cov), mean[0] - mean[1]
-    known = np.sqrt(np.maximum(_spread(cov) - spread, 0.0))
-    z, weight = split_rule(gap, known, np.sqrt(spread))
-    top, var = max_moments(np.stack([gap + known * z, 0.0 * z]), error_cov)
-    optimal = weight @ var
-    bias = top - np.maximum(gap + known * z, 0.0)
+    error_var = _gap_variance(error_cov)
+    deviation = np.sqrt(np.maximum(_gap_variance(cov) - error_var, 0.0))
+    z, weight = split_rule(mean[0] - mean[1], deviation, np.sqrt(error_var))
+    gap = mean[0] - mean[1] + deviation * z
+    # the maximum is x₂ plus the positive part of the gap: errors depend on the gap alone
+    top, var = max_moments(np.stack([gap, 0.0 * gap]), error_cov)
+    optimal, bias = weight @ var, top - np.maximum(gap, 0.0)
     return MeanSquareErrors(optimal, optimal + weight @ bias**2)
 
 
-def _spread(cov: np.ndarray) -> np.ndarray:
+def _gap_variance(cov: np.ndarray) -> np.ndarray:
     """Variance of the difference."""
     return np.maximum(cov[0, 0] + cov[1, 1] - 2 * cov[0, 1], 0.0)
 
@@ -398,7 +402,7 @@ def bivariate_normal_cdf(h: ArrayLike, k: ArrayLike, rho: ArrayLike) -> np.ndarr
     """
     h, k = as_real("h", h, infinite=True), as_real("k", k, infinite=True)
     h, k, rho = np.broadcast_arrays(h, k, _correlation(rho))
-    h, k = np.clip(h, -FAR, FAR), np.clip(k, -FAR, FAR)
+    h, k = np.clip(h, -CERTAIN, CERTAIN), np.clip(k, -CERTAIN, CERTAIN)
     value = 0.5 * (ndtr(h) + ndtr(k)) - _owen(h, k, rho) - _owen(k, h, rho)
     value -= 0.5 * ((np.minimum(h, k) < 0) & (np.maximum(h, k) >= 0))
     value = np.where((h == 0) & (k == 0), 0.25 + np.arcsin(rho) / (2 * np.pi), value)
@@ -424,7 +428,7 @@ def _correlation(rho: ArrayLike) -> np.ndarray:
 def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     """Mean and variance of ``arctan(x₃ / √(x₁² + x₂²))`` for x ~ N(mean, cov), in radians.
 
-    A law that stays at least eight standard deviations from the vertical axis is integrated by a
+    A vector that stays at least eight standard deviations from the vertical axis is integrated by a
     tensor Gauss-Hermite rule; a wider one over the sphere against the density of the direction,
     by Gauss-Legendre in elevation and the trapezoidal rule in azimuth.
 
@@ -433,7 +437,7 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     mean : array_like
         Shape (3, ...), batch axes last.
     cov : array_like
-        Shape (3, 3). It may be singular if the law stays away from the vertical axis, or zero.
+        Shape (3, 3). It may be singular if the vector stays away from the vertical axis, or zero.
 
     Returns
     -------
@@ -443,10 +447,9 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
     Raises
     ------
     TypeError, ValueError
-        Not three components, not real, not finite, not a covariance; the mean lies on the origin
-        of a law without spread; or the law comes near the vertical axis and its covariance is
-        singular or so ill-conditioned that the density of the direction does not integrate to
-        one within 1e-9.
+        Not three components, not real, not finite, not a covariance; the origin as a certain
+        place; or the vector comes near the vertical axis and its covariance is singular or so
+        ill-conditioned that the density of the direction does not integrate to one within 1e-9.
     """
     mean, cov = gaussian_arguments(mean, cov)
     if mean.shape[0] != 3 or cov.ndim != 2:
@@ -454,9 +457,8 @@ def elevation_moments(mean: ArrayLike, cov: ArrayLike) -> FunctionMoments:
             f"mean, cov: wanted shapes (3, ...) and (3, 3), got {mean.shape} and {cov.shape}"
         )
     points = mean.reshape(3, -1)
-    spread = np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))
-    distance = np.hypot(points[0], points[1])
-    far = distance >= 8.0 * spread
+    deviation = np.sqrt(max(np.linalg.eigvalsh(cov[:2, :2])[-1], 0.0))
+    far = np.hypot(points[0], points[1]) >= 8.0 * deviation
     values = np.empty((2, points.shape[1]))
     values[:, far] = _concentrated(points[:, far], cov)
     for k in np.flatnonzero(~far):
@@ -489,7 +491,7 @@ def _wide(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
     values, vectors = np.linalg.eigh(cov)
     if values[0] <= 1e-14 * values[-1]:
         raise ValueError(
-            "cov: wanted a nonsingular covariance for a law that comes near the vertical axis, "
+            "cov: wanted a nonsingular covariance where the vector comes near the vertical axis, "
             f"got eigenvalues {values[0]:.3g} to {values[-1]:.3g}"
         )
     # the angle does not depend on the unit of length
@@ -503,7 +505,7 @@ def _wide(mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
             return np.array([centre, (weight * (angle - centre) ** 2).sum() / mass])
     raise ValueError(
         "cov: the density of the direction integrates to "
-        f"{mass:.12g} instead of 1; the law is too narrow near the vertical axis"
+        f"{mass:.12g} instead of 1; it is too narrow near the vertical axis"
     )
 
 

@@ -26,17 +26,15 @@ from seedslib.gaussian.means import FunctionClass, expectation_function
 from seedslib.gaussian.polynomial import Index, factorial_of, mean_derivatives, smoothing_bias
 from seedslib.gaussian.quadrature import rule_of_rank
 
-LARGEST_TENSOR = 3_000_000
-RANK = 1e-13
-UNINFORMED = 1e-14
+LARGEST_TENSOR = 3_000_000  # entries, tens of megabytes
+RANK = 1e-13  # eigenvalues of a correlation matrix below this part of the largest are rounding
+UNINFORMED = 1e-14  # a share that is this near to one is one, up to rounding
 
 
 def joint_factor(cov: np.ndarray, error_cov: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """T (n, rank) and shares (rank,) with ``C = T T'`` and ``P = T diag(shares) T'``.
 
-    The eigenvalues of the correlation matrix of C above 1e-13 of its largest are kept; shares
-    are clipped to [0, 1], those within 1e-14 of one (no information, up to rounding) set to one.
-    Small P keep their relative accuracy.
+    Shares are in [0, 1]; one stands for no information. Small P keep their relative accuracy.
     """
     scale = np.sqrt(np.diag(cov))
     scale = np.where(scale > 0, scale, 1.0)
@@ -201,8 +199,8 @@ def plugin_excess(
     if not bias:
         return np.zeros((size, size))
     factor, shares = joint_factor(cov, error_cov)
-    known = symmetrized((factor * (1.0 - shares)) @ factor.T)
-    coefficients = polynomial_expansion(bias, mean, known, known).coefficients
+    estimate_cov = symmetrized((factor * (1.0 - shares)) @ factor.T)
+    coefficients = polynomial_expansion(bias, mean, estimate_cov, estimate_cov).coefficients
     return coefficients @ coefficients.T
 
 

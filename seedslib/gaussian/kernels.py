@@ -70,6 +70,7 @@ def group_mean(
     ValueError
         The mean is infinite: ``I + cov Re(M)`` has an eigenvalue that is not positive.
     """
+    # the square is completed: an exponential times a normal density is one again, with a mass
     exponent = None
     if group.quadratic is not None:
         mean, cov, exponent = tilted(group.quadratic, group.linear, mean, cov)
@@ -81,6 +82,7 @@ def group_mean(
         means = monomial_means(tuple(group.polynomial), mean, cov)
     else:
         means, log_scale = half_space_means(tuple(group.polynomial), group.plane, mean, cov)
+        # logarithms are added: a small tail and a large exponential leave the range one by one
         exponent = log_scale if exponent is None else exponent + log_scale
     value = polynomial_mean(group.polynomial, means, batch)
     if exponent is None:
@@ -143,7 +145,7 @@ def half_space_means(
     """``E x^alpha 1{u > 0}``, u = normal . x + offset, for the wanted and visited indices.
 
     The Stein recursion gains a boundary term ``cov(x_i, u) E x^beta delta(u)``, a polynomial
-    mean under the law of x on the plane. Where u does not vary its indicator is a constant.
+    mean of x given that it is on the plane. Where u does not vary its indicator is a constant.
 
     Returns
     -------
@@ -154,6 +156,7 @@ def half_space_means(
     """
     direction = times(cov, plane.normal)
     location = inner_product(plane.normal, mean) + plane.offset
+    # a blurred plane is a sharp one in one more dimension, along which nothing else varies
     variance = inner_product(plane.normal, direction) + plane.blur**2
     varies = variance.real > 0
     deviation = np.sqrt(np.where(varies, variance, 1.0))
@@ -161,13 +164,14 @@ def half_space_means(
     if not np.iscomplexobj(ratio):
         ratio = np.clip(ratio, -FAR, FAR)
     log_height = -0.5 * ratio * ratio
+    # beyond the plane both mass and height are of the size of the density there
     log_scale = np.where(varies & (ratio.real < 0), log_height.real, 0.0)
     fixed = np.where(location.real > 0, 1.0, np.where(location.real < 0, 0.0, plane.edge))
     mass = np.where(varies, _scaled_tail(ratio, log_scale), fixed)
     height = np.exp(log_height - log_scale) / (deviation * np.sqrt(2 * np.pi))
     touched = varies & (height != 0)
     height = np.where(touched, height, 0.0)
-    # the law on the plane; far from it the boundary mass is zero and its mean is not needed
+    # x given u = 0; far from the plane the boundary mass is zero and its mean is not needed
     gain = direction / (deviation * deviation)
     gain = np.where(varies, gain, 0.0)
     on_mean = mean - align(gain, 1, mean.ndim - 1) * np.where(touched, location, 0.0)
@@ -189,7 +193,7 @@ def _scaled_tail(ratio: np.ndarray, log_scale: np.ndarray) -> np.ndarray:
 def indicator(plane: HalfSpace, point: np.ndarray) -> np.ndarray:
     """Value of the indicator at points (n, *batch), on average over its blur."""
     u = inner_product(plane.normal, point) + plane.offset
-    if plane.blur:
+    if plane.blur:  # the mean of the indicator is smooth
         return ndtr(u / plane.blur)
     return np.where(u > 0, 1.0, np.where(u < 0, 0.0, plane.edge))
 

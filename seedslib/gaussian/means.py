@@ -95,6 +95,7 @@ def compile_terms(parsed: Parsed) -> Compiled:
         A coefficient that is no number or out of range, or a function that is not real.
     """
     n, p = len(parsed.symbols), len(parsed.components)
+    # what multiplies the polynomials is evaluated once for all components
     tables: dict[Key, dict] = {}
     for row, terms in enumerate(parsed.components):
         for key, poly in terms.items():
@@ -122,8 +123,10 @@ def compile_terms(parsed: Parsed) -> Compiled:
             place = *key.plane.normal, key.plane.offset, key.plane.edge
             *normal, offset, edge = np.real([_number(c) for c in place])
             plane = HalfSpace(np.array(normal), offset, edge, float(key.plane.blurred))
+        # the first imaginary number that is not zero says which of two conjugates this one is
         table = {alpha: 2 * c if phase else c.real for alpha, c in table.items()}
         groups.append(Group(table, narrow(quadratic), narrow(linear), plane))
+    # conjugate terms of a real function cancel at any point
     if (np.abs(np.imag(sum(values))) > 1e-12 * sum(map(np.abs, values))).any():
         raise ValueError("f: wanted real values, got complex coefficients or exponents")
     return Compiled(p, n, tuple(groups), tuple(norms))

@@ -31,16 +31,16 @@ from seedslib.gaussian.regions import (
     unit_nodes,
 )
 
-BLOCK, PAIRS = 512, 100_000  # distributions at a time, and pairs of their edges
-ORDER = 18  # nodes of a panel
+BLOCK, PAIRS = 512, 100_000  # regions at a time, and pairs of their edges: arrays in the cache
+ORDER = 18  # nodes of a panel: of a smooth one the first halving is the last
 RESOLVED = 1e-8  # last Legendre coefficients beside the integral of a panel
 SMOOTH = 3.0  # nats by which the integrand of a panel varies where only rounding is left
 NATS = 46.0  # what is bounded this far below the largest integrand is left out
-DEPTH = 80  # halvings of a panel
-FAR = 60.0  # standard deviations beyond which an unbounded region may be closed
+DEPTH = 80  # halvings of a panel: from any length down to one rounding
+CLOSED = 60.0  # standard deviations beyond which an unbounded region may be closed
 NEVER = 1e15  # squared distance beyond which the mass is zero
-ROUNDING = 2.0**-52
-LARGEST, TINY = 1e100, 1e-300  # in standard deviations
+ROUNDING = 2.0**-52  # of a coordinate
+LARGEST, TINY = 1e100, 1e-300  # deviations whose squares are in range, widths that are none
 
 
 def polygon(
@@ -271,7 +271,7 @@ def _far_points(away: np.ndarray, rays: np.ndarray, unbounded: np.ndarray) -> np
     across = away[0] - away[-1]
     around = (turn == 0) & (outward[0] * across[1] - outward[1] * across[0] < 0)
     turn = np.where((turn < 0) | around, turn + 2 * np.pi, turn)
-    radius = 4.0 * (np.hypot(away[:, 0], away[:, 1]).max(axis=0) + FAR)
+    radius = 4.0 * (np.hypot(away[:, 0], away[:, 1]).max(axis=0) + CLOSED)
     angle = np.arctan2(outward[1], outward[0]) + turn * np.linspace(0.0, 1.0, 9)[1:-1, None]
     arc = 2.0 * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ends = (away[-1] + radius * outward)[None], (away[0] + radius * inward)[None]

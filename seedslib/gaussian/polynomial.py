@@ -40,6 +40,7 @@ def _plan(indices: tuple[Index, ...]) -> tuple[_Step, ...]:
     The axis with the smallest positive exponent is lowered: the other monomials then share one
     another's predecessors, and few superfluous ones are visited.
     """
+    # which monomials are met depends on the indices alone, and one function is asked for often
     steps: dict[Index, _Step] = {}
     waiting = list(indices)
     while waiting:
@@ -117,6 +118,7 @@ def polynomial_mean(
     kind = np.result_type(*polynomial.values(), *(means[alpha] for alpha in polynomial))
     total = np.zeros((size, *batch), dtype=kind)
     for alpha, coefficient in polynomial.items():
+        # a component has few of the monomials of all
         for row in np.flatnonzero(coefficient):
             total[row] += coefficient[row] * means[alpha]
     return total
@@ -145,7 +147,7 @@ def mean_derivatives(
     means = monomial_means(rests, mean, cov, zeroth=np.ones(mean.shape[1:]))
     result: Coefficients = {}
     for alpha, beta, rest in splits:
-        weight = factorial_of(alpha) // factorial_of(rest)
+        weight = factorial_of(alpha) // factorial_of(rest)  # of the derivative of a monomial
         part = np.multiply.outer(weight * polynomial[alpha], means[rest])
         result[beta] = result.get(beta, 0.0) + part
     return result
@@ -178,6 +180,7 @@ def polynomial_value(
     batch = point.shape[1:]
     if not polynomial:
         return np.zeros((size, *batch))
+    # the recursion of the means without its covariance is the one of the powers
     powers: dict[Index, object] = {(0,) * len(point): 1.0}
     for step in _plan(tuple(polynomial)):
         powers[step.target] = point[step.axis] * powers[step.source]

@@ -1,6 +1,6 @@
 """Quadrature rules for the mean of a function of a Gaussian vector.
 
-A rule is a set of points and weights for the standard normal law; the points of N(mean, cov) are
+A rule is a set of points and weights for the standard normal vector; the points of N(mean, cov) are
 ``mean + L points`` with any factor L of the covariance. Rules with negative weights are legal:
 they give sums, not probabilities.
 """
@@ -22,12 +22,12 @@ from seedslib.base.checks import as_count, as_real
 from seedslib.base.linalg import cholesky
 from seedslib.gaussian.arguments import gaussian_arguments
 
-MOST_POINTS = 2_000_000
+MOST_POINTS = 2_000_000  # of a product rule: tens of megabytes
 
 
 @dataclass(frozen=True, eq=False)
 class Rule:
-    """Points and weights for means under the standard normal law.
+    """Points and weights for means of functions of a standard normal vector.
 
     Attributes
     ----------

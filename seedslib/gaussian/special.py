@@ -1,12 +1,10 @@
-"""SymPy functions for switching planes whose code keeps tails, known states and wide laws."""
+"""SymPy functions for half-spaces whose code keeps tails and the digits of known states."""
 
 from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 import sympy as sp
-from scipy.special import erfc
 
 
 class Coded(sp.Function):
@@ -50,43 +48,6 @@ class NormalCDF(Coded):
         erfc = printer._module_format("scipy.special.erfc")
         argument = printer._print(sp.Float(-(0.5**0.5)) * self.args[0])
         return f"(0.5*{erfc}({argument}))"
-
-
-def tilted_cdf(exponent: Any, z: Any, boundary: Any) -> Any:
-    """``exp(exponent) Phi(z)``, of which the exponential may overflow and the other be lost.
-
-    The boundary is ``exponent - z^2 / 2``. Below z = 0 it scales Mills' ratio, which beyond
-    z = -16 is its asymptotic series.
-    """
-    inside, far = 1.0 * (z > 0.0), 1.0 * (z < -16.0)
-    near, distance = np.maximum(z, -16.0), np.maximum(-z, 16.0)
-    r = 1.0 / (distance * distance)
-    series: Any = 1.0
-    for k in range(12, 0, -1):
-        series = 1.0 - (2 * k - 1) * r * series
-    short = 0.5 * erfc(-(0.5**0.5) * near) * np.exp(0.5 * near * near * (1.0 - inside))
-    share = (1.0 - far) * short + far * (series / (np.sqrt(2.0 * np.pi) * distance))
-    outside = np.maximum(boundary, -1e300)
-    return np.exp(inside * exponent + (1.0 - inside) * outside) * share
-
-
-class TiltedCDF(Coded):
-    """``exp(u) Phi(z)`` of u, z and the exponent ``u - z^2 / 2``, which is taken at its word."""
-
-    nargs = 3
-
-    def fdiff(self, argindex: int = 1) -> Any:
-        """Derivatives by u, itself, and by z; the third argument is none of its own."""
-        height = sp.exp(self.args[2]) / sp.sqrt(2 * sp.pi)
-        return (self, height, sp.S.Zero)[argindex - 1]
-
-    @staticmethod
-    def plain(u: Any, z: Any, boundary: Any) -> Any:
-        """In terms of the error function."""
-        return sp.exp(u) * NormalCDF.plain(z)
-
-    def _numpycode(self, printer: Any) -> str:
-        return f"tilted_cdf({', '.join(map(printer._print, self.args))})"
 
 
 class Divisor(Coded):

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 import sympy
 
-from seedslib.base.linalg import lower_triangle
+from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.linearization.moments import (
@@ -26,36 +25,6 @@ from seedslib.models.maps import StochasticMap
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
 """E y (m, 1), cov(x, y) (n, m) and cov y (m, m) or None."""
-
-
-class Names:
-    """Symbols that stand for large expressions, so that these are met once.
-
-    Called with an expression or a matrix of them it gives symbols in their place; `table` holds
-    the pairs of symbol and meaning in the order in which they can be evaluated.
-    """
-
-    def __init__(self) -> None:
-        self._known = {}
-
-    def __call__(self, expression: sympy.Expr | sympy.Matrix) -> sympy.Expr | sympy.Matrix:
-        """Symbol for an expression, the same for equal ones; short ones stay as they are."""
-        if isinstance(expression, sympy.MatrixBase):
-            return expression.applyfunc(self)
-        if not expression.args or (-expression).is_Symbol:
-            return expression
-        if expression not in self._known:
-            self._known[expression] = sympy.Symbol(f"part{len(self._known)}_", real=True)
-        return self._known[expression]
-
-    @property
-    def table(self) -> list[tuple[sympy.Symbol, sympy.Expr]]:
-        """Pairs of symbol and meaning."""
-        return [(symbol, meaning) for meaning, symbol in self._known.items()]
-
-    def meaning(self, expression: sympy.Expr) -> sympy.Expr:
-        """What a symbol stands for; other expressions stand for themselves."""
-        return {symbol: part for part, symbol in self._known.items()}.get(expression, expression)
 
 
 def mentions(expression: sympy.Expr, symbols: Iterable[sympy.Symbol]) -> bool:
@@ -75,7 +44,10 @@ class BranchFormulas(NamedTuple):
 
 
 class Formulas(Linearization):
-    """A linearization given by SymPy formulas in the mean and the covariance of the state."""
+    """A linearization given by SymPy formulas in the mean and the covariance of the state.
+
+    A new one is a frozen dataclass: what is derived is stored by the rule and its maps.
+    """
 
     def formulas(
         self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, spread: bool = True
@@ -89,10 +61,7 @@ class Formulas(Linearization):
         """SymPy rates of the mean (n, 1) and the covariance (n, n) of a jump-diffusion."""
         velocity, cross, _ = self.formulas(system.drift_map, mean, cov, spread=False)
         lower, _, _ = self.formulas(system.spread_map, mean, cov, spread=False)
-        spread = sympy.zeros(len(mean))
-        for k, (i, j) in enumerate(zip(*lower_triangle(len(mean)), strict=True)):
-            spread[i, j] = spread[j, i] = lower[k]
-        return velocity, cross + cross.T + spread
+        return velocity, cross + cross.T + sympy.Matrix(symmetric(list(lower), len(mean)))
 
     def moments(self, map: StochasticMap, spread: bool = True) -> Callable[..., Moments]:
         """See `Linearization.moments`.
@@ -103,10 +72,9 @@ class Formulas(Linearization):
             The map is given by array functions, or a mean has no closed form.
         """
         refuse_weight(map)
-        return _derived_once(self, Formulas._moments, [map], spread)
+        return _derived_once(Formulas._moments, self, map, spread)
 
-    def _moments(self, maps: list[StochasticMap], spread: bool) -> Callable[..., Moments]:
-        (map,) = maps
+    def _moments(self, map: StochasticMap, spread: bool) -> Callable[..., Moments]:
         arguments, mean, cov = _arguments(map, type(self).__name__)
         parts = self.formulas(map, mean, cov, spread)
         evaluate = _compiled(arguments, parts if spread else parts[:2])
@@ -122,13 +90,8 @@ class Formulas(Linearization):
 
         return f
 
-    def branch(
-        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
-    ) -> BranchFormulas:
-        """SymPy moments of a branch (`BranchFormulas`) at given mean and covariance of the state.
-
-        `name` gives large expressions a symbol, see `Names`.
-        """
+    def branch(self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> BranchFormulas:
+        """SymPy moments of a branch at given mean and covariance of the state."""
         raise NotImplementedError
 
     def row(self, maps: Sequence[StochasticMap]) -> Callable[..., list[Weighted]]:
@@ -141,14 +104,13 @@ class Formulas(Linearization):
         ValueError
             Maps of different states.
         """
-        return _derived_once(self, Formulas._row, maps)
+        return _derived_once(Formulas._row, self, tuple(maps))
 
-    def _row(self, maps: list[StochasticMap]) -> Callable[..., list[Weighted]]:
+    def _row(self, maps: tuple[StochasticMap, ...]) -> Callable[..., list[Weighted]]:
         arguments, mean, cov = _arguments(maps[0], type(self).__name__)
         if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
             raise ValueError("maps: wanted maps of the same state and time")
-        names = Names()
-        branches = [self.branch(map, mean, cov, names) for map in maps]
+        branches = [self.branch(map, mean, cov) for map in maps]
         # equal moments of several branches are evaluated and stored once
         wanted = [
             [(slot in (0, 2), sympy.ImmutableMatrix(part)) for slot, part in enumerate(branch[1:])]
@@ -156,9 +118,8 @@ class Formulas(Linearization):
         ]
         parts = list(dict.fromkeys(part for row in wanted for part in row))
         places = [[parts.index(part) for part in row] for row in wanted]
-        evaluate = _compiled(
-            arguments, [[b.mass for b in branches], *(part for _, part in parts)], names.table
-        )
+        masses = [branch.mass for branch in branches]
+        evaluate = _compiled(arguments, [masses, *(part for _, part in parts)])
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
             lower = _lower(cov)
@@ -178,47 +139,18 @@ class Formulas(Linearization):
 
     def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
-        (time, mean, lower, parameters), vector, cov = _arguments(
-            system.drift_map, type(self).__name__
-        )
+        arguments, vector, cov = _arguments(system.drift_map, type(self).__name__)
+        time, mean, lower, parameters = arguments
         velocity, change = self.rate_formulas(system, vector, cov)
-        rows, columns = lower_triangle(len(mean))
-        rates = [*velocity, *(change[int(i), int(j)] for i, j in zip(rows, columns, strict=True))]
+        rates = [*velocity, *_lower(change)]
         evaluate = compile_components((time, (*mean, *lower), parameters), rates)
         return lambda t, components, p=(): evaluate(t, components, p)
 
 
-@dataclass(frozen=True)
-class _Written:
-    """A map in formulas, equal to any other that is written in the same way."""
-
-    content: tuple[Any, ...]
-    map: StochasticMap = field(compare=False)
-
-
-def _derived_once(
-    rule: Formulas, derive: Callable[..., Any], maps: Sequence[StochasticMap], *options: bool
-) -> Any:
-    """What `derive` makes of the maps, made once for equal ones: a system is often made again.
-
-    Rules that may change, being no frozen dataclasses, derive it whenever they are asked.
-    """
-    settings = vars(type(rule)).get("__dataclass_params__")
-    if not getattr(settings, "frozen", False) or not all(map.symbolic for map in maps):
-        return derive(rule, maps, *options)
-    known = (
-        (m.state, m.time, m.parameters, m.period, *m.expressions, m.weight_expression, m.noise)
-        for m in maps
-    )
-    written = (_Written(content, map) for content, map in zip(known, maps, strict=True))
-    return _derived(rule, derive, tuple(written), *options)
-
-
 @lru_cache(maxsize=256)
-def _derived(
-    rule: Formulas, derive: Callable[..., Any], maps: tuple[_Written, ...], *options: bool
-) -> Any:
-    return derive(rule, [written.map for written in maps], *options)
+def _derived_once(derive: Callable[..., Any], *arguments: Any) -> Any:
+    """What is derived from a rule and its maps: several filters are made of one system."""
+    return derive(*arguments)
 
 
 def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol], sympy.Matrix]:
@@ -230,25 +162,20 @@ def _arguments(map: StochasticMap, name: str) -> tuple[tuple, list[sympy.Symbol]
         )
     n = map.state_size
     mean = sympy.symbols(f"m:{n}", cls=sympy.Dummy, real=True)
-    cov = sympy.zeros(n)
-    lower = []
-    for i, j in zip(*lower_triangle(n), strict=True):
-        entry = sympy.Dummy(f"P{i}{j}", real=True)
-        lower.append(entry)
-        cov[i, j] = cov[j, i] = entry
-    return (map.time, mean, tuple(lower), map.parameters), list(mean), cov
+    lower = sympy.symbols(f"P:{n * (n + 1) // 2}", cls=sympy.Dummy, real=True)
+    arguments = map.time, mean, lower, map.parameters
+    return arguments, list(mean), sympy.Matrix(symmetric(lower, n))
 
 
-def _lower(cov: np.ndarray) -> list[np.ndarray]:
-    return [cov[i, j] for i in range(len(cov)) for j in range(i + 1)]
+def _lower(cov: Any) -> list[Any]:
+    """Entries on and below the diagonal, row by row."""
+    return [cov[i, j] for i in range(cov.shape[0]) for j in range(i + 1)]
 
 
-def _compiled(
-    arguments: tuple, parts: Sequence, named: Sequence[tuple] = ()
-) -> Callable[..., list]:
+def _compiled(arguments: tuple, parts: Sequence) -> Callable[..., list]:
     """Function that returns the component lists of several matrices, evaluated together."""
     sizes = np.cumsum([len(part) for part in parts])[:-1]
-    function = compile_components(arguments, [e for part in parts for e in part], named)
+    function = compile_components(arguments, [e for part in parts for e in part])
 
     def evaluate(*values: object) -> list:
         flat = function(*values)

@@ -117,10 +117,10 @@ class Linearization(ABC):
             ``f(t, mean, cov, p) -> Moments(E b, cov(x, b), E Sigma)``.
         """
         velocity = self.moments(system.drift_map, spread=False)
-        spread = self.moments(system.spread_map, spread=False)
+        diffusion = self.moments(system.spread_map, spread=False)
 
         def rates(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
-            b, lower = velocity(t, mean, cov, p), spread(t, mean, cov, p).mean
+            b, lower = velocity(t, mean, cov, p), diffusion(t, mean, cov, p).mean
             return Moments(b.mean, b.cross, symmetric(lower, len(mean)))
 
         return rates
@@ -135,16 +135,13 @@ class Linearization(ABC):
             mean, then of the covariance on and below the diagonal row by row.
         """
         flow, n = self.flow(system), system.state_size
-        rows, columns = lower_triangle(n)
 
         def derivative(t: float, components: Sequence, p: Values = ()) -> list:
             batch = np.broadcast_shapes(*(np.shape(c) for c in components))
             full = np.stack([np.broadcast_to(c, batch) for c in components])
-            mean, cross, spread = flow(t, full[:n], symmetric(full[n:], n), p)
-            change = [
-                cross[i, j] + cross[j, i] + spread[i, j] for i, j in zip(rows, columns, strict=True)
-            ]
-            return [*mean, *change]
+            mean, cross, diffusion = flow(t, full[:n], symmetric(full[n:], n), p)
+            change = cross + np.swapaxes(cross, 0, 1) + diffusion
+            return [*mean, *change[lower_triangle(n)]]
 
         return derivative
 

@@ -10,12 +10,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_count
 from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
 from seedslib.base.values import Values
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
+from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
@@ -40,9 +41,9 @@ class Points(NamedTuple):
     weights: np.ndarray  # (S,)
     centred: np.ndarray  # (S,)
 
-    def cross(self, apart: np.ndarray) -> np.ndarray:
+    def cross(self, deviations: np.ndarray) -> np.ndarray:
         """Covariance (n, m, *batch) of the state with values less their mean (m, S, *batch)."""
-        slope = np.einsum("js,is...,s->ji...", self.unit, apart, self.centred)
+        slope = np.einsum("js,is...,s->ji...", self.unit, deviations, self.centred)
         return np.einsum("kj...,ji...->ki...", self.root, slope)
 
 
@@ -78,19 +79,16 @@ class PointRule(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov, noise)
-            if given is None:
-                y = map.value(t, points.x, points.v, p)
-            else:
-                y = given.mean(t, points.x, p)
+            y = given.mean(t, points.x, p) if given else map.value(t, points.x, points.v, p)
             # about one of the values, so that equal ones are exactly their mean
             start = y[:, :1]
             y = nearest(y, start, map.period)
             h = start[:, 0] + np.einsum("is...,s->i...", y - start, points.weights)
-            apart = y - h[:, None]
-            cross = points.cross(apart)
+            deviations = y - h[:, None]
+            cross = points.cross(deviations)
             if not spread:
                 return Moments(h, cross, None)
-            square = np.einsum("is...,js...,s->ij...", apart, apart, points.centred)
+            square = np.einsum("is...,js...,s->ij...", deviations, deviations, points.centred)
             if given is not None:
                 noise_cov = given.cov(t, points.x, p)
                 square = square + np.einsum("ijs...,s->ij...", noise_cov, points.weights)
@@ -105,12 +103,12 @@ class PointRule(Linearization):
         def rates(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             points = self._points(np.asarray(mean, dtype=float), cov)
             b = system.drift_map.value(t, points.x, none, p)
-            velocity, spread = (
+            velocity, diffusion = (
                 np.einsum("is...,s->i...", y, points.weights)
                 for y in (b, system.spread_map.value(t, points.x, none, p))
             )
             cross = points.cross(b - velocity[:, None])
-            return Moments(velocity, cross, symmetric(spread, system.state_size))
+            return Moments(velocity, cross, symmetric(diffusion, system.state_size))
 
         return rates
 
@@ -124,18 +122,18 @@ class PointRule(Linearization):
         branches = [(map, given := _conditional(map), _kind(map, bool(given))) for map in maps]
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
-            laid: dict[int | None, Points] = {}
+            clouds: dict[int | None, Points] = {}
             values: dict[object, tuple] = {}
             result = []
             for map, given, kind in branches:
                 space = None if given else id(map.noise)
-                if space not in laid:
-                    laid[space] = self._points(mean, cov, None if given else map.noise)
-                _, _, x, v, weights, _ = laid[space]
+                if space not in clouds:
+                    clouds[space] = self._points(mean, cov, None if given else map.noise)
+                _, _, x, v, weights, _ = clouds[space]
                 if kind not in values:
                     with np.errstate(divide="ignore", invalid="ignore"):  # points without weight
-                        known = (given.mean(t, x, p), given.cov(t, x, p)) if given else None
-                        values[kind] = known or (map.value(t, x, v, p), None)
+                        moments = (given.mean(t, x, p), given.cov(t, x, p)) if given else None
+                        values[kind] = moments or (map.value(t, x, v, p), None)
                 share = given.weight(t, x, p) if given else map.weight(t, x, v, p)
                 share = share * weights.reshape(-1, *(1,) * (x.ndim - 2))
                 result.append(_branch(x, share, *values[kind]))
@@ -144,29 +142,31 @@ class PointRule(Linearization):
         return f
 
 
-def _kind(map: StochasticMap, known: bool) -> object:
+def _kind(map: StochasticMap, conditional: bool) -> object:
     """What branches have in common whose values and their noise are the same at each point."""
     if not map.symbolic:
         return id(map)
-    dependent = known and map.weight_expression.free_symbols & set(map.noise.symbols)
-    return (tuple(map.expressions), id(map.noise), map.weight_expression if dependent else known)
+    weight = conditional
+    if conditional and mentions(map.weight_expression, map.noise.symbols):
+        weight = map.weight_expression  # the noise in the branch depends on it
+    return tuple(map.expressions), id(map.noise), weight
 
 
-def _branch(x: np.ndarray, share: np.ndarray, y: np.ndarray, spread: np.ndarray | None) -> Weighted:
-    """Moments of a branch from points x, the branch's part of their weights, and values y there."""
+def _branch(x: np.ndarray, share: np.ndarray, y: np.ndarray, noise_cov: MaybeArray) -> Weighted:
+    """Moments of a branch from points x, its part of their weights, E y and cov y given each."""
     empty = np.abs(share) < SMALL  # there the mean in the branch may be 0 / 0
     share, y = np.where(empty, 0.0, share), np.where(empty, 0.0, y)
     mass = share.sum(axis=0)
     with np.errstate(divide="ignore", invalid="ignore"):
         share = share / mass
-    middle, h = ((share * part).sum(axis=1) for part in (x, y))
-    dx, dy = x - middle[:, None], y - h[:, None]
+    mean_x, mean_y = ((share * part).sum(axis=1) for part in (x, y))
+    dx, dy = x - mean_x[:, None], y - mean_y[:, None]
     squares = "is...,js...,s...->ij..."
     square = np.einsum(squares, dy, dy, share)
-    if spread is not None:
-        square = square + (share * np.where(empty, 0.0, spread)).sum(axis=2)
-    state = Gaussian(middle, np.einsum(squares, dx, dx, share))
-    return Weighted(mass, state, Moments(h, np.einsum(squares, dx, dy, share), square))
+    if noise_cov is not None:
+        square = square + (share * np.where(empty, 0.0, noise_cov)).sum(axis=2)
+    state = Gaussian(mean_x, np.einsum(squares, dx, dx, share))
+    return Weighted(mass, state, Moments(mean_y, np.einsum(squares, dx, dy, share), square))
 
 
 @lru_cache(maxsize=64)

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import sympy
 
+from seedslib.base.linalg import symmetric
 from seedslib.base.symbols import real_part
 from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.gaussian.formulas import covariance_expression, mean_expression
@@ -26,21 +27,21 @@ class Means:
     def __init__(
         self, state: Sequence[sympy.Symbol], mean: Sequence[Any], cov: sympy.Matrix
     ) -> None:
-        self.law = state, mean, cov
-        self._known: dict[Any, sympy.Expr] = {}
+        self.distribution = state, mean, cov
+        self._taken: dict[Any, sympy.Expr] = {}
 
     def __call__(self, expression: Any) -> sympy.Expr:
         """Mean; what does not depend on the state passes."""
         expression = sympy.sympify(expression)
-        if not mentions(expression, self.law[0]):
+        if not mentions(expression, self.distribution[0]):
             return expression
-        if expression not in self._known:
-            self._known[expression] = self._closed(mean_expression, expression)
-        return self._known[expression]
+        if expression not in self._taken:
+            self._taken[expression] = self._closed(mean_expression, expression)
+        return self._taken[expression]
 
     def covariance(self, first: Any, second: Any) -> sympy.Expr:
         """Covariance of two expressions; what cancels does so before numbers are put in."""
-        first, second, state = sympy.sympify(first), sympy.sympify(second), self.law[0]
+        first, second, state = sympy.sympify(first), sympy.sympify(second), self.distribution[0]
         if first.is_polynomial(*state) and second.is_polynomial(*state):
             return expand(self(expand(first * second)) - self(first) * self(second))
         return self._closed(covariance_expression, first, second)
@@ -65,9 +66,9 @@ class Means:
 
     def _closed(self, formula: Callable[..., sympy.Expr], *parts: sympy.Expr) -> sympy.Expr:
         """A formula without the imaginary unit, or `NoClosedForm` with what takes its parts."""
-        others = set().union(*(part.free_symbols for part in parts)) - set(self.law[0])
+        others = set().union(*(part.free_symbols for part in parts)) - set(self.distribution[0])
         try:
-            result = real_part(formula(*parts, *self.law, parameters=tuple(others)))
+            result = real_part(formula(*parts, *self.distribution, parameters=tuple(others)))
         except NoClosedForm as error:
             raise NoClosedForm(f"{error}; {POINTS}") from error
         if result.has(sympy.I, sympy.re, sympy.im):
@@ -76,11 +77,8 @@ class Means:
 
 
 def _symmetric(size: int, entry: Callable[[int, int], sympy.Expr]) -> sympy.Matrix:
-    matrix = sympy.zeros(size)
-    for i in range(size):
-        for j in range(i + 1):
-            matrix[i, j] = matrix[j, i] = entry(i, j)
-    return matrix
+    lower = [entry(i, j) for i in range(size) for j in range(i + 1)]
+    return sympy.Matrix(symmetric(np.array(lower, dtype=object), size))
 
 
 def expand(expression: sympy.Expr) -> sympy.Expr:
@@ -88,26 +86,26 @@ def expand(expression: sympy.Expr) -> sympy.Expr:
     return sympy.expand(expression, power_exp=False, power_base=False, log=False)
 
 
-def joined(map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> tuple[Any, ...]:
-    """State, value, its covariance given the state, and the law of the state of a branch.
+def augmented(map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> tuple[Any, ...]:
+    """State of a branch, E y and cov y given it, and its mean and covariance.
 
-    Where the weight mentions the noise, the noise is the lower part of the state; its mean is
-    named, for derivatives by it, and given in numbers by the last entry.
+    Where the weight mentions the noise, the noise is the lower part of the state. Its mean is then
+    a symbol, so that a mean can be differentiated by it; the last entry has the numbers.
     """
     noise = map.noise
     if not mentions(map.weight_expression, noise.symbols):
-        expressions, spread, _ = map.conditional_expressions
-        return map.state, expressions, spread, mean, cov, {}
+        expressions, noise_cov, _ = map.conditional_expressions
+        return map.state, expressions, noise_cov, mean, cov, {}
     if not noise.gaussian:
         raise NoClosedForm(
             "ExactGaussian: wanted Gaussian noise where the weight depends on it; use GaussHermite"
         )
-    known = [sympy.sympify(tidy(c)) for c in noise.cov.ravel()]
-    named = [sympy.Dummy(f"noise{k}", real=True) for k in range(noise.size)]
-    joint = sympy.diag(cov, sympy.Matrix(noise.size, noise.size, known))
-    still = {name: sympy.sympify(tidy(c)) for name, c in zip(named, noise.mean, strict=True)}
-    nothing = np.zeros((map.size, map.size), dtype=int)
-    return (*map.state, *noise.symbols), map.expressions, nothing, [*mean, *named], joint, still
+    entries = [sympy.sympify(tidy(c)) for c in noise.cov.ravel()]
+    symbols = [sympy.Dummy(f"noise{k}", real=True) for k in range(noise.size)]
+    joint_cov = sympy.diag(cov, sympy.Matrix(noise.size, noise.size, entries))
+    numbers = {s: sympy.sympify(tidy(c)) for s, c in zip(symbols, noise.mean, strict=True)}
+    state, noise_cov = (*map.state, *noise.symbols), np.zeros((map.size, map.size), dtype=int)
+    return state, map.expressions, noise_cov, [*mean, *symbols], joint_cov, numbers
 
 
 def affine_part(
@@ -151,9 +149,7 @@ class Taylor(Formulas):
         cross = cov * slope.T
         return value, cross, slope * cross + noise_cov if spread else None
 
-    def branch(
-        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
-    ) -> BranchFormulas:
+    def branch(self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> BranchFormulas:
         """Moments of a branch, (7.3) of the switching paper.
 
         It is the exact Gaussian mean of the product of the expansions of weight and value.
@@ -168,21 +164,17 @@ class Taylor(Formulas):
         if mentions(map.weight_expression, map.noise.symbols):
             raise NoClosedForm("Taylor: wanted a weight without noise; use GaussHermite")
         value, slope, noise_cov = _expanded(map, mean)
-        weight, here = (
-            sympy.Matrix([map.weight_expression]),
-            dict(zip(map.state, mean, strict=True)),
-        )
-        tilt = name(weight.jacobian(map.state).subs(here))
-        lean = name(cov * tilt.T)
-        mass = name(weight.subs(here)[0])
-        usable = sympy.Heaviside(mass**2 - (tilt * lean)[0], 0)
-        # 1 / mass, or 0 where the slope is dropped
-        inverse = name(usable / (mass + 1 - usable))
-        state_cov = cov - inverse**2 * lean * lean.T
+        weight, here = map.weight_expression, dict(zip(map.state, mean, strict=True))
+        mass, gradient = weight.subs(here), sympy.Matrix([weight]).jacobian(map.state).subs(here)
+        weight_cov = cov * gradient.T  # cov(x, weight)
+        usable = sympy.Heaviside(mass**2 - (gradient * weight_cov)[0], 0)
+        # cov(x, weight) / mass, or 0 where the slope is dropped: then nothing is divided by zero
+        shift = usable / (mass + 1 - usable) * weight_cov
+        state_cov = cov - shift * shift.T
         cross = state_cov * slope.T
-        shift = inverse * lean
-        moved = sympy.Matrix(mean) + shift, state_cov, value + slope * shift
-        return BranchFormulas(mass, *moved, cross, slope * cross + noise_cov)
+        state = sympy.Matrix(mean) + shift, state_cov
+        square = slope * cross + noise_cov
+        return BranchFormulas(mass, *state, value + slope * shift, cross, square)
 
 
 @dataclass(frozen=True)
@@ -205,9 +197,7 @@ class ExactGaussian(Formulas):
         cross = cov * y.jacobian(mean).T
         return y, cross, average.squares(conditional, noise_cov) if spread else None
 
-    def branch(
-        self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix, name: Callable[..., Any]
-    ) -> BranchFormulas:
+    def branch(self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> BranchFormulas:
         """Moments of a branch, the centred form of (6.22) and (6.36) of the switching paper.
 
         With the mass q(m, D) = E w the state in the branch has the mean m + D grad log q and the
@@ -216,7 +206,7 @@ class ExactGaussian(Formulas):
         digits are lost far from the origin. A weight that mentions the noise, (6.23) and (6.27),
         makes the noise part of the state.
         """
-        state, expressions, noise_cov, mean, cov, known = joined(map, mean, cov)
+        state, expressions, noise_cov, mean, cov, numbers = augmented(map, mean, cov)
         weight, n = fold(map.weight_expression), map.state_size
         average = Means(state, mean, cov)
         if not mentions(weight, state):
@@ -224,23 +214,23 @@ class ExactGaussian(Formulas):
             square, cross = average.squares(expressions, noise_cov), cov * y.jacobian(mean).T
             return BranchFormulas(weight, sympy.Matrix(mean), cov, y, cross, square)
 
-        def named(part: sympy.Matrix) -> sympy.Matrix:
-            return name(part.xreplace(known))
-
         mass = average(weight)
         gradient = sympy.Matrix([mass]).jacobian(mean)
+        hessian = gradient.jacobian(mean)
         slope, constant, rest = affine_part(expressions, state)
         raw = sympy.Matrix([average(expand(weight * part)) for part in rest])
-        squares = named(average.raw_squares(weight, rest, noise_cov))
-        hessian, raw_slope = named(gradient.jacobian(mean)), named(raw.jacobian(mean))
-        mass, gradient, raw = named(mass), named(gradient), named(raw)
-        inverse = name(1 / mass)
-        shift, rest_mean = name(inverse * cov * gradient.T), name(inverse * raw)
-        within = name(cov + inverse * cov * hessian * cov - shift * shift.T)
-        joint = name(inverse * cov * raw_slope.T - shift * rest_mean.T)  # cov(state, rest)
-        centre = sympy.Matrix(mean).xreplace(known) + shift
-        cross = name(within * slope.T + joint)
+        raw_slope, squares = raw.jacobian(mean), average.raw_squares(weight, rest, noise_cov)
+        # the mean of a noise in the state was a symbol for the sake of the derivatives
+        mass, mean = mass.xreplace(numbers), sympy.Matrix(mean).xreplace(numbers)
+        gradient, hessian, raw, raw_slope, squares = (
+            part.xreplace(numbers) for part in (gradient, hessian, raw, raw_slope, squares)
+        )
+        shift, rest_mean = cov * gradient.T / mass, raw / mass
+        state_cov = cov + cov * hessian * cov / mass - shift * shift.T
+        rest_cross = cov * raw_slope.T / mass - shift * rest_mean.T  # cov(state, rest)
+        cross = state_cov * slope.T + rest_cross
+        centre = mean + shift
         y = slope * centre + constant + rest_mean
-        rest_cov = inverse * squares - rest_mean * rest_mean.T
-        square = slope * cross + joint.T * slope.T + rest_cov
-        return BranchFormulas(mass, centre[:n, :], within[:n, :n], y, cross[:n, :], square)
+        rest_cov = squares / mass - rest_mean * rest_mean.T
+        square = slope * cross + rest_cross.T * slope.T + rest_cov
+        return BranchFormulas(mass, centre[:n, :], state_cov[:n, :n], y, cross[:n, :], square)

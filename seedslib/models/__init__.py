@@ -10,10 +10,9 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from seedslib.models.chains import DiscreteChain as DiscreteChain
-    from seedslib.models.chains import FellerChain as FellerChain
+    from seedslib.models.chains import GridChain as GridChain
     from seedslib.models.chains import PlaneChain as PlaneChain
-    from seedslib.models.chains import SwitchingChain as SwitchingChain
+    from seedslib.models.chains import grid_chain as grid_chain
     from seedslib.models.discrete import DiscreteSystem as DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion as JumpDiffusion
     from seedslib.models.kinds import System as System

@@ -1,13 +1,13 @@
 """Systems on a grid: probabilities of its nodes, how they move, and the likelihoods of nodes.
 
-What the exact recursions ask of a model. `GridChain` holds what all of them share; each kind of
-system says how its probabilities start and move.
+What the exact recursions ask of a model, as a `GridChain` that `grid_chain` makes of any of them.
 """
 
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,8 @@ import numpy as np
 from seedslib.base.clock import lengths_alike, step_count, when
 from seedslib.base.linalg import cholesky, variances
 from seedslib.base.tables import (
-    AxesLike,
     Axis,
     AxisLike,
-    Grid,
     Nodes,
     as_axes,
     as_grids,
@@ -51,75 +49,65 @@ SHIFT = 1e-5
 
 
 class GridChain:
-    """A system on the nodes of a grid, a Markov chain that is seen through a likelihood.
+    """A system on the nodes of a grid, a Markov chain that is observed through a likelihood.
 
-    The states of the chain are the nodes in mode 0, then those in mode 1, and so on.
+    The states of the chain are the nodes in mode 0, then those in mode 1, and so on. `grid_chain`
+    makes one of a system.
+
+    Parameters
+    ----------
+    system : DiscreteSystem, SwitchingSystem or JumpDiffusion
+        With a sensor that has a density.
+    axes : sequence of Axis or Nodes
+    initial : ndarray, shape (S,)
+        Initial probabilities.
+    matrix : callable
+        ``matrix(start, stop, p)``, probabilities (S, S) of a transition, column by column.
+    steady : bool
+        Whether it depends on the length of the step only.
+    stored : int
+        How many matrices are stored, of times or of values of inputs.
+    loses : bool
+        Whether columns of the transition need not sum to one.
 
     Attributes
     ----------
-    axes : tuple of Axis or Nodes
     nodes : ndarray, shape (n, N)
         Of the system's state, the last component fastest.
     values : ndarray, shape (n, S)
         State of the system at each state of the chain, S = N modes.
     modes, indicators : int
         1 and 0 where there are neither.
-    loses : bool
-        Whether columns of the transition need not sum to one.
     """
 
-    loses: bool = False
-    stored: int = STORED
-
-    def __init__(self, system: Any, axes: Sequence[Axis | Nodes]) -> None:
+    def __init__(
+        self,
+        system: Any,
+        axes: Sequence[Axis | Nodes],
+        initial: np.ndarray,
+        matrix: Callable[[float, float, Values], np.ndarray] | None = None,
+        *,
+        steady: bool = False,
+        stored: int = STORED,
+        loses: bool = False,
+    ) -> None:
         switching = isinstance(system, SwitchingSystem)
         self.system: Any = system
         self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
+        self.initial: np.ndarray = initial
+        self.steady, self.stored, self.loses = steady, stored, loses
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes if switching else 1
         self.indicators: int = system.indicators
         self.values: np.ndarray = np.tile(self.nodes, self.modes)
+        self._matrix = matrix
+        self._known: dict[Any, Any] = {}
         self._sensors: Any = system.sensors if switching else (system.sensor,)
         self._readings: Any = system.readings if switching else ((system.sensor,),)
-        self._require_densities("sensor", self._readings)
-        time, formulas = self._formulas()
-        self._steady: bool = formulas is not None and not any(e.has(time) for e in formulas)
-        self._known: dict[Any, Any] = {}
+        require_densities("sensor", self._readings)
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({', '.join(map(str, self.axes))})"
-
-    @staticmethod
-    def _require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
-        if not all(map is None or map.has_log_density for row in table for map in row):
-            raise ValueError(
-                f"{name}: wanted values affine in noise with a density or with a log_density, got "
-                "one whose density has no closed form"
-            )
-
-    @property
-    def axis(self) -> Any:
-        """The nodes of a scalar state."""
-        return self.axes[0]
-
-    def start(self) -> np.ndarray:
-        """Initial probabilities, shape (S,)."""
-        if isinstance(self.system, SwitchingSystem):
-            laws = self.system.initial
-            return np.concatenate([p * self._normal(mean, cov) for p, mean, cov in laws])
-        if not self.system.law.gaussian:
-            raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
-        return self._normal(self.system.mean0, self.system.cov0)
-
-    def _normal(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Probabilities of the nodes for a normal law."""
-        deviation = np.sqrt(cov[0, 0])
-        if len(self.axes) == 1 and deviation < self.axis.step:
-            mass = cell_masses(self.axis, mean[:1], deviation[None])[:, 0]
-        else:  # for a smooth density the values at the nodes are better than masses of cells
-            error = self.nodes - mean[:, None]
-            mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
-        return mass / mass.sum()
 
     def numbers(self, p: Values | None, dt: float = np.nan) -> Values:
         """Numbers of the parameters; the system's own where None are given.
@@ -155,20 +143,13 @@ class GridChain:
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
         p = self.numbers(p, stop - start)
-        span = (float(lengths_alike(stop - start)),) if self._steady else (start, stop)
+        span = (float(lengths_alike(stop - start)),) if self.steady else (start, stop)
         key = *span, *p
         if key not in self._known:
             if len(self._known) >= self.stored:
                 self._known.clear()
-            self._known[key] = self._transition(float(start), float(stop), p)
+            self._known[key] = self._matrix(float(start), float(stop), p)
         return self._known[key]
-
-    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
-        raise NotImplementedError
-
-    def _formulas(self) -> tuple[Any, Any]:
-        """Symbol of the time, and SymPy expressions that say how the system moves, or None."""
-        raise NotImplementedError
 
     def move(
         self, law: np.ndarray, start: float, stop: float, p: Values | None = None
@@ -178,8 +159,7 @@ class GridChain:
 
     def law(self, t: float, start: float = 0.0) -> np.ndarray:
         """Probabilities at a later time, shape (S,)."""
-        mass = self.start()
-        return mass if t == start else self.transition(start, t) @ mass
+        return self.initial if t == start else self.transition(start, t) @ self.initial
 
     def log_likelihood(self, t: float, shown: np.ndarray, p: Values | None = None) -> np.ndarray:
         """Logarithm of the density of measurements (m, Y) at each state: (Y, S).
@@ -228,201 +208,205 @@ class GridChain:
             )
 
 
-class DiscreteChain(GridChain):
-    """Discrete system of one or two state components as a chain seen through a likelihood.
+def grid_chain(system: Any, axes: Any) -> GridChain:
+    """A system of one or two state components as a chain on a grid.
 
-    Means over the state are quadrature on the nodes, p'(x') = sum of w p(x' | x) p(x). On evenly
-    spaced nodes the trapezoid rule converges faster than any power of the step for smooth
-    densities; a step of half of the noise's deviation leaves rounding. No column is normalised:
-    what leaves the nodes is lost, and likelihoods say so.
+    Of a `DiscreteSystem` means over the state are quadrature on the nodes, p'(x') = sum of
+    w p(x' | x) p(x). On evenly spaced nodes the trapezoid rule converges faster than any power of
+    the step for smooth densities; a step of half of the noise's deviation leaves rounding. No
+    column is normalised: what leaves the nodes is lost, and likelihoods say so.
 
-    Parameters
-    ----------
-    system : DiscreteSystem
-        Of one or two components, each moved by noise of its own, whose next state and measurement
-        have densities.
-    axes : Axis, (low, high, count) or Nodes, or two of them
-        Nodes of the state.
+    Of a `SwitchingSystem` it is (1.3) and (1.4) of the switching paper on the nodes. Columns are
+    normalised, so what would leave the nodes is spread over them. In the plane the steps are below
+    the deviations of the noise, which moves both components.
 
-    Attributes
-    ----------
-    weights : ndarray, shape (S,)
-
-    Raises
-    ------
-    ValueError
-        More components, no density, an initial law that is not Gaussian.
-    """
-
-    loses = True
-    stored = 1
-
-    def __init__(self, system: DiscreteSystem, axes: Grid) -> None:
-        n = system.state_size
-        if n > 2:
-            raise ValueError(
-                f"system: wanted one or two state components, got {n}; see ParticleFilter"
-            )
-        self._require_densities("dynamics", ((system.dynamics,),))
-        if not system.law.gaussian:
-            raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
-        super().__init__(system, as_grids("x", axes, n))
-        self.weights: np.ndarray = np.ones(1)
-        for axis in self.axes:
-            self.weights = np.outer(self.weights, axis.weights).ravel()
-
-    def _normal(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Masses of a normal law; of a known state at a node, or shared between those about it."""
-        if not cov.any():
-            place = locate(self.axes, list(mean))
-            return np.array([place.linear(row) for row in np.eye(len(self.weights))])
-        require_moved("cov0", cov)
-        error = self.values - mean[:, None]
-        square = np.einsum("iS,iS->S", error, np.linalg.solve(cov, error))
-        return self.weights * np.exp(-0.5 * square) / np.sqrt(np.linalg.det(2.0 * np.pi * cov))
-
-    def _formulas(self) -> tuple[Any, Any]:
-        return self.system.dynamics.time, self.system.dynamics.expressions
-
-    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
-        x, map = self.values, self.system.dynamics
-        if map.gaussian_density:
-            mean, cov = map.conditional_moments(start, x, p)
-            require_moved("dynamics", cov)
-            if len(x) == 1 and not map.period:
-                return self._gaussian(mean[0], np.sqrt(cov[0, 0]))
-        later, now = x[:, :, None], x[:, None, :]
-        return self.weights[:, None] * np.exp(map.log_density(start, later, now, p))
-
-    def _gaussian(self, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-        # in place: these matrices are large, and made anew at every time
-        found = self.values.T - mean
-        found /= deviation
-        found *= found
-        found *= -0.5
-        np.exp(found, out=found)
-        found *= self.weights[:, None]
-        found /= np.sqrt(2.0 * np.pi) * deviation
-        return found
-
-
-class SwitchingChain(GridChain):
-    """Switching system of one or two state components as a chain seen through a likelihood.
-
-    (1.3) and (1.4) of the switching paper on the nodes.
+    Of a scalar `JumpDiffusion` it is the exponential of the `generator`; one in the plane is a
+    `PlaneChain`.
 
     Parameters
     ----------
-    system : SwitchingSystem
-        With moves and readings that have densities in closed form.
-    axes : Axis or (low, high, count), or two of them
-        Nodes of the state. Their range should hold all but a millionth of the probability: columns
-        of the transition are normalised, so what would leave it is spread over its nodes. In the
-        plane the steps are below the deviations of the noise, which moves both components.
+    system : DiscreteSystem, SwitchingSystem or JumpDiffusion
+        In discrete time each component is moved by noise of its own, and next state and
+        measurement have densities; the initial distribution is Gaussian.
+    axes : Axis, (low, high, count), or two of them
+        Nodes of the state, which of a `DiscreteSystem` may be `Nodes`. Their range should hold all
+        but a millionth of the probability.
 
     Raises
     ------
-    ValueError
-        More than two state components, or no density.
+    TypeError, ValueError
+        More components, no density, an initial distribution that is only sampled, axes that are
+        none.
     """
+    require_few(system)
+    n = system.state_size
+    if isinstance(system, DiscreteSystem):
+        return _discrete_chain(system, as_grids("axes", axes, n))
+    axes = as_axes("axes", axes, n)
+    if isinstance(system, SwitchingSystem):
+        return _switching_chain(system, axes)
+    return PlaneChain(system, axes) if n == 2 else _feller_chain(system, axes)
 
-    def __init__(self, system: SwitchingSystem, axes: AxesLike) -> None:
-        if system.state_size > 2:
-            raise ValueError(
-                f"system: wanted one or two state components, got {system.state_size}; "
-                "simulated_synthesis takes more"
-            )
-        self._require_densities("dynamics", system.branches)
-        super().__init__(system, as_axes("axes", axes, system.state_size))
 
-    def _formulas(self) -> tuple[Any, Any]:
-        maps = [b.map for row in self.system.branches for b in row if b is not None]
-        if not all(map.symbolic for map in maps):
-            return None, None
-        return maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
+def _discrete_chain(system: DiscreteSystem, axes: Sequence[Axis | Nodes]) -> GridChain:
+    require_densities("dynamics", ((system.dynamics,),))
+    weights = np.ones(1)
+    for axis in axes:
+        weights = np.outer(weights, axis.weights).ravel()
+    matrix = partial(_discrete_matrix, system.dynamics, mesh(axes), weights)
+    steady = _without(system.dynamics.time, system.dynamics.expressions)
+    initial = _discrete_start(system, axes, weights)
+    return GridChain(system, axes, initial, matrix, steady=steady, stored=1, loses=True)
 
-    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
-        count, modes = self.nodes.shape[1], range(self.modes)
-        found = np.zeros((self.modes, count, self.modes, count))
-        maps, table = self.system.dynamics, self.system.branches
-        if self.system.drives == "new":  # the switch at each node, and the move of the new mode
-            moves = [self._leaving(start, map, [Branch(map)], p)[0] for map in maps]
-            for i, l in np.ndindex(self.modes, self.modes):
-                if (branch := table[i][l]) is not None:
-                    found[l, :, i] = moves[l] * branch.probability(start, self.nodes, p)
-        else:
-            for i in modes:
-                found[:, :, i] = self._leaving(start, maps[i], table[i], p)
-        return found.reshape(self.modes * count, -1)
 
-    def _leaving(
-        self, t: float, map: StochasticMap, row: Sequence[Branch | None], p: Values
-    ) -> np.ndarray:
-        """Probabilities (branches, N, N) of the branches of a map and the next node."""
-        x = self.nodes
-        if len(x) == 1:
-            mean, deviation = (part[0] for part in mean_and_deviation(map, t, x, p))
-            if (deviation < self.axis.step).any():
-                if any(b is not None and b.depends_on_noise for b in row):
-                    raise ValueError(
-                        f"x: wanted a step below the deviation {deviation.min():g} of the noise, "
-                        "which the switching depends on"
-                    )
-                masses = cell_masses(self.axis, mean, deviation)
-                return np.stack(
-                    [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
+def _discrete_start(system: DiscreteSystem, axes: Sequence[Axis | Nodes], weights: np.ndarray):
+    """Masses of a normal law; of a known state at a node, or shared between those about it."""
+    require_gaussian(system)
+    mean, cov = system.mean0, system.cov0
+    if not cov.any():
+        place = locate(tuple(axes), list(mean))
+        return np.array([place.linear(row) for row in np.eye(len(weights))])
+    require_moved("cov0", cov)
+    error = mesh(axes) - mean[:, None]
+    square = np.einsum("iS,iS->S", error, np.linalg.solve(cov, error))
+    return weights * np.exp(-0.5 * square) / np.sqrt(np.linalg.det(2.0 * np.pi * cov))
+
+
+def _discrete_matrix(
+    map: StochasticMap, x: np.ndarray, weights: np.ndarray, start: float, stop: float, p: Values
+) -> np.ndarray:
+    if map.gaussian_density:
+        mean, cov = map.conditional_moments(start, x, p)
+        require_moved("dynamics", cov)
+        if len(x) == 1 and not map.period:
+            # in place: these matrices are large, and made anew at every time
+            deviation, density = np.sqrt(cov[0, 0]), x.T - mean[0]
+            density /= deviation
+            density *= density
+            density *= -0.5
+            np.exp(density, out=density)
+            density *= weights[:, None]
+            density /= np.sqrt(2.0 * np.pi) * deviation
+            return density
+    return weights[:, None] * np.exp(map.log_density(start, x[:, :, None], x[:, None, :], p))
+
+
+def _switching_chain(system: SwitchingSystem, axes: Sequence[Axis]) -> GridChain:
+    require_densities("dynamics", system.branches)
+    maps = [b.map for row in system.branches for b in row if b is not None]
+    steady = all(map.symbolic for map in maps) and _without(
+        maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
+    )
+    initial = np.concatenate([p * _normal(axes, mean, cov) for p, mean, cov in system.initial])
+    return GridChain(system, axes, initial, partial(_switching_matrix, system, axes), steady=steady)
+
+
+def _switching_matrix(
+    system: SwitchingSystem, axes: Sequence[Axis], start: float, stop: float, p: Values
+) -> np.ndarray:
+    nodes, maps, table = mesh(axes), system.dynamics, system.branches
+    count, modes = nodes.shape[1], system.modes
+    matrix = np.zeros((modes, count, modes, count))
+    if system.drives == "new":  # the switch at each node, and the move of the new mode
+        moves = [_leaving(axes, nodes, start, map, [Branch(map)], p)[0] for map in maps]
+        for i, l in np.ndindex(modes, modes):
+            if (branch := table[i][l]) is not None:
+                matrix[l, :, i] = moves[l] * branch.probability(start, nodes, p)
+    else:
+        for i in range(modes):
+            matrix[:, :, i] = _leaving(axes, nodes, start, maps[i], table[i], p)
+    return matrix.reshape(modes * count, -1)
+
+
+def _leaving(
+    axes: Sequence[Axis],
+    x: np.ndarray,
+    t: float,
+    map: StochasticMap,
+    row: Sequence[Branch | None],
+    p: Values,
+) -> np.ndarray:
+    """Probabilities (branches, N, N) of the branches of a map and the next node."""
+    if len(x) == 1:
+        mean, deviation = (part[0] for part in mean_and_deviation(map, t, x, p))
+        if (deviation < axes[0].step).any():
+            if any(b is not None and b.depends_on_noise for b in row):
+                raise ValueError(
+                    f"x: wanted a step below the deviation {deviation.min():g} of the noise, "
+                    "which the switching depends on"
                 )
-        logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
-        for log, branch in zip(logs, row, strict=True):
-            if branch is not None:
-                log[:] = branch.log_density(t, x[:, :, None], x[:, None, :], p)
-        # a state that moves far beyond the ends goes to the node that is the least far away
-        masses = np.exp(logs - logs.max(axis=(0, 1)))
-        return masses / masses.sum(axis=(0, 1))
+            masses = cell_masses(axes[0], mean, deviation)
+            return np.stack([masses * (0.0 if b is None else b.probability(t, x, p)) for b in row])
+    logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
+    for log, branch in zip(logs, row, strict=True):
+        if branch is not None:
+            log[:] = branch.log_density(t, x[:, :, None], x[:, None, :], p)
+    # a state that moves far beyond the ends goes to the node that is the least far away
+    masses = np.exp(logs - logs.max(axis=(0, 1)))
+    return masses / masses.sum(axis=(0, 1))
 
 
-class FellerChain(GridChain):
-    """Scalar jump-diffusion and its sensor as a chain that is seen through a likelihood.
+def _feller_chain(system: JumpDiffusion, axes: Sequence[Axis]) -> GridChain:
+    formulas = []
+    if system.symbolic:
+        formulas = [*system.drift_expressions, *system.diffusion_expressions.flat]
+        formulas += [system.intensity_expression, *(system.jump.expressions if system.jump else ())]
+    steady = system.symbolic and _without(system.time, formulas)
+    matrix = partial(_feller_matrix, system, axes[0], steady)
+    return GridChain(system, axes, _diffusion_start(system, axes), matrix, steady=steady)
 
-    Parameters
-    ----------
-    system : JumpDiffusion
-        With one state component and a sensor that has a log-density.
-    axis : Axis
-        Nodes of the state. Their range should hold all but a millionth of the probability.
 
-    Raises
-    ------
-    ValueError
-        More than one state component, no likelihood, or an initial law that is not Gaussian.
-    """
+def _feller_matrix(
+    system: JumpDiffusion, axis: Axis, steady: bool, start: float, stop: float, p: Values
+) -> np.ndarray:
+    """Matrix exponential of the rates, or of those at the middle of integration steps."""
+    from scipy.linalg import expm
 
-    def __init__(self, system: JumpDiffusion, axis: AxisLike) -> None:
-        require_scalar(system)
-        super().__init__(system, [Axis.of("axis", axis)])
+    steps = 1 if steady else step_count(start, stop, system.step)
+    h, last, matrix = (stop - start) / steps, None, np.eye(axis.count)
+    for k in range(steps):
+        rates = generator(system, axis, start + (k + 0.5) * h, p)
+        if last is None or not np.array_equal(rates, last):
+            step, last = expm(rates * h), rates
+        matrix = step @ matrix
+    matrix = np.maximum(matrix, 0.0)
+    return matrix / matrix.sum(axis=0)
 
-    def _formulas(self) -> tuple[Any, Any]:
-        system = self.system
-        if not system.symbolic:
-            return None, None
-        jump = (
-            [] if system.jump is None else [system.intensity_expression, *system.jump.expressions]
+
+def _diffusion_start(system: JumpDiffusion, axes: Sequence[Axis]) -> np.ndarray:
+    require_gaussian(system)
+    return _normal(axes, system.mean0, system.cov0)
+
+
+def _normal(axes: Sequence[Axis], mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+    """Probabilities of the nodes for a normal law."""
+    deviation = np.sqrt(cov[0, 0])
+    if len(axes) == 1 and deviation < axes[0].step:
+        mass = cell_masses(axes[0], mean[:1], deviation[None])[:, 0]
+    else:  # for a smooth density the values at the nodes are better than masses of cells
+        error = mesh(axes) - mean[:, None]
+        mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
+    return mass / mass.sum()
+
+
+def _without(time: Any, expressions: Any) -> bool:
+    """Whether there are formulas, which do not mention the time."""
+    return expressions is not None and not any(e.has(time) for e in expressions)
+
+
+def require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
+    """Refuse maps without a density."""
+    if not all(map is None or map.has_log_density for row in table for map in row):
+        raise ValueError(
+            f"{name}: wanted values affine in noise with a density or with a log_density, got "
+            "one whose density has no closed form"
         )
-        return system.time, [*jump, *system.drift_expressions, *system.diffusion_expressions.flat]
 
-    def _transition(self, start: float, stop: float, p: Values) -> np.ndarray:
-        """Matrix exponential of the rates, or of those at the middle of integration steps."""
-        from scipy.linalg import expm
 
-        steps = 1 if self._steady else step_count(start, stop, self.system.step)
-        h, last, found = (stop - start) / steps, None, np.eye(self.axis.count)
-        for k in range(steps):
-            rates = generator(self.system, self.axis, start + (k + 0.5) * h, p)
-            if last is None or not np.array_equal(rates, last):
-                step, last = expm(rates * h), rates
-            found = step @ found
-        found = np.maximum(found, 0.0)
-        return found / found.sum(axis=0)
+def require_gaussian(system: Any) -> None:
+    """Refuse an initial distribution without a density."""
+    if not system.law.gaussian:
+        raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
 
 
 class PlaneChain(GridChain):
@@ -456,7 +440,8 @@ class PlaneChain(GridChain):
     ) -> None:
         if system.state_size != 2 or system.jump is not None:
             raise ValueError("system: wanted two state components and no jumps")
-        super().__init__(system, as_axes("axes", axes, 2))
+        axes = as_axes("axes", axes, 2)
+        super().__init__(system, axes, _diffusion_start(system, axes))
         self.substep: float = float(substep)
         if np.abs(self._diffusion(system.nominal_values())[0, 1]).max() > 0:
             raise ValueError("system: wanted components driven by noises of their own")
@@ -466,9 +451,6 @@ class PlaneChain(GridChain):
         root = self.system.diffusion(0.0, self.values, p)
         root = np.broadcast_to(root, (2, self.system.wiener_size, self.values.shape[1]))
         return np.einsum("iwN,jwN->ijN", root, root)
-
-    def _formulas(self) -> tuple[Any, Any]:
-        return None, None
 
     def move(
         self, law: np.ndarray, start: float, stop: float, p: Values | None = None
@@ -526,14 +508,6 @@ class PlaneChain(GridChain):
         return mean.reshape(shape), deviation.reshape(shape)
 
 
-def chain_of(system: object, axis: Any) -> GridChain:
-    """The chain of a scalar system of any kind; only that of a `DiscreteSystem` takes `Nodes`."""
-    require_scalar(system)
-    kinds = {SwitchingSystem: SwitchingChain, DiscreteSystem: DiscreteChain}
-    made = next((chain for kind, chain in kinds.items() if isinstance(system, kind)), FellerChain)
-    return made(system, axis)
-
-
 def generator(
     system: JumpDiffusion, axis: Axis, t: float = 0.0, p: Values | None = None
 ) -> np.ndarray:
@@ -584,12 +558,12 @@ def mean_and_deviation(
     return np.broadcast_to(mean, shape), np.sqrt(square)
 
 
-def require_scalar(system: Any) -> None:
-    """Refuse a system of several components."""
-    if system.state_size != 1:
+def require_few(system: Any, most: int = 2) -> None:
+    """Refuse a system of more state components than a grid can have."""
+    if system.state_size > most:
         raise ValueError(
-            f"system: wanted one state component for a grid, got {system.state_size}; "
-            "simulated_synthesis takes more"
+            f"system: wanted at most {most} state component{'s' * (most > 1)} for a grid, got "
+            f"{system.state_size}; ParticleFilter and simulated_synthesis take more"
         )
 
 

@@ -21,7 +21,7 @@ from sympy.printing.numpy import SciPyPrinter
 from seedslib.base.arrays import batch_shape
 from seedslib.base.checks import require_shape
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
-from seedslib.gaussian.special import difference, tilted_cdf
+from seedslib.gaussian.special import difference
 
 LARGEST_POWER = 40
 TERMS = 14
@@ -77,7 +77,7 @@ def sinc_ratio(k: int, x: Any) -> Any:
     return np.select([near], [series / math.prod(range(1, 2 * k + 2, 2))], ratio)
 
 
-OWN = {"sinc_ratio": sinc_ratio, "difference": difference, "tilted_cdf": tilted_cdf}
+OWN = {"sinc_ratio": sinc_ratio, "difference": difference}
 MODULES = [OWN, "scipy", "numpy"]
 
 
@@ -173,9 +173,7 @@ def known_expressions(
 
 
 def compile_components(
-    arguments: Sequence[object],
-    expressions: Sequence[sympy.Expr],
-    named: Sequence[tuple[Any, ...]] = (),
+    arguments: Sequence[object], expressions: Sequence[sympy.Expr]
 ) -> Callable[..., list[Any]]:
     """Function of the arguments that returns the list of the expressions' values.
 
@@ -185,8 +183,6 @@ def compile_components(
         Each entry a symbol or a sequence of symbols (a vector given by its components); parameters
         of a model are one of them.
     expressions : sequence of SymPy expressions
-    named : sequence of (symbol, expression)
-        Symbols of the expressions that stand for others, evaluated once.
 
     Returns
     -------
@@ -201,11 +197,8 @@ def compile_components(
     """
     arguments = [tuple(a) if isinstance(a, Sequence | np.ndarray) else a for a in arguments]
     listed = [s for a in arguments for s in (a if isinstance(a, tuple) else (a,))]
-    known = {*listed, *(name for name, _ in named)}
     expressions = [as_expression("expressions", e) for e in expressions]
-    require_known("expressions", [*expressions, *(part for _, part in named)], known)
-    for name, part in reversed(named):
-        expressions = [e.xreplace({name: part}) for e in expressions]
+    require_known("expressions", expressions, listed)
     # equal expressions are compiled once, whatever their dummies are
     dummies = {
         s: sympy.Symbol(f"{k} ", **s.assumptions0)

@@ -146,6 +146,20 @@ class StochasticMap(Pickled):
     def __repr__(self) -> str:
         return f"{type(self).__name__}(state_size={self.state_size}, size={self.size})"
 
+    def __eq__(self, other: object) -> bool:
+        """Whether the formulas are the same, or it is the same map of array functions."""
+        if not (isinstance(other, StochasticMap) and self.symbolic and other.symbolic):
+            return self is other
+        return self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content) if self.symbolic else id(self)
+
+    @cached_property
+    def _content(self) -> tuple[Any, ...]:
+        formulas = (*self.expressions, self.weight_expression)
+        return self.state, self.time, self.parameters, self.period, formulas, self.noise
+
     @property
     def symbolic(self) -> bool:
         """Whether the map was given as SymPy expressions."""
@@ -172,7 +186,7 @@ class StochasticMap(Pickled):
         if parameters == self.parameters:
             return self
         made = changed(self, parameters=parameters)
-        for name in ("_value", "_weight", "conditional", "_by_noise"):
+        for name in ("_value", "_weight", "conditional", "_by_noise", "_content"):
             vars(made).pop(name, None)
         return made
 

@@ -9,7 +9,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import align
 from seedslib.base.checks import as_real
 from seedslib.gaussian import (
     expectation_function,
@@ -147,7 +146,8 @@ class TwoStepEstimator:
         """Estimates along measured paths; arguments and errors as `kalman_bucy`."""
         first = kalman_bucy(self.system, times, increments)
         mean, cov = np.moveaxis(first.mean, 0, 1), np.moveaxis(first.cov, 0, 2)
-        cov = align(cov, 2, mean.ndim - 1)
+        # time is the first batch axis of both: the others of the paths follow
+        cov = cov.reshape(*cov.shape, *(1,) * (mean.ndim + 1 - cov.ndim))
         values = self.estimate(mean, cov), self.variance(mean, cov), self.plugin(mean)
         return TwoStepPaths(*(np.moveaxis(v, v.ndim + 1 - mean.ndim, 0) for v in values))
 

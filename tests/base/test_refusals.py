@@ -15,7 +15,7 @@ from seedslib.designed import Memory, load, save
 from seedslib.filters import extended_kalman
 from seedslib.gaussian import expectation, expectation_function
 from seedslib.linearization import Moments, Taylor
-from seedslib.models import FellerChain, JumpDiffusion, Noise, StochasticMap
+from seedslib.models import JumpDiffusion, Noise, StochasticMap, grid_chain
 from seedslib.two_step import LinearDiffusion
 
 X, V, K = sp.symbols("x v k")
@@ -45,7 +45,7 @@ ROWS = [
     (lambda: Nodes([0.0, 1.0], [1.0, -1.0]), ValueError, "weights"),
     (lambda: interpolate(np.zeros((1, 4)), [AXIS], [0.5]), ValueError, "table"),
     (lambda: interpolate(np.zeros((1, 3)), [AXIS], []), ValueError, "points"),
-    (lambda: FellerChain(flow(), [AXIS]), TypeError, "axis"),
+    (lambda: grid_chain(flow(), 5), TypeError, "axes"),
     (lambda: Noise([V, K], cov=[[1, 0.5], [0.4, 1]]), ValueError, "cov"),
     (
         lambda: LinearDiffusion(-np.eye(2), np.eye(2), np.eye(2), np.eye(3), [0, 0], np.eye(2)),

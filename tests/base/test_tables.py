@@ -60,5 +60,5 @@ def test_times_that_differ_by_rounding_are_the_same_in_every_unit_and_from_every
     wanted = made.run(times, y)
     for near in (np.nextafter(times, np.inf), np.nextafter(times, 0), times):
         np.testing.assert_allclose(made.run(near, y).mean, wanted.mean, rtol=1e-12)
-    with pytest.raises(ValueError, match=r"^t: "):
+    with pytest.raises(ValueError, match=r"^times: "):
         made.run(times + np.array([0, 0, 0.2 * unit, 0]), y)

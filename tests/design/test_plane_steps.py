@@ -8,7 +8,7 @@ from oracles.linear import Linear, kalman
 from seedslib import zoo
 from seedslib.base import Axis
 from seedslib.design import PlaneStep, plane_steps
-from seedslib.models import Noise, PlaneChain, SwitchingChain, SwitchingSystem
+from seedslib.models import Noise, PlaneChain, SwitchingSystem, grid_chain
 
 x1, x2, v1, v2, w = sympy.symbols("x1 x2 v1 v2 w", real=True)
 t = sympy.Symbol("t")
@@ -37,7 +37,7 @@ def by_loops(chain, times, z, y):
     nodes = [np.array([a, b]) for a in z[0].nodes for b in z[1].nodes]
     values, modes = chain.values, chain.modes
     label = np.repeat(np.arange(modes), values.shape[1] // modes)
-    joint, found = {None: chain.start()}, []
+    joint, found = {None: chain.initial}, []
     for k, time in enumerate(times):
         likely = np.exp(chain.log_likelihood(time, y.nodes[None])) * y.weights[:, None]
         likely /= likely.sum(axis=0)
@@ -77,7 +77,7 @@ def by_loops(chain, times, z, y):
 def test_recursion_equals_loops_over_all_events(kind):
     z, y = (Axis(-1.5, 1.5, 3), Axis(-1.0, 2.0, 4)), Axis(-4.0, 4.0, 9)
     if kind == "modes":
-        chain, times = SwitchingChain(switching(2), [(-3, 3, 9), (-3, 3, 11)]), [1.0, 2.0, 3.0]
+        chain, times = grid_chain(switching(2), [(-3, 3, 9), (-3, 3, 11)]), [1.0, 2.0, 3.0]
     else:
         chain = PlaneChain(zoo.linear_gaussian(), [(-4, 4, 13), (-4, 4, 11)], 0.25)
         times = [0.5, 1.0, 1.75]
@@ -100,7 +100,7 @@ def test_recursion_equals_loops_over_all_events(kind):
 def test_linear_system_of_one_mode_is_the_kalman_filter_of_each_time():
     """Dynamics of time and a late start; rounding is lost with the square of the step."""
     factor, times = sympy.Rational(1, 2) + t / 4, np.array([2.0, 3.0, 4.0])
-    chain = SwitchingChain(switching(1, factor), [(-5, 5, 25), (-5, 5, 25)])
+    chain = grid_chain(switching(1, factor), [(-5, 5, 25), (-5, 5, 25)])
     moves = (0.5 + times[:-1] / 4)[:, None, None] * TURN
     many = np.ones((3, 1, 1))
     model = Linear(

@@ -10,10 +10,10 @@ import sympy
 from scipy import special
 
 from seedslib import zoo
-from seedslib.export import to_js
+from seedslib.export import compiled, to_js
 from seedslib.filters import extended_kalman
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
-from systems import pendulum
+from systems import growth, pendulum
 
 pytestmark = pytest.mark.skipif(shutil.which("node") is None, reason="no node")
 SEEN = "const seen = (s) => [...s.mean, ...s.cov, s.loglik];\n"
@@ -102,3 +102,15 @@ for (const t of {times.tolist()}) {{ f.step(s, t, [NaN]); found.push(s.mean); }}
     found = np.array(node(filter, program, "found"))[1:]
     np.testing.assert_allclose(found[:, 0], special.erf(times[:-1]), rtol=4e-15, atol=1e-300)
     np.testing.assert_allclose(found[:, 1], special.erfc(times[:-1]), rtol=1e-13)
+
+
+def test_100_000_steps_end_as_those_of_compiled_c(node):
+    filter, times = extended_kalman(growth()), np.arange(100_000.0)
+    y = filter.system.simulate(times, 1, 3).measurements[:, 0, 0]
+    program = f"""
+const y = {np.round(y, 6).tolist()}, found = f.run(f.init(), y.map((_, k) => k), y);
+"""
+    last = node(filter, program, "[found.mean.at(-1), found.cov.at(-1), found.loglik.at(-1)]")
+    wanted = compiled(filter).run(times, np.round(y, 6)[:, None])
+    parts = wanted.mean[-1, 0], wanted.cov[-1, 0, 0], wanted.loglik[-1]
+    np.testing.assert_allclose(last, parts, rtol=1e-13)

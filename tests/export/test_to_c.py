@@ -87,3 +87,61 @@ def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
         known = compiled(make(redundant(3))).run(times, np.concatenate([y, constant], axis=1))
         np.testing.assert_allclose(known.mean[:, 0], 1.7, rtol=1e-12)
         assert np.abs(known.cov[:, 0]).max() < 1e-15
+
+
+def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick):
+    """Two sensors without noise, twice at one time: what they said first is all that can be."""
+    shows = StochasticMap((a, b), [a, b + a / 5], Noise(()))
+    move = StochasticMap((a, b), [a + b / 3 + v, 0.9 * b + w / 2], Noise((v, w)))
+    filter = extended_kalman(DiscreteSystem(move, shows, [0.3, -0.2], [[0.5, 0.1], [0.1, 0.8]]))
+    twin, first = compiled(filter), np.array([0.7, 0.2])
+    before, other_before = (each.step(each.initial(), 0.0, first) for each in (filter, twin))
+    for y, possible in ((first, True), (first + np.array([0.0, 1e-3]), False)):
+        state, other = filter.step(before, 0.0, y), twin.step(other_before, 0.0, y)
+        assert np.isfinite(other.loglik) == np.isfinite(state.loglik) == possible
+        for part in ("mean", "cov", "loglik"):
+            np.testing.assert_allclose(getattr(other, part), getattr(state, part), atol=1e-15)
+        state, other = filter.step(state, 1.0, [0.9, 0.3]), twin.step(other, 1.0, [0.9, 0.3])
+        np.testing.assert_allclose(other.loglik, state.loglik, rtol=1e-13)
+
+
+FLOAT = """
+#include <stdio.h>
+#include "f.h"
+int main(void)
+{
+    f_state s;
+    f_real y[1] = { 0.3F };
+    double t = 1e8;
+    f_init(&s);
+    for (int k = 0; k < 20; k++, t += 0.01) if (f_step(&s, t, y)) return 1;
+    printf("%.17g %.9g\\n", s.t, (double)s.mean[0]);
+    return 0;
+}
+"""
+
+
+def test_times_stay_exact_where_numbers_are_float(tmp_path):
+    """Steps of 0.01 at a time of which a float holds eights only."""
+    filter, times = extended_kalman(pendulum()), 1e8 + 0.01 * np.arange(20)
+    text = to_c(filter, name="f").replace("typedef double f_real", "typedef float f_real")
+    (tmp_path / "f.h").write_text(text)
+    (tmp_path / "f.c").write_text(FLOAT)
+    line = [shutil.which("cc"), "-std=c99", "-Wall", "f.c", "-o", "f", "-lm"]
+    subprocess.run(line, cwd=tmp_path, check=True)
+    printed = subprocess.run([tmp_path / "f"], capture_output=True, text=True, check=True).stdout
+    t, mean = map(float, printed.split())
+    wanted = filter.run(times, np.full((20, 1), 0.3)).mean[-1, 0]
+    assert t == pytest.approx(times[-1], abs=1e-6)
+    assert mean == pytest.approx(wanted, rel=1e-4)
+
+
+def test_a_long_record_is_the_same_in_c_and_python(quick):
+    filter, times = extended_kalman(growth()), np.arange(10_000.0)
+    y = filter.system.simulate(times, 1, 3).measurements[..., 0]
+    wanted, found = filter.run(times, y), compiled(filter).run(times, y)
+    for part in ("mean", "cov", "loglik"):
+        expected = getattr(wanted, part)
+        np.testing.assert_allclose(
+            getattr(found, part), expected, rtol=1e-13, atol=1e-13 * np.abs(expected).max()
+        )

@@ -39,7 +39,6 @@ PAIRS = {
     "a larger one and a step": (sympy.Max(x, y), sympy.Heaviside(x - y, HALF)),
     "a modulus and the other side": (Abs(x) * y, sympy.Heaviside(-x, HALF)),
     "both sides of a plane": (x + Abs(x), x * y * sympy.Heaviside(x, HALF)),
-    "a step and a growing bell": (sympy.Heaviside(x), exp(x / 2) * sympy.Heaviside(x) * y),
 }
 
 

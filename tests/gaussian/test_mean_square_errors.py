@@ -81,12 +81,11 @@ def test_errors_of_a_smooth_function_match_nested_quadrature(f):
     )
 
 
-@pytest.mark.parametrize("f", [*SWITCHED, *NORMS, SMOOTH[5]], ids=str)
-@pytest.mark.parametrize("share", [0.4, 0.01])
-def test_errors_match_simulation(f, share):
+@pytest.mark.parametrize("f", [*SWITCHED, *NORMS], ids=str)
+def test_errors_match_simulation(f, share=0.1):
     rng = np.random.default_rng(12)
     mean, cov, error_cov = random_case(rng, 2, share)
-    draws = 20_000 if f in SWITCHED else 100_000
+    draws = 50_000
     xhat = mean[:, None] + np.linalg.cholesky(cov - error_cov) @ rng.normal(size=(2, draws))
     state = xhat + np.linalg.cholesky(error_cov) @ rng.normal(size=(2, draws))
     found = mean_square_errors(f, [x, y])(mean, cov, error_cov)

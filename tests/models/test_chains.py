@@ -9,15 +9,13 @@ from scipy.stats import multivariate_normal, norm
 from seedslib import zoo
 from seedslib.base import ELAPSED, Nodes, Parameter
 from seedslib.models import (
-    DiscreteChain,
     DiscreteSystem,
-    FellerChain,
     JumpDiffusion,
     Noise,
     PlaneChain,
     StochasticMap,
-    SwitchingChain,
     SwitchingSystem,
+    grid_chain,
     van_loan,
 )
 
@@ -43,11 +41,11 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
     """From a late start, with jumps that look at state, mark and time, against Ito's formula."""
     jumps = {"intensity": 1 + t / 2, "jump": [t * (z - x) / 4], "marks": Noise((z,), 0.6, [[0.5]])}
     drift, spread = sympy.cos(3 * t) - t * x / 2, sympy.sqrt(1 + t / 4)
-    chain = FellerChain(flow(drift, spread, 0.7, 0.2, step=0.02, **jumps), (-8.0, 8.0, 321))
+    chain = grid_chain(flow(drift, spread, 0.7, 0.2, step=0.02, **jumps), (-8.0, 8.0, 321))
     start, stop = 1.5, 2.3
-    law, nodes = chain.transition(start, stop) @ chain.start(), chain.values[0]
+    law, nodes = chain.transition(start, stop) @ chain.initial, chain.values[0]
     np.testing.assert_allclose(chain.law(stop, start), law, rtol=1e-14)
-    np.testing.assert_allclose(chain.law(start, start), chain.start())
+    np.testing.assert_allclose(chain.law(start, start), chain.initial)
     shown = np.array([[0.4, -1.0]])
     found = chain.log_likelihood(stop, shown)
     np.testing.assert_allclose(found, norm.logpdf(shown.T, nodes, 1.0), rtol=1e-12)
@@ -70,12 +68,12 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
 
 def test_jumps_without_diffusion_are_counted():
     """Jumps of one with intensity 2, of a known start; a frozen state of intensity x^2."""
-    law = FellerChain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).law(0.6)
+    law = grid_chain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).law(0.6)
     expected = [np.exp(-1.2) * 1.2**k / np.prod(np.arange(1.0, k + 1)) for k in range(8)]
     assert law[::4][:8] == pytest.approx(expected, abs=1e-12)
-    chain = FellerChain(flow(0, 0, 0.0, 1.0, intensity=x**2, jump=[40 - x]), (-6.0, 40.0, 921))
+    chain = grid_chain(flow(0, 0, 0.0, 1.0, intensity=x**2, jump=[40 - x]), (-6.0, 40.0, 921))
     assert chain.law(0.5)[chain.values[0] < 20].sum() == pytest.approx(2.0**-0.5, abs=1e-4)
-    drifting = FellerChain(flow(1, 0, 1.0, 0.01), (0.0, 4.0, 401))
+    drifting = grid_chain(flow(1, 0, 1.0, 0.01), (0.0, 4.0, 401))
     assert (drifting.law(1.0) >= 0).all()
     assert drifting.law(1.0) @ drifting.values[0] == pytest.approx(2.0, abs=1e-9)
 
@@ -83,7 +81,7 @@ def test_jumps_without_diffusion_are_counted():
 def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
     """z^2 - 1 has mean 0 and second moment 2."""
     system = flow(0, sympy.Rational(1, 2), intensity=3, jump=[z**2 - 1], marks=Noise((z,)))
-    chain = FellerChain(system, (-20.0, 40.0, 301))
+    chain = grid_chain(system, (-20.0, 40.0, 301))
     law, nodes = chain.law(0.5), chain.values[0]
     assert law @ nodes == pytest.approx(0.0, abs=1e-6)
     assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
@@ -99,8 +97,8 @@ def test_array_functions_whose_rates_change_late():
         [[0.25]],
         step=0.05,
     )
-    chain = FellerChain(system, (-7.0, 9.0, 161))
-    early = chain.transition(0.0, 1.0) @ chain.start()
+    chain = grid_chain(system, (-7.0, 9.0, 161))
+    early = chain.transition(0.0, 1.0) @ chain.initial
     late = chain.transition(1.0, 2.0) @ early
     assert early @ chain.values[0] == pytest.approx(0.0, abs=1e-9)
     assert late @ chain.values[0] == pytest.approx(1.0, abs=1e-6)
@@ -117,11 +115,11 @@ def test_a_discrete_chain_takes_a_step_as_long_as_it_is():
     system = DiscreteSystem(move, SHOWN, [0.2], [[1.3]])
     uneven = np.sinh(np.linspace(-2, 2, 91))
     for axis in ((-6.0, 6.0, 121), Nodes(uneven)):
-        chain = DiscreteChain(system, axis)
+        chain = grid_chain(system, axis)
         nodes, weights = chain.values[0], np.gradient(chain.values[0])
         inside = np.arange(1, len(nodes) - 1)
         wanted = masses(0.2, np.sqrt(1.3), nodes, weights)
-        np.testing.assert_allclose(chain.start()[inside], wanted[inside], rtol=1e-11)
+        np.testing.assert_allclose(chain.initial[inside], wanted[inside], rtol=1e-11)
         for start, stop, rate in (
             (0.0, 0.5, 1.0),
             (0.5, 2.5, 1.0),
@@ -135,7 +133,7 @@ def test_a_discrete_chain_takes_a_step_as_long_as_it_is():
                 slope * nodes[[40, 75]], np.sqrt(1 - slope**2), nodes[:, None], weights[:, None]
             )
             np.testing.assert_allclose(found[inside], wanted[inside], rtol=1e-10, atol=1e-300)
-        law = np.stack([chain.start()] * 2, axis=1)
+        law = np.stack([chain.initial] * 2, axis=1)
         moved = chain.move(law, 0.0, 0.5)
         np.testing.assert_allclose(moved, chain.transition(0.0, 0.5) @ law)
 
@@ -147,22 +145,28 @@ def test_a_discrete_chain_in_the_plane_and_a_known_start():
     move = StochasticMap([a, b], [a / 2 + t * b + p, b - a / 4 + q], Noise([p, q], cov=cov))
     sensor = StochasticMap([a, b], [a * b + w], Noise([w], 0.3, [[0.6]]))
     system = DiscreteSystem(move, sensor, [0.1, -0.2], [[1.0, 0.3], [0.3, 0.8]])
-    chain = DiscreteChain(system, [(-3, 3, 13), (-4, 4, 11)])
+    chain = grid_chain(system, [(-3, 3, 13), (-4, 4, 11)])
     nodes = chain.values
-    start = multivariate_normal([0.1, -0.2], system.cov0).pdf(nodes.T) * chain.weights
-    np.testing.assert_allclose(chain.start(), start, rtol=1e-12)
+    start = (
+        multivariate_normal([0.1, -0.2], system.cov0).pdf(nodes.T)
+        * np.outer(*(axis.weights for axis in chain.axes)).ravel()
+    )
+    np.testing.assert_allclose(chain.initial, start, rtol=1e-12)
     found = chain.transition(0.7, 1.7)[:, 30]
     mean = [nodes[0, 30] / 2 + 0.7 * nodes[1, 30], nodes[1, 30] - nodes[0, 30] / 4]
-    wanted = multivariate_normal(mean, cov).pdf(nodes.T) * chain.weights
+    wanted = (
+        multivariate_normal(mean, cov).pdf(nodes.T)
+        * np.outer(*(axis.weights for axis in chain.axes)).ravel()
+    )
     np.testing.assert_allclose(found, wanted, rtol=1e-11)
     shown = np.array([[0.4, np.nan, -1.0]])
     likelihood = norm.logpdf(shown.T, nodes[0] * nodes[1] + 0.3, np.sqrt(0.6))
     found = chain.log_likelihood(0.0, shown)
     np.testing.assert_allclose(found, np.where(np.isnan(shown.T), 0.0, likelihood), rtol=1e-12)
-    known = DiscreteChain(
+    known = grid_chain(
         DiscreteSystem(StochasticMap((x,), [x + v], Noise((v,))), SHOWN, 0.3, 0), (-3, 3, 31)
     )
-    assert known.start() @ known.values[0] == pytest.approx(0.3)
+    assert known.initial @ known.values[0] == pytest.approx(0.3)
 
 
 # Switching systems
@@ -184,8 +188,8 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
         time=t,
         drives=drives,
     )
-    chain = SwitchingChain(system, (-9.0, 9.0, 121))
-    nodes, size = chain.axis.nodes, (0.3 * scale, scale)
+    chain = grid_chain(system, (-9.0, 9.0, 121))
+    nodes, size = chain.axes[0].nodes, (0.3 * scale, scale)
     at = [45, 60, 82]
     here = nodes[at]
     chance = [0.3 + 0.6 * np.exp(-(here**2) / 2), 0.9 - 0.5 * np.exp(-(here**2) / 8)]
@@ -207,7 +211,7 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
     wanted = np.concatenate(
         [p * masses(m, np.sqrt(c), nodes, 0.15) for p, m, c in ((0.2, 1.0, 1.0), (0.8, -2.0, 2.0))]
     )
-    np.testing.assert_allclose(chain.start(), wanted, atol=1e-6)
+    np.testing.assert_allclose(chain.initial, wanted, atol=1e-6)
 
 
 def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
@@ -222,8 +226,8 @@ def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
         [(0.5, [0], [[1]])] * 2,
         indicator=[[tells, 1 - tells], [0.3, 0.7]],
     )
-    chain = SwitchingChain(system, (-3.0, 3.0, 12))
-    nodes = chain.axis.nodes
+    chain = grid_chain(system, (-3.0, 3.0, 12))
+    nodes = chain.axes[0].nodes
     shown = np.array([[0, 1, -1, 1, -1], [0.4, -1.0, 0.7, np.nan, np.nan]])
     found = chain.log_likelihood(1.5, shown).reshape(5, 2, 12)
     chance = np.stack([np.stack([1 / (1 + nodes**2), np.full(12, 0.3)])] * 2)
@@ -249,11 +253,11 @@ def test_a_plane_chain_moves_a_linear_law_with_an_error_of_second_order():
     missed = []
     for substep in (0.25, 0.125):
         chain = PlaneChain(system, [(-7, 7, 57), (-7, 7, 57)], substep)
-        law = chain.move(chain.start()[:, None], 0.0, 0.5)[:, 0]
+        law = chain.move(chain.initial[:, None], 0.0, 0.5)[:, 0]
         about = chain.values - (chain.values @ law)[:, None]
         missed.append([*(chain.values @ law - mean), *((about * law) @ about.T - cov).ravel()])
         back = chain.back(chain.values, 0.0, 0.5)
-        np.testing.assert_allclose(back @ chain.start(), chain.values @ law, atol=1e-4)
+        np.testing.assert_allclose(back @ chain.initial, chain.values @ law, atol=1e-4)
     assert np.abs(missed[1]).max() < 2.5e-3
     assert np.abs(missed[1]).max() < 0.3 * np.abs(missed[0]).max()
     found = chain.log_likelihood(0.0, np.array([[0.4, -1.0]]))
@@ -276,9 +280,9 @@ def test_modes_in_the_plane_move_with_the_moments_of_their_maps(drives):
         drives=drives,
         time=t,
     )
-    chain = SwitchingChain(system, [(-5, 5, 31), (-5, 5, 31)])
+    chain = grid_chain(system, [(-5, 5, 31), (-5, 5, 31)])
     count = chain.nodes.shape[1]
-    start = chain.start().reshape(2, -1)
+    start = chain.initial.reshape(2, -1)
     np.testing.assert_allclose(start.sum(axis=1), [0.7, 0.3])
     np.testing.assert_allclose(chain.nodes @ start[1] / 0.3, [1, 0], atol=1e-4)
     point = int(np.argmin(((chain.nodes - np.array([[1.0], [0.5]])) ** 2).sum(axis=0)))

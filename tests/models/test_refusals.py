@@ -10,16 +10,14 @@ import sympy
 from seedslib import zoo
 from seedslib.filters import extended_kalman
 from seedslib.models import (
-    DiscreteChain,
     DiscreteSystem,
-    FellerChain,
     JumpDiffusion,
     LinearSystem,
     Noise,
     PlaneChain,
     StochasticMap,
-    SwitchingChain,
     SwitchingSystem,
+    grid_chain,
     van_loan,
 )
 from seedslib.two_step import LinearDiffusion
@@ -97,7 +95,7 @@ def simulated(system=None, times=(0.0, 1.0), paths=2, seed=0, **options):
 
 
 def feller(**options):
-    return FellerChain(flow(**options), AXIS).transition(0, 1)
+    return grid_chain(flow(**options), AXIS).transition(0, 1)
 
 
 ROWS = [
@@ -170,19 +168,20 @@ ROWS = [
     (lambda: simulated(inputs={x: [0.0, 1.0]}), TypeError, "inputs"),
     (lambda: simulated(modes(), modes=[0, 2]), ValueError, "modes"),
     (lambda: simulated(zoo.dependent_switching(), modes=[0, 0]), ValueError, "modes"),
-    (lambda: FellerChain(zoo.van_der_pol(), AXIS), ValueError, "system"),
+    (lambda: grid_chain(zoo.van_der_pol(), AXIS), ValueError, "axes"),
+    (lambda: grid_chain(switching_system(), AXIS), ValueError, "system"),
     (lambda: feller(sensor=[x * v**2]), ValueError, "sensor"),
     (lambda: feller(intensity=x, jump=[1]), ValueError, "intensity"),
     (lambda: feller(intensity=1, jump=[w], marks=Noise((w,), sample=sampled)), ValueError, "jump"),
-    (lambda: FellerChain(flow(initial=sampled), AXIS).start(), ValueError, "system"),
-    (lambda: FellerChain(flow(), AXIS).transition(1, 1), ValueError, "stop"),
-    (lambda: DiscreteChain(steps(sensor=BOUNDED), AXIS), ValueError, "sensor"),
-    (lambda: DiscreteChain(steps(map_of()), AXIS).transition(0, 1), ValueError, "dynamics"),
-    (lambda: DiscreteChain(steps(initial=sampled), AXIS), ValueError, "system"),
-    (lambda: SwitchingChain(zoo.manoeuvring_target(), AXIS), ValueError, "axes"),
-    (lambda: SwitchingChain(modes(sensor=[[x * w**2]] * 2), AXIS), ValueError, "sensor"),
+    (lambda: grid_chain(flow(initial=sampled), AXIS).initial, ValueError, "system"),
+    (lambda: grid_chain(flow(), AXIS).transition(1, 1), ValueError, "stop"),
+    (lambda: grid_chain(steps(sensor=BOUNDED), AXIS), ValueError, "sensor"),
+    (lambda: grid_chain(steps(map_of()), AXIS).transition(0, 1), ValueError, "dynamics"),
+    (lambda: grid_chain(steps(initial=sampled), AXIS), ValueError, "system"),
+    (lambda: grid_chain(zoo.manoeuvring_target(), AXIS), ValueError, "axes"),
+    (lambda: grid_chain(modes(sensor=[[x * w**2]] * 2), AXIS), ValueError, "sensor"),
     (
-        lambda: SwitchingChain(zoo.dependent_switching(), (-9, 9, 5)).transition(0, 1),
+        lambda: grid_chain(zoo.dependent_switching(), (-9, 9, 5)).transition(0, 1),
         ValueError,
         "x",
     ),
@@ -206,9 +205,9 @@ def test_wrong_arguments_are_refused_by_name(call, error, name):
         continuous_system,
         switching_system,
         linear_system,
-        lambda: FellerChain(zoo.flip_process(), AXIS),
-        lambda: SwitchingChain(zoo.scalar_switching(), (-8, 8, 31)),
-        lambda: DiscreteChain(steps(), AXIS),
+        lambda: grid_chain(zoo.flip_process(), AXIS),
+        lambda: grid_chain(zoo.scalar_switching(), (-8, 8, 31)),
+        lambda: grid_chain(steps(), AXIS),
     ],
 )
 def test_models_travel_and_show_themselves(make):
