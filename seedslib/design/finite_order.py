@@ -10,7 +10,7 @@ import warnings
 from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -34,7 +34,6 @@ from seedslib.models.kinds import KINDS, as_grid, as_system, in_steps, switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
-    from seedslib.designed.switching import SwitchingFilter
     from seedslib.models.kinds import AnySystem
 
 PATHS_PER_COEFFICIENT = 50
@@ -142,7 +141,7 @@ def synthesize(
     measured: ArrayLike | None = None,
     availability: ArrayLike | None = None,
     inputs: Inputs | None = None,
-) -> FiniteOrderFilter | SwitchingFilter:
+) -> Any:
     """Design a filter of finite order for a system.
 
     Theorem 2 and corollary 1 of the jump-diffusion paper: the forecast from the memory is a

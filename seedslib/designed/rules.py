@@ -150,7 +150,7 @@ class SwitchingRules:
         self.switch: list[MomentFunction] | None = None
         if system.drives == "new":
             self.switch = [switch_row(system, i, linearization) for i in modes]
-        self.readings: list[list[MomentFunction | None]] = [
+        self.readings: list[list[Any]] = [
             [reading and reading_moments(reading, linearization) for reading in row]
             for row in system.readings
         ]

@@ -176,7 +176,7 @@ class SwitchingFilter(DesignedFilter):
     times: MaybeArray = None
     fits: Sequence[Any] = ()
     normalisation: str = "consistent"
-    predicted: Accuracy | None = None
+    predicted: Any = None
     design: Design | None = None
     cycle: int = 0
     held_out: Accuracy | None = None

@@ -112,7 +112,7 @@ class Step(NamedTuple):
         Of the memory alone, where the measurement is missing.
     """
 
-    update: OutputFunction
+    update: Any
     forecast: OutputFunction
 
 

@@ -84,7 +84,7 @@ class GridChain:
         self,
         system: Any,
         axes: Sequence[Axis | Nodes],
-        initial: np.ndarray,
+        initial: Any,
         matrix: Callable[[float, float, Values], np.ndarray] | None = None,
         *,
         steady: bool = False,
@@ -94,7 +94,7 @@ class GridChain:
         switching = isinstance(system, SwitchingSystem)
         self.system: Any = system
         self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
-        self.initial: np.ndarray = initial
+        self.initial: Any = initial
         self.steady, self.stored, self.loses = steady, stored, loses
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes if switching else 1
@@ -429,6 +429,11 @@ class PlaneChain(GridChain):
     substep : float
         Largest substep.
 
+    Attributes
+    ----------
+    initial : ndarray or None
+        None where the initial distribution is only sampled.
+
     Raises
     ------
     ValueError
@@ -441,7 +446,8 @@ class PlaneChain(GridChain):
         if system.state_size != 2 or system.jump is not None:
             raise ValueError("system: wanted two state components and no jumps")
         axes = as_axes("axes", axes, 2)
-        super().__init__(system, axes, _diffusion_start(system, axes))
+        initial = _diffusion_start(system, axes) if system.law.gaussian else None
+        super().__init__(system, axes, initial)
         self.substep: float = float(substep)
         if np.abs(self._diffusion(system.nominal_values())[0, 1]).max() > 0:
             raise ValueError("system: wanted components driven by noises of their own")

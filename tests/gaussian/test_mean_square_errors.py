@@ -82,9 +82,9 @@ def test_errors_of_a_smooth_function_match_nested_quadrature(f):
 
 
 @pytest.mark.parametrize("f", [*SWITCHED, *NORMS], ids=str)
-def test_errors_match_simulation(f, share=0.1):
+def test_errors_match_simulation(f):
     rng = np.random.default_rng(12)
-    mean, cov, error_cov = random_case(rng, 2, share)
+    mean, cov, error_cov = random_case(rng, 2, 0.1)
     draws = 50_000
     xhat = mean[:, None] + np.linalg.cholesky(cov - error_cov) @ rng.normal(size=(2, draws))
     state = xhat + np.linalg.cholesky(error_cov) @ rng.normal(size=(2, draws))
