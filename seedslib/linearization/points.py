@@ -16,7 +16,6 @@ from seedslib.base.circle import nearest
 from seedslib.base.linalg import cholesky, symmetric
 from seedslib.base.values import Values
 from seedslib.gaussian.quadrature import cubature, rule_of_rank, unscented
-from seedslib.linearization.formulas import mentions
 from seedslib.linearization.moments import (
     Gaussian,
     Linearization,
@@ -146,6 +145,8 @@ def _kind(map: StochasticMap, conditional: bool) -> object:
     """What branches have in common whose values and their noise are the same at each point."""
     if not map.symbolic:
         return id(map)
+    from seedslib.linearization.formulas import mentions  # a filter of tables runs without SymPy
+
     weight = conditional
     if conditional and mentions(map.weight_expression, map.noise.symbols):
         weight = map.weight_expression  # the noise in the branch depends on it
