@@ -91,8 +91,8 @@ def main() -> None:
             )
             stack.enter_context(local)
             client = stack.enter_context(Client(local))
-            crew = stack.enter_context(cluster(client))
-            ways[workers] = client, {"workers": crew}
+            executor = stack.enter_context(cluster(client))
+            ways[workers] = client, {"workers": executor}
         rows += rows_of("Dask workers", ways, CLUSTER_ROUNDS)
     rows.sort(key=lambda row: row[0])
     header = ["paths", "on", "workers", "seconds", "cpu_seconds", "speedup", "load"]
