@@ -30,6 +30,7 @@ KINDS = {  # function, normal of its switching plane, places of the kinks along 
     "powers": ((x - 2 * y + 0.3) ** 4 * (x + 0.2), (1, 0), ()),
     "decimal power": (sp.Pow(2 * x + y + 0.5, 2.0, evaluate=False) * x, (1, 0), ()),
     "number to a power": (sp.Float(1.3) ** (x - 0.5 * y) * y, (1, 0), ()),
+    "irrational factor": (sp.sqrt(2) * y * sp.exp(x / 3) + sp.sqrt(3), (1, 0), ()),
     "hyperbolic": (sp.sinh(0.4 * x + 0.1) + sp.cosh(0.3 * y - 0.2) * x, (1, 0), ()),
     "power of a sine": (sp.sin(0.8 * x - 0.5 * y + 0.4) ** 2 * x, (1, 0), ()),
     "exponential, sine and power": (sp.exp(x / 3) * x**2 * sp.cos(2 * x + y), (1, 0), ()),
