@@ -261,7 +261,7 @@ class DesignedFilter(Filter):
         """Numbers of the parameters; inputs that no step evaluates may be missing."""
         if self._unused:
             inputs = {**self._unused, **(inputs or {})}
-        return self.system.values(inputs, dt)
+        return super().values(inputs, dt)
 
     def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
         """The forecast for the next measurement, at t; `interval` is the one before, if known."""

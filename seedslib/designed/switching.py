@@ -235,7 +235,7 @@ class SwitchingFilter(DesignedFilter):
         if not t > state.time:
             raise ValueError(f"t: wanted a time after {when(state.time)}, got {when(t)}")
         interval = first_step(state, t, self.system)
-        p = self.system.values(inputs, t - state.time)
+        p = self.values(inputs, t - state.time)
         return self.propagate(state, t, p)._replace(interval=interval)
 
     def propagate(

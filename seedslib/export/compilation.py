@@ -36,7 +36,6 @@ from seedslib.export.programs import recorded
 from seedslib.export.step import CODES, Step
 from seedslib.filters.base import Estimates, Filter, as_indicators
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.models.kinds import inputs_of
 
 if TYPE_CHECKING:
     from typing import Self
@@ -337,8 +336,7 @@ class CompiledFilter(Filter):
         """Numbers of the inputs, and of the parameters, that C takes."""
         if not (self._inputs or self._parameters):
             return (), ()
-        unused = dict.fromkeys(inputs_of(self.system) if self._designed else (), np.nan)
-        p = self.system.values({**unused, **(inputs or {})})
+        p = self.filter.values(inputs)
         table = dict(zip(self.system.parameters, p, strict=True))
         return tuple(table[u] for u in self._inputs), tuple(table[q] for q in self._parameters)
 
@@ -470,7 +468,12 @@ class CompiledFilter(Filter):
             numbers = filter.numbered(times, y)
             if (numbers < 0).any():  # forecasts between measurements
                 return filter.run(
-                    times, y, indicators=indicators, inputs=inputs, covariances=covariances
+                    times,
+                    y,
+                    indicators=indicators,
+                    inputs=inputs,
+                    covariances=covariances,
+                    workers=workers,
                 )
             gaps = filter.record_gaps(y, indicators, numbers)
         carried = isinstance(filter, CovarianceFilter)

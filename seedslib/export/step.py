@@ -68,9 +68,7 @@ class Step(Tape):
         self.parameters = by_role["parameter"] if parameters else []
         held, now = (self._argument(name, self.inputs) for name in ("held", "u"))
         arguments = self._argument("p", self.parameters)
-        # what a design has in its own numbers is not looked at
-        unused = dict.fromkeys(by_role["input"] if self.designed else (), np.nan)
-        self._held, self._now = ({**unused, **part, **arguments} for part in (held, now))
+        self._held, self._now = {**held, **arguments}, {**now, **arguments}
         self.indicator = None
         self.refuse(any_of(isinf(self.y)), "INFINITE")
         if self.indicators:
@@ -86,11 +84,11 @@ class Step(Tape):
 
     def since(self, dt: Scalar | float = np.nan) -> Values:
         """Numbers of the model's parameters in the dynamics, over a step of length `dt`."""
-        return self.filter.system.values(self._held, dt)
+        return self.filter.values(self._held, dt)
 
     def at_time(self) -> Values:
         """Numbers of the model's parameters in the sensor at the time of the measurement."""
-        return self.filter.system.values(self._now)
+        return self.filter.values(self._now)
 
     def timed(self) -> Scalar:
         """The time of the measurement; one before that of the state is refused."""

@@ -383,6 +383,10 @@ class Filter(Pickled):
         """
         return changed(self, system=self.system.bind(values, **named))
 
+    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
+        """Numbers of the model's parameters, see `Parametrized.values`."""
+        return self.system.values(inputs, dt)
+
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
 
@@ -414,7 +418,7 @@ class Filter(Pickled):
         if stays(state, t):
             return state._replace(time=float(t))
         interval = first_step(state, t, self.system)
-        p = self.system.values(inputs, t - state.time)
+        p = self.values(inputs, t - state.time)
         later = self.propagate(state, float(t), p, *modes)
         return later._replace(time=float(t), interval=interval)
 
@@ -452,7 +456,7 @@ class Filter(Pickled):
         require_time(state)
         y = np.asarray(y, dtype=float)
         indicator = as_indicators(indicator, self.system, y.shape[1:], "indicator")
-        p = self.system.values(inputs)
+        p = self.values(inputs)
         if indicator is None:
             return self.update(state, y, p)
         return self.update(state, y, p, indicator)

@@ -282,7 +282,7 @@ class CovarianceFilter(Filter):
 
     def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that the filter expects at the time of the state."""
-        return self.expected(state, self.system.values(inputs))
+        return self.expected(state, self.values(inputs))
 
     def expected(self, state: FilterState, p: Values) -> Moments:
         """The same with the numbers of all parameters."""

@@ -226,7 +226,7 @@ class GridSmoother(Smoother):
         later, _ = super().forecast(state, t, inputs)
         if state.time is None:
             return later, None
-        p = self.filter.system.values(inputs, t - state.time)
+        p = self.filter.values(inputs, t - state.time)
         return later, self.filter.chain.transition(state.time, t, p)
 
     def last(self, state: Any) -> Any:

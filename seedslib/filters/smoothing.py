@@ -84,7 +84,7 @@ def smooth(
         def back(k: int, later: Any) -> Any:
             """The smoothed state at time k from that at the next."""
             indicator = () if record.indicators is None else (record.indicators[k + 1],)
-            p = filter.system.values(record.inputs.at(k), times[k + 1] - times[k])
+            p = filter.values(record.inputs.at(k), times[k + 1] - times[k])
             return smoother.back(states[k], later, links[k + 1], p, *indicator)
 
         smoothed: list[Any] = []  # from the last time to the first
@@ -171,7 +171,7 @@ class RauchTungStriebel(Smoother):
         """See `Smoother.forecast`; the link is the prediction and the gain of the step back."""
         if state.time is None:
             return super().forecast(state, t, inputs)
-        p = self.filter.system.values(inputs, t - state.time)
+        p = self.filter.values(inputs, t - state.time)
         later, cross = self.filter.propagate_jointly(state, t, p)
         depth = state.mean.ndim - 1
         cov = align(later.cov, 2, depth)

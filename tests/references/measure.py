@@ -18,7 +18,7 @@ import numpy as np
 ROOT = Path(__file__).resolve().parents[2]
 FILE = Path(__file__).with_name("errors.csv")
 KERNELS = "OPENBLAS_CORETYPE", "NPY_DISABLE_CPU_FEATURES"
-LEAST = 16 * 2.0**-52  # processors round the last digits in other ways
+LEAST = 4 * 2.0**-52
 
 
 def bound(family: str, error: float) -> float:
