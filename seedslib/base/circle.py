@@ -30,6 +30,11 @@ def as_periods(name: str, value: Mapping[int, float] | None, size: int) -> Perio
     return tuple(sorted((int(k), float(period)) for k, period in table.items()))
 
 
+def around(value: Any, centre: Any, period: float) -> Any:
+    """The same value on a circle, within half a turn of another; recorded numbers too."""
+    return value - period * np.floor((value - centre) / period + 0.5)
+
+
 def nearest(y: Any, expected: Any, periods: Periods) -> Any:
     """Of all values that mean the same on the circle those nearest to what was expected.
 
@@ -47,12 +52,12 @@ def nearest(y: Any, expected: Any, periods: Periods) -> Any:
     y, expected = np.asarray(y, dtype=float), np.asarray(expected)
     y = np.broadcast_to(y, np.broadcast_shapes(y.shape, expected.shape)).copy()
     for k, period in periods:
-        y[k] -= period * np.floor((y[k] - expected[k]) / period + 0.5)
+        y[k] = around(y[k], expected[k], period)
     return y
 
 
 def wrapped(y: np.ndarray, periods: Periods) -> np.ndarray:
     """Circular components between minus and plus half a period, as sensors report them."""
     for k, period in periods:
-        y[k] -= period * np.floor(y[k] / period + 0.5)
+        y[k] = around(y[k], 0.0, period)
     return y

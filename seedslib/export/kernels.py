@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import sympy
 
-from seedslib.base.circle import Periods
+from seedslib.base.circle import Periods, around
 from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
 from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
 from seedslib.base.values import Values
@@ -81,11 +81,6 @@ def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray
     return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
 
 
-def wrapped(value: Any, near: Any, period: float) -> Any:
-    """A value on a circle, within half a turn of another."""
-    return value - period * np.floor((value - near) / period + 0.5)
-
-
 def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
 
@@ -152,7 +147,7 @@ def _point_moments(
     values = np.array([at(point) for point in points], dtype=object).T
     y = values[:m]
     for k, period in map.period:
-        y[k, 1:] = [wrapped(part, y[k, 0], period) for part in y[k, 1:]]
+        y[k, 1:] = [around(part, y[k, 0], period) for part in y[k, 1:]]
     h = y[:, 0] + (y - y[:, :1]) @ weight
     deviation = y - h[:, None]
     cross = root @ ((unit[:n] * centred) @ deviation.T)
@@ -190,7 +185,7 @@ def _looped(
     with tape.loop(count) as p:
         y = values[p][:m]
         for k, period in map.period:
-            y[k] = wrapped(y[k], first[k], period)
+            y[k] = around(y[k], first[k], period)
             values.store(y[k], p, k)
         mean.store(mean.all + (y - first) * weight[p])
     h = first + mean.all
@@ -257,7 +252,7 @@ def correct(
     predicted, cross, spread = moments
     m, y = len(y), y.copy()
     for k, period in periods:
-        y[k] = wrapped(y[k], predicted[k], period)
+        y[k] = around(y[k], predicted[k], period)
     observed = ~isnan(y)
     innovation = list(choose(observed, y - predicted, 0.0))
     cross = choose(observed, cross[:rows], 0.0).tolist()
