@@ -147,9 +147,18 @@ class Formulas(Linearization):
         return lambda t, components, p=(): evaluate(t, components, p)
 
 
+def _derived_once(derive: Callable[..., Any], rule: Formulas, *arguments: Any) -> Any:
+    """What is derived from a rule and its maps: several filters are made of one system.
+
+    A rule that may change, being no frozen dataclass of its own, derives it whenever it is asked.
+    """
+    settings = vars(type(rule)).get("__dataclass_params__")
+    frozen = getattr(settings, "frozen", False)
+    return (_derived if frozen else _derived.__wrapped__)(derive, rule, *arguments)
+
+
 @lru_cache(maxsize=256)
-def _derived_once(derive: Callable[..., Any], *arguments: Any) -> Any:
-    """What is derived from a rule and its maps: several filters are made of one system."""
+def _derived(derive: Callable[..., Any], *arguments: Any) -> Any:
     return derive(*arguments)
 
 

@@ -145,7 +145,6 @@ def _kind(map: StochasticMap, conditional: bool) -> object:
     """What branches have in common whose values and their noise are the same at each point."""
     if not map.symbolic:
         return id(map)
-    from seedslib.linearization.formulas import mentions  # a filter of tables runs without SymPy
 
     weight = conditional
     if conditional and map.weight_expression.free_symbols & set(map.noise.symbols):

@@ -244,6 +244,24 @@ def test_maps_that_differ_in_one_thing_have_moments_of_their_own():
         assert_allclose(found.cov, [[a**2 * (4 * m**2 * p + 2 * p**2) + spread]], rtol=1e-13)
 
 
+class Scaled(Taylor):
+    """A subclass that says nothing of being frozen."""
+
+    factor = 1.0
+
+    def formulas(self, map, mean, cov, spread=True):
+        y, cross, rest = super().formulas(map, mean, cov, spread)
+        return self.factor * y, cross, rest
+
+
+def test_a_rule_that_can_change_derives_whenever_it_is_asked():
+    rule = Scaled()
+    for factor in (1.0, 2.0):
+        object.__setattr__(rule, "factor", factor)
+        found = rule.moments(MAP)(AT, np.zeros(2), np.eye(2)).mean
+        assert_allclose(found, factor * np.array(value([0.0, 0.0], NOISE.mean)), rtol=1e-13)
+
+
 def test_moments_of_matrices():
     """Functions of time and driven by an input; a sensor with more rows than the state."""
     u = Input("u")
