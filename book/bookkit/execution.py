@@ -167,12 +167,19 @@ def data_files(notebook: Mapping) -> list[str]:
 
 
 def library_contents() -> dict[str, bytes]:
-    """All modules of the library and of the harness, by name, with what is in their files."""
-    return {
-        ".".join((package, *path.relative_to(folder).with_suffix("").parts)): path.read_bytes()
-        for package, folder in PACKAGES.items()
-        for path in folder.rglob("*.py")
-    }
+    """All modules of the library and of the harness, by name, with what is in their files.
+
+    Other files of a package, such as those that programs in C are written with, belong to it.
+    """
+    contents: dict[str, bytes] = {}
+    for package, folder in PACKAGES.items():
+        for path in sorted(folder.rglob("*")):
+            if path.is_file() and path.suffix != ".pyc":
+                own = path.relative_to(folder).with_suffix("").parts
+                parts = own if path.suffix == ".py" else (*own[:-1], "__init__")
+                name = ".".join((package, *parts))
+                contents[name] = contents.get(name, b"") + path.read_bytes()
+    return contents
 
 
 def library_digest(modules: Iterable[str], contents: Mapping[str, bytes]) -> str:

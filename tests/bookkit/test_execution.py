@@ -3,9 +3,11 @@
 import json
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
+import seedslib
 from bookkit import execution
 from bookkit.__main__ import main
 from bookkit.recording import read_records
@@ -58,6 +60,12 @@ def test_the_modules_that_were_imported_are_inputs(source):
     before = execution.library_digest(library, contents)
     assert execution.library_digest(library, contents | {"bookkit.sweeps": b""}) == before
     assert execution.library_digest(library, contents | {"bookkit.recording": b""}) != before
+
+
+def test_files_that_programs_are_written_with_belong_to_their_package():
+    contents = execution.library_contents()
+    package = Path(seedslib.__file__).parent / "export"
+    assert (package / "lanes.c").read_bytes() in contents["seedslib.export.__init__"]
 
 
 def test_a_data_file_that_the_notebook_names_is_an_input(project, source, spoil):
