@@ -309,9 +309,6 @@ class Reader:
             return self._piecewise(node)
         raise self.refuse(node, f"{node.func.__name__} is outside the closed class")
 
-    def _less(self, left: Terms, right: Terms) -> Terms:
-        return add_terms(left, multiply(self.constant(sp.S.NegativeOne), right))
-
     def _fold(self, operation: Callable, start: Terms, nodes: Sequence[sp.Expr]) -> Terms:
         return reduce(lambda total, node: operation(total, self.read(node)), nodes, start)
 
