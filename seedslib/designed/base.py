@@ -345,6 +345,46 @@ class DesignedFilter(Filter):
         gap = state.gap | self.gaps("y", y[None], rows, [state.index])[0]
         return self.without_claims(corrected, state.gap, gap) if np.any(gap) else corrected
 
+    # Of one record, by a program
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        return (state.corrected or state.index < 0) and state.mean.ndim == 1
+
+    def numbers_of(self, state: Any) -> dict[str, Any]:
+        """See `Filter.numbers_of`."""
+        number = state.index + 1
+        over = number - len(self.times)
+        laps = 1.0 + over // self.cycle if over >= 0 and self.cycle else 0.0
+        served = self.served(number) if self.cycle else number
+        return {"k": served, "laps": laps, "gap": state.gap, **self.remembered(state.past)}
+
+    def state_of(self, parts: dict[str, Any], t: float, before: Any) -> Any:
+        """See `Filter.state_of`."""
+        index = self.index_of(parts)
+        return FilterState(
+            index,
+            parts["mean"],
+            parts["cov"],
+            self.recalled(parts, index + 1),
+            parts["loglik"],
+            before=before._replace(before=None) if before.corrected else None,
+            gap=parts["gap"] > 0.0,
+            corrected=True,
+        )
+
+    def index_of(self, parts: dict[str, Any]) -> int:
+        """Number of the last measurement, from the arrays of a program's state."""
+        return int(parts["k"] + self.cycle * parts.get("laps", 0.0)) - 1
+
+    def remembered(self, past: Past) -> dict[str, Any]:
+        """Numbers of a program that are the memory."""
+        raise NotImplementedError
+
+    def recalled(self, parts: dict[str, Any], count: int) -> Past:
+        """The memory after so many measurements, from the numbers of a program."""
+        raise NotImplementedError
+
     def batch_of(self, state: Any) -> tuple[int, ...]:
         """Batch axes of a state."""
         return state.mean.shape[1:]
@@ -577,7 +617,10 @@ class DesignedFilter(Filter):
         def work(record: Record, stream: object) -> Estimates:
             return stacked(self._states(record, numbers, covariances, repaired), len(numbers))
 
-        estimates = self.in_blocks(work, record, batch, 0, workers)
+        if not batch and (numbers >= 0).all() and self._single.of(self):
+            estimates = self.estimates_of(self._single.run(self, record), covariances)
+        else:
+            estimates = self.in_blocks(work, record, batch, 0, workers)
         warn_of_repairs(sum(repaired))
         diverged = ~np.isfinite(estimates.mean).all(axis=(0, 1))
         if estimates.loglik is not None:

@@ -21,8 +21,9 @@ from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.arrivals import fit_of, transitions, with_history
 from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_where, require_forecast
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.memory import Memory
+from seedslib.designed.memory import Memory, Past, blocks_of, in_full
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
+from seedslib.designed.step import DesignedStep
 from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
@@ -327,6 +328,26 @@ class FiniteOrderFilter(DesignedFilter):
         for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
             values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
+
+    def program(self, **options: Any) -> DesignedStep:
+        """See `Filter.program`; forecasts must be affine or polynomial, and not by classes."""
+        from seedslib.designed.programs import finite_order
+
+        step = DesignedStep(self, **options)
+        finite_order(step)
+        return step
+
+    @property
+    def _sizes(self) -> tuple[int, int]:
+        return self.components, self.system.measurement_size
+
+    def remembered(self, past: Past) -> dict[str, Any]:
+        """See `DesignedFilter.remembered`."""
+        return {"memory": in_full(self.memory, self._sizes, past)}
+
+    def recalled(self, parts: dict[str, Any], count: int) -> Past:
+        """See `DesignedFilter.recalled`."""
+        return Past(*map(tuple, blocks_of(self.memory, self._sizes, count, parts["memory"])))
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"

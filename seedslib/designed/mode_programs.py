@@ -9,22 +9,23 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from seedslib.base.linalg import ABSOLUTE, RELATIVE
 from seedslib.base.values import Values
-from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.designed.cells import CellFit
 from seedslib.designed.lemmas import FAINT
+from seedslib.designed.memory import places
 from seedslib.designed.rules import SOFTEST
-from seedslib.designed.switching import CellFit
-from seedslib.export.designs import places
-from seedslib.export.kernels import correct, lower_of, unpacked
-from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
+from seedslib.designed.step import DesignedStep
+from seedslib.filters.kernels import correct, lower_of, map_moments, unpacked
+from seedslib.filters.step import Step, any_of
 from seedslib.filters.weights import TIE, logarithm
-from seedslib.linearization.formulas import mentions
+from seedslib.linearization.formulas import Formulas
 from seedslib.linearization.moments import TINY
 from seedslib.models.codegen import compile_components
 from seedslib.models.kinds import inputs_of
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch
+from seedslib.tape.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 
 Gaussian: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Mean (n,) and covariance (n, n)."""
@@ -86,7 +87,7 @@ class Mixture(NamedTuple):
         return list(self.log_prob.all), [unpacked(row, n) for row in self.moments.all]
 
 
-def switching(step: Step) -> None:
+def switching(step: Any) -> None:
     """Record a `SwitchingFilter`: forecast of mode and state, then a correction in each mode.
 
     Raises
@@ -102,36 +103,37 @@ def switching(step: Step) -> None:
         if filter.memory.indicators:
             step.refuse(step.indicator < 0.0, "PARTLY")
         first, past = k < 1.0, _memory(step)
-        log_prob = step.array("log_prob", (modes,)) if filter.memory.log_odds else None
     else:
         t = step.timed()
         first = step.started.all < 1.0
-        carried = Mixture.of(step, "carried", modes, n, "state")
-        log_prob = carried.log_prob
+    # with a memory they are results: a state in Python has them
+    owner = "state" if step.defers or not step.designed else "local"
+    carried = Mixture.of(step, "carried", modes, n, owner)
     parts = step.indicators if filter.rules.split else 1
     ahead = Mixture.of(step, "ahead", modes * parts, n)
+    logs = [logarithm(start.probability) for start in system.initial]
+    gaussians = [(start.mean, start.cov) for start in system.initial]
+    if not step.designed:
+        rows = [[*mean, *lower_of(cov)] for mean, cov in gaussians]
+        step.initial = {"carried_log_prob": logs, "carried_moments": rows}
+        logs, gaussians = carried.parts(n)
     with step.when(first):
-        for i, start in enumerate(system.initial):
-            logs = logarithm(start.probability * np.eye(1, parts)[0])
-            for part, log in enumerate(logs):  # all of it is in the first part
-                ahead.store(i * parts + part, log, start.mean, start.cov)
+        for i, (log, (mean, cov)) in enumerate(zip(logs, gaussians, strict=True)):
+            for part in range(parts):  # all of it is in the first part
+                ahead.store(i * parts + part, -np.inf if part else log, mean, cov)
     with step.when(~first):
+        last = step.last_time.all if not step.designed else step.moment(k - 1.0)
         if step.designed:
-            last = step.moment(k - 1.0)
             logs, gaussians = _recalled(step, k, past)
-        else:
-            last = step.last_time.all
-            logs, gaussians = carried.parts(n)
         _forecast(step, last, logs, gaussians, ahead, step.since(t - last))
     sensed = Mixture.of(step, "sensed", modes, n + step.m)
     possible = _sense(step, t, ahead, sensed)
     before, joints = sensed.parts(n + step.m)
     logs, means, covs = [], [], []
-    for log, (mean, cov) in zip(before, joints, strict=True):
+    for log, (mean, cov), sensor in zip(before, joints, system.sensors, strict=True):
         moments = mean[n:], cov[:n, n:], cov[n:, n:]
-        mean, cov, loglik, _ = correct(
-            mean[:n], cov[:n, :n], step.y, moments, n, filter.rules.periods
-        )
+        mean, cov, loglik, _ = correct(step, mean[:n], cov[:n, :n], moments, sensor)
+        _defer_repairs(step, cov)
         logs.append(choose(log > -np.inf, log + loglik, -np.inf))
         means.append(mean)
         covs.append(cov)
@@ -139,8 +141,7 @@ def switching(step: Step) -> None:
 
     def store_weights(logs: Sequence[Number], probs: Sequence[Number], total: Number) -> Number:
         prob.store(probs)
-        if log_prob is not None:
-            log_prob.store(logs)
+        carried.log_prob.store(logs)
         return total
 
     loglik = store_weights(*normalised(logs))
@@ -153,22 +154,35 @@ def switching(step: Step) -> None:
     mode = _most_probable(probs)
     step.array("mode", (), "int", "state").store(mode)
     step.mean.store(mean)
+    carried.moments.store([[*x, *lower_of(p)] for x, p in zip(means, covs, strict=True)])
     if not step.designed:
         step.cov.store(cov)
         step.loglik.store(loglik)
-        carried.moments.store([[*x, *lower_of(p)] for x, p in zip(means, covs, strict=True)])
         step.last_time.store(t)
         step.started.store(1.0)
         return
     step.cov.store(choose(gap, np.nan, cov))
     step.loglik.store(choose(gap_before, np.nan, loglik))
-    _remember(step, past, mean, mode, log_prob, (before, joints))
+    _remember(step, past, mean, mode, carried.log_prob, (before, joints))
     step.end(k)
+
+
+def _defer_repairs(step: Step, cov: np.ndarray) -> None:
+    """Leave to arrays what has a pivot that is not positive: it may have to be repaired."""
+    if not step.defers:
+        return
+    rest = cov.copy()
+    for j in range(len(cov)):
+        step.defer(~(rest[j, j] > RELATIVE * abs(cov[j, j]) + ABSOLUTE))
+        for k in range(j + 1, len(cov)):
+            share = rest[k, j] / rest[j, j]
+            for q in range(j + 1, k + 1):
+                rest[k, q] = rest[k, q] - share * rest[q, j]
 
 
 def _check(filter: Any) -> None:
     system, fits = filter.system, filter.fits
-    if not hasattr(filter.linearization, "formulas"):
+    if not isinstance(filter.linearization, Formulas):
         raise TypeError(
             "linearization: wanted formulas, Taylor or ExactGaussian, to write modes in C, got "
             f"{filter.linearization!r}"
@@ -180,7 +194,9 @@ def _check(filter: Any) -> None:
     if filter.memory is None:
         return
     if not fits or not all(isinstance(fit, CellFit) for fit in fits):
-        raise TypeError("fits: wanted laws in cells, for at least two measurements, to write in C")
+        raise TypeError(
+            "fits: wanted distributions in cells, for at least two measurements, to write in C"
+        )
     if inputs_of(system):
         raise ValueError("filter: wanted a model without inputs, C has none of a design with modes")
 
@@ -367,40 +383,45 @@ def _moments(
     numbers: Values,
 ) -> list[Any]:
     """Moments of the branches of one mode, None where there is no branch."""
-    rule, n = step.filter.linearization, step.n
-    symbols, lower, matrix = gaussian_symbols(n)
+    rule = step.filter.linearization
     known = [branch for branch in branches if branch is not None]
+    if not known:
+        return list(branches)
     if all(branch.constant for branch in known):
-        moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()
-        state = list(symbols), matrix
-        formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
-    else:
-        formulas = [rule.branch(branch.map, list(symbols), matrix) for branch in known]
-    flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
-    system = step.filter.system
-    arguments = system.time, symbols, lower, system.parameters
-    evaluate = compile_components(arguments, [e for row in flat for e in row])
-    values = iter(evaluate(t, list(mean), list(lower_of(cov)), numbers))
+        moments = map_moments(step, rule, known[0].whole, t, mean, cov, numbers)
+        masses = _constant_masses(step.filter.system, known, t, numbers)
+        found = iter([BranchMoments(mass, mean, cov, *moments, False) for mass in masses])
+        return [branch and next(found) for branch in branches]
+    evaluate, shapes, rows = rule.row_components([branch.map for branch in known])
+    values, *parts = evaluate(t, list(mean), list(lower_of(cov)), numbers)
+    parts = [stacked(part).reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
+    found = iter(zip(values, rows, strict=True))
     result: list[BranchMoments | None] = []
     for branch in branches:
         if branch is None:
             result.append(None)
             continue
-        mass, *parts = formulas.pop(0)
-        varies, value = mentions(mass, {*symbols, *lower}), next(values)
-        x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
-        d = len(y)
-        shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)
-        result.append(
-            BranchMoments(choose(value < TINY, 0.0, value) if varies else value, *shaped, varies)
-        )
+        mass, row = next(found)
+        varies = type(mass) is Scalar
+        mass = choose(mass < TINY, 0.0, mass) if varies else mass
+        result.append(BranchMoments(mass, *(parts[k] for k in row), varies))
     return result
+
+
+def _constant_masses(
+    system: Any, branches: Sequence[Branch], t: Scalar, numbers: Values
+) -> Sequence[Number]:
+    """Probabilities of branches that do not depend on the state."""
+    masses = [branch.map.weight_expression for branch in branches]
+    if all(mass.is_number for mass in masses):
+        return [float(mass) for mass in masses]
+    return compile_components([system.time, system.parameters], masses)(t, numbers)
 
 
 # Memory
 
 
-def _memory(step: Step) -> dict[str, Array]:
+def _memory(step: DesignedStep) -> dict[str, Array]:
     """Numbers, decided modes and indicators that are remembered, newest first."""
     memory, numbers = step.filter.memory, step.filter.memory.order(step.n, step.m, step.modes)
     arrays = {"memory": step.array("memory", (numbers,), owner="state")}
@@ -410,7 +431,9 @@ def _memory(step: Step) -> dict[str, Array]:
     return arrays
 
 
-def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Number], list[Gaussian]]:
+def _recalled(
+    step: DesignedStep, k: Scalar, past: dict[str, Array]
+) -> tuple[list[Number], list[Gaussian]]:
     """Distribution of mode and state given the memory: (6.32) to (6.34)."""
     row, cell, u = k - 1.0, 0.0, past["memory"].all
     for name, count in (("modes", step.modes), ("indicators", step.indicators)):
@@ -435,7 +458,7 @@ def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Numbe
     return [log - log_total for log in logs], gaussians
 
 
-def _cell_tables(step: Step) -> dict[str, np.ndarray]:
+def _cell_tables(step: DesignedStep) -> dict[str, np.ndarray]:
     """Parts of the fits by measurement, cell and mode, for the numbers of the full memory."""
     filter, memory, n, modes = step.filter, step.filter.memory, step.n, step.modes
     size, estimate = memory.order(n, step.m, modes), n + (modes - 1) * memory.log_odds
@@ -454,7 +477,7 @@ def _cell_tables(step: Step) -> dict[str, np.ndarray]:
 
 
 def _remember(
-    step: Step,
+    step: DesignedStep,
     past: dict[str, Array],
     mean: np.ndarray,
     mode: Number,
