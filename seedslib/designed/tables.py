@@ -491,20 +491,19 @@ class TableFilter(OutputFilter):
 
     def state_of(self, parts: dict[str, Any], t: float, before: FilterState) -> FilterState:
         """See `Filter.state_of`."""
-        mode = parts.get("mode")
-        return (
-            super()
-            .state_of(parts, t, before)
-            ._replace(
-                loglik=None,
-                mode=None if mode is None else np.intp(mode),
-                mode_prob=parts.get("prob"),
-            )
-        )
+        state, mode = super().state_of(parts, t, before), parts.get("mode")
+        mode = None if mode is None else self._mode_type(mode)
+        return state._replace(loglik=None, mode=mode, mode_prob=parts.get("prob"))
 
     def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
         """See `Filter.estimates_of`; there is no likelihood."""
-        return super().estimates_of(parts, covariances)._replace(loglik=None)
+        found = super().estimates_of(parts, covariances)
+        modes = None if found.modes is None else found.modes.astype(self._mode_type)
+        return found._replace(loglik=None, modes=modes)
+
+    @property
+    def _mode_type(self) -> Any:
+        return self.steps[0].update.mode.dtype.type
 
     @property
     def _labels(self) -> list[int]:

@@ -18,6 +18,8 @@ from seedslib.tape.writer import Writer
 
 NAMES = {name: value for name, value in vars(math).items() if not name.startswith("_")}
 NAMES |= {"fabs": abs}
+# of what is missing there is no whole number, and nothing to raise
+NAMES["floor"] = lambda x: math.floor(x) if math.isfinite(x) else x
 
 
 class Python(Writer):
