@@ -377,13 +377,34 @@ class DesignedFilter(Filter):
         """Number of the last measurement, from the arrays of a program's state."""
         return int(parts["k"] + self.cycle * parts.get("laps", 0.0)) - 1
 
+    def _blocks(self) -> list[tuple[str, int, int]]:
+        """Blocks of numbers of the full memory: which, how many, and how many numbers of each."""
+        memory, modes = self.memory, getattr(self.system, "modes", 1)
+        n = getattr(self, "components", self.system.state_size) + memory.log_odds * (modes - 1)
+        m = self.system.measurement_size
+        return [("estimates", memory.estimates, n), ("measurements", memory.measurements, m)]
+
     def remembered(self, past: Past) -> dict[str, Any]:
-        """Numbers of a program that are the memory."""
-        raise NotImplementedError
+        """Numbers of a program that are the memory; zero where it is not yet filled."""
+        full: list[float] = []
+        for name, count, size in self._blocks():
+            blocks = getattr(past, name)
+            for block in blocks:
+                full += block.tolist()
+            full += [0.0] * (size * (count - len(blocks)))
+        return {"memory": full, "modes": past.modes, "indicators": past.indicators}
 
     def recalled(self, parts: dict[str, Any], count: int) -> Past:
         """The memory after so many measurements, from the numbers of a program."""
-        raise NotImplementedError
+        blocks, start, full = {}, 0, parts["memory"]
+        for name, most, size in self._blocks():
+            stops = range(start + size, start + size * min(count, most) + 1, size)
+            blocks[name] = tuple(full[stop - size : stop] for stop in stops)
+            start += size * most
+        for name in ("modes", "indicators"):
+            if name in parts:
+                blocks[name] = tuple(parts[name][:count].astype(np.intp))
+        return Past(**blocks)
 
     def batch_of(self, state: Any) -> tuple[int, ...]:
         """Batch axes of a state."""

@@ -21,7 +21,7 @@ from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.arrivals import fit_of, transitions, with_history
 from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_where, require_forecast
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.memory import Memory, Past, blocks_of, in_full
+from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
 from seedslib.designed.step import DesignedStep
 from seedslib.linearization.moments import Linearization, Moments
@@ -336,18 +336,6 @@ class FiniteOrderFilter(DesignedFilter):
         step = DesignedStep(self, **options)
         finite_order(step)
         return step
-
-    @property
-    def _sizes(self) -> tuple[int, int]:
-        return self.components, self.system.measurement_size
-
-    def remembered(self, past: Past) -> dict[str, Any]:
-        """See `DesignedFilter.remembered`."""
-        return {"memory": in_full(self.memory, self._sizes, past)}
-
-    def recalled(self, parts: dict[str, Any], count: int) -> Past:
-        """See `DesignedFilter.recalled`."""
-        return Past(*map(tuple, blocks_of(self.memory, self._sizes, count, parts["memory"])))
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"

@@ -169,42 +169,6 @@ def places(memory: Memory, estimate: int, measurement: int, count: int) -> np.nd
     return np.concatenate([np.arange(estimates), np.arange(start, start + measurements)])
 
 
-def in_full(
-    memory: Memory, sizes: tuple[int, int], past: Past, numbers: list[float] | None = None
-) -> list[float]:
-    """Numbers of the full memory of one record, zero where it is not yet filled.
-
-    Parameters
-    ----------
-    memory : Memory
-    sizes : (int, int)
-        Numbers of an estimate and of a measurement.
-    past : Past
-    numbers : list of float, optional
-        Those of the blocks, where they are more than the blocks themselves.
-    """
-    if numbers is None:
-        numbers = [x for block in past.estimates + past.measurements for x in block.tolist()]
-    cut = sizes[0] * len(past.estimates)
-    start, size = sizes[0] * memory.estimates, sizes[1] * memory.measurements
-    estimates, measurements = numbers[:cut], numbers[cut:]
-    estimates += [0.0] * (start - len(estimates))
-    return estimates + measurements + [0.0] * (size - len(measurements))
-
-
-def blocks_of(
-    memory: Memory, sizes: tuple[int, int], count: int, full: np.ndarray
-) -> tuple[list[np.ndarray], list[np.ndarray]]:
-    """Blocks of estimates and of measurements, the inverse of `in_full`."""
-    start = sizes[0] * memory.estimates
-    counts = min(count, memory.estimates), min(count, memory.measurements)
-    estimates, measurements = (
-        [part[size * k : size * (k + 1)] for k in range(number)]
-        for part, size, number in zip((full[:start], full[start:]), sizes, counts, strict=True)
-    )
-    return estimates, measurements
-
-
 def small_order() -> Memory:
     """Memory of the last estimate: the filter of small order (FMP), of the state's dimension."""
     return Memory(1)

@@ -9,14 +9,13 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from seedslib.base.linalg import ABSOLUTE, RELATIVE
 from seedslib.base.values import Values
 from seedslib.designed.cells import CellFit
 from seedslib.designed.lemmas import FAINT
 from seedslib.designed.memory import places
 from seedslib.designed.rules import SOFTEST
 from seedslib.designed.step import DesignedStep
-from seedslib.filters.kernels import correct, lower_of, map_moments, unpacked
+from seedslib.filters.kernels import cholesky, correct, lower_of, map_moments, unpacked
 from seedslib.filters.step import Step, any_of
 from seedslib.filters.weights import TIE, logarithm
 from seedslib.linearization.formulas import Formulas
@@ -102,7 +101,7 @@ def switching(step: Any) -> None:
         gap_before, gap = step.gap(k)
         if filter.memory.indicators:
             step.refuse(step.indicator < 0.0, "PARTLY")
-        first, past = k < 1.0, _memory(step)
+        first, past = k < 1.0, step.past(n + filter.memory.log_odds * (modes - 1))
     else:
         t = step.timed()
         first = step.started.all < 1.0
@@ -133,7 +132,9 @@ def switching(step: Any) -> None:
     for log, (mean, cov), sensor in zip(before, joints, system.sensors, strict=True):
         moments = mean[n:], cov[:n, n:], cov[n:, n:]
         mean, cov, loglik, _ = correct(step, mean[:n], cov[:n, :n], moments, sensor)
-        _defer_repairs(step, cov)
+        if step.defers:  # it may have to be repaired
+            pivots = np.diagonal(cholesky(step, cov, np.diagonal(cov)))
+            step.defer(any_of([~(pivot > 0.0) for pivot in pivots]))
         logs.append(choose(log > -np.inf, log + loglik, -np.inf))
         means.append(mean)
         covs.append(cov)
@@ -165,19 +166,6 @@ def switching(step: Any) -> None:
     step.loglik.store(choose(gap_before, np.nan, loglik))
     _remember(step, past, mean, mode, carried.log_prob, (before, joints))
     step.end(k)
-
-
-def _defer_repairs(step: Step, cov: np.ndarray) -> None:
-    """Leave to arrays what has a pivot that is not positive: it may have to be repaired."""
-    if not step.defers:
-        return
-    rest = cov.copy()
-    for j in range(len(cov)):
-        step.defer(~(rest[j, j] > RELATIVE * abs(cov[j, j]) + ABSOLUTE))
-        for k in range(j + 1, len(cov)):
-            share = rest[k, j] / rest[j, j]
-            for q in range(j + 1, k + 1):
-                rest[k, q] = rest[k, q] - share * rest[q, j]
 
 
 def _check(filter: Any) -> None:
@@ -421,16 +409,6 @@ def _constant_masses(
 # Memory
 
 
-def _memory(step: DesignedStep) -> dict[str, Array]:
-    """Numbers, decided modes and indicators that are remembered, newest first."""
-    memory, numbers = step.filter.memory, step.filter.memory.order(step.n, step.m, step.modes)
-    arrays = {"memory": step.array("memory", (numbers,), owner="state")}
-    for name, count in (("modes", memory.estimates), ("indicators", memory.indicators)):
-        if count:
-            arrays[name] = step.array(name, (count,), "int", "state")
-    return arrays
-
-
 def _recalled(
     step: DesignedStep, k: Scalar, past: dict[str, Array]
 ) -> tuple[list[Number], list[Gaussian]]:
@@ -495,7 +473,4 @@ def _remember(
         logs, joints = sensed
         parts = zip(normalised(logs)[1], joints, strict=True)
         y = choose(isnan(y), reduce(add, [share * joint[0][step.n :] for share, joint in parts]), y)
-    step.push(past["memory"], [*mean, *log_odds], y)
-    for name, newest in (("modes", mode), ("indicators", step.indicator)):
-        if name in past:
-            past[name].store([newest, *past[name].all[:-1]])
+    step.push(past, [*mean, *log_odds], y, mode)

@@ -50,14 +50,14 @@ def finite_order(step: DesignedStep) -> None:
     _check_finite_order(filter)
     k, t = step.begin()
     gap_before, gap = step.gap(k)
-    memory = step.array("memory", (filter.order,), owner="state")
+    past = step.past(step.rows)
 
     def correction(mean: np.ndarray, cov: np.ndarray, moments: Any) -> None:
         mean, after, loglik, y = correct(step, mean, cov, moments, sensor, step.rows)
         step.mean.store(mean)
         step.cov.store(choose(gap, np.nan, after))
         step.loglik.store(choose(gap_before, np.nan, loglik))
-        step.push(memory, mean, y)
+        step.push(past, mean, y)
 
     with step.when(k < 1.0):
         mean, cov, *moments = (
@@ -65,7 +65,7 @@ def finite_order(step: DesignedStep) -> None:
         )
         correction(mean, cov, moments)
     with step.when(k >= 1.0):
-        u = memory.all
+        u = past["memory"].all
         if isinstance(filter.predictor, Continuous):
             u = _moved(step, k, u)
         forecast = _affine if isinstance(filter.fits[0], AffineFit) else _polynomial
@@ -225,11 +225,8 @@ def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
 # Tables
 
 
-def table(step: DesignedStep, labels: list[int]) -> None:
-    """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up.
-
-    Of the labels before a remembered estimate there are so many modes, and so many indicators.
-    """
+def table(step: DesignedStep) -> None:
+    """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up."""
     filter, memory = step.filter, step.filter.memory
     k, _ = step.begin()
     gap = step.gap(k)[1]
@@ -238,9 +235,13 @@ def table(step: DesignedStep, labels: list[int]) -> None:
     step.refuse(some_missing if memory.measurements else some_missing & any_of(~missing), "PARTLY")
     if memory.indicators:
         step.refuse(step.indicator < 0.0, "PARTLY")
-    sizes = step.rows + sum(labels), step.m + labels[1]
-    size = sizes[0] * memory.estimates + sizes[1] * memory.measurements
-    past = step.array("memory", (size,), owner="state")
+    past = step.past(step.rows)
+    numbers, remembered = list(past["memory"].all), []
+    for i in range(memory.estimates + memory.measurements):  # in the order of the axes
+        remembered += [past[name][i] for name in ("modes", "indicators") if name in past]
+        size = step.rows if i < memory.estimates else step.m
+        remembered += [numbers.pop(0) for _ in range(size)]
+    sizes = step.rows + len(past) - 1, step.m + ("indicators" in past)
     first: list[Any] = []
     if step.indicators:  # the label after the last value is a missing indicator
         first = [choose(step.indicator < 0.0, float(step.indicators), step.indicator)]
@@ -255,7 +256,7 @@ def table(step: DesignedStep, labels: list[int]) -> None:
             for row in range(len(tables))
         ]
         with step.when(condition):
-            points = [*known, *past.all]
+            points = [*known, *remembered]
             result.store(_looked_up(step, name, k, tables, used, points))
     mean, prob, mode = np.split(result.all, [step.rows, step.rows + prob_count])
     step.mean.store(mean)
@@ -265,8 +266,7 @@ def table(step: DesignedStep, labels: list[int]) -> None:
         step.array("mode", (), "int", "state").store(mode[0])
     if prob_count:
         step.array("prob", (prob_count,), owner="state").store(prob)
-    indicator = [step.indicator] * labels[1]
-    step.push(past, [*mode[: labels[0]], *indicator, *mean], [*indicator, *step.y])
+    step.push(past, mean, step.y, mode[0] if step.modes else None)
     step.end(k)
 
 

@@ -88,8 +88,25 @@ class DesignedStep(Step):
         self.gapped.store(choose(after, 1.0, 0.0))
         return before, after
 
-    def push(self, memory: Array, estimate: Sequence[Any], measurement: Sequence[Any]) -> None:
-        """Put an estimate and a measurement on the memory, which holds estimates first."""
-        old, size = list(memory.all), len(estimate) * self.filter.memory.estimates
+    def past(self, estimate: int) -> dict[str, Array]:
+        """Arrays of what is remembered, newest first: numbers, estimates before measurements, and
+        decided modes and indicators. An estimate has so many numbers.
+        """
+        memory, modes = self.filter.memory, self.modes > 0
+        numbers = estimate * memory.estimates + self.m * memory.measurements
+        arrays = {"memory": self.array("memory", (numbers,), owner="state")}
+        for name, count in (("modes", modes * memory.estimates), ("indicators", memory.indicators)):
+            if count:
+                arrays[name] = self.array(name, (count,), "int", "state")
+        return arrays
+
+    def push(
+        self, past: dict[str, Array], estimate: Sequence[Any], measurement: Any, mode: Any = None
+    ) -> None:
+        """Remember an estimate, a measurement, a mode and the indicator, as far as it is wanted."""
+        old, size = list(past["memory"].all), len(estimate) * self.filter.memory.estimates
         estimates = [*estimate, *old[:size]][:size]
-        memory.store([*estimates, *[*measurement, *old[size:]][: len(old) - size]])
+        past["memory"].store([*estimates, *[*measurement, *old[size:]][: len(old) - size]])
+        for name, newest in (("modes", mode), ("indicators", self.indicator)):
+            if name in past:
+                past[name].store([newest, *past[name].all[:-1]])

@@ -18,7 +18,7 @@ from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_co
 from seedslib.designed.between import Interval
 from seedslib.designed.cells import cell_number, require_memory
 from seedslib.designed.lemmas import ModeLaw, total_covariance
-from seedslib.designed.memory import Memory, Past, blocks_of, in_full
+from seedslib.designed.memory import Memory
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates, first_step
@@ -250,29 +250,6 @@ class SwitchingFilter(DesignedFilter):
             gap,
             interval,
         )
-
-    @property
-    def _sizes(self) -> tuple[int, int]:
-        soft = self.memory.log_odds * (self.system.modes - 1)
-        return self.system.state_size + soft, self.system.measurement_size
-
-    def remembered(self, past: Past) -> dict[str, Any]:
-        """See `DesignedFilter.remembered`."""
-        rows = {name: list(map(float, getattr(past, name))) for name in ("modes", "indicators")}
-        sizes = self.memory.estimates, self.memory.indicators
-        for row, size in zip(rows.values(), sizes, strict=True):
-            row += [0.0] * (size - len(row))
-        return {"memory": in_full(self.memory, self._sizes, past), **rows}
-
-    def recalled(self, parts: dict[str, Any], count: int) -> Past:
-        """See `DesignedFilter.recalled`."""
-        memory = self.memory
-        blocks = map(tuple, blocks_of(memory, self._sizes, count, parts["memory"]))
-        labels = (
-            tuple(parts[name][:count].astype(np.intp)) if size else ()
-            for name, size in (("modes", memory.estimates), ("indicators", memory.indicators))
-        )
-        return Past(*blocks, *labels)
 
     def smoother(self) -> Any:
         """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""

@@ -16,7 +16,7 @@ from seedslib.base.values import Values
 from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
-from seedslib.designed.memory import Memory, Past, blocks_of, in_full
+from seedslib.designed.memory import Memory, Past
 from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
@@ -486,7 +486,7 @@ class TableFilter(OutputFilter):
             names = ", ".join(sorted(others))
             raise TypeError(f"filter: wanted tables over even axes, got {names}")
         step = DesignedStep(self, **options)
-        table(step, self._labels)
+        table(step)
         return step
 
     def state_of(self, parts: dict[str, Any], t: float, before: FilterState) -> FilterState:
@@ -504,27 +504,6 @@ class TableFilter(OutputFilter):
     @property
     def _mode_type(self) -> Any:
         return self.steps[0].update.mode.dtype.type
-
-    @property
-    def _labels(self) -> list[int]:
-        """How many labels stand before a remembered estimate: modes, indicators."""
-        return [len(part) for part in block_labels(self.system, self.memory)]
-
-    @property
-    def _sizes(self) -> tuple[int, int]:
-        labels = self._labels
-        return self.components + sum(labels), self.system.measurement_size + labels[1]
-
-    def remembered(self, past: Past) -> dict[str, Any]:
-        """See `DesignedFilter.remembered`."""
-        points = arguments(self.system, (), None, past)[self.system.indicators > 0 :]
-        return {"memory": in_full(self.memory, self._sizes, past, [float(x) for x in points])}
-
-    def recalled(self, parts: dict[str, Any], count: int) -> Past:
-        """See `DesignedFilter.recalled`."""
-        blocks = blocks_of(self.memory, self._sizes, count, parts["memory"])
-        points = [number for block in blocks for part in block for number in part]
-        return recalled(self.system, self.memory, self.components, count - 1, points)
 
     @property
     def bytes(self) -> int:

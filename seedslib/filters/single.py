@@ -75,6 +75,8 @@ class Single:
                 flat += [0.0] * (part.stop - part.start)
             elif not shape:
                 flat.append(float(value))
+            elif type(value) is tuple:  # labels, of which some may be missing
+                flat += [*map(float, value), *[0.0] * (shape[0] - len(value))]
             else:
                 flat += value if type(value) is list else value.ravel().tolist()
         return flat
