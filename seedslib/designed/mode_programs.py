@@ -15,46 +15,16 @@ from seedslib.designed.lemmas import FAINT
 from seedslib.designed.memory import places
 from seedslib.designed.rules import SOFTEST
 from seedslib.designed.step import DesignedStep
-from seedslib.filters.kernels import cholesky, correct, lower_of, map_moments, unpacked
+from seedslib.filters.kernels import cholesky, correct, lower_of, unpacked
 from seedslib.filters.step import Step, any_of
 from seedslib.filters.weights import TIE, logarithm
 from seedslib.linearization.formulas import Formulas
-from seedslib.linearization.moments import TINY
-from seedslib.models.codegen import compile_components
+from seedslib.linearization.moments import Weighted
 from seedslib.models.kinds import inputs_of
-from seedslib.models.maps import StochasticMap
-from seedslib.models.switching import Branch
 from seedslib.tape.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 
 Gaussian: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Mean (n,) and covariance (n, n)."""
-
-
-class BranchMoments(NamedTuple):
-    """Probability of a branch, and moments of the state and of a value in it.
-
-    Attributes
-    ----------
-    mass : Scalar or float
-    state_mean, state_cov : ndarray, shapes (n,) and (n, n)
-    mean, cross, cov : ndarray, shapes (d,), (n, d) and (d, d)
-    varies : bool
-        Whether the mass depends on the state: where it is zero the moments are no numbers.
-    """
-
-    mass: Number
-    state_mean: np.ndarray
-    state_cov: np.ndarray
-    mean: np.ndarray
-    cross: np.ndarray
-    cov: np.ndarray
-    varies: bool
-
-    @property
-    def joint(self) -> Gaussian:
-        """Mean and covariance of the state and, below it, the value."""
-        cov = np.block([[self.state_cov, self.cross], [self.cross.T, self.cov]])
-        return np.concatenate([self.state_mean, self.mean]), cov
 
 
 class Mixture(NamedTuple):
@@ -252,74 +222,55 @@ def _forecast(
     p: Values,
 ) -> None:
     """Forecast of mode and state from their distribution at time t: lemmas 4 and 6."""
-    system, rules, modes = step.filter.system, step.filter.rules, range(step.modes)
+    rules, pairs = step.filter.rules, list(enumerate(gaussians))
     if rules.switch is not None:  # the new mode drives the step: a switch, then a move
         switched = Mixture.of(step, "switched", step.modes, step.n)
-        at_rest = [[branch and branch.switch_only for branch in row] for row in system.branches]
-        rows = [_moments(step, at_rest[i], t, *gaussians[i], p) for i in modes]
-        _combine(step, logs, rows, switched)
+        _combine(step, logs, [rules.switch[i](t, *one, p) for i, one in pairs], switched)
         logs, gaussians = switched.parts(step.n)
-    rows = []
-    for i in modes:
-        branches = system.branches[i]
-        if rules.switch is not None:
-            branches = [Branch(system.dynamics[i]) if i == l else None for l in modes]
-        if rules.split:
-            branches = [
-                branch and reading and _with_indicator(branch.map, reading)
-                for branch, readings in zip(branches, system.readings, strict=True)
-                for reading in readings
-            ]
-        rows.append(_moments(step, branches, t, *gaussians[i], p))
-    _combine(step, logs, rows, ahead)
+        pairs = list(enumerate(gaussians))
+    _combine(step, logs, [rules.rows[i](t, *one, p) for i, one in pairs], ahead)
 
 
-def _with_indicator(move: StochasticMap, reading: Branch) -> Branch:
-    """Move to the next state together with what the indicator will be there, (6.19)."""
-    state = dict(zip(reading.map.state, move.expressions, strict=True))
-    probability = reading.probability_expression.subs(state, simultaneous=True)
-    weight = move.weight_expression * probability
-    return Branch(StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time))
+def _mass(branch: Weighted) -> Number:
+    """Probability of a branch."""
+    return np.asarray(branch.mass, dtype=object)[()]
 
 
 def _combine(
     step: Step,
     logs: Sequence[Number],
-    rows: Sequence[Sequence[BranchMoments | None]],
+    rows: Sequence[Sequence[Sequence[Weighted | None]]],
     into: Mixture,
 ) -> None:
     """Mixtures over the old modes: `rows` has for each of them the branches to the new ones."""
     weights, largest = relative(logs)
-    for new, column in enumerate(zip(*rows, strict=True)):
+    flat = [[part for parts in row for part in parts] for row in rows]
+    for new, column in enumerate(zip(*flat, strict=True)):
         old = [i for i, branch in enumerate(column) if branch is not None]
-        branches = [column[i] for i in old]
-        means, covs = [b.mean for b in branches], [b.cov for b in branches]
-        if not branches:
+        masses, values = [_mass(column[i]) for i in old], [column[i].value for i in old]
+        means, covs = [value.mean for value in values], [value.cov for value in values]
+        if not old:
             into.store(new, -np.inf, np.zeros(step.n), np.eye(step.n))
             continue
-        if len(branches) == 1:
-            (branch,), log = branches, logs[old[0]] + np.log(branches[0].mass)
-            into.store(new, log, *_where_possible(branch.varies, log, means[0], covs[0]))
+        if len(old) == 1:
+            log = logs[old[0]] + np.log(masses[0])
+            into.store(new, log, *_where_possible(masses[0], log, means[0], covs[0]))
             continue
-        mass = [weights[i] * branch.mass for i, branch in zip(old, branches, strict=True)]
-        sure = len(old) == len(rows) and all(
-            type(b.mass) is not Scalar and b.mass > FAINT for b in branches
-        )
+        mass = [weights[i] * part for i, part in zip(old, masses, strict=True)]
+        sure = len(old) == len(rows) and all(type(m) is not Scalar and m > FAINT for m in masses)
         total, mean, cov = mix(mass, means, covs, not sure)
         into.store(new, largest + np.log(total), mean, cov)
         if sure:
             continue
         with step.when(total < FAINT):  # so little that it is formed again by itself
-            mass, most = relative(
-                [logs[i] + np.log(b.mass) for i, b in zip(old, branches, strict=True)]
-            )
+            mass, most = relative([logs[i] + np.log(m) for i, m in zip(old, masses, strict=True)])
             total, mean, cov = mix(mass, means, covs, True)
             into.store(new, most + np.log(total), mean, cov)
 
 
-def _where_possible(varies: bool, log: Number, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
-    """Moments of a branch, where it has none mean zero and unit covariance."""
-    if not varies:
+def _where_possible(mass: Number, log: Number, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
+    """Moments of a branch, where it has no mass mean zero and unit covariance."""
+    if type(mass) is not Scalar:
         return mean, cov
     possible = log > -np.inf
     return choose(possible, mean, 0.0), choose(possible, cov, np.eye(len(mean)))
@@ -341,69 +292,32 @@ def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
 
 def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None) -> None:
     """The same for a value of the indicator, None where it is missing: lemma 3."""
-    system, n, p = step.filter.system, step.n, step.at_time()
+    rules, n, p = step.filter.rules, step.n, step.at_time()
     log_prob, gaussians = ahead.parts(n)
     parts, size = len(log_prob) // step.modes, n + step.m
     for i in range(step.modes):
-        reading = Branch(system.sensors[i]) if value is None else system.readings[i][value]
+        reading = rules.unlabelled[i] if value is None else rules.readings[i][value]
         if reading is None:
             sensed.store(i, -np.inf, np.zeros(size), np.eye(size))
             continue
         rows = range(i * parts, (i + 1) * parts)
-        branches = [_moments(step, [reading], t, *gaussians[row], p)[0] for row in rows]
-        logs = [log_prob[row] + np.log(b.mass) for row, b in zip(rows, branches, strict=True)]
-        means, covs = zip(*(branch.joint for branch in branches), strict=True)
+        branches = [reading(t, *gaussians[row], p) for row in rows]
+        masses = [_mass(branch) for branch in branches]
+        logs = [log_prob[row] + np.log(mass) for row, mass in zip(rows, masses, strict=True)]
+        means, covs = zip(*map(_joint, branches), strict=True)
         if parts == 1:
-            moments = _where_possible(branches[0].varies, logs[0], means[0], covs[0])
-            sensed.store(i, logs[0], *moments)
+            sensed.store(i, logs[0], *_where_possible(masses[0], logs[0], means[0], covs[0]))
         else:
             mass, largest = relative(logs)
             total, mean, cov = mix(mass, means, covs, True)
             sensed.store(i, largest + np.log(total), mean, cov)
 
 
-def _moments(
-    step: Step,
-    branches: Sequence[Branch | None],
-    t: Scalar,
-    mean: np.ndarray,
-    cov: np.ndarray,
-    numbers: Values,
-) -> list[Any]:
-    """Moments of the branches of one mode, None where there is no branch."""
-    rule = step.filter.linearization
-    known = [branch for branch in branches if branch is not None]
-    if not known:
-        return list(branches)
-    if all(branch.constant for branch in known):
-        moments = map_moments(step, rule, known[0].whole, t, mean, cov, numbers)
-        masses = _constant_masses(step.filter.system, known, t, numbers)
-        found = iter([BranchMoments(mass, mean, cov, *moments, False) for mass in masses])
-        return [branch and next(found) for branch in branches]
-    evaluate, shapes, rows = rule.row_components([branch.map for branch in known])
-    values, *parts = evaluate(t, list(mean), list(lower_of(cov)), numbers)
-    parts = [stacked(part).reshape(shape) for part, shape in zip(parts, shapes, strict=True)]
-    found = iter(zip(values, rows, strict=True))
-    result: list[BranchMoments | None] = []
-    for branch in branches:
-        if branch is None:
-            result.append(None)
-            continue
-        mass, row = next(found)
-        varies = type(mass) is Scalar
-        mass = choose(mass < TINY, 0.0, mass) if varies else mass
-        result.append(BranchMoments(mass, *(parts[k] for k in row), varies))
-    return result
-
-
-def _constant_masses(
-    system: Any, branches: Sequence[Branch], t: Scalar, numbers: Values
-) -> Sequence[Number]:
-    """Probabilities of branches that do not depend on the state."""
-    masses = [branch.map.weight_expression for branch in branches]
-    if all(mass.is_number for mass in masses):
-        return [float(mass) for mass in masses]
-    return compile_components([system.time, system.parameters], masses)(t, numbers)
+def _joint(branch: Weighted) -> Gaussian:
+    """Mean and covariance of the state and, below it, the value."""
+    state, value = branch.state, branch.value
+    cov = np.block([[state.cov, value.cross], [value.cross.T, value.cov]])
+    return np.concatenate([state.mean, value.mean]), cov
 
 
 # Memory

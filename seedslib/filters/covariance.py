@@ -317,7 +317,7 @@ class CovarianceFilter(Filter):
             raise ValueError(
                 "system: wanted a first state with a distribution to write in C, got a diffuse one"
             )
-        if not (hasattr(rule, "components") or isinstance(rule, PointRule | Matrices)):
+        if not (hasattr(rule, "formulas") or isinstance(rule, PointRule | Matrices)):
             raise TypeError(
                 f"linearization: wanted formulas or a rule with points to write in C, got {rule!r}"
             )

@@ -49,10 +49,7 @@ def map_moments(
         return _linear_moments(map, t, mean, cov, p)
     if isinstance(rule, PointRule):
         return _point_moments(tape, rule, map, t, mean, cov, p, spread)
-    n, m = map.state_size, map.size
-    parts = rule.components(map, spread)(t, list(mean), list(lower_of(cov)), p)
-    y, cross, *square = (stacked(part) for part in parts)
-    return y, cross.reshape(n, m), square[0].reshape(m, m) if spread else None
+    return rule.moments(map, spread)(t, mean, cov, p)
 
 
 def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray, p: Values) -> Any:

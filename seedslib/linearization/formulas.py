@@ -22,6 +22,7 @@ from seedslib.linearization.moments import (
 )
 from seedslib.models.codegen import batch_of, compile_components, stack
 from seedslib.models.maps import StochasticMap
+from seedslib.tape.tape import choose
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
 """E y (m, 1), cov(x, y) (n, m) and cov y (m, m) or None."""
@@ -72,7 +73,13 @@ class Formulas(Linearization):
             The map is given by array functions, or a mean has no closed form.
         """
         refuse_weight(map)
-        evaluate, n, m = self.components(map, spread), map.state_size, map.size
+        return _derived_once(Formulas._moments, self, map, spread)
+
+    def _moments(self, map: StochasticMap, spread: bool) -> Callable[..., Moments]:
+        arguments, mean, cov = _arguments(map, type(self).__name__)
+        parts = self.formulas(map, mean, cov, spread)
+        evaluate = _compiled(arguments, parts if spread else parts[:2])
+        n, m = map.state_size, map.size
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             lower = _lower(cov)
@@ -83,18 +90,6 @@ class Formulas(Linearization):
             return Moments(stack(y, (m,), batch), cross, cov)
 
         return f
-
-    def components(self, map: StochasticMap, spread: bool = True) -> Callable[..., list]:
-        """The same as ``f(t, mean, lower, p) -> lists of components``, of E y, cross, cov y.
-
-        `lower` are the components of the covariance on and below the diagonal, row by row.
-        """
-        return _derived_once(Formulas._components, self, map, spread)
-
-    def _components(self, map: StochasticMap, spread: bool) -> Callable[..., list]:
-        arguments, mean, cov = _arguments(map, type(self).__name__)
-        parts = self.formulas(map, mean, cov, spread)
-        return _compiled(arguments, parts if spread else parts[:2])
 
     def branch(self, map: StochasticMap, mean: Sequence[Any], cov: sympy.Matrix) -> BranchFormulas:
         """SymPy moments of a branch at given mean and covariance of the state."""
@@ -110,41 +105,9 @@ class Formulas(Linearization):
         ValueError
             Maps of different states.
         """
-        evaluate, parts, places = self.row_components(maps)
+        return _derived_once(Formulas._row, self, tuple(maps))
 
-        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
-            lower = _lower(cov)
-            batch = batch_of(mean, lower)
-            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                masses, *values = evaluate(t, mean, lower, p)
-            arrays = [
-                stack(value, shape, batch if len(shape) == 1 else None)
-                for value, shape in zip(values, parts, strict=True)
-            ]
-            return [
-                _weighted(stack([mass], (), batch), [arrays[k] for k in row])
-                for mass, row in zip(masses, places, strict=True)
-            ]
-
-        return f
-
-    def row_components(self, maps: Sequence[StochasticMap]) -> tuple[Callable[..., list], Any, Any]:
-        """The same on components, as ``f(t, mean, lower, p) -> [masses, *parts]``.
-
-        Returns
-        -------
-        callable
-        shapes : list of tuple of int
-            Of each part; equal ones of several branches are one.
-        places : list of list of int
-            Which parts are mean and covariance of the state in each branch, mean of its value,
-            their cross-covariance, and the covariance of the value.
-        """
-        return _derived_once(Formulas._row_components, self, tuple(maps))
-
-    def _row_components(
-        self, maps: tuple[StochasticMap, ...]
-    ) -> tuple[Callable[..., list], list[tuple[int, ...]], list[list[int]]]:
+    def _row(self, maps: tuple[StochasticMap, ...]) -> Callable[..., list[Weighted]]:
         arguments, mean, cov = _arguments(maps[0], type(self).__name__)
         if any((m.state, m.time) != (maps[0].state, maps[0].time) for m in maps):
             raise ValueError("maps: wanted maps of the same state and time")
@@ -158,7 +121,22 @@ class Formulas(Linearization):
         places = [[parts.index(part) for part in row] for row in wanted]
         masses = [branch.mass for branch in branches]
         evaluate = _compiled(arguments, [masses, *(part for _, part in parts)])
-        return evaluate, [part.shape[: 2 - vector] for vector, part in parts], places
+
+        def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> list[Weighted]:
+            lower = _lower(cov)
+            batch = batch_of(mean, lower)
+            with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+                masses, *values = evaluate(t, mean, lower, p)
+            arrays = [
+                stack(value, part.shape[:1], batch) if vector else stack(value, part.shape)
+                for value, (vector, part) in zip(values, parts, strict=True)
+            ]
+            return [
+                _weighted(stack([mass], (), batch), [arrays[k] for k in row])
+                for mass, row in zip(masses, places, strict=True)
+            ]
+
+        return f
 
     def rate(self, system: object) -> Callable[..., list[Any]]:
         """See `Linearization.rate`."""
@@ -218,6 +196,9 @@ def _compiled(arguments: tuple, parts: Sequence) -> Callable[..., list]:
 
 def _weighted(mass: np.ndarray, moments: list[np.ndarray]) -> Weighted:
     """Zero for the mass of an empty branch (rounding may be negative), NaN for its moments."""
+    if mass.dtype == object:  # of a program
+        mass = choose(mass[()] < TINY, 0.0, mass[()])
+        return Weighted(mass, Gaussian(*moments[:2]), Moments(*moments[2:]))
     empty = mass < TINY
     if empty.any():
         moments = [np.where(empty, np.nan, part) for part in moments]
