@@ -264,7 +264,7 @@ class CovarianceFilter(Filter):
         return parts
 
     def program(self, **options: Any) -> Step:
-        """See `Filter.program`; the first state must have a distribution, the maps formulas."""
+        """See `Filter.program`; the maps must have formulas."""
         from seedslib.filters.kernels import (
             correct,
             lower_of,
@@ -311,12 +311,8 @@ class CovarianceFilter(Filter):
         return step
 
     def _require_formulas(self) -> None:
-        """Refuse a first state without a distribution, and maps and rules without formulas."""
+        """Refuse maps and rules without formulas."""
         system, rule = self.system, self.linearization
-        if getattr(system, "diffuse", ()):
-            raise ValueError(
-                "system: wanted a first state with a distribution to write in C, got a diffuse one"
-            )
         if not (hasattr(rule, "formulas") or isinstance(rule, PointRule | Matrices)):
             raise TypeError(
                 f"linearization: wanted formulas or a rule with points to write in C, got {rule!r}"

@@ -39,8 +39,9 @@ class Single:
             return self.possible
         limits = {"limit": MOST_VALUES, "most_numbers": MOST_NUMBERS}
         try:
-            step = filter.program(parameters=True, defers=True, **limits)
-        except (TypeError, ValueError):  # no formulas, or too many
+            with np.errstate(all="ignore"):
+                step = filter.program(parameters=True, defers=True, **limits)
+        except (ArithmeticError, AttributeError, TypeError, ValueError):  # no formulas, or too many
             self._asked = True
             return False
         self._function = as_function(step)

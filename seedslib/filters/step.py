@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,10 @@ CODES = ("OK", "END", "INFINITE", "PARTLY", "TIME", "RANGE", "STRAY", "UNTOLD")
 
 MOST_NUMBERS = 2_000_000
 """Numbers in the tables of one program: about 40 megabytes of text."""
+
+
+VERBS = {"initial", "predict", "propagate", "correct", "update", "report", "values"}
+"""What a program stands for: a filter that has its own has to have its own program."""
 
 
 class Step(Tape):
@@ -36,6 +41,11 @@ class Step(Tape):
         Named values that it may have.
     most_numbers : int
         Numbers that its tables may have.
+
+    Raises
+    ------
+    TypeError
+        A filter whose steps are not those of the class that has its program.
     """
 
     designed = False
@@ -49,6 +59,10 @@ class Step(Tape):
         most_numbers: int = MOST_NUMBERS,
     ) -> None:
         super().__init__(limit)
+        kinds = type(filter).__mro__
+        first = next(k for k, kind in enumerate(kinds) if "program" in vars(kind))
+        if own := sorted(VERBS.intersection(chain.from_iterable(map(vars, kinds[:first])))):
+            raise TypeError(f"filter: wanted a program for its own {', '.join(own)}, got none")
         self.numbers, self.most_numbers = 0, most_numbers
         self.filter, system = filter, filter.system
         self.with_parameters, self.defers = parameters, defers
