@@ -17,7 +17,7 @@ from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, first_step, stays
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.linearization.moments import Linearization, Matrices, Moments, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
@@ -263,7 +263,7 @@ class CovarianceFilter(Filter):
             return [np.full(np.shape(part), np.nan) for part in parts]
         return parts
 
-    def program(self, **options: Any) -> Step:
+    def program(self, **options: Any) -> Program:
         """See `Filter.program`; the maps must have formulas."""
         from seedslib.filters.kernels import (
             correct,
@@ -275,7 +275,7 @@ class CovarianceFilter(Filter):
         )
 
         self._require_formulas()
-        step, system, rule, n = Step(self, **options), self.system, self.linearization, self.n
+        step, system, rule, n = Program(self, **options), self.system, self.linearization, self.n
         step.initial = {"mean": system.mean0, "cov": system.cov0}
         by_points, t = isinstance(rule, PointRule), step.timed(again=True)
         moving = step.array("moving", (n * (n + 3) // 2,))

@@ -12,7 +12,7 @@ from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.linearization.moments import Matrices
 from seedslib.models.linear import LinearSystem
 
@@ -163,7 +163,7 @@ class KalmanFilter(CovarianceFilter):
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
 
-    def program(self, **options: Any) -> Step:
+    def program(self, **options: Any) -> Program:
         """See `Filter.program`; the first state must have a distribution."""
         if self._diffuse:
             raise ValueError(
