@@ -635,13 +635,14 @@ class DesignedFilter(Filter):
         numbers, repaired = self.numbered(record.times, record.y), []
         gaps = self.record_gaps(record.y, record.indicators, numbers)
 
+        alone = not batch and (numbers >= 0).all() and self._single.of(self)
+
         def work(record: Record, stream: object) -> Estimates:
+            if alone:
+                return self.estimates_of(self._single.run(self, record), covariances)
             return stacked(self._states(record, numbers, covariances, repaired), len(numbers))
 
-        if not batch and (numbers >= 0).all() and self._single.of(self):
-            estimates = self.estimates_of(self._single.run(self, record), covariances)
-        else:
-            estimates = self.in_blocks(work, record, batch, 0, workers)
+        estimates = self.in_blocks(work, record, batch, 0, workers)
         warn_of_repairs(sum(repaired))
         diverged = ~np.isfinite(estimates.mean).all(axis=(0, 1))
         if estimates.loglik is not None:

@@ -675,10 +675,11 @@ class Filter(Pickled):
             refuse.
         """
         batch, record = self.records_of(times, measurements, indicators, modes, inputs)
-        if not batch and self._single.of(self):
-            return with_divergence(self.estimates_of(self._single.run(self, record)))
+        alone = not batch and self._single.of(self)
 
         def work(record: Record, stream: Any) -> Estimates:
+            if alone:
+                return with_divergence(self.estimates_of(self._single.run(self, record)))
             reports = (self.report(state) for state in walk(self, record, stream))
             return stacked(reports, len(record.times))
 
