@@ -367,7 +367,11 @@ def _leaving(
                 )
             masses = cell_masses(axes[0], mean, deviation)
             parts = [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
-            return np.stack(parts), _rounded(axes[0], mean, deviation)
+            loss = _rounded(axes[0], mean, deviation)
+            if not map.noise.gaussian:  # cells take its variance alone
+                density = np.exp(map.log_density(t, x[:, :, None], x[:, None, :], p))
+                loss = np.maximum(loss, np.abs(1.0 - axes[0].weights @ density))
+            return np.stack(parts), loss
     logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
     for log, branch in zip(logs, row, strict=True):
         if branch is not None:
