@@ -84,13 +84,6 @@ class LinearMap(StochasticMap):
                 parameters.add(ELAPSED)
         return in_order(parameters)
 
-    def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
-        """See `StochasticMap.taking`."""
-        made = super().taking(parameters)
-        if made is not self:
-            vars(made).pop("_at", None)
-        return made
-
     @property
     def formulas(self) -> tuple[Any, ...] | None:
         """A, S and B (or None) as numbers or expressions in t, and u; None without such."""
