@@ -216,7 +216,7 @@ def synthesize(
     UserWarning
         Few paths for the memory's dimension; an estimate without information; paths left out;
         errors on the paths held out that are not the predicted ones. Of a switching system also
-        many pairs of cell and mode with few paths, and repaired covariances.
+        many pairs of cell and mode with few paths.
     """
     as_system("system", system, *KINDS)
     if not isinstance(memory, Memory):

@@ -52,11 +52,10 @@ class Accuracy(NamedTuple):
 
 
 class Design(NamedTuple):
-    """How a filter was designed: paths, paths per block, seed, and what had to be repaired.
+    """How a filter was designed: paths, paths per block, seed.
 
     ``diverged`` paths were left out; an ``exact`` design took no paths. Of a switching system,
-    ``pooled`` of ``pairs`` pairs of cell and mode had too few paths of their own, and negative
-    eigenvalues of ``repaired`` covariances were raised.
+    ``pooled`` of ``pairs`` pairs of cell and mode had too few paths of their own.
     """
 
     paths: int
@@ -67,7 +66,6 @@ class Design(NamedTuple):
     exact: bool = False
     pooled: int = 0
     pairs: int = 0
-    repaired: int = 0
 
     def __str__(self) -> str:
         if self.exact:
@@ -76,10 +74,7 @@ class Design(NamedTuple):
         if self.diverged:
             text += f", {self.diverged} diverged paths left out"
         if self.pairs:
-            text += (
-                f"; mended: {self.pooled} of {self.pairs} thin pairs of cell and mode, "
-                f"{self.repaired} covariances"
-            )
+            text += f"; {self.pooled} of {self.pairs} pairs of cell and mode pooled"
         return text
 
 

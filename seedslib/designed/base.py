@@ -88,15 +88,6 @@ def require_corrected(state: Any) -> None:
         raise ValueError("state: wanted a state after a correction, got a forecast")
 
 
-def warn_of_repairs(count: int) -> None:
-    """Warn of covariances whose negative eigenvalues a run or a design had to raise, if any."""
-    if count:
-        warnings.warn(
-            f"covariances: eigenvalues of {count} were raised to 1e-12 of their scale",
-            stacklevel=outside(),
-        )
-
-
 def freeze(part: object) -> None:
     """Make an array, or the arrays in a tuple, read-only: a designed filter does not change."""
     if isinstance(part, np.ndarray):
@@ -567,18 +558,16 @@ class DesignedFilter(Filter):
         Warns
         -----
         UserWarning
-            Records with gaps, of a filter that was designed: how many, and from which time;
-            covariances that had to be repaired.
+            Records with gaps, of a filter that was designed: how many, and from which time.
         """
         batch, record = self.records_of(times, measurements, indicators, None, inputs)
-        numbers, repaired = self.numbered(record.times, record.y), []
+        numbers = self.numbered(record.times, record.y)
         gaps = self.record_gaps(record.y, record.indicators, numbers)
 
         def work(record: Record, stream: object) -> Estimates:
-            return stacked(self._states(record, numbers, covariances, repaired), len(numbers))
+            return stacked(self._states(record, numbers, covariances), len(numbers))
 
         estimates = self.in_blocks(work, record, batch, 0, workers)
-        warn_of_repairs(sum(repaired))
         diverged = ~np.isfinite(estimates.mean).all(axis=(0, 1))
         if estimates.loglik is not None:
             diverged |= (estimates.loglik == -np.inf).any(axis=0)
@@ -604,7 +593,7 @@ class DesignedFilter(Filter):
         return np.logical_or.accumulate(gaps)
 
     def _states(
-        self, record: Record, numbers: np.ndarray, covariances: bool, repaired: list[int]
+        self, record: Record, numbers: np.ndarray, covariances: bool
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
@@ -628,7 +617,6 @@ class DesignedFilter(Filter):
             state = self.update(state, record.y[j], values(j), indicator, covariances)
             interval, last = None, j
             yield self.report(state, covariances)
-        repaired.append(getattr(state, "repaired", 0))
 
 
 def with_gaps(estimates: Estimates, gaps: np.ndarray, times: np.ndarray) -> Estimates:

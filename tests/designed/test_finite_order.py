@@ -126,7 +126,7 @@ def test_design_of_a_linear_system_has_the_errors_of_regressions_on_its_memory(l
     for fit, wanted in pairs:
         assert_allclose(fit.cov, wanted.cov, rtol=1e-6, atol=1e-8)
     assert filter.design.exact
-    assert filter.design.pooled == filter.design.pairs == filter.design.repaired == 0
+    assert filter.design.pooled == filter.design.pairs == 0
     at = np.isin(filter.predicted.times, TIMES)
     errors = np.sqrt([np.diagonal(cov) for cov in expected.errors])
     assert_allclose(filter.predicted.rms[at], errors, rtol=1e-6)
