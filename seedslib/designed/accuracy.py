@@ -12,9 +12,6 @@ from seedslib.base.clock import when
 ROWS = 12
 """Times that a page shows at most."""
 
-WIDTH = 100
-"""Longest line of a page."""
-
 
 class Accuracy(NamedTuple):
     """Errors of a filter on paths: those that its design predicts, or of other paths.
@@ -118,7 +115,7 @@ def measurement_line(filter: Any) -> str:
 
 
 def _accuracy(filter, with_errors):
-    """Lines of a page: predicted errors, and those on held-out paths beside or below them."""
+    """Lines of a page: predicted errors, and those on held-out paths beside them."""
     predicted, held_out, lines = filter.predicted, filter.held_out, []
     if held_out is not None:
         diverged = f", {held_out.diverged} of them diverged" if held_out.diverged else ""
@@ -129,12 +126,7 @@ def _accuracy(filter, with_errors):
     for k in np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(int):
         j = rows[k]
         line = f"  t = {when(predicted.times[j]):<8} {_errors(predicted, j, with_errors)}"
-        if held_out is None:
-            lines.append(line)
-            continue
-        other = _errors(held_out, k, True)
-        beside = len(line) + len(other) + 5 <= WIDTH
-        lines += [f"{line} | {other}"] if beside else [line, f"{'|':>15} {other}"]
+        lines.append(line if held_out is None else f"{line} | {_errors(held_out, k, True)}")
     return lines
 
 

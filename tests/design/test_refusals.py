@@ -91,7 +91,6 @@ REFUSALS = [
     (lambda: made(components=2), ValueError, "components"),
     (lambda: made(times=[0, 1, 1]), ValueError, "times"),
     (lambda: made(nodes=-1), ValueError, "nodes"),
-    (lambda: made(nodes=[[0.7], []]), ValueError, "nodes"),
     (lambda: made(paths=4, memory=Memory(3)), ValueError, "paths"),
     (lambda: made(paths=None), TypeError, "paths"),
     (lambda: made(seed=None), TypeError, "seed"),
