@@ -117,7 +117,7 @@ class Branch(Pickled):
         ValueError
             No closed form, and noise that is not Gaussian.
         """
-        x = np.asarray(x, dtype=float)
+        x = np.asarray(x)
         if not self.depends_on_noise:
             none = np.zeros((self.map.noise.size, *(1,) * (x.ndim - 1)))
             return np.broadcast_to(self.map.weight(t, x, none, p), x.shape[1:])
