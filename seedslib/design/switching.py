@@ -22,15 +22,10 @@ from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
 from seedslib.designed.accuracy import Accuracy, Design
+from seedslib.designed.cells import CellFit, cell_count, cell_number, require_memory
 from seedslib.designed.memory import Memory
 from seedslib.designed.rules import SwitchingRules, compiled_rules
-from seedslib.designed.switching import (
-    CellFit,
-    SwitchingFilter,
-    cell_count,
-    cell_number,
-    require_memory,
-)
+from seedslib.designed.switching import SwitchingFilter
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem

@@ -17,7 +17,15 @@ from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
 from seedslib.designed.memory import Memory, Past
-from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
+from seedslib.filters.base import (
+    Estimates,
+    Filter,
+    Record,
+    as_indicators,
+    as_record,
+    stacked,
+    with_divergence,
+)
 from seedslib.models.kinds import inputs_of, switches
 from seedslib.models.simulation import Schedule
 
@@ -333,6 +341,67 @@ class DesignedFilter(Filter):
         gap = state.gap | self.gaps("y", y[None], rows, [state.index])[0]
         return self.without_claims(corrected, state.gap, gap) if np.any(gap) else corrected
 
+    # Of one record, by a program
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        return (state.corrected or state.index < 0) and state.mean.ndim == 1
+
+    def numbers_of(self, state: Any) -> dict[str, Any]:
+        """See `Filter.numbers_of`."""
+        number = state.index + 1
+        over = number - len(self.times)
+        laps = 1.0 + over // self.cycle if over >= 0 and self.cycle else 0.0
+        served = self.served(number) if self.cycle else number
+        return {"k": served, "laps": laps, "gap": state.gap, **self.remembered(state.past)}
+
+    def state_of(self, parts: dict[str, Any], t: float, before: Any) -> Any:
+        """See `Filter.state_of`."""
+        index = self.index_of(parts)
+        return FilterState(
+            index,
+            parts["mean"],
+            parts["cov"],
+            self.recalled(parts, index + 1),
+            parts["loglik"],
+            before=before._replace(before=None) if before.corrected else None,
+            gap=parts["gap"] > 0.0,
+            corrected=True,
+        )
+
+    def index_of(self, parts: dict[str, Any]) -> int:
+        """Number of the last measurement, from the arrays of a program's state."""
+        return int(parts["k"] + self.cycle * parts.get("laps", 0.0)) - 1
+
+    def _blocks(self) -> list[tuple[str, int, int]]:
+        """Blocks of numbers of the full memory: which, how many, and how many numbers of each."""
+        memory, modes = self.memory, getattr(self.system, "modes", 1)
+        n = getattr(self, "components", self.system.state_size) + memory.log_odds * (modes - 1)
+        m = self.system.measurement_size
+        return [("estimates", memory.estimates, n), ("measurements", memory.measurements, m)]
+
+    def remembered(self, past: Past) -> dict[str, Any]:
+        """Numbers of a program that are the memory; zero where it is not yet filled."""
+        full: list[float] = []
+        for name, count, size in self._blocks():
+            blocks = getattr(past, name)
+            for block in blocks:
+                full += block.tolist()
+            full += [0.0] * (size * (count - len(blocks)))
+        return {"memory": full, "modes": past.modes, "indicators": past.indicators}
+
+    def recalled(self, parts: dict[str, Any], count: int) -> Past:
+        """The memory after so many measurements, from the numbers of a program."""
+        blocks, start, full = {}, 0, parts["memory"]
+        for name, most, size in self._blocks():
+            stops = range(start + size, start + size * min(count, most) + 1, size)
+            blocks[name] = tuple(full[stop - size : stop] for stop in stops)
+            start += size * most
+        for name in ("modes", "indicators"):
+            if name in parts:
+                blocks[name] = tuple(parts[name][:count].astype(np.intp))
+        return Past(**blocks)
+
     def batch_of(self, state: Any) -> tuple[int, ...]:
         """Batch axes of a state."""
         return state.mean.shape[1:]
@@ -566,7 +635,11 @@ class DesignedFilter(Filter):
                 estimates.cov[numbers < 0] = np.nan
             return estimates
 
-        estimates = self.in_blocks(work, record, batch, 0, workers)
+        if not batch and (numbers >= 0).all() and self._single.of(self):
+            estimates = self.estimates_of(self._single.run(self, record), covariances)
+            estimates = with_divergence(estimates)
+        else:
+            estimates = self.in_blocks(work, record, batch, 0, workers)
         return with_gaps(estimates, gaps.reshape(len(numbers), *batch), record.times)
 
     def record_gaps(self, y: np.ndarray, indicators: MaybeArray, numbers: np.ndarray) -> np.ndarray:

@@ -23,6 +23,7 @@ from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_wher
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
+from seedslib.designed.step import DesignedStep
 from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
@@ -329,6 +330,14 @@ class FiniteOrderFilter(DesignedFilter):
         for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
             values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
+
+    def program(self, **options: Any) -> DesignedStep:
+        """See `Filter.program`; forecasts must be affine or polynomial, and not by classes."""
+        from seedslib.designed.programs import finite_order
+
+        step = DesignedStep(self, **options)
+        finite_order(step)
+        return step
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"
