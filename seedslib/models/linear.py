@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
-from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole
+from seedslib.base.checks import as_covariance, as_positive, as_real, brief, is_whole
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
@@ -234,12 +234,17 @@ class LinearSystem(DiscreteSystem):
                 as_real(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
                 if name in "QR":
                     as_covariance(name, M)
-        diffuse = tuple(diffuse)
-        for k in diffuse:
-            if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
+        try:
+            components = tuple(diffuse)
+        except TypeError:
+            components = (None,)
+        for k in components:
+            if not is_whole(k) or not 0 <= k < n or components.count(k) > 1:
                 raise ValueError(
-                    f"diffuse: wanted distinct components from 0 to {n - 1}, got {diffuse}"
+                    f"diffuse: wanted a sequence of distinct components from 0 to {n - 1}, got "
+                    f"{brief(diffuse)}; all of them are range({n})"
                 )
+        diffuse = components
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
         if np.any(cov0[list(diffuse)] != 0.0):
             raise ValueError("cov0: wanted zeros in the rows of diffuse components")
