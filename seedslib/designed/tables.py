@@ -19,6 +19,7 @@ from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
 
@@ -489,6 +490,35 @@ class TableFilter(OutputFilter):
     >>> filter.order
     1
     """
+
+    def program(self, **options: Any) -> DesignedStep:
+        """See `Filter.program`; all output functions must be tables."""
+        from seedslib.designed.programs import table
+
+        functions = (function for step in self.steps for function in step)
+        others = {type(f).__name__ for f in functions if not isinstance(f, Table)}
+        if others:
+            names = ", ".join(sorted(others))
+            raise TypeError(f"filter: wanted tables over even axes, got {names}")
+        step = DesignedStep(self, **options)
+        table(step)
+        return step
+
+    def state_of(self, parts: dict[str, Any], t: float, before: FilterState) -> FilterState:
+        """See `Filter.state_of`."""
+        state, mode = super().state_of(parts, t, before), parts.get("mode")
+        mode = None if mode is None else self._mode_type(mode)
+        return state._replace(loglik=None, mode=mode, mode_prob=parts.get("prob"))
+
+    def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
+        """See `Filter.estimates_of`; there is no likelihood."""
+        found = super().estimates_of(parts, covariances)
+        modes = None if found.modes is None else found.modes.astype(self._mode_type)
+        return found._replace(loglik=None, modes=modes)
+
+    @property
+    def _mode_type(self) -> Any:
+        return self.steps[0].update.mode.dtype.type
 
     @property
     def bytes(self) -> int:

@@ -35,7 +35,7 @@ FLATTEST = 1e-8
 NEAR = 1e-8
 """The step that is expected to rise by less is the last one."""
 
-STEPS = 200
+STEPS = 100
 """Steps uphill before one gives up."""
 
 RADII = 1.0, 1e3, 1e-7

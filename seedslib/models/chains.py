@@ -468,8 +468,10 @@ def require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
 
 def require_gaussian(system: Any) -> None:
     """Refuse an initial distribution without a density."""
-    if not system.law.gaussian:
-        raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
+    if not system.prior.gaussian:
+        raise ValueError(
+            "system: wanted a Gaussian initial distribution, got one that is only sampled"
+        )
 
 
 class PlaneChain(GridChain):
@@ -509,7 +511,7 @@ class PlaneChain(GridChain):
         if system.state_size != 2 or system.jump is not None:
             raise ValueError("system: wanted two state components and no jumps")
         axes = as_axes("axes", axes, 2)
-        initial, missed = _diffusion_start(system, axes) if system.law.gaussian else (None, 0.0)
+        initial, missed = _diffusion_start(system, axes) if system.prior.gaussian else (None, 0.0)
         super().__init__(system, axes, initial, missed=missed)
         self.substep: float = float(substep)
         if np.abs(self._diffusion(system.nominal_values())[0, 1]).max() > 0:

@@ -32,8 +32,8 @@ class DiscreteSystem(Parametrized, Pickled):
         f, evaluated at the time it leaves; one application per step of the time grid.
     sensor : StochasticMap
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Moments of the initial law, Gaussian unless `initial` is given; numbers will do for one
-        component.
+        Moments of the initial distribution, Gaussian unless `initial` is given; numbers will do
+        for one component.
     initial : callable, optional
         ``initial(rng, count) -> (n, count)``.
 
@@ -50,7 +50,7 @@ class DiscreteSystem(Parametrized, Pickled):
     cov0: Array
     initial: object = None
     state_size: int = field(init=False)
-    law: Noise = field(init=False, repr=False)
+    prior: Noise = field(init=False, repr=False)
     indicators = 0
 
     def __post_init__(self) -> None:
@@ -63,8 +63,8 @@ class DiscreteSystem(Parametrized, Pickled):
         self._require_names()
         mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
-        law = Noise(n, mean0, cov0, self.initial)
-        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, law=law)
+        prior = Noise(n, mean0, cov0, self.initial)
+        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, prior=prior)
         require_no_step("sensor", self.sensor.mentions)
         warn_of_angles(self.sensor)
         parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions))
@@ -87,7 +87,7 @@ class DiscreteSystem(Parametrized, Pickled):
 
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
-        return self.law.draw(rng, count)
+        return self.prior.draw(rng, count)
 
     def advance(
         self, x: np.ndarray, start: float, stop: float, rng: Source, p: Values | None = None

@@ -18,7 +18,7 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, noise_of, warn_of_angles
+from seedslib.models.maps import StochasticMap, warn_of_angles
 from seedslib.models.noise import Noise, lower_times, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -80,7 +80,7 @@ class Branch(Pickled):
         """Whether `log_density` exists."""
         if not self.whole.has_log_density:
             return False
-        return not self.depends_on_noise or self._residual_noise is not None
+        return not self.depends_on_noise or self.map.solved_noise is not None
 
     @cached_property
     def probability_expression(self) -> Any:
@@ -117,7 +117,7 @@ class Branch(Pickled):
         ValueError
             No closed form, and noise that is not Gaussian.
         """
-        x = np.asarray(x, dtype=float)
+        x = np.asarray(x)
         if not self.depends_on_noise:
             none = np.zeros((self.map.noise.size, *(1,) * (x.ndim - 1)))
             return np.broadcast_to(self.map.weight(t, x, none, p), x.shape[1:])
@@ -153,22 +153,11 @@ class Branch(Pickled):
                     "of a branch depends on it"
                 )
             missing = np.isnan(y).any(axis=0)
-            v = self._residual_noise(t, x, np.where(missing, 0.0, y), p)
+            v = self.map.solved_noise(t, x, np.where(missing, 0.0, y), p)[:-1]
             joint = plain + np.log(self.map.weight(t, x, v, p))
             if missing.any():
                 joint = np.where(missing, plain + np.log(self.probability(t, x, p)), joint)
             return joint
-
-    @cached_property
-    def _residual_noise(self):
-        """The noise as a function of (t, x, y, p) where the value can be solved for it."""
-        solution = noise_of(self.map)
-        if solution is None:
-            return None
-        from seedslib.models.codegen import compile_array
-
-        y, noise, _ = solution
-        return compile_array((self.map.time, self.map.state, y, self.map.parameters), noise)
 
 
 def branch_table(

@@ -149,7 +149,7 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
 Q = Parameter("q", 0.1, positive=True)
 LEVEL = LinearSystem(1, Q, 1, 1, 0, 1)
 MANY = np.arange(101.0)
-PUSHED = LinearSystem(1, 1, 1, 1, 0, 1, B=[[1]], inputs=(Input("u"),))
+PUSHED = LinearSystem(1, 1, 1, 1, 0, 1, b=[Input("u")])
 DT = sp.Symbol("dt", real=True)
 
 
