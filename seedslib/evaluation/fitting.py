@@ -38,6 +38,9 @@ NEAR = 1e-8
 STEPS = 100
 """Steps uphill before one gives up."""
 
+PATIENCE, GAIN = 15, 1e-4
+"""So many steps that gain less than this together are the last."""
+
 RADII = 1.0, 1e3, 1e-7
 """Length of the first step, of the longest, and of one that is too short to go on."""
 
@@ -265,6 +268,7 @@ class _Likelihood:
             raise ValueError(f"free: wanted a start with a likelihood, got {start}; {place}")
         value, slopes, curvature = here
         curvature = -np.eye(len(along)) if curvature is None else curvature
+        gained = [value]
         for number in range(STEPS):
             LOG.info("fit: step %d, log-likelihood %.6f at %s", number, value, self.values(u))
             step = uphill(slopes, curvature, radius)
@@ -273,7 +277,8 @@ class _Likelihood:
             there[along] += step
             if not expected > NEAR + 1e-14 * abs(value):
                 return there if self.loglik(there[:, None])[0] >= value else u
-            if radius < shortest:
+            stalled = number >= PATIENCE and value - gained[-PATIENCE] < GAIN
+            if stalled or radius < shortest:
                 break
             if self.batch or self.loglik(there[:, None])[0] > value:
                 later = derivatives(self.loglik, there, along, second)
@@ -291,6 +296,7 @@ class _Likelihood:
                 else:
                     curvature = later[2]
                 u, value, slopes = there, later[0], later[1]
+            gained.append(value)
         return u
 
     def maximum(self, u: np.ndarray) -> Fit:

@@ -18,6 +18,7 @@ from seedslib.base.checks import (
     is_whole,
     require_shape,
 )
+from seedslib.base.clock import lengths_alike
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
@@ -28,6 +29,9 @@ from seedslib.models.propagation import stepped
 
 Matrix: TypeAlias = Any
 """An array of numbers or of SymPy expressions, or a function of time that gives one."""
+
+STORED = 64
+"""Lengths of a step whose discretisation is stored."""
 
 
 class LinearMap(StochasticMap):
@@ -319,7 +323,7 @@ class OfTime:
 
 
 class Discretised:
-    """Exact discretisation of dX = F X dt + dW, that of the last step stored.
+    """Exact discretisation of dX = F X dt + dW, once for steps of one length but for rounding.
 
     Parameters
     ----------
@@ -329,14 +333,17 @@ class Discretised:
 
     def __init__(self, drift: np.ndarray, diffusion: np.ndarray) -> None:
         self.drift, self.diffusion = drift, diffusion
-        self._last: Any = None, None
+        self._known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrix and noise covariance of a step of this length."""
-        last = self._last
-        if last[0] != step:
-            last = self._last = step, stepped(self.drift, self.diffusion, step)
-        return last[1]
+        step = float(lengths_alike(step))
+        found = self._known.get(step)
+        if found is None:
+            if len(self._known) >= STORED:
+                self._known.clear()
+            found = self._known[step] = stepped(self.drift, self.diffusion, step)
+        return found
 
 
 class SteppedMatrix:
