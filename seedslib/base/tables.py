@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_count, as_real, brief
 
 
 @dataclass(frozen=True)
@@ -57,7 +57,7 @@ class Axis:
             low, high, count = given
         except (TypeError, ValueError):
             raise TypeError(
-                f"{name}: wanted an Axis or (low, high, count), got {given!r}"
+                f"{name}: wanted an Axis or (low, high, count), got {brief(given)}"
             ) from None
         try:
             return cls(low, high, count)
