@@ -57,12 +57,10 @@ def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
     TypeError
         No sequence, or an entry that is no symbol.
     """
-    several = not isinstance(value, sympy.Basic) or isinstance(
-        value, (sympy.Tuple, sympy.MatrixBase)
-    )
-    if isinstance(value, str) or not several or not isinstance(value, Iterable):
-        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
-    symbols = tuple(value)
+    try:
+        symbols = tuple(value)
+    except TypeError:
+        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}") from None
     for symbol in symbols:
         if not isinstance(symbol, sympy.Symbol):
             raise TypeError(f"{name}: wanted SymPy symbols, got {symbol!r}")
