@@ -7,6 +7,7 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -14,11 +15,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import Source
+from seedslib.base.checks import outside
 from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order
 from seedslib.models.noise import Noise, named_noise
+
+
+def warn_of_angles(sensor: StochasticMap) -> None:
+    """Warn of components of a sensor that are angles in the plane, without a period."""
+    if not sensor.symbolic:
+        return
+    import sympy
+
+    for k, expression in enumerate(sensor.expressions):
+        terms = sympy.Add.make_args(expression)
+        factors = (factor for term in terms for factor in sympy.Mul.make_args(term))
+        if k not in dict(sensor.period) and any(isinstance(f, sympy.atan2) for f in factors):
+            warnings.warn(
+                f"sensor: wanted the period of component {k}, an angle (atan2), got none, so it "
+                f"jumps where it comes round; period={{{k}: 2*pi}} says that it does",
+                stacklevel=outside(),
+            )
 
 
 class Conditional(NamedTuple):
