@@ -22,7 +22,7 @@ from seedslib.linearization import (
     Taylor,
     Weighted,
 )
-from seedslib.models import Noise, StochasticMap, SwitchingSystem
+from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w, u = sympy.symbols("x y v w u", real=True)
 ModeLaw, Sensed = lemmas.ModeLaw, lemmas.Sensed
@@ -352,55 +352,6 @@ def test_forecast_with_dependent_noises_by_quadrature(split):
         assert_allclose([part[l, g, path] for part in parts], moments_of(*total), **CLOSE)
 
 
-def test_forecast_and_measurement_with_independent_noises_by_quadrature():
-    """Corollaries 1 and 2: the factor of the state, and noises averaged alone, with a mean."""
-
-    def bump(place, centre, low, high, exp):
-        return low + high * exp(-((place - centre) ** 2) / 2)
-
-    leave = ((0.5, 0.1, 0.6), (-0.5, 0.2, 0))
-    told = ((0.0, 0.1, 0.7), (1.0, 0.3, 0))
-    away, tell = ([bump(x, *part, sympy.exp) for part in parts] for parts in (leave, told))
-    system = SwitchingSystem(
-        (x,),
-        [[0.8 * x + 0.5 * v], [0.3 * x + 1 - v]],
-        Noise((v,), mean=0.4, cov=[[0.7]]),
-        [[1 - away[0], away[0]], [away[1], 1 - away[1]]],
-        [[x + 2 * w], [x / 2 - w]],
-        Noise((w,), mean=-0.3, cov=[[0.6]]),
-        [(0.5, [0], [[1]])] * 2,
-        indicator=[[1 - p, p] for p in tell],
-    )
-    rules, law = SwitchingRules(system, ExactGaussian()), random_law(np.random.default_rng(1), 1, 2)
-    push, shift = 0.4 + np.sqrt(0.7) * NOISE, -0.3 + np.sqrt(0.6) * NOISE
-    moves = (lambda s, n: 0.8 * s + 0.5 * n), (lambda s, n: 0.3 * s + 1 - n)
-    shows = (lambda s, n: s + 2 * n), (lambda s, n: s / 2 - n)
-    found = rules.predict(0.0, law)
-    grids = [line(law.mean[0, i], law.cov[0, 0, i]) for i in range(2)]
-    for l, f in np.ndindex(2, 2):
-        total = np.zeros(3)
-        for i, (points, density) in enumerate(grids):
-            switch = bump(points, *leave[i], np.exp)
-            share = law.prob[i] * density * (switch if l != i else 1 - switch)
-            after = moves[i](points[:, None], push)
-            chance = bump(after, *told[l], np.exp)
-            chance = chance if f else 1 - chance
-            total += [share @ (after**k * chance @ WEIGHTS) for k in range(3)]
-        parts = found.prob, found.mean[0], found.cov[0, 0]
-        assert_allclose([part[l, f] for part in parts], moments_of(*total), **CLOSE)
-    ahead = ModeLaw(*(part[..., None] for part in law))
-    for i, (points, density) in enumerate(grids):
-        for j in range(2):
-            seen = rules.sense(0.0, ahead, np.array(j))
-            chance = bump(points, *told[i], np.exp)
-            share = (law.prob[i] * density * (chance if j else 1 - chance))[:, None] * WEIGHTS
-            value = shows[i](points[:, None], shift)
-            mass, mean, square = ((share * value**k).sum() for k in range(3))
-            assert_allclose(seen.prob[i], mass, **CLOSE)
-            assert_allclose(seen.moments.mean[0, i], mean / mass, **CLOSE)
-            assert_allclose(seen.moments.cov[0, 0, i], square / mass - (mean / mass) ** 2, **CLOSE)
-
-
 def test_law_given_the_memory_by_the_information_form():
     """Lemma 5, (6.32) to (6.34): blocks of the inverse covariance, no Schur complement."""
     rng, n, d, modes, cells = np.random.default_rng(8), 2, 3, 3, 2
@@ -427,68 +378,6 @@ def test_law_given_the_memory_by_the_information_form():
 
 # Section 7: the linearised filter, and the guard of erratum E2
 
-LEAVE = 0.35 - 0.2 * sympy.exp(-(x**2) / 8 - (y - x / 3) ** 2 / 6)
-VALUES = [x + sympy.sin(y) + v / 2, x * y / 3 - y + (1 + x / 4) * w]
-PAIR = Noise((v, w), cov=[[1.0, 0.3], [0.3, 0.5]])
-
-
-def test_expansions_are_gaussian_means_of_the_products_of_expansions():
-    """(7.2), (7.3) in two dimensions: by a rule that is exact for them, and as printed."""
-    mean, cov = np.array([0.7, -0.4]), np.array([[0.5, 0.2], [0.2, 0.3]])
-    here = {x: mean[0], y: mean[1], v: 0, w: 0, u: 0}
-
-    def expanded(expression):
-        slopes = [sympy.diff(expression, s).subs(here) for s in (x, y, v, w)]
-        moved = (x - mean[0], y - mean[1], v, w)
-        return expression.subs(here) + sum(a * s for a, s in zip(slopes, moved, strict=True))
-
-    branch = StochasticMap((x, y), VALUES, PAIR, weight=LEAVE)
-    flat = StochasticMap((x, y), [expanded(e) for e in VALUES], PAIR, weight=expanded(LEAVE))
-    whole = StochasticMap.from_functions(2, 2, flat.value, PAIR, weight=flat.weight)
-    found = Taylor().weighted(branch)(0.0, mean, cov)
-    wanted = GaussHermite(5).weighted(whole)(0.0, mean, cov)
-    parts = zip(
-        (found.mass, *found.state, *found.value),
-        (wanted.mass, *wanted.state, *wanted.value),
-        strict=True,
-    )
-    for part, value in parts:
-        assert_allclose(part, value, **TIGHT)
-
-    def number(expression, *names):
-        matrix = sympy.Matrix(expression)
-        return np.array((matrix.jacobian(names) if names else matrix).subs(here), dtype=float)
-
-    chance, lean = number([LEAVE])[0, 0], number([LEAVE], x, y)
-    a, slope, push = number(VALUES), number(VALUES, x, y), number(VALUES, v, w)
-    first = chance * a + slope @ cov @ lean.T
-    second = a @ lean @ cov @ slope.T + slope @ cov @ lean.T @ a.T
-    square = slope @ cov @ slope.T + push @ np.array(PAIR.cov) @ push.T
-    second = second + chance * (a @ a.T + square)
-    middle = found.value.mean[:, None]
-    assert_allclose(found.mass * middle, first, **TIGHT)
-    assert_allclose(found.mass * (found.value.cov + middle @ middle.T), second, **TIGHT)
-
-
-def test_guard_keeps_variances_of_the_expanded_forecast_positive():
-    """Erratum E2: (7.3) gives the variance -1.51 at (0.9, 2); with the guard none is negative."""
-    system = zoo.scalar_switching("A1H")
-    m, d = 0.9, 2.0
-    chance, slope = 0.35 - 0.3 * np.exp(-(m**2) / 8), 0.075 * m * np.exp(-(m**2) / 8)
-    value, stretch = m + 1.8 * np.sin(m), 1 + 1.8 * np.cos(m)
-    lean = slope * d * stretch
-    second = 2 * value * lean + chance * (value**2 + stretch**2 * d + 0.25)
-    assert second / chance - (value + lean / chance) ** 2 == pytest.approx(-1.51, abs=0.005)
-    means, variances = np.meshgrid(np.linspace(-6, 6, 121), np.linspace(0.05, 5, 60))
-    for row in system.branches:
-        moved = Taylor().row([b.map for b in row])
-        for got in moved(0.0, means[None], variances[None, None]):
-            assert (got.value.cov >= 0.25).all()
-    (_, kept) = Taylor().row([b.map for b in system.branches[0]])(
-        0.0, np.array([m]), np.array([[d]])
-    )
-    assert_allclose(kept.value.cov, stretch**2 * d + 0.25, rtol=1e-12)
-
 
 @pytest.mark.parametrize(("variance", "mean", "left"), [(4.0, 0.0, 4.0), (3.0, 1.5, 0.75)])
 def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, mean, left):
@@ -512,42 +401,6 @@ def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, me
 
 
 # Erratum E1: the normalisation of (6.21)
-
-
-def memories(count, seed, scale=0.7):
-    """Random laws given a memory, as (6.32) gives them."""
-    rng = np.random.default_rng(seed)
-    chance = rng.uniform(size=count)
-    return ModeLaw.of(
-        np.array([chance, 1 - chance]),
-        scale * rng.standard_normal((1, 2, count)),
-        rng.uniform(0.1, 1.0, (1, 1, 2, count)),
-    )
-
-
-def test_printed_normalisation_depends_on_the_origin():
-    """Its variance is r S + r (1 - r) mu² with r the mass of the mixture over the forecast's."""
-    laws = SwitchingRules(DEPENDENT, GaussHermite(12)).predict(0.0, memories(5000, 2))
-    readings = {
-        offset: ExactGaussian().weighted(zoo.dependent_switching(offset).readings[0][1].map)
-        for offset in (0.0, 100.0)
-    }
-    mass = lemmas.sense([readings[0.0], None], 0.0, laws).prob[0]
-    ratio = mass / laws.prob[0, 1]
-    assert ratio.min() < 0.97 < 1.0 < ratio.max()
-    path = int(np.argmin(np.abs(ratio - 1.009)))
-    law, r = ModeLaw(*(part[..., path : path + 1] for part in laws)), ratio[path]
-    right, printed = (
-        [lemmas.sense([f, None], 0.0, law, column).moments for f in readings.values()]
-        for column in (None, 1)
-    )
-    assert_allclose(right[0].cov[..., 0, :], right[1].cov[..., 0, :], rtol=1e-11)
-    assert_allclose(right[0].mean[:, 0] + 100, right[1].mean[:, 0], rtol=1e-13)
-    spread, mean = right[1].cov[0, 0, 0, 0], right[1].mean[0, 0, 0]
-    assert printed[1].mean[0, 0, 0] == pytest.approx(r * mean, rel=1e-12)
-    wanted = r * spread + r * (1 - r) * mean**2
-    assert printed[1].cov[0, 0, 0, 0] == pytest.approx(wanted, rel=1e-9)
-    assert -110 < printed[1].cov[0, 0, 0, 0] < -80
 
 
 def test_consistent_filter_does_not_see_the_zero_of_the_scale_and_the_printed_does():
