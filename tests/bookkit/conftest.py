@@ -51,6 +51,7 @@ LEDGER = """- id: TS-X1
   notebook: notebooks/tiny.md
   printed: 7
   tolerance: 1.0e-9
+  proved: numbers
   verdict: reproduced
 """
 
