@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import sympy
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from oracles.linear import mixed
@@ -15,7 +14,6 @@ from seedslib import zoo
 from seedslib.design import cells_from_moments
 from seedslib.designed import SwitchingFilter, SwitchingRules, lemmas
 from seedslib.linearization import (
-    ExactGaussian,
     GaussHermite,
     Gaussian,
     Moments,
@@ -267,89 +265,6 @@ def test_posterior_law_is_that_of_the_joint_density(n, m):
     assert_allclose(lemmas.weigh(sensed, np.full(m, np.nan))[0].prob, chance, rtol=1e-12)
     none = sensed._replace(log_prob=np.full(3, -np.inf))
     assert lemmas.weigh(none, seen)[1] == -np.inf
-
-
-# Lemmas 3, 4 and 6 with dependent noises: (6.23), (6.27), (6.35)
-
-DEPENDENT = zoo.dependent_switching()
-# thresholds, slopes and correlations of the model, typed once more
-ALPHA, BETA, RHO = (1.2, -0.3), (-0.8, 0.5), (0.6, -0.4)
-A0, A1, S = (0.2, -0.5), (0.9, 0.5), (0.6, 0.8)
-TAU, DELTA, RHO_W = (1.0, -0.2), (-0.7, 0.4), (0.5, -0.3)
-B0, B1, B2, R = (0.0, 1.0), (1.0, 0.7), (0.1, -0.05), (0.7, 0.5)
-
-
-def line(mean, variance, count=301):
-    """Points and weights of the trapezoidal rule on nine deviations of a normal law."""
-    points = mean + np.sqrt(variance) * np.linspace(-9, 9, count)
-    density = np.exp(-((points - mean) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-    return points, density * (points[1] - points[0])
-
-
-NOISE, WEIGHTS = line(0.0, 1.0)
-
-
-def beyond(threshold, slope, correlation, place, noise, value):
-    """Pr[1{N' > threshold + slope x} = value | x, noise]."""
-    far = (correlation * noise - threshold - slope * place) / np.sqrt(1 - correlation**2)
-    return ndtr(far if value else -far)
-
-
-def moments_of(mass, first, second, *rest):
-    return mass, first / mass, second / mass - (first / mass) ** 2, *rest
-
-
-@pytest.mark.parametrize("shown", [0, 1])
-def test_measurement_with_dependent_noises_by_quadrature(shown):
-    """Consistent form: exact moments of the mixture (6.19) seen through (1.4)."""
-    law = random_law(np.random.default_rng(8), 1, 2, 2, 3)
-    rows = [ExactGaussian().row([branch.map for branch in row]) for row in DEPENDENT.readings]
-    readings = [lambda t, mean, cov, f=f: f(t, mean, cov)[shown] for f in rows]
-    found = lemmas.sense(readings, 0.0, law)
-    for i, path in np.ndindex(2, 3):
-        total = np.zeros(6)
-        for g in range(2):
-            points, density = line(law.mean[0, i, g, path], law.cov[0, 0, i, g, path])
-            place, noise = points[:, None], NOISE[None]
-            share = law.prob[i, g, path] * density[:, None] * WEIGHTS
-            share = share * beyond(TAU[i], DELTA[i], RHO_W[i], place, noise, shown)
-            value = B0[i] + B1[i] * place + B2[i] * place**2 + R[i] * noise
-            parts = 1.0, place, place**2, value, place * value, value**2
-            total += [(share * part).sum() for part in parts]
-        mass, first, second, mean, cross, square = total
-        wanted = moments_of(
-            mass,
-            first,
-            second,
-            mean / mass,
-            cross / mass - first * mean / mass**2,
-            square / mass - (mean / mass) ** 2,
-        )
-        parts = found.prob, found.mean[0], found.cov[0, 0], *(np.squeeze(m) for m in found.moments)
-        assert_allclose([part[i, path] for part in parts], wanted, **CLOSE)
-
-
-@pytest.mark.parametrize("split", [False, True])
-def test_forecast_with_dependent_noises_by_quadrature(split):
-    """(6.26): next mode and state, and with `split` the indicator that will be seen there."""
-    rng = np.random.default_rng(9)
-    law = random_law(rng, 1, 2, 3)._replace(cov=rng.uniform(0.2, 1.5, (1, 1, 2, 3)))
-    rule = GaussHermite(60) if split else ExactGaussian()
-    found = SwitchingRules(DEPENDENT, rule).predict(0.0, law)
-    assert found.prob.shape == (2, 2 if split else 1, 3)
-    for l, g, path in np.ndindex(*found.prob.shape):
-        total = np.zeros(3)
-        for i in range(2):
-            points, density = line(law.mean[0, i, path], law.cov[0, 0, i, path])
-            place, noise = points[:, None], NOISE[None]
-            share = law.prob[i, path] * density[:, None] * WEIGHTS
-            share = share * beyond(ALPHA[i], BETA[i], RHO[i], place, noise, l)
-            after = A0[i] + A1[i] * place + S[i] * noise
-            if split:
-                share = share * ndtr((TAU[l] + DELTA[l] * after) * (-1 if g else 1))
-            total += [(share * part).sum() for part in (1.0, after, after**2)]
-        parts = found.prob, found.mean[0], found.cov[0, 0]
-        assert_allclose([part[l, g, path] for part in parts], moments_of(*total), **CLOSE)
 
 
 def test_law_given_the_memory_by_the_information_form():
