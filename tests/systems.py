@@ -95,19 +95,20 @@ def linear_system(form="formulas", *, inputs=True, diffuse=()):
         def entries(name, time):
             return np.array(getattr(coefficients(time), name), dtype=float)
 
-        F, B, H, D = (lambda time, name=name: entries(name, time) for name in "FBHD")
+        F, H = (lambda time, name=name: entries(name, time) for name in "FH")
         Q, R = (
             lambda time: spread(entries("G", time), NOISE_COV),
             lambda time: spread(entries("E", time), SENSOR_COV),
         )
     else:
         made = vars(coefficients(t, ELAPSED, m=sympy))
-        F, B, H, D, G, E = (np.array(made[name], dtype=object) for name in "FBHDGE")
+        F, H, G, E = (np.array(made[name], dtype=object) for name in "FHGE")
         Q, R = spread(G, NOISE_COV), spread(E, SENSOR_COV)
-    told = {"B": B, "D": D, "inputs": (U, S)} if inputs else {}
+    made = coefficients(t, STEP if form == "functions" else ELAPSED, m=sympy)
+    added = {"b": np.array(made.B) @ [U, S], "d": np.array(made.D) @ [U, S]} if inputs else {}
     known = ~np.isin(np.arange(3), diffuse)
     start = MEAN0 * known, COV0 * np.outer(known, known)
-    return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **told)
+    return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **added)
 
 
 def linear_formulas(mode=0, *, inputs=True, step=ELAPSED):
@@ -298,17 +299,11 @@ def oscillator(step=0.01):
     )
 
 
-class Recorded:
-    """A system that keeps all that it simulates; `change`, where given, alters it first."""
-
-    def __init__(self, system, change=None):
-        self.system, self.change, self.made = system, change, []
-
-    def __getattr__(self, name):
-        return getattr(self.system, name)
+class Recording:
+    """What `recorded` adds to a system."""
 
     def simulate(self, *arguments, **options):
-        made = self.system.simulate(*arguments, **options)
+        made = super().simulate(*arguments, **options)
         if self.change:
             self.change(made)
         self.made.append(made)
@@ -317,3 +312,10 @@ class Recorded:
     def all(self, name):
         """States, measurements, modes or indicators of all paths so far."""
         return np.concatenate([getattr(made, name) for made in self.made], axis=-1)
+
+
+def recorded(system, change=None):
+    """The system, of its own kind, that keeps all that it simulates; `change` alters it first."""
+    again = object.__new__(type("Recorded", (Recording, type(system)), {}))
+    vars(again).update(vars(system), system=system, change=change, made=[])
+    return again

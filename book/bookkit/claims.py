@@ -35,6 +35,13 @@ ORIGINS = {
 }
 VERDICTS = ("refuted", "corrected", "open", "reproduced", "checked")
 """In the order in which a reader of the papers wants to see them."""
+PROOFS = {
+    "symbols": "identities that SymPy brings to zero, in a cell that is shown",
+    "fractions": "exact arithmetic, in a cell that is shown",
+    "enclosure": "balls of arithmetic that hold the exact value",
+    "words": "a proof or the paper's own words, on the page; numbers only try it",
+    "numbers": "two routes that agree in floating point, where no closed form exists",
+}
 LEDGER = "book/claims.yml"
 
 
@@ -53,7 +60,9 @@ class Claim(BaseModel):
     ours, which the file `source` computes or holds. `because` is the sentence that says why a
     tolerance is wider than the last printed digit, by which route a reference without a file was
     computed, or what an open claim lacks; `reading` what we had to assume where the paper does not
-    say it.
+    say it. Where the reading supplies what cannot be read any more, `readings` says whether the
+    verdict is that of one reading or of all that were tried: what one reading denies is open.
+    `proved` is what carries the verdict.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -63,6 +72,7 @@ class Claim(BaseModel):
     place: str
     statement: str
     reading: str = ""
+    readings: Literal["one", "all"] | None = None
     notebook: Annotated[str, Field(pattern=r"^notebooks/\w+\.md$")]
     printed: Numbers = None
     reference: Numbers = None
@@ -71,7 +81,13 @@ class Claim(BaseModel):
     because: str = ""
     printed_formula: str | None = None
     corrected_formula: str | None = None
+    proved: Literal[tuple(PROOFS)]
     verdict: Literal[VERDICTS]
+
+    def decided(self, verdict: str) -> str:
+        """A verdict, or "open" where it would deny what one reading of a damaged text says."""
+        denied = verdict in ("refuted", "corrected")
+        return "open" if denied and self.readings == "one" else verdict
 
     @property
     def expected(self) -> list[float] | None:
@@ -104,6 +120,12 @@ class Claim(BaseModel):
                 yield f"{value:g} ± {width:g}: a tolerance as wide as the number"
             elif self.printed is not None and not self.because and width > 1.001 * _half(value):
                 yield f"{value:g} ± {width:g}: more than the last digit wants a because"
+        if self.decided(self.verdict) != self.verdict:
+            yield f"{self.verdict} under one reading of what cannot be read: wanted open"
+        if self.readings and not self.reading:
+            yield "readings want a reading: what was supplied"
+        if self.origin == "restored" and not self.readings:
+            yield "restored wants readings: one or all"
         if self.verdict == "corrected" and not (self.printed_formula and self.corrected_formula):
             yield "corrected wants what is printed and what is right"
         if self.verdict == "open" and not self.because:
@@ -197,6 +219,8 @@ def _differences(claim: Claim, entry: dict) -> Iterable[str]:
         yield f"ledger says {claim.verdict}, {claim.notebook} finds {entry['verdict']}"
     if claim.verdict != "open" and not entry.get("wrong"):
         yield f"no planted fault: {claim.notebook} does not say what it would fail with"
+    if (claim.proved in ("symbols", "fractions")) != bool(entry.get("identities")):
+        yield f"proved by {claim.proved}, but {claim.notebook} shows other than that"
     for fault in entry.get("missed", []):
         yield f"true as well with this fault: {fault}"
     if claim.verdict == "refuted" and not (entry.get("computed") or entry["note"]):

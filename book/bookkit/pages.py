@@ -18,7 +18,7 @@ from typing import Any
 
 import yaml
 
-from bookkit.claims import LEDGER, ORIGINS, PAPERS, VERDICTS, Claim, read_ledger
+from bookkit.claims import LEDGER, ORIGINS, PAPERS, PROOFS, VERDICTS, Claim, read_ledger
 from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
 
 
@@ -33,7 +33,7 @@ def substitutions(root: Path) -> dict[str, Any]:
         papers = ("compromise", "riemann") if group == "fragments" else (group,)
         own = [claim for claim in claims if claim.paper in papers]
         name = group.replace("-", "_")
-        result[f"verdicts__{name}"] = counts(c for c in own if c.origin != "ours")
+        result[f"verdicts__{name}"] = paper_counts(own)
         result[f"findings__{name}"] = counts(c for c in own if c.origin == "ours")
     return result
 
@@ -44,16 +44,27 @@ def counts(claims: Iterable[Claim]) -> str:
     return ", ".join(f"{number[verdict]} {verdict}" for verdict in VERDICTS if number[verdict])
 
 
+def paper_counts(claims: Iterable[Claim]) -> str:
+    """The verdicts on what a paper says, and apart from them on what it only implies."""
+    claims = list(claims)
+    said = counts(c for c in claims if c.origin in ("stated", "restored"))
+    implied = counts(c for c in claims if c.origin == "implied")
+    return f"{said}; of what it only implies {implied}" if implied else said
+
+
 def claims_page(root: Path) -> str:
     """The claims page, as MyST text: the papers' claims first and ours apart."""
     claims, recorded = read_ledger(root / LEDGER), read_verdicts(root)
     theirs = [claim for claim in claims if claim.origin != "ours"]
     ours = [claim for claim in claims if claim.origin == "ours"]
+    said = [claim for claim in theirs if claim.origin != "implied"]
+    implied = [claim for claim in theirs if claim.origin == "implied"]
     origins = Counter(claim.origin for claim in theirs)
     lines = [
         "# Claims",
         "",
-        f"The papers make {len(theirs)} claims: {counts(theirs)}. {len(ours)} findings of our own",
+        f"The papers make {len(said)} claims: {counts(said)}. {len(implied)} more follow from them",
+        f"without standing there: {counts(implied) or 'none'}. {len(ours)} findings of our own",
         f"are listed apart: {counts(ours)}. Each verdict is computed by the notebook it links to,",
         "which also says which planted faults would change it. The verdicts are explained in",
         r"[](#verdicts), the symbols ($\hat x$, $P$) in [](notation.md).",
@@ -61,7 +72,16 @@ def claims_page(root: Path) -> str:
         "Of the papers' claims "
         + "; ".join(f"{n} are *{word}* ({ORIGINS[word]})" for word, n in origins.items())
         + ".",
+        "",
+        "The tables say what carries each verdict:",
+        "",
+        "| proved by | what it means | of the papers | ours |",
+        "|---|---|---|---|",
     ]
+    for word, meaning in PROOFS.items():
+        numbers = [sum(c.proved == word for c in group) for group in (theirs, ours)]
+        if any(numbers):
+            lines.append(f"| {word} | {meaning} | {numbers[0]} | {numbers[1]} |")
     for title, chosen in (("What the papers claim", theirs), ("What we found ourselves", ours)):
         lines += ["", f"## {title}"]
         for key, name in PAPERS.items():
@@ -70,10 +90,18 @@ def claims_page(root: Path) -> str:
                 key=lambda claim: VERDICTS.index(claim.verdict),
             )
             if own:
-                ids = ", ".join(f"{{index}}`{claim.id}`" for claim in own)  # for the search
-                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", "", f"{ids}.", ""]
-                lines += ["```{raw} html", *(_box(claim, recorded) for claim in own), "```"]
+                lines += ["", f"### {name}{': ours' if chosen is ours else ''}", ""]
+                lines += ["| place | claim | verdict | proved by |", "|---|---|---|---|"]
+                lines += [_row(claim) for claim in own]
+                lines += ["", "```{raw} html", *(_box(claim, recorded) for claim in own), "```"]
     return "\n".join(lines) + "\n"
+
+
+def _row(claim: Claim) -> str:
+    """Where a claim stands in its paper, its verdict, and what carries it; for the search too."""
+    caveat = " under one reading" if claim.readings == "one" and claim.verdict != "open" else ""
+    index = f"{{index}}`{claim.id}`"
+    return f"| {claim.place} | {index} | {claim.verdict}{caveat} | {claim.proved} |"
 
 
 def _box(claim: Claim, recorded: dict[str, dict[str, dict]]) -> str:

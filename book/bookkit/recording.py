@@ -101,6 +101,7 @@ def claim(
     holds: bool | None = None,
     computed: object = None,
     corrected: bool | None = None,
+    identities: Mapping[str, object] | None = None,
     wrong: Mapping[str, object] | None = None,
     undecided: bool = False,
     note: str = "",
@@ -122,6 +123,9 @@ def claim(
         Our numbers; where the ledger has numbers the claim holds when each pair agrees.
     corrected : bool, optional
         For a claim that does not hold: whether our corrected statement is true.
+    identities : mapping of str to bool, optional
+        Equalities in symbols or fractions, by a few words each: whether each is exact. They prove
+        the statement or, where that does not hold, the corrected one.
     wrong : mapping of str to bool or numbers, optional
         What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that
         name the fault. A condition that is true then is no condition: the box says so, and the
@@ -150,6 +154,13 @@ def claim(
         holds = agrees if holds is None else agrees and holds
         kind = "reference" if entry.printed is None else "printed"
         evidence |= {kind: entry.expected, "tolerance": entry.widths}
+    if identities:
+        exact = all(_boolean(name, label, value) for label, value in identities.items())
+        if holds is False:
+            corrected = exact and corrected is not False
+        else:
+            holds = exact
+        evidence["identities"] = list(identities)
     if entry.source:
         evidence["source"] = entry.source
     missed = [
@@ -160,6 +171,7 @@ def claim(
     if missed:
         evidence["missed"] = missed
     verdict = "open" if undecided else _verdict(holds, corrected, bool(evidence["paper"]))
+    verdict = entry.decided(verdict)
     result = {"verdict": verdict, **evidence, "wrong": list(wrong or ()), "note": note}
     _publish(
         {
@@ -174,7 +186,8 @@ def _statement(entry: Claim) -> str:
     """What is claimed and where, as one paragraph of text."""
     parts = [entry.statement.strip()]
     if entry.reading:
-        parts.append(f"(Reading: {entry.reading.strip()})")
+        label = {None: "Reading", "one": "Under one reading", "all": "Under every reading tried"}
+        parts.append(f"({label[entry.readings]}: {entry.reading.strip()})")
     if entry.printed_formula and entry.corrected_formula:
         parts += [f"Printed: {entry.printed_formula}.", f"Right: {entry.corrected_formula}."]
     if entry.because:
@@ -237,6 +250,8 @@ def evidence(entry: Mapping) -> list[str]:
         parts.append("from " + entry["source"])
     if entry["note"]:
         parts.append(entry["note"])
+    if "identities" in entry:
+        parts.append("Exact: " + ", ".join(entry["identities"]))
     missed = entry.get("missed", [])
     if caught := [fault for fault in entry["wrong"] if fault not in missed]:
         parts.append("Would fail with: " + ", ".join(caught))

@@ -18,7 +18,7 @@ from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
-from seedslib.designed.arrivals import fit_of, transitions, with_history
+from seedslib.designed.arrivals import fit_of, with_history
 from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_where, require_forecast
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory
@@ -234,7 +234,9 @@ class FiniteOrderFilter(DesignedFilter):
         self.check()
         as_count("components", self.components, 1, len(self.start.mean))
         self.check_fits(self.components, len(self.start.moments.mean))
-        vars(self).update(clock=Clock(self.times), transitions=transitions(self.fits, self.cycle))
+        if self.cycle and self.availability is not None:
+            raise ValueError("cycle: wanted 0 with an availability")
+        vars(self).update(clock=Clock(self.times))
         _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
@@ -297,7 +299,7 @@ class FiniteOrderFilter(DesignedFilter):
             state = self.rules.first(state, t, y, p, self.start, covariance)
         else:
             state = self.rules.correct(state, t, y, p, covariance)
-        return state if self.transitions is None else with_history(self, state, y)
+        return state if self.availability is None else with_history(self, state, y)
 
     def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.

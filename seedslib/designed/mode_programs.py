@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.values import Values
 from seedslib.designed.cells import CellFit
-from seedslib.designed.lemmas import FAINT
+from seedslib.designed.lemmas import FAINT, ROUNDING
 from seedslib.designed.memory import places
 from seedslib.designed.program import DesignedProgram
 from seedslib.designed.rules import SOFTEST
@@ -132,8 +132,7 @@ def switching(step: Any) -> None:
         step.last_time.store(t)
         step.started.store(1.0)
         return
-    step.cov.store(choose(gap, np.nan, cov))
-    step.loglik.store(choose(gap_before, np.nan, loglik))
+    step.claim(cov, loglik, gap_before, gap)
     _remember(step, past, mean, mode, carried.log_prob, (before, joints))
     step.end(k)
 
@@ -248,6 +247,9 @@ def _combine(
     for new, column in enumerate(zip(*flat, strict=True)):
         old = [i for i, branch in enumerate(column) if branch is not None]
         masses, values = [_mass(column[i]) for i in old], [column[i].value for i in old]
+        for mass in masses:
+            if type(mass) is Scalar:  # no probability: arrays warn of it
+                step.defer((mass < -ROUNDING) | (mass > 1.0 + ROUNDING))
         means, covs = [value.mean for value in values], [value.cov for value in values]
         if not old:
             into.store(new, -np.inf, np.zeros(step.n), np.eye(step.n))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import outside
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.base.values import Values
@@ -115,6 +117,17 @@ class Step(NamedTuple):
 
     update: Any
     forecast: OutputFunction
+
+
+def _warn_beyond(axes: Sequence[Axis], y: Sequence[np.ndarray]) -> None:
+    """Warn of measurements beyond the first axes of a table."""
+    for axis, values in zip(axes, y, strict=False):
+        if np.any(values < axis.low) or np.any(values > axis.high):
+            warnings.warn(
+                f"y: wanted measurements from {axis.low:g} to {axis.high:g}, where the tables are, "
+                "got others, which count as the nearer end",
+                stacklevel=outside(),
+            )
 
 
 def prior(system: AnySystem, components: int) -> Table:
@@ -373,6 +386,8 @@ class OutputFilter(DesignedFilter):
         """The output of a measurement; y is None where it is missing."""
         step = self.steps[self.served(state.index)]
         function, y = (step.forecast, ()) if y is None else (step.update, y)
+        if isinstance(function, Table):
+            _warn_beyond(function.axes[int(self.system.indicators > 0) :], y)
         points = arguments(self.system, y, indicator, state.past)
         return function(points).on(state.mean.shape[1:])
 

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole
+from seedslib.base.checks import as_real, as_whole, optional
 from seedslib.base.clock import when
 from seedslib.base.objects import Pickled, changed
 from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
@@ -109,7 +109,8 @@ class Estimates(NamedTuple):
         ValueError
             Another number of times or names.
         """
-        import pandas
+        with optional("tables"):
+            import pandas
 
         (count, n), times = self.mean.shape[:2], np.asarray(times)
         names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)

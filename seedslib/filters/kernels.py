@@ -53,18 +53,16 @@ def map_moments(
 
 
 def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray, p: Values) -> Any:
-    """Moments of A x + B u + v: A m + B u, P A' and A P A' + S."""
-    slope, noise, push, inputs = map.formulas
-    push = np.zeros((map.size, 0)) if push is None else push
-    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
-    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
-    found = stacked(entries)
+    """Moments of A x + b + v: A m + b, P A' and A P A' + S."""
+    parts = [np.asarray(part, dtype=object) for part in map.formulas]
+    entries = [entry for part in parts for entry in part.flat]
+    values = stacked(entries)
     if any(hasattr(entry, "free_symbols") for entry in entries):
-        found = stacked(compile_components([sympy.Symbol("t"), map.parameters], entries)(t, p))
-    A, S, B, u = np.split(found, np.cumsum([part.size for part in parts]))
-    A, S, B = (one.reshape(part.shape) for one, part in zip((A, S, B), parts, strict=True))
+        values = stacked(compile_components([sympy.Symbol("t"), map.parameters], entries)(t, p))
+    values = np.split(values, np.cumsum([part.size for part in parts])[:-1])
+    A, S, b = (one.reshape(part.shape) for one, part in zip(values, parts, strict=True))
     cross = cov @ A.T
-    return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
+    return A @ mean + b, cross, symmetric(lower_of(A @ cross), map.size) + S
 
 
 def cholesky(tape: Tape, cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:

@@ -5,7 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from bookkit import claims, pages
+from bookkit import claims, pages, recording
+from bookkit.__main__ import main
 from bookkit.recording import MIME, read_verdicts
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -56,6 +57,14 @@ def test_a_sound_entry_has_no_faults(project, spoil):
         ("1.0e-9", "0.6", "more than the last digit wants a because"),
         ("notebooks/tiny.md", "notebooks/other.md", "recorded by notebooks/tiny.md"),
         ("id: TS-X1", "id: TS-X2", "recorded by no notebook"),
+        ("origin: stated", "origin: restored", "restored wants readings"),
+        ("verdict: reproduced", "readings: one\n  verdict: reproduced", "readings want a reading"),
+        (
+            "verdict: reproduced",
+            "reading: the 7 is a 1\n  readings: one\n  verdict: refuted",
+            "refuted under one reading of what cannot be read: wanted open",
+        ),
+        ("proved: numbers", "proved: symbols", "proved by symbols, but notebooks/tiny.md shows"),
     ],
 )
 def test_an_entry_that_breaks_a_rule_is_named(project, old, new, fault, spoil):
@@ -73,17 +82,16 @@ def test_an_entry_that_breaks_a_rule_is_named(project, old, new, fault, spoil):
         ({"verdict": "refuted", "computed": [], "note": ""}, "refuted wants our numbers"),
     ],
 )
-def test_a_record_that_breaks_a_rule_is_named(project, record, fault, spoil, command):
+def test_a_record_that_breaks_a_rule_is_named(project, record, fault, spoil, capsys, monkeypatch):
     if record.get("verdict") == "refuted":
         spoil(project / "book" / "claims.yml", "verdict: reproduced", "verdict: refuted")
     record_of(project, **record)
     (found,) = disagreements(project)
     assert found.startswith("TS-X1: ")
     assert fault in found
-    if record == {"wrong": []}:
-        done = command(project, "-m", "bookkit", "claims")
-        assert done.returncode == 1
-        assert found in done.stdout
+    monkeypatch.chdir(project)
+    assert main(["claims"]) == 1
+    assert found in capsys.readouterr().out
 
 
 def test_an_open_claim_needs_no_planted_fault(project, spoil):
@@ -96,6 +104,7 @@ def test_an_open_claim_needs_no_planted_fault(project, spoil):
     ("old", "new", "message"),
     [
         ("verdict: reproduced", "verdict: proven", "TS-X1: verdict"),
+        ("  proved: numbers\n", "", "TS-X1: proved"),
         ("  place: example 0\n", "", "TS-X1: place"),
         ("origin: stated", "origin: stated\n  tests: []", "TS-X1: tests"),
         ("- id", "- [", "not YAML"),
@@ -106,6 +115,44 @@ def test_an_entry_that_is_no_claim_is_named(project, old, new, message, spoil):
     with pytest.raises(ValueError, match=r"claims\.yml") as caught:
         claims.read_ledger(project / "book" / "claims.yml")
     assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("readings", "verdict"), [("one", "open"), ("all", "corrected"), (None, "corrected")]
+)
+def test_what_one_reading_denies_is_open(project, monkeypatch, capsys, readings, verdict):
+    path = project / "book" / "claims.yml"
+    supplied = f"reading: the 7 is a 1\n  readings: {readings}\n  verdict"
+    if readings:
+        path.write_text(path.read_text().replace("verdict", supplied))
+    monkeypatch.chdir(project)
+    recording.claim("TS-X1", computed=1.0, corrected=True)
+    assert f"TS-X1: {verdict}" in capsys.readouterr().out
+    recording.claim("TS-X1", computed=7.0)
+    assert "TS-X1: reproduced" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("exact", "given", "verdict"),
+    [
+        ([True, True], {}, "reproduced"),
+        ([True, False], {}, "refuted"),
+        ([True, True], {"computed": 1.0}, "corrected"),
+        ([True, False], {"computed": 1.0}, "refuted"),
+        ([True, True], {"computed": 1.0, "corrected": False}, "refuted"),
+    ],
+)
+def test_identities_decide_what_they_prove(project, monkeypatch, capsys, exact, given, verdict):
+    monkeypatch.chdir(project)
+    names = dict(zip(("first", "second"), exact, strict=True))
+    recording.claim("TS-X1", **({"computed": 7.0} | given), identities=names)
+    assert f"TS-X1: {verdict}" in capsys.readouterr().out
+
+
+def test_what_a_paper_only_implies_is_counted_apart(project):
+    (one,) = claims.read_ledger(project / "book" / "claims.yml")
+    implied = one.model_copy(update={"origin": "implied", "verdict": "corrected"})
+    assert pages.paper_counts([one, implied]) == "1 reproduced; of what it only implies 1 corrected"
 
 
 def test_a_claim_that_stands_twice_or_not_at_all_is_named(project):
@@ -129,7 +176,9 @@ def test_the_page_shows_counts_and_the_boxes_of_the_notebooks(project, spoil):
                 entries["TS-X2"] = entries["TS-X1"] | {"says": "terms < 5 of $a + b$"}
     notebook.write_text(json.dumps(content))
     page = pages.claims_page(project)
-    assert "The papers make 1 claims: 1 reproduced. 1 findings of our own" in page
+    assert "The papers make 1 claims: 1 reproduced. 0 more follow from them" in page
+    assert "1 findings of our own" in page
+    assert "| example 0 | {index}`TS-X1` | reproduced | numbers |" in page
     assert page.index("What the papers claim") < page.index("TS-X1</b>") < page.index("TS-X2</b>")
     assert '<a href="../notebooks/tiny.html#TS-X1">tiny</a>' in page
     assert r'terms &lt; 5 of <span class="math">\(a + b\)</span>' in page

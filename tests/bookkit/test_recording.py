@@ -62,7 +62,7 @@ def known(monkeypatch, tmp_path):
 
 
 ENTRY = """{id: TS-X1, paper: two-step, origin: stated, place: example 0, statement: a < b,
-    notebook: notebooks/tiny.md, verdict: reproduced}"""
+    notebook: notebooks/tiny.md, proved: numbers, verdict: reproduced}"""
 ONE, TWO = {"printed": 1.0, "tolerance": 0.05}, {"printed": [1, 2.5], "tolerance": [0.1, 0.6]}
 
 
