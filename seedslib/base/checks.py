@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -13,6 +13,9 @@ from seedslib.base.clock import when
 
 ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
+
+LONGEST = 80
+"""Characters of a value in a message."""
 
 
 def as_real(
@@ -49,9 +52,7 @@ def as_real(
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
     if array.dtype.kind not in "fiub":
-        hint = "; take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
-        text = f"{name}: wanted real numbers, got an array of dtype {array.dtype}"
-        raise TypeError(text + hint * (array.dtype.kind in "mM"))
+        raise TypeError(f"{name}: wanted real numbers, got {_no_numbers(array)}")
     array = array.astype(float)
     if shape is not None:
         require_shape(name, array, shape)
@@ -60,6 +61,31 @@ def as_real(
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
     return array
+
+
+def _no_numbers(array: np.ndarray) -> str:
+    """What an array of something else is, and what may have been meant."""
+    if array.dtype.kind in "mM":
+        hint = "take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
+        return f"an array of dtype {array.dtype}; {hint}"
+    if array.dtype.kind != "O":
+        return f"an array of dtype {array.dtype}"
+    symbols = {str(s) for part in array.flat for s in getattr(part, "free_symbols", ())}
+    if symbols:
+        return f"formulas of {', '.join(sorted(symbols))}; fit takes a function of their numbers"
+    return brief(array.tolist())
+
+
+def brief(value: object) -> str:
+    """A value as a message shows it: as it is written, or what it is where that is long."""
+    text = repr(value)
+    if len(text) <= LONGEST:
+        return text
+    if hasattr(value, "shape"):
+        return f"an array of shape {value.shape}"
+    if isinstance(value, Mapping):
+        return f"a mapping of {', '.join(map(repr, value))}"
+    return f"a {type(value).__name__}: {text[:LONGEST]}..."
 
 
 def require_shape(name: str, array: np.ndarray, shape: tuple[Any, ...]) -> None:

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_count, as_real, brief
 
 
 @dataclass(frozen=True)
@@ -50,7 +50,7 @@ class Axis:
             return cls(*given)
         except (TypeError, ValueError) as error:
             raise type(error)(
-                f"{name}: wanted an Axis or (low, high, count), got {given!r}; {error}"
+                f"{name}: wanted an Axis or (low, high, count), got {brief(given)}; {error}"
             ) from None
 
     @cached_property

@@ -60,6 +60,9 @@ KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
 
+FEW = 12
+"""Whole units of time in a step of which several steps may be meant."""
+
 
 def as_system(name: str, value: Any, *wanted: str) -> Any:
     """The system that was passed, or a sentence that says what it is.
@@ -125,13 +128,13 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
     Warns
     -----
     UserWarning
-        Steps of two or more whole units, in which it may be meant to move several times.
+        Steps of a few whole units, in which it may be meant to move several times.
     """
     times = as_times(name, value)
     if len(times) > 1 and in_even_steps(system):
         steps = np.diff(times)
         require_even(name, steps, times)
-        if steps[0] >= 2.0 and steps[0].is_integer():
+        if 2.0 <= steps[0] <= FEW and steps[0].is_integer():
             warnings.warn(
                 f"{name}: steps of {steps[0]:g} count as one step each, for the dynamics do not "
                 "mention the elapsed time ELAPSED; every time wants to be there, with NaN where "
