@@ -260,7 +260,7 @@ def _as_maps(name: str, maps: Sequence[StochasticMap]) -> tuple[StochasticMap, .
 
 
 class InitialMode(NamedTuple):
-    """Initial law of one mode: its probability, and the Gaussian law of the state in it."""
+    """Start in one mode: its probability, mean and covariance of the Gaussian state in it."""
 
     probability: float
     mean: np.ndarray
@@ -297,7 +297,7 @@ class SwitchingSystem(Parametrized, Pickled):
     sensor_noise : Noise
         W.
     initial : sequence of (probability, mean, cov), length L
-        Law of the mode at the start, and Gaussian law of the state in each.
+        Of each mode at the start, and of the Gaussian state in it.
     indicator : nested sequence of SymPy expressions, shape (L, M), optional
         B_ij; each row sums to one. None where there is no indicator.
     parameters : mapping, optional
@@ -328,9 +328,9 @@ class SwitchingSystem(Parametrized, Pickled):
     TypeError, ValueError
         Shapes that do not fit, unknown symbols, covariances that are not semidefinite,
         probabilities outside of [0, 1] or that do not sum to one (looked at on points about the
-        initial law, where they depend on the state, and again wherever paths, particles and nodes
-        of a grid go; a filter of Gaussian distributions warns of their means); those of a switch
-        that depend on the noise where the new mode drives the step.
+        initial distribution, where they depend on the state, and again wherever paths, particles
+        and nodes of a grid go; a filter of Gaussian distributions warns of their means); those of
+        a switch that depend on the noise where the new mode drives the step.
     """
 
     state: Any
@@ -537,7 +537,7 @@ class SwitchingSystem(Parametrized, Pickled):
         ------
         TypeError, ValueError
             As there; modes of a system whose switching depends on the noise, which would have
-            another law.
+            another distribution.
         """
         if modes is not None:
             if any(b is not None and b.depends_on_noise for row in self.branches for b in row):
@@ -606,8 +606,8 @@ class Hybrid(Parametrized):
         noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
-            here = mode == i
-            x[:-1, here] = mean[:, None] + lower_times(root, noise[:, here])
+            mask = mode == i
+            x[:-1, mask] = mean[:, None] + lower_times(root, noise[:, mask])
         x[-1] = mode
         return x
 
@@ -632,19 +632,19 @@ class Hybrid(Parametrized):
         choice = drawn(choosing, flat.shape[1], Generator.random)
         moved = np.empty_like(flat)
         for i, row in enumerate(self.system.branches):
-            here = flat[-1] == i
-            old, noise, own = flat[:-1, here], v[:, here], of_paths(p, x.shape[1:], here)
+            mask = flat[-1] == i
+            old, noise, own = flat[:-1, mask], v[:, mask], of_paths(p, x.shape[1:], mask)
             if old_drives:
-                moved[:-1, here] = self.system.dynamics[i].value(start, old, noise, own)
+                moved[:-1, mask] = self.system.dynamics[i].value(start, old, noise, own)
             if modes is None:
-                moved[-1, here] = _branch("switching", row, start, old, noise, own, choice[here])
+                moved[-1, mask] = _branch("switching", row, start, old, noise, own, choice[mask])
         if modes is not None:
             moved[-1] = modes.ravel()
         if not old_drives:
             for l, map in enumerate(self.system.dynamics):
-                here = moved[-1] == l
-                own = of_paths(p, x.shape[1:], here)
-                moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here], own)
+                mask = moved[-1] == l
+                own = of_paths(p, x.shape[1:], mask)
+                moved[:-1, mask] = map.value(start, flat[:-1, mask], v[:, mask], own)
         return moved.reshape(x.shape)
 
 
@@ -668,12 +668,12 @@ class HybridSensor:
         y = np.empty((self.size, flat.shape[1]))
         choice = drawn(choosing, flat.shape[1], Generator.random) if system.indicators else None
         for i, row in enumerate(system.readings):
-            here = flat[-1] == i
-            state, noise = flat[:-1, here], w[:, here]
-            own = of_paths(p, x.shape[1:], here)
-            y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise, own)
+            mask = flat[-1] == i
+            state, noise = flat[:-1, mask], w[:, mask]
+            own = of_paths(p, x.shape[1:], mask)
+            y[: system.measurement_size, mask] = system.sensors[i].value(t, state, noise, own)
             if system.indicators:
-                y[-1, here] = _branch("indicator", row, t, state, noise, own, choice[here])
+                y[-1, mask] = _branch("indicator", row, t, state, noise, own, choice[mask])
         return y.reshape(self.size, *x.shape[1:])
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
