@@ -87,9 +87,7 @@ KINDS = {
     ),
     "modes": modes,
     "table": lambda: tables(zoo.flip_process(), nodes=1),
-    "table of modes": lambda: tables(
-        zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True
-    ),
+    "table of modes": lambda: tables(zoo.dependent_switching(), Memory(1, 0, 1)),
     "minimax": lambda: minimax_synthesis(
         pair(), Memory(1), TIMES, paths=600, seed=1, correction=BoundedPolynomial(2)
     ),
