@@ -357,9 +357,7 @@ class OutputFilter(DesignedFilter):
     ) -> FilterState:
         """The state at the next measurement time, still with the estimate before it."""
         before = state._replace(before=None) if state.corrected else None
-        return FilterState(
-            state.index + 1, state.mean, past=state.past, before=before, gap=state.gap
-        )
+        return state._replace(index=state.index + 1, cov=None, before=before, corrected=False)
 
     def _output(self, state, y, indicator) -> Output:
         """The output of a measurement; y is None where it is missing."""
