@@ -23,7 +23,6 @@ def as_real(
     value: object,
     shape: tuple[Any, ...] | None = None,
     *,
-    ndim: int | None = None,
     nan: bool = False,
     infinite: bool = False,
 ) -> np.ndarray:
@@ -36,8 +35,6 @@ def as_real(
     value : array_like
     shape : tuple, optional
         Wanted lengths of the axes, see `require_shape`.
-    ndim : int, optional
-        Wanted number of axes.
     nan, infinite : bool
         Whether NaN (a missing value) and infinities are allowed.
 
@@ -57,14 +54,12 @@ def as_real(
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got {_no_numbers(array)}")
     array = array.astype(float)
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
+    if shape is not None:
+        require_shape(name, array, shape)
     bad = ~(np.isfinite(array) | (nan & np.isnan(array)) | (infinite & np.isinf(array)))
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
-    if shape is not None:
-        require_shape(name, array, shape)
     return array
 
 
@@ -237,7 +232,7 @@ def as_times(name: str, value: object) -> np.ndarray:
     TypeError, ValueError
         As `as_real`; `ValueError` also for an empty, negative, or not increasing grid.
     """
-    times = as_real(name, value, ndim=1)
+    times = as_real(name, value, (None,))
     if times.size == 0:
         raise ValueError(f"{name}: wanted at least one time, got an empty grid")
     if times[0] < 0:

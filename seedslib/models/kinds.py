@@ -211,9 +211,7 @@ class UnknownModel(Parametrized):
 
     def __post_init__(self) -> None:
         for part in fields(self):
-            if not is_whole(value := getattr(self, part.name)):
-                least = int(part.default is MISSING)
-                raise TypeError(f"{part.name}: wanted {least} to {MOST}, got {value!r}")
+            as_count(part.name, getattr(self, part.name), int(part.default is MISSING))
 
     def bounded(self) -> UnknownModel:
         """These sizes, where tables can have them.
@@ -221,13 +219,11 @@ class UnknownModel(Parametrized):
         Raises
         ------
         ValueError
-            More than 128 of something, or less than there must be.
+            More than 128 of something.
         """
         # tables hold the decided mode in a byte, and no table has as many arguments
         for part in fields(self):
-            value, least = getattr(self, part.name), int(part.default is MISSING)
-            if not is_whole(value) or not least <= value <= MOST:
-                raise ValueError(f"{part.name}: wanted {least} to {MOST}, got {value}")
+            as_count(part.name, getattr(self, part.name), 0, MOST)
         return self
 
     @classmethod

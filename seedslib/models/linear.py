@@ -249,9 +249,8 @@ class LinearSystem(DiscreteSystem):
         TypeError, ValueError
             As the class; a step that is not positive.
         """
-        drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        require_shape("drift", drift, noise.shape)
+        drift = as_real("drift", np.atleast_2d(drift), noise.shape)
         if step is None:
             steps = Discretised(drift, noise)
             F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)

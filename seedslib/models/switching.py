@@ -484,7 +484,7 @@ class SwitchingSystem(Parametrized, Pickled):
                 raise TypeError(
                     f"initial: wanted (probability, mean, cov) for mode {i}, got {brief(part)}"
                 ) from None
-            probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
+            probability = float(as_real(f"initial[{i}] probability", probability, ()))
             mean = as_real(f"initial[{i}] mean", mean, (n,))
             modes.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         want_probabilities("initial", np.array([part.probability for part in modes]))
