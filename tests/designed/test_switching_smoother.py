@@ -197,7 +197,7 @@ def test_state_that_moves_its_modes_and_the_indicator_is_near_the_law_on_a_grid(
     data = system.simulate(times, 40, 2)
     y, shown = np.array(data.measurements), np.array(data.indicators)
     shown[4] = -1
-    law = smooth(GridBayesFilter(system, (-5, 5, 301)), times, y, indicators=shown)
+    law = smooth(GridBayesFilter(system, (-6.5, 6.5, 301)), times, y, indicators=shown)
     exact = law.mode_prob, law.mean, law.cov
     filter = SwitchingFilter(system, ExactGaussian() if blind else GaussHermite(9))
     prob, error = distance(smooth(filter, times, y, indicators=shown), exact)
