@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib import base, design, designed, evaluation, filters, linearization, models
+from seedslib.base.checks import optional
 from seedslib.base.progress import listening
 from seedslib.models.kinds import inputs_of
 
@@ -119,7 +120,8 @@ def read_record(path: str, system: Any, options: argparse.Namespace) -> Record:
     OSError, ValueError
         No such file or column, cells that are no numbers, dates without a unit.
     """
-    import pandas
+    with optional("tables"):
+        import pandas
 
     table = pandas.read_csv(path, sep=options.sep, index_col=0)
     told: dict[str, Any] = {}
@@ -266,7 +268,7 @@ def run_command(parser: argparse.ArgumentParser, name: str, arguments: Sequence[
         if error.name is None or error.name.startswith(("seedslib", "bookkit")):
             raise
         text = f"{error.name} is not installed, which this command wants"
-    except (TypeError, ValueError, OSError, MemoryError) as error:
+    except (TypeError, ValueError, OSError, ImportError, MemoryError) as error:
         text = " ".join(str(error).split()) or type(error).__name__
     except KeyboardInterrupt:
         print(f"{name}: interrupted; what was finished is kept", file=sys.stderr)

@@ -95,19 +95,20 @@ def linear_system(form="formulas", *, inputs=True, diffuse=()):
         def entries(name, time):
             return np.array(getattr(coefficients(time), name), dtype=float)
 
-        F, B, H, D = (lambda time, name=name: entries(name, time) for name in "FBHD")
+        F, H = (lambda time, name=name: entries(name, time) for name in "FH")
         Q, R = (
             lambda time: spread(entries("G", time), NOISE_COV),
             lambda time: spread(entries("E", time), SENSOR_COV),
         )
     else:
         made = vars(coefficients(t, ELAPSED, m=sympy))
-        F, B, H, D, G, E = (np.array(made[name], dtype=object) for name in "FBHDGE")
+        F, H, G, E = (np.array(made[name], dtype=object) for name in "FHGE")
         Q, R = spread(G, NOISE_COV), spread(E, SENSOR_COV)
-    told = {"B": B, "D": D, "inputs": (U, S)} if inputs else {}
+    made = coefficients(t, STEP if form == "functions" else ELAPSED, m=sympy)
+    added = {"b": np.array(made.B) @ [U, S], "d": np.array(made.D) @ [U, S]} if inputs else {}
     known = ~np.isin(np.arange(3), diffuse)
     start = MEAN0 * known, COV0 * np.outer(known, known)
-    return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **told)
+    return LinearSystem(F, Q, H, R, *start, diffuse=diffuse, **added)
 
 
 def linear_formulas(mode=0, *, inputs=True, step=ELAPSED):

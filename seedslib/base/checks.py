@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -221,6 +223,23 @@ def as_times(name: str, value: object) -> np.ndarray:
             f"got {when(times[where])} then {when(times[where + 1])} at index {where}"
         )
     return times
+
+
+@contextmanager
+def optional(extra: str) -> Iterator[None]:
+    """Imports inside of packages that come with an extra of this library, or a word how to get it.
+
+    Raises
+    ------
+    ImportError
+    """
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ImportError(
+            f"{str(error.name).partition('.')[0]}: wanted this package, which is not installed; "
+            f"pip install 'seedslib[{extra}]'"
+        ) from None
 
 
 def outside() -> int:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
+
+if TYPE_CHECKING:
+    from typing import Self
 
 Kind = TypeVar("Kind")
 
@@ -22,6 +25,12 @@ class Pickled:
             for name, value in vars(self).items()
             if not isinstance(getattr(kind, name, None), cached_property)
         }
+
+    def remade(self, **attributes: Any) -> Self:
+        """A copy with other attributes, of which all cached properties are found again."""
+        other = object.__new__(type(self))
+        vars(other).update(self.__getstate__(), **attributes)
+        return other
 
 
 def changed(thing: Kind, **attributes: Any) -> Kind:

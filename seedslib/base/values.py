@@ -36,14 +36,22 @@ def in_order(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
 
     Raises
     ------
-    TypeError
-        Something else among them.
+    TypeError, ValueError
+        Something else among them; two of one name.
     """
     parameters = tuple(parameters)
     for p in parameters:
         if getattr(p, "role", None) not in ROLES:
             raise TypeError(f"parameters: wanted a sequence of Parameter, got {p!r}")
-    return tuple(sorted(set(parameters), key=lambda p: (ROLES.index(p.role), str(p), p.value)))
+    distinct = sorted(set(parameters), key=lambda p: (ROLES.index(p.role), str(p), p.value))
+    named = {str(p): p for p in distinct}
+    for p in distinct:
+        if named[str(p)] is not p:
+            raise ValueError(
+                f"parameters: wanted one of each name, got two {p}, of the values {p.value:g} and "
+                f"{named[str(p)].value:g}"
+            )
+    return tuple(distinct)
 
 
 def require_no_step(name: str, parameters: Iterable[Parameter]) -> None:
@@ -88,13 +96,18 @@ class Parametrized:
             What the model does not mention; no numbers.
         """
         own = {str(p): p for p in self.parameters if p.role != "elapsed"}
-        wanted = ", ".join(own) or "none"
+        wanted = f"wanted parameters of the model, {', '.join(own) or 'none'}"
+        values = {} if values is None else values
+        if not isinstance(values, Mapping):
+            raise TypeError(f"values: wanted a mapping of Parameter to numbers, got {values!r}")
         if unknown := named.keys() - own.keys():
-            raise ValueError(f"{min(unknown)}: wanted parameters of the model, {wanted}")
-        given = {**(values or {}), **{own[name]: value for name, value in named.items()}}
-        for p in given:
-            if p not in own.values():
-                raise ValueError(f"{p}: wanted parameters of the model, {wanted}")
+            raise ValueError(f"{min(unknown)}: {wanted}, got another name")
+        given = {**values, **{own[name]: value for name, value in named.items()}}
+        for p in given.keys() - own.values():
+            got = f"the key {p!r}; names are given as {next(iter(own), 'q')}=..."
+            if hasattr(p, "role"):
+                got = "another of that name" if str(p) in own else "another name"
+            raise ValueError(f"{p}: {wanted}, got {got}")
         numbers = {p: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()}
         return changed(self, numbers={**self.numbers, **numbers})
 

@@ -19,6 +19,9 @@ from seedslib.designed.tables import Output, OutputFilter, Step, step_axes
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_system
 
+FEWEST = 5
+"""Paths that a cell must have to be believed."""
+
 METHOD = "histogram of cells of equal probability"
 
 
@@ -84,7 +87,6 @@ def binned_synthesis(
     paths: Count,
     seed: Seed,
     bins: Count = 40,
-    least: Count = 5,
     workers: int = 1,
 ) -> OutputFilter:
     """Finite-order filter by the histograms of section 5, as the papers describe it.
@@ -107,8 +109,6 @@ def binned_synthesis(
     seed : int, SeedSequence or Generator
     bins : int
         Cells of each continuous argument.
-    least : int
-        Paths that a cell must have to be believed.
     workers : int
         Threads of the simulation.
 
@@ -131,13 +131,13 @@ def binned_synthesis(
     as_system("system", system, *KINDS)
     if system.measurement_size != 1:
         raise ValueError("system: wanted one measured component for a histogram")
-    bins, least = as_count("bins", bins, 2), as_count("least", least)
+    bins = as_count("bins", bins, 2)
     samples, steps = MemoryPaths(system, memory, times, None, paths, 1, 0, seed, workers), []
     for k in followed(range(len(samples.times)), "design of tables"):
         sample = samples.sample()
         axes = step_axes(system, memory, (None,), (None,) * system.state_size, k)
         functions = [
-            _fitted(system, sample, _label_counts(part), measured, bins, least)
+            _fitted(system, sample, _label_counts(part), measured, bins)
             for part, measured in zip(axes, (True, False), strict=True)
         ]
         steps.append(Step(*functions))
@@ -150,12 +150,7 @@ def _label_counts(axes) -> tuple[int, ...]:
 
 
 def _fitted(
-    system: AnySystem,
-    sample: Sample,
-    labels: tuple[int, ...],
-    measured: bool,
-    bins: int,
-    least: int,
+    system: AnySystem, sample: Sample, labels: tuple[int, ...], measured: bool, bins: int
 ) -> BinnedOutput:
     """The function of one step: means and majorities in cells of its arguments."""
     points, states, modes = sample.arguments(system, measured), sample.states, sample.modes
@@ -175,8 +170,8 @@ def _fitted(
     # the measurement runs fastest: few paths in a cell take all memories with its measurement
     by_bin = sums.reshape(len(sums), groups, -1, bins if edges else 1)
     pooled = np.broadcast_to(by_bin.sum(axis=2, keepdims=True), by_bin.shape).reshape(sums.shape)
-    sums = np.where(sums[0] < least, pooled, sums)
-    sums = np.where(sums[0] < least, sums.sum(axis=1, keepdims=True), sums)
+    sums = np.where(sums[0] < FEWEST, pooled, sums)
+    sums = np.where(sums[0] < FEWEST, sums.sum(axis=1, keepdims=True), sums)
     values = sums[1:] / np.maximum(sums[0], 1.0)
     if modes is None:
         return BinnedOutput(labels, edges, values, None)

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import outside
 from seedslib.base.conditioning import kalman_gain
 from seedslib.base.values import InputTrajectory
-from seedslib.design.regression import LOST, ROUNDING, regress
+from seedslib.design.regression import regress
 from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.finite_order import Rules, Start
 from seedslib.designed.memory import Past
@@ -181,14 +179,6 @@ class _Joint:
     def correct(self, observed: np.ndarray, sensor: _Sensor) -> AffineFit:
         """Fit the forecast, correct it, remember; returns the fit."""
         fit = self.fit(self.n)
-        total, residual = (np.diagonal(cov)[: len(self.error)] for cov in (self.cov, fit.cov))
-        lost = (residual < LOST * total) & (self.error > ROUNDING**2 * total)
-        if lost.any():
-            warnings.warn(
-                f"cov0: the variance of x{int(np.argmax(lost)) + 1} given the memory is below "
-                f"{LOST:g} of itself, and its digits are lost; wanted a narrower prior",
-                stacklevel=outside(),
-            )
         moments = sensor.moments(fit.mean(self.mean[self.n :]), fit.cov)
         self._remember(observed, sensor, fit, moments)
         return fit

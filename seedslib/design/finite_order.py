@@ -7,7 +7,6 @@ online; before each step the forecast it needs is fitted to the paths. Paths are
 from __future__ import annotations
 
 import warnings
-from collections.abc import Sequence
 from functools import partial
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any
@@ -17,8 +16,8 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
-from seedslib.base.checks import as_count, as_positive, as_times, is_whole, outside
-from seedslib.base.clock import step_count, when
+from seedslib.base.checks import as_count, as_positive, outside
+from seedslib.base.clock import step_count
 from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
@@ -88,34 +87,12 @@ def check_paths(paths: int, coefficients: int) -> None:
         )
 
 
-def node_times(
-    times: np.ndarray, nodes: int | Sequence[ArrayLike], step: float | None
-) -> tuple[np.ndarray, ...]:
-    """Node times within each interval; every integration step where there is a `step`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Nodes outside of their intervals.
-    """
-    if is_whole(nodes) or step is not None:
-        count = 0 if step is not None else as_count("nodes", nodes, 0)
-        grids = []
-        for start, end in pairwise(times):
-            parts = count + 1 if step is None else step_count(start, end, step)
-            grids.append(start + (end - start) * np.arange(1, parts) / parts)
-        return tuple(grids)
-    if len(nodes) != len(times) - 1:
-        raise ValueError(f"nodes: wanted {len(times) - 1} lists of times, got {len(nodes)}")
-    grids = [
-        as_times(f"nodes[{k}]", one) if len(one) else np.empty(0) for k, one in enumerate(nodes)
-    ]
-    for (start, end), grid in zip(pairwise(times), grids, strict=True):
-        if len(grid) and not (start < grid[0] and grid[-1] < end):
-            raise ValueError(
-                f"nodes: wanted times between {when(start)} and {when(end)}, "
-                f"got {grid[0]:g} to {grid[-1]:g}"
-            )
+def node_times(times: np.ndarray, nodes: int, step: float | None) -> tuple[np.ndarray, ...]:
+    """Node times within each interval; every integration step where there is a `step`."""
+    grids = []
+    for start, end in pairwise(times):
+        parts = nodes + 1 if step is None else step_count(start, end, step)
+        grids.append(start + (end - start) * np.arange(1, parts) / parts)
     return tuple(grids)
 
 
@@ -129,7 +106,7 @@ def synthesize(
     times: ArrayLike,
     *,
     predictor: Affine | Polynomial | Continuous = _AFFINE,
-    nodes: int | Sequence[ArrayLike] = 4,
+    nodes: Count = 4,
     components: int | None = None,
     paths: Count | None = None,
     seed: Seed | None = None,
@@ -159,10 +136,9 @@ def synthesize(
     times : array_like, shape (K+1,)
         Times of the measurements; the first is that of the initial law.
     predictor : Affine, Polynomial or Continuous
-    nodes : int or sequence of array_like
-        Number of evenly spaced nodes inside each interval between measurements, or the node
-        times of each. `Continuous` has a node at every integration step instead; a system in
-        discrete time has none.
+    nodes : int
+        Number of evenly spaced nodes inside each interval between measurements. `Continuous` has
+        a node at every integration step instead; a system in discrete time has none.
     components : int, optional
         n': the first components of the state are estimated (default all).
     paths : int
@@ -216,7 +192,7 @@ def synthesize(
     UserWarning
         Few paths for the memory's dimension; an estimate without information; paths left out;
         errors on the paths held out that are not the predicted ones. Of a switching system also
-        many pairs of cell and mode with few paths, and repaired covariances.
+        many pairs of cell and mode with few paths.
     """
     as_system("system", system, *KINDS)
     if not isinstance(memory, Memory):
@@ -226,18 +202,17 @@ def synthesize(
     if switches(system):
         from seedslib.design.switching import synthesize_switching
 
-        given = {
-            "predictor": predictor != _AFFINE,
-            "components": components is not None,
-            "exact_moments": exact_moments,
-            "step": step is not None,
-            "scheme": scheme != "euler",
-            "measured": measured is not None,
-            "availability": availability is not None,
-        }
-        if any(given.values()):
-            name = next(name for name in given if given[name])
-            raise ValueError(f"{name}: wanted none for a switching system")
+        for name, given in (
+            ("predictor", predictor != _AFFINE),
+            ("components", components is not None),
+            ("exact_moments", exact_moments),
+            ("step", step is not None),
+            ("scheme", scheme != "euler"),
+            ("measured", measured is not None),
+            ("availability", availability is not None),
+        ):
+            if given:
+                raise ValueError(f"{name}: wanted none for a switching system")
         return synthesize_switching(
             system,
             memory,
@@ -258,11 +233,11 @@ def synthesize(
     trajectory = as_trajectory(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
-    options, size = {}, None
+    nodes, options, size = as_count("nodes", nodes, 0), {}, None
     if in_steps(system):
         if exact_moments or isinstance(predictor, Continuous):
             raise ValueError("system: exact_moments and Continuous want one in continuous time")
-        nodes = 0 * as_count("nodes", nodes, 0)
+        nodes = 0
     else:
         size = as_positive("step", system.step if step is None else step)
         options = {"step": size, "scheme": scheme}

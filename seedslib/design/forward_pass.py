@@ -72,7 +72,6 @@ class ForwardPass:
         self.states: list[Any] = []  # of the filter in each class, of all bundles
         self.fits, self.node_fits, self.scores = [], [], []
         self.size = np.zeros(self.components)  # root mean squares of the estimated components
-        self.covs_before = np.empty((0, simulator.n, simulator.n))
 
     def design(self, times: np.ndarray, grid: tuple[np.ndarray, ...]) -> dict[str, Any]:
         """Start, fits for the measurements, fits for the nodes, and the predicted errors.
@@ -129,22 +128,22 @@ class ForwardPass:
             size,
         )
 
-    def _of_classes(self, fits, table, covs_before) -> Fit | ClassFits:
+    def _of_classes(self, fits) -> Fit | ClassFits:
         """One fit of those of the classes."""
         if self.one_class:
             return fits[0]
-        return ClassFits.of(table, covs_before, self.histories.prob, fits)
+        return ClassFits.of(self.histories.classes.table, self.histories.prob, fits)
 
     def _nodes(self, k, t, nodes, inputs):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
         simulator, n, node_fits = self.simulator, self.components, []
         memories = [simulator.executor(_memory, state) for state in self.states]
-        size, table = self._sizes(k), self.histories.classes.table[:1]
+        size = self._sizes(k)
         for node in nodes:
             simulator.advance(t, node, inputs)
             t = node
             fits = [self._fit(Affine(), u, n, size) for u in memories]
-            node_fits.append(self._of_classes(fits, table, np.empty((0, n, n))))
+            node_fits.append(self._of_classes(fits))
             pairs = zip(fits, memories, strict=True)
             self._score(t, *(simulator.finite(fit.mean, u) for fit, u in pairs))
         return node_fits, memories
@@ -168,9 +167,7 @@ class ForwardPass:
         simulator, size = self.simulator, self._sizes(k - 1)
         p = simulator.system.values(inputs)
         fits = [self._fit(self.predictor, u, simulator.n, size) for u in memories]
-        self.fits.append(self._of_classes(fits, self.histories.classes.table, self.covs_before))
-        if not self.one_class:
-            self.covs_before = self.fits[-1].covs
+        self.fits.append(self._of_classes(fits))
 
         def forecast(state, u, fit):
             mean, cov = fit.forecast(u)

@@ -20,7 +20,7 @@ import numpy as np
 
 from seedslib.base.checks import outside
 from seedslib.base.clock import when
-from seedslib.designed.arrivals import distances, uncertain
+from seedslib.designed.arrivals import uncertain
 
 ALIKE = 0.04
 """Histories are of one class where the variances of their errors differ by less than this part."""
@@ -193,6 +193,26 @@ def classes_of(
         label[chosen] // patterns,
         tolerance / 1.25,
     )
+
+
+def distances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """How far covariances (a, n, n) are from others (b, n, n), shape (a, b).
+
+    The largest |log r| of the ratios r of the variances of any linear function under the two: it
+    does not depend on the basis. What is below 1e-9 of their mean covariance is not compared.
+    """
+    mean = np.concatenate([one, other]).mean(axis=0)
+    scale = np.sqrt(np.diagonal(mean))
+    scale = np.outer(scale, scale)
+    scale[scale == 0.0] = 1.0
+    floor = 1e-9 * np.eye(len(mean))
+    one, other = one / scale + floor, other / scale + floor
+    root = np.linalg.cholesky(other)
+    half = np.linalg.solve(root[None], one[:, None])
+    ratio = np.linalg.solve(root[None], np.swapaxes(half, -1, -2))
+    ratio = (ratio + np.swapaxes(ratio, -1, -2)) / 2.0
+    values = np.linalg.eigvalsh(ratio)
+    return np.abs(np.log(np.maximum(values, 1e-12))).max(axis=-1)
 
 
 def shares(members: tuple[tuple[int, int], ...], prob: dict[Any, float]) -> np.ndarray:

@@ -17,6 +17,9 @@ LogDensity = Callable[[slice], np.ndarray]
 
 METHODS = {"likelihood": "likelihood-weighted regression", "histogram": "smoothed histogram"}
 
+KERNEL = 0.5
+"""Width in units of the normal reference rule, which is too wide for several peaks."""
+
 ENOUGH = 8.0
 """Paths that a kernel must weigh together before its mean is believed."""
 
@@ -36,7 +39,6 @@ def likelihood_table(
     points: np.ndarray,
     measured: Axes,
     axes: Axes,
-    kernel: float,
 ) -> np.ndarray:
     """M[X | y, u] with the known likelihood of y: the Rao-Blackwellised estimate of section 5.
 
@@ -52,8 +54,6 @@ def likelihood_table(
         Memory of the paths.
     measured, axes : tuple of Axis or Labels
         Of what is measured, and of the memory.
-    kernel : float
-        Width in units of the normal reference rule.
 
     Returns
     -------
@@ -65,11 +65,11 @@ def likelihood_table(
     shape = [axis.count for axis in measured + axes]
     counts = path_sums(targets[:0], points, axes)[0]
     sums = sums.reshape(-1, *shape)
-    return smoothed_ratio(sums, counts, widths(points, axes, kernel), len(measured))
+    return smoothed_ratio(sums, counts, widths(points, axes), len(measured))
 
 
 def histogram_table(
-    targets: np.ndarray, points: np.ndarray, axes: Axes, kernel: float, pooled: bool = False
+    targets: np.ndarray, points: np.ndarray, axes: Axes, pooled: bool = False
 ) -> np.ndarray:
     """M[X | arguments] from simulated arguments: the smoothed histogram of section 5.
 
@@ -80,8 +80,6 @@ def histogram_table(
     points : ndarray, shape (d, N)
         Measurement and memory of the paths; for a forecast the memory alone.
     axes : tuple of Axis or Labels
-    kernel : float
-        Width in units of the normal reference rule.
     pooled : bool
         Whether the last label of the first axis stands for all paths together.
 
@@ -92,7 +90,7 @@ def histogram_table(
     sums = path_sums(targets, points, axes)
     if pooled:
         sums[:, -1] = sums[:, :-1].sum(axis=1)
-    return smoothed_ratio(sums, sums[0], widths(points, axes, kernel), 0)
+    return smoothed_ratio(sums, sums[0], widths(points, axes), 0)
 
 
 def likelihood_sums(
@@ -142,13 +140,13 @@ def path_sums(targets: np.ndarray, points: np.ndarray, axes: Axes) -> np.ndarray
     return sums.reshape(len(rows), *shape)
 
 
-def widths(points: np.ndarray, axes: Axes, kernel: float) -> list[float]:
+def widths(points: np.ndarray, axes: Axes) -> list[float]:
     """Widths of the kernel, in nodes of each axis: the normal reference rule; labels have none."""
     labels = [isinstance(axis, Labels) for axis in axes]
     size, count = len(axes) - sum(labels), points.shape[1]
     for axis, label in zip(axes, labels, strict=True):
         count /= axis.count if label else 1
-    factor = kernel * (4.0 / ((size + 2.0) * count)) ** (1.0 / (size + 4.0))
+    factor = KERNEL * (4.0 / ((size + 2.0) * count)) ** (1.0 / (size + 4.0))
     deviation = points.std(axis=1)
     return [
         0.0 if label else factor * s / axis.step

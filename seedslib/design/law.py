@@ -244,14 +244,24 @@ def push_forward(
     return result
 
 
-MISSED = 1e-6
-"""Probability of measurements beyond the axes that is worth a warning."""
+ENDS = "x: probability {} in an outermost cell, or beyond it, at time {}; the axis is too short"
+LOST = (
+    "x: probability {} leaves the nodes in the step from time {}, or they are too coarse for the "
+    "noise"
+)
+MISSED = (
+    "y: the axes miss {} of the probability of a measurement at time {}; they are too short or "
+    "too coarse"
+)
+CLAMPED = (
+    "z: probability {} of an estimate outside of the axis at time {}, where it is remembered as "
+    "the end"
+)
+NEGLECTED = {ENDS: 1e-6, LOST: 1e-6, MISSED: 1e-6, CLAMPED: 1e-4}
+"""What a design warns of, and up to which probability it does not."""
 
 LARGEST = 1 << 27
 """Numbers in the joint distribution, or in a table, beyond which a grid is refused."""
-
-CLAMPED = 1e-4
-"""Probability of estimates beyond the axis that is worth a warning."""
 
 BY_GRID = Design(0, 0, 0, (), 0, True)
 
@@ -329,6 +339,8 @@ class JointLaw:
         self.joint: np.ndarray = self.chain.initial[None]
         self.errors: list[tuple] = []  # mse, bias, clamped, wrong at each measurement
         self.scores: list[tuple[float, float]] = []  # time and mse, nodes included
+        self._worst: dict[str, tuple[float, float]] = {}  # by sentence: probability and time
+        self._note(ENDS, self.chain.missed, self.times[0])
 
     @property
     def memory_axes(self) -> tuple[Axis, ...]:
@@ -354,7 +366,7 @@ class JointLaw:
                     self.move(a, b)
                     if b != stops[-1]:
                         between.append(self._forecast(b))
-        self._warn_of_memory()
+        self._warn()
 
     def likelihood(self, t: float) -> Likelihood:
         """Likelihood of the measurements on the grid."""
@@ -362,14 +374,8 @@ class JointLaw:
         if self.chain.loses:  # given that it is still on the axis, whose ends are looked at
             self.joint /= self.joint.sum()
         law = self.joint.sum(axis=0)
-        self.chain.look_at_ends(law)
-        missed = float(law @ likelihood.defect)
-        if missed > MISSED:
-            warnings.warn(
-                f"y: the axes miss {missed:.2g} of the probability of a measurement at time "
-                f"{when(t)}; they are too short or too coarse",
-                stacklevel=outside(),
-            )
+        self._note(ENDS, self.chain.at_ends(law), t)
+        self._note(MISSED, float(law @ likelihood.defect), t)
         return likelihood
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
@@ -439,6 +445,7 @@ class JointLaw:
         else:
             of_blocks = likelihood.mass.reshape(-1, self.blocks, joint.shape[1]).sum(axis=0)
             self.joint = remember(joint, of_blocks, dropped)
+        self._note(CLAMPED, float(clamped), self.times[k])
         self.errors.append((mse, bias, clamped, wrong))
         self.scores.append((self.times[k], mse))
         self.filled = min(self.filled + 1, self.depth)
@@ -446,6 +453,9 @@ class JointLaw:
 
     def move(self, start: float, stop: float) -> None:
         """Let the state move while the memory stays: (4.8)."""
+        law = self.joint.sum(axis=0)
+        lost = self.chain.loss(float(start), float(stop)) @ law / law.sum()
+        self._note(LOST, float(lost), start)
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
     def _forecast(self, t: float) -> Table:
@@ -476,11 +486,13 @@ class JointLaw:
         mse, bias, clamped, wrong = (np.array(part) for part in zip(*self.errors, strict=True))
         return GridRisk(self.times, mse, bias, clamped, wrong if self.switching else None)
 
-    def _warn_of_memory(self) -> None:
-        """Warn where the axis of the estimates is too short to remember them."""
-        if (clamped := max(row[2] for row in self.errors)) > CLAMPED:
-            warnings.warn(
-                f"z: probability {clamped:.2g} of an estimate outside of the axis, where it "
-                "is remembered as the end",
-                stacklevel=outside(),
-            )
+    def _note(self, sentence: str, probability: float, t: float) -> None:
+        """Keep the worst of what a design warns of, once and at its end."""
+        if probability > self._worst.get(sentence, (NEGLECTED[sentence], t))[0]:
+            self._worst[sentence] = probability, float(t)
+
+    def _warn(self) -> None:
+        """Warn of axes that are too short or too coarse, each with its worst figure."""
+        for sentence, (probability, t) in self._worst.items():
+            text = sentence.format(f"{probability:.2g}", when(t))
+            warnings.warn(text, stacklevel=outside())

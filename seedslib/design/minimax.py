@@ -9,7 +9,6 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK
-from seedslib.base.checks import as_count
 from seedslib.base.progress import followed
 from seedslib.design.regression import Scatter, combine, fit_affine, fit_forecast, scatter
 from seedslib.design.samples import MemoryPaths, Sample
@@ -37,7 +36,6 @@ def minimax_synthesis(
     seed: Seed,
     prediction: Basic | None = None,
     correction: Basic | BoundedPolynomial | None = None,
-    sets: int = 2,
     workers: int = 1,
 ) -> MinimaxFilter:
     """Conditionally minimax filter, with chosen functions of the memory and of the measurement.
@@ -66,8 +64,6 @@ def minimax_synthesis(
         zeta: ``correction(t, forecast, y) -> (q, *batch)`` of the predicted state (n, *batch)
         and the measurement (m, *batch) at t. By default the residual, the measurement less its
         mean at the predicted state.
-    sets : int
-        Sets of paths that functions are fitted to in turn, at least 2.
     workers : int
         Threads of the simulation.
 
@@ -87,8 +83,8 @@ def minimax_synthesis(
         As `binned_synthesis`; paths that diverged and were left out.
     """
     as_system("system", system, "DiscreteSystem")
-    method, fits, sets = Minimax(prediction, correction), [], as_count("sets", sets, 2)
-    samples = MemoryPaths(system, memory, times, None, paths, sets, 0, seed, workers)
+    method, fits = Minimax(prediction, correction), []
+    samples = MemoryPaths(system, memory, times, None, paths, 2, 0, seed, workers)
     for k in followed(range(len(samples.times)), "regressions"):
         basics = Basics.of(system, memory, method, samples.times, k)
         fits.append(_fitted(basics, samples.sample()))

@@ -169,13 +169,6 @@ def _semidefinite(residual, total):
     return 0.5 * (clipped + clipped.T)
 
 
-LOST = 1e-12
-"""A variance that falls below this part of itself has lost all the digits that matter."""
-
-ROUNDING = 4e-15
-"""A deviation below this part of that of the state is rounding."""
-
-
 def fit_forecast(
     predictor: object, gather: Callable[..., Scatter], targets: int, size: np.ndarray
 ) -> Fit:
@@ -204,16 +197,7 @@ def fit_forecast(
 def fit_affine(gather: Callable[..., Scatter], targets: int, size: np.ndarray) -> AffineFit:
     """Affine forecast of the state from the memory; arguments as `fit_forecast`."""
     moments = gather(lambda x, u: np.concatenate([x, u]))
-    fit = regress(moments.mean, moments.cov, targets, size)
-    total = np.diagonal(moments.cov)[:targets]
-    if not (np.diagonal(fit.cov) < LOST * total).any():
-        return fit
-    # beside so wide a prior the digits of the residual are lost: its own regression has them
-    residual = gather(lambda x, u: np.concatenate([x - fit.mean(u), u]))
-    more = regress(residual.mean, residual.cov, targets, size)
-    if not (np.diagonal(more.cov) > ROUNDING**2 * total).all():
-        return fit  # known exactly
-    return AffineFit(fit.gain + more.gain, fit.offset + more.offset, more.cov)
+    return regress(moments.mean, moments.cov, targets, size)
 
 
 def coefficients_of(predictor: object, dimension: int) -> int:

@@ -70,6 +70,8 @@ def stationary(
     """
     if not isinstance(filter, DesignedFilter) or filter.memory is None:
         raise TypeError(f"filter: wanted a filter with a design, got {filter!r}")
+    if filter.availability is not None:
+        raise ValueError("filter: wanted one without an availability, whose classes have an end")
     if isinstance(filter.system, UnknownModel):
         raise ValueError("filter: wanted one with its model, got one that was loaded without")
     tolerance = as_positive("tolerance", tolerance, infinite=True)
@@ -87,9 +89,7 @@ def stationary(
     period = slice(last + 1 - span, None)
     if (pattern[period] != pattern[period.start - cycle : -cycle]).any():
         raise ValueError(f"cycle: wanted the period of the schedule of the design, got {cycle}")
-    data = filter.system.simulate(
-        times, paths, seed, measured=pattern, availability=filter.availability, **options
-    )
+    data = filter.system.simulate(times, paths, seed, measured=pattern, **options)
     estimates = _run(endless, data)
     earlier = _run(replace(filter.taking([*range(last + 1 - span)]), cycle=cycle), data)
     end = slice(last + 1 - span, last + 1)

@@ -22,16 +22,10 @@ from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
 from seedslib.designed.accuracy import Accuracy, Design
-from seedslib.designed.base import warn_of_repairs
+from seedslib.designed.cells import CellFit, cell_count, cell_number, require_memory
 from seedslib.designed.memory import Memory
 from seedslib.designed.rules import SwitchingRules, compiled_rules
-from seedslib.designed.switching import (
-    CellFit,
-    SwitchingFilter,
-    cell_count,
-    cell_number,
-    require_memory,
-)
+from seedslib.designed.switching import SwitchingFilter
 from seedslib.linearization.moments import Linearization
 from seedslib.models.kinds import as_grid
 from seedslib.models.switching import SwitchingSystem
@@ -72,11 +66,11 @@ def cells_from_moments(
         parts = [Scatter(p, mean[:, i, c], p * cov[:, :, i, c]) for i, p in enumerate(prob[:, c])]
         pooled = combine([part for part in parts if part.count > 0])
         moments = [part if part.count > 0 else pooled for part in parts]
-        cells.append(_cell(prob[:, c], moments, pooled, size, jitter)[0])
+        cells.append(_cell(prob[:, c], moments, pooled, size, jitter))
     return _stacked(cells)
 
 
-def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[CellFit, int, int]:
+def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[CellFit, int]:
     """Fit from samples, with pooled moments where a cell has few.
 
     Moments of a mode in a cell with fewer than max(50, 3 (r + 1)) samples, r the rank of the
@@ -98,13 +92,11 @@ def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[Cel
     fit : CellFit
     pooled : int
         Pairs of cell and mode whose moments are pooled ones.
-    repaired : int
-        Covariances T whose negative eigenvalues were raised.
     """
     modes = len(scatters[0])
     everything = combine([part for row in scatters for part in row])
     by_mode = [combine([row[i] for row in scatters]) for i in range(modes)]
-    cells, borrowed, repaired = [], 0, 0
+    cells, borrowed = [], 0
     for row in scatters:
         pooled = combine(row)
         basis = pooled if pooled.count >= FEWEST else everything
@@ -117,10 +109,8 @@ def fit_cells(scatters: list[list[Scatter]], size: int, total: int) -> tuple[Cel
             candidates = part, pooled, by_mode[i]
             moments.append(next((p for p in candidates if p.count >= least), everything))
         weights = np.array([max(part.count, 0.5) for part in row]) / total
-        cell, count = _cell(weights, moments, basis, size, JITTER)
-        cells.append(cell)
-        repaired += count
-    return _stacked(cells), borrowed, repaired
+        cells.append(_cell(weights, moments, basis, size, JITTER))
+    return _stacked(cells), borrowed
 
 
 def _stacked(cells):
@@ -132,14 +122,13 @@ def _sizes(part, n):
 
 
 def _cell(weights, moments, basis, n, jitter):
-    """Arrays of one cell, and how many covariances were repaired."""
+    """Arrays of one cell, those of a `CellFit`."""
     d = len(basis.mean) - n
     root = inverse_root(basis.cov[n:, n:], _sizes(basis, n))
     rank, modes = root.shape[1], len(weights)
     log_weight, centre = np.empty(modes), np.empty((d, modes))
     white, gain = np.zeros((d, d, modes)), np.zeros((n, d, modes))
     offset, cov = np.empty((n, modes)), np.empty((n, n, modes))
-    repaired = 0
     for i, (weight, part) in enumerate(zip(weights, moments, strict=True)):
         inner = root.T @ part.cov[n:, n:] @ root + jitter * np.eye(rank)
         cross = part.cov[:n, n:] @ root
@@ -153,13 +142,11 @@ def _cell(weights, moments, basis, n, jitter):
         # a function of the matrix: the same for every basis of its eigenvectors
         values, vectors = np.linalg.eigh(0.5 * (residual + residual.T))
         least = NEGATIVE * max(np.trace(part.cov[:n, :n]), 0.0)
-        negative = values < -least
-        repaired += int(negative.any())
-        values = np.where(negative, least, np.maximum(values, 0.0))
+        values = np.where(values < -least, least, np.maximum(values, 0.0))
         cov[:, :, i] = (vectors * values) @ vectors.T
         with np.errstate(divide="ignore"):
             log_weight[i] = np.log(weight) - np.log(np.diagonal(lower)).sum()
-    return (log_weight, centre, white, gain, offset, cov), repaired
+    return log_weight, centre, white, gain, offset, cov
 
 
 def synthesize_switching(
@@ -212,9 +199,9 @@ def synthesize_switching(
     Warns
     -----
     UserWarning
-        More than a twentieth of the pairs of cell and mode have few paths; covariances were
-        repaired; paths of the system or of the filter diverged and were left out; errors on
-        held-out paths are not the predicted ones.
+        More than a twentieth of the pairs of cell and mode have few paths; paths of the system or
+        of the filter diverged and were left out; errors on held-out paths are not the predicted
+        ones.
     """
     times = as_grid("times", times, system)
     require_memory(memory, system)
@@ -236,7 +223,6 @@ def synthesize_switching(
                 f"paths: {pooled} of {pairs} pairs of cell and mode had too few paths of their own",
                 stacklevel=outside(),
             )
-        warn_of_repairs(forward.repaired)
         rms, error, rate, rate_error = (
             np.array(part) for part in zip(*forward.scores, strict=True)
         )
@@ -255,7 +241,6 @@ def synthesize_switching(
                 simulator.warn_of_diverged(),
                 pooled=pooled,
                 pairs=pairs,
-                repaired=forward.repaired,
             ),
         )
     del simulator, forward  # their paths are not needed any more
@@ -278,7 +263,7 @@ class SwitchingPass:
     ----------
     fits : list of CellFit
     scores : list of (rms, error, mode_rate, mode_error)
-    pooled, pairs, repaired : int
+    pooled, pairs : int
         See `Design`.
     """
 
@@ -294,7 +279,7 @@ class SwitchingPass:
         self.rules, self.inputs = rules, inputs
         self.states: Any = []
         self.fits, self.scores = [], []
-        self.pooled = self.pairs = self.repaired = 0
+        self.pooled = self.pairs = 0
 
     def design(self, times: np.ndarray) -> None:
         """Go through the measurements."""
@@ -310,7 +295,6 @@ class SwitchingPass:
             self._score()
             if k + 1 < len(times):
                 self._fit(k)
-        self.repaired += sum(state.repaired for state in self.states)
 
     def _predict(self, old, t, inputs):
         rules, system, fit = self.rules, self.system, self.fits[-1]
@@ -352,11 +336,10 @@ class SwitchingPass:
         if not count:
             paths = sum(map(sum, self.simulator.counts))
             raise ValueError(f"paths: wanted some that stay finite, all {paths} diverged")
-        fit, pooled, repaired = fit_cells(scatters, system.state_size, count)
+        fit, pooled = fit_cells(scatters, system.state_size, count)
         self.fits.append(fit)
         self.pooled += pooled
         self.pairs += cells * system.modes
-        self.repaired += repaired
 
     def _score(self):
         """Note root-mean-square errors, the part of wrong modes, and their standard errors."""

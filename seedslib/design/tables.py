@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
-from seedslib.base.checks import as_count, as_positive
 from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.kernels import METHODS, histogram_table, likelihood_table
@@ -40,8 +39,6 @@ def simulated_synthesis(
     y: AxesLike | None = None,
     method: str = "likelihood",
     components: int | None = None,
-    sets: int = 2,
-    kernel: float = 0.5,
     nodes: Count = 4,
     workers: int = 1,
     probabilities: bool = False,
@@ -50,7 +47,7 @@ def simulated_synthesis(
 
     Section 5 of the jump-diffusion paper: at each measurement the optimal function
     M[X | y, u] is estimated from paths that carry state and memory, tabulated, and applied to
-    the paths. There are several sets of paths, and functions are fitted to them in turn: no
+    the paths. There are two sets of paths, and functions are fitted to them in turn: no
     function meets, at the next measurement, a memory that it has been fitted to.
 
     Parameters
@@ -72,11 +69,6 @@ def simulated_synthesis(
         count simulated measurements too (the paper's method).
     components : int, optional
         n': the first components of the state are estimated (default all).
-    sets : int
-        Sets of paths, at least 2.
-    kernel : float
-        Width of the smoothing kernel in units of the normal reference rule, which is too wide
-        for densities of several peaks.
     nodes : int
         Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
@@ -105,11 +97,10 @@ def simulated_synthesis(
     as_system("system", system, *KINDS)
     if probabilities and not switches(system):
         raise ValueError("probabilities: wanted False, the system has no modes")
-    likelihood, kernel = method == "likelihood", as_positive("kernel", kernel)
+    likelihood = method == "likelihood"
     if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    sets = as_count("sets", sets, 2)
-    samples = MemoryPaths(system, memory, times, components, paths, sets, nodes, seed, workers)
+    samples = MemoryPaths(system, memory, times, components, paths, 2, nodes, seed, workers)
     axes_y, axes_z = _axes(samples, y, z)
     refuse_large(system, memory, axes_y, axes_z)
     steps, node_fits = [], []
@@ -117,18 +108,18 @@ def simulated_synthesis(
         axes, memory_axes = step_axes(system, memory, axes_y, axes_z, k)
         sample = samples.sample()
         if likelihood:
-            update = _by_likelihood(samples, float(t), sample, axes, kernel)
+            update = _by_likelihood(samples, float(t), sample, axes)
         else:
-            update = _by_histogram(samples, sample, axes, kernel)
+            update = _by_histogram(samples, sample, axes)
         forecast = prior(system, samples.components)
         if k or switches(system):
-            forecast = _by_histogram(samples, sample, memory_axes, kernel, measured=False)
+            forecast = _by_histogram(samples, sample, memory_axes, measured=False)
         steps.append(Step(update, forecast))
         samples.apply(update)
         if k + 1 < len(samples.times):
             axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
             for stop in samples.stops[k][:-1]:
-                fits.append(_by_histogram(samples, samples.sample(stop), axes, kernel))
+                fits.append(_by_histogram(samples, samples.sample(stop), axes))
                 samples.score(stop, fits[-1])
             node_fits.append(tuple(fits))
     if not probabilities:
@@ -142,22 +133,20 @@ def simulated_synthesis(
     )
 
 
-def _by_histogram(
-    paths: MemoryPaths, sample: Sample, axes: Any, kernel: float, measured: bool = True
-) -> Table:
+def _by_histogram(paths: MemoryPaths, sample: Sample, axes: Any, measured: bool = True) -> Table:
     """Smoothed histogram over indicator, measurement where it is used, and memory."""
     targets, points = _targets(paths, sample), _points(paths, sample, axes, measured)
     pooled = paths.system.indicators > 0
-    return _table(paths, axes, histogram_table(targets, points, axes, kernel, pooled))
+    return _table(paths, axes, histogram_table(targets, points, axes, pooled))
 
 
-def _by_likelihood(paths: MemoryPaths, t: float, sample: Sample, axes: Any, kernel: float) -> Table:
+def _by_likelihood(paths: MemoryPaths, t: float, sample: Sample, axes: Any) -> Table:
     """Regression in the memory alone, weighted by the likelihoods of measurement and indicator."""
     targets, first = _targets(paths, sample), int(paths.system.indicators > 0)
     last = first + len(sample.measurements)
     log_density = _log_density(paths.system, t, sample, axes[first:last])
     points = _points(paths, sample, axes[last:], measured=False)
-    values = likelihood_table(log_density, targets, points, axes[:last], axes[last:], kernel)
+    values = likelihood_table(log_density, targets, points, axes[:last], axes[last:])
     return _table(paths, axes, values)
 
 

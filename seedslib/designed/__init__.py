@@ -2,7 +2,7 @@
 
 The finite-order filter, the switching filter and the table filters. `design` makes them.
 
-May import: base, gaussian, models, linearization, filters.
+May import: base, tape, gaussian, models, linearization, filters.
 """
 
 from seedslib.base.lazy import lazy_names
@@ -11,6 +11,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.designed import lemmas as lemmas
     from seedslib.designed.between import FORECAST_KINDS as FORECAST_KINDS
+    from seedslib.designed.cells import CellFit as CellFit
     from seedslib.designed.files import load as load
     from seedslib.designed.files import save as save
     from seedslib.designed.finite_order import FiniteOrderFilter as FiniteOrderFilter
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from seedslib.designed.memory import small_order as small_order
     from seedslib.designed.minimax import MinimaxFilter as MinimaxFilter
     from seedslib.designed.rules import SwitchingRules as SwitchingRules
-    from seedslib.designed.switching import CellFit as CellFit
     from seedslib.designed.switching import SwitchingFilter as SwitchingFilter
     from seedslib.designed.tables import TableFilter as TableFilter
 else:

@@ -12,9 +12,6 @@ from seedslib.base.clock import when
 ROWS = 12
 """Times that a page shows at most."""
 
-WIDTH = 100
-"""Longest line of a page."""
-
 
 class Accuracy(NamedTuple):
     """Errors of a filter on paths: those that its design predicts, or of other paths.
@@ -52,11 +49,10 @@ class Accuracy(NamedTuple):
 
 
 class Design(NamedTuple):
-    """How a filter was designed: paths, paths per block, seed, and what had to be repaired.
+    """How a filter was designed: paths, paths per block, seed.
 
     ``diverged`` paths were left out; an ``exact`` design took no paths. Of a switching system,
-    ``pooled`` of ``pairs`` pairs of cell and mode had too few paths of their own, and negative
-    eigenvalues of ``repaired`` covariances were raised.
+    ``pooled`` of ``pairs`` pairs of cell and mode had too few paths of their own.
     """
 
     paths: int
@@ -67,7 +63,6 @@ class Design(NamedTuple):
     exact: bool = False
     pooled: int = 0
     pairs: int = 0
-    repaired: int = 0
 
     def __str__(self) -> str:
         if self.exact:
@@ -76,10 +71,7 @@ class Design(NamedTuple):
         if self.diverged:
             text += f", {self.diverged} diverged paths left out"
         if self.pairs:
-            text += (
-                f"; mended: {self.pooled} of {self.pairs} thin pairs of cell and mode, "
-                f"{self.repaired} covariances"
-            )
+            text += f"; {self.pooled} of {self.pairs} pairs of cell and mode pooled"
         return text
 
 
@@ -123,7 +115,7 @@ def measurement_line(filter: Any) -> str:
 
 
 def _accuracy(filter, with_errors):
-    """Lines of a page: predicted errors, and those on held-out paths beside or below them."""
+    """Lines of a page: predicted errors, and those on held-out paths beside them."""
     predicted, held_out, lines = filter.predicted, filter.held_out, []
     if held_out is not None:
         diverged = f", {held_out.diverged} of them diverged" if held_out.diverged else ""
@@ -134,12 +126,7 @@ def _accuracy(filter, with_errors):
     for k in np.linspace(0, len(rows) - 1, min(ROWS, len(rows))).astype(int):
         j = rows[k]
         line = f"  t = {when(predicted.times[j]):<8} {_errors(predicted, j, with_errors)}"
-        if held_out is None:
-            lines.append(line)
-            continue
-        other = _errors(held_out, k, True)
-        beside = len(line) + len(other) + 5 <= WIDTH
-        lines += [f"{line} | {other}"] if beside else [line, f"{'|':>15} {other}"]
+        lines.append(line if held_out is None else f"{line} | {_errors(held_out, k, True)}")
     return lines
 
 

@@ -8,7 +8,6 @@ step.
 
 from __future__ import annotations
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,8 +23,6 @@ class ClassFits(NamedTuple):
     table : ndarray of int, shape (classes before, patterns)
         Class after a measurement, by the one before it and the number of the pattern: the sum of
         2^i over the components that have arrived, counted among those that may be missing.
-    before : ndarray, shape (classes before, n, n)
-        Forecast covariances of the classes before.
     prob : ndarray, shape (classes,)
         Probabilities of the classes; the most probable is the first.
     fits : AffineFit or PolynomialFit
@@ -33,32 +30,24 @@ class ClassFits(NamedTuple):
     """
 
     table: np.ndarray
-    before: np.ndarray
     prob: np.ndarray
     fits: Fit
 
     @classmethod
-    def of(
-        cls, table: np.ndarray, before: np.ndarray, prob: np.ndarray, fits: list[Fit]
-    ) -> ClassFits:
+    def of(cls, table: np.ndarray, prob: np.ndarray, fits: list[Fit]) -> ClassFits:
         """From the fits of the classes, one by one."""
         columns = zip(*fits, strict=True)
         parts = (c[0] if isinstance(c[0], int) else np.stack(c) for c in columns)
-        return cls(table, before, prob, type(fits[0])(*parts))
+        return cls(table, prob, type(fits[0])(*parts))
 
     def one(self, c: int) -> Fit:
         """Fit of a class."""
         return type(self.fits)(*(p if isinstance(p, int) else p[c] for p in self.fits))
 
     @property
-    def covs(self) -> np.ndarray:
-        """Forecast covariances of the classes, (classes, n, n)."""
-        return self.fits.cov
-
-    @property
     def cov(self) -> np.ndarray:
-        """Their mean, (n, n)."""
-        return np.tensordot(self.prob, self.covs, 1)
+        """Mean of the forecast covariances of the classes, (n, n)."""
+        return np.tensordot(self.prob, self.fits.cov, 1)
 
     @property
     def dimension(self) -> int:
@@ -78,7 +67,7 @@ class FitsOfPaths(NamedTuple):
 
     def forecast(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Forecast (n, *batch) and its covariance (n, n, *batch) from the memory (d, *batch)."""
-        flat, history, n = u.reshape(len(u), -1), self.history.ravel(), self.fits.covs.shape[-1]
+        flat, history, n = u.reshape(len(u), -1), self.history.ravel(), self.fits.cov.shape[-1]
         mean, cov = np.empty((n, history.size)), np.empty((n, n, history.size))
         for c in np.unique(history):
             paths = history == c
@@ -101,55 +90,8 @@ def uncertain(availability: np.ndarray) -> np.ndarray:
 
 def with_history(filter: Any, state: Any, y: np.ndarray) -> Any:
     """A state after the measurement y (m, *batch), in its new class for the next forecast."""
-    k, last = state.index, len(filter.times) - 1
-    if k >= last and not filter.cycle:
+    if state.index == len(filter.fits):
         return state
-    first_again = k >= last and (k - last) % filter.cycle == 0
-    table = filter.transitions[-1 if first_again else filter.served(k + 1) - 1]
     arrived = ~np.isnan(y[uncertain(filter.availability)])
     pattern = np.tensordot(2 ** np.arange(len(arrived)), arrived, 1)
-    return state._replace(history=table[state.history, pattern])
-
-
-def transitions(fits: tuple[Any, ...], cycle: int) -> tuple[np.ndarray, ...] | None:
-    """Table into the classes of each fit from those of the fit before it, then those in a cycle.
-
-    Steps that did not follow each other in the design are joined by the nearest covariances. The
-    last table leads from the last fit to the first of the cycle. None without classes.
-    """
-    if not fits or not isinstance(fits[0], ClassFits):
-        return None
-    tables = [fits[0].table[:1]]  # from the most probable class
-    tables += [_joined(one, other) for one, other in pairwise(fits)]
-    if cycle:
-        tables.append(_joined(fits[-1], fits[len(fits) - cycle]))
-    return tuple(tables)
-
-
-def _joined(one: ClassFits, other: ClassFits) -> np.ndarray:
-    """Table from the classes of a fit into those of another."""
-    if np.array_equal(one.covs, other.before):
-        return other.table
-    if not len(other.before):
-        return np.repeat(other.table, len(one.prob), axis=0)
-    return other.table[np.argmin(distances(one.covs, other.before), axis=1)]
-
-
-def distances(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """How far covariances (a, n, n) are from others (b, n, n), shape (a, b).
-
-    The largest |log r| of the ratios r of the variances of any linear function under the two: it
-    does not depend on the basis. What is below 1e-9 of their mean covariance is not compared.
-    """
-    mean = np.concatenate([one, other]).mean(axis=0)
-    scale = np.sqrt(np.diagonal(mean))
-    scale = np.outer(scale, scale)
-    scale[scale == 0.0] = 1.0
-    floor = 1e-9 * np.eye(len(mean))
-    one, other = one / scale + floor, other / scale + floor
-    root = np.linalg.cholesky(other)
-    half = np.linalg.solve(root[None], one[:, None])
-    ratio = np.linalg.solve(root[None], np.swapaxes(half, -1, -2))
-    ratio = (ratio + np.swapaxes(ratio, -1, -2)) / 2.0
-    values = np.linalg.eigvalsh(ratio)
-    return np.abs(np.log(np.maximum(values, 1e-12))).max(axis=-1)
+    return state._replace(history=filter.fits[state.index].table[state.history, pattern])

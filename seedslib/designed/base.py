@@ -11,13 +11,21 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import as_real, as_times, is_whole, outside, require_shape
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
 from seedslib.designed.memory import Memory, Past
-from seedslib.filters.base import Estimates, Filter, Record, as_indicators, as_record, stacked
+from seedslib.filters.base import (
+    Estimates,
+    Filter,
+    Record,
+    as_indicators,
+    as_record,
+    stacked,
+    with_divergence,
+)
 from seedslib.models.kinds import inputs_of, switches
 from seedslib.models.simulation import Schedule
 
@@ -86,15 +94,6 @@ def require_corrected(state: Any) -> None:
     """
     if not state.corrected:
         raise ValueError("state: wanted a state after a correction, got a forecast")
-
-
-def warn_of_repairs(count: int) -> None:
-    """Warn of covariances whose negative eigenvalues a run or a design had to raise, if any."""
-    if count:
-        warnings.warn(
-            f"covariances: eigenvalues of {count} were raised to 1e-12 of their scale",
-            stacklevel=outside(),
-        )
 
 
 def freeze(part: object) -> None:
@@ -194,13 +193,10 @@ class DesignedFilter(Filter):
             changed["measured"] = self.measured[chosen]
         if self.predicted is not None:
             old = self.predicted.times
-            rows = [
-                (old <= times[k] + tolerance) & (k == 0 or old > times[k - 1] + tolerance)
-                for k in chosen
-            ]
-            moved = [old[row] + by for row, by in zip(rows, shift, strict=True)]
-            rows = np.concatenate([np.flatnonzero(row) for row in rows])
-            changed["predicted"] = self.predicted.of(rows, np.concatenate(moved))
+            leads_to = np.searchsorted(times, old - tolerance)
+            rows, by = np.flatnonzero(np.isin(leads_to, chosen)), np.zeros(len(times))
+            by[chosen] = shift
+            changed["predicted"] = self.predicted.of(rows, old[rows] + by[leads_to[rows]])
         if self.node_times:
             intervals = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
             changed["node_times"] = tuple(self.node_times[k] + by for k, by in intervals)
@@ -345,6 +341,67 @@ class DesignedFilter(Filter):
         gap = state.gap | self.gaps("y", y[None], rows, [state.index])[0]
         return self.without_claims(corrected, state.gap, gap) if np.any(gap) else corrected
 
+    # Of one record, by a program
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        return (state.corrected or state.index < 0) and state.mean.ndim == 1
+
+    def numbers_of(self, state: Any) -> dict[str, Any]:
+        """See `Filter.numbers_of`."""
+        number = state.index + 1
+        over = number - len(self.times)
+        laps = 1.0 + over // self.cycle if over >= 0 and self.cycle else 0.0
+        served = self.served(number) if self.cycle else number
+        return {"k": served, "laps": laps, "gap": state.gap, **self.remembered(state.past)}
+
+    def state_of(self, parts: dict[str, Any], t: float, before: Any) -> Any:
+        """See `Filter.state_of`."""
+        index = self.index_of(parts)
+        return FilterState(
+            index,
+            parts["mean"],
+            parts["cov"],
+            self.recalled(parts, index + 1),
+            parts["loglik"],
+            before=before._replace(before=None) if before.corrected else None,
+            gap=parts["gap"] > 0.0,
+            corrected=True,
+        )
+
+    def index_of(self, parts: dict[str, Any]) -> int:
+        """Number of the last measurement, from the arrays of a program's state."""
+        return int(parts["k"] + self.cycle * parts.get("laps", 0.0)) - 1
+
+    def _blocks(self) -> list[tuple[str, int, int]]:
+        """Blocks of numbers of the full memory: which, how many, and how many numbers of each."""
+        memory, modes = self.memory, getattr(self.system, "modes", 1)
+        n = getattr(self, "components", self.system.state_size) + memory.log_odds * (modes - 1)
+        m = self.system.measurement_size
+        return [("estimates", memory.estimates, n), ("measurements", memory.measurements, m)]
+
+    def remembered(self, past: Past) -> dict[str, Any]:
+        """Numbers of a program that are the memory; zero where it is not yet filled."""
+        full: list[float] = []
+        for name, count, size in self._blocks():
+            blocks = getattr(past, name)
+            for block in blocks:
+                full += block.tolist()
+            full += [0.0] * (size * (count - len(blocks)))
+        return {"memory": full, "modes": past.modes, "indicators": past.indicators}
+
+    def recalled(self, parts: dict[str, Any], count: int) -> Past:
+        """The memory after so many measurements, from the numbers of a program."""
+        blocks, start, full = {}, 0, parts["memory"]
+        for name, most, size in self._blocks():
+            stops = range(start + size, start + size * min(count, most) + 1, size)
+            blocks[name] = tuple(full[stop - size : stop] for stop in stops)
+            start += size * most
+        for name in ("modes", "indicators"):
+            if name in parts:
+                blocks[name] = tuple(parts[name][:count].astype(np.intp))
+        return Past(**blocks)
+
     def batch_of(self, state: Any) -> tuple[int, ...]:
         """Batch axes of a state."""
         return state.mean.shape[1:]
@@ -377,19 +434,18 @@ class DesignedFilter(Filter):
         if self.measured is self.availability is None:
             return missing.any(axis=1)
         mask, rates = self.schedule
+        mask = mask[[self.served(k) for k in numbers]]
         rates = np.ones(mask.shape[1]) if rates is None else rates
-        rows = mask[[self.served(k) for k in numbers]]
-        rows, rates = (
-            part.reshape(*part.shape, *(1,) * (missing.ndim - 2)) for part in (rows, rates)
-        )
-        unexpected = ~missing & ~(rows & (rates > 0.0))
+        possible = align(mask & (rates > 0.0), 2, missing.ndim - 2)
+        sure = align(mask & (rates == 1.0), 2, missing.ndim - 2)
+        unexpected = ~missing & ~possible
         if unexpected.any():
             row, component = np.argwhere(unexpected)[0, :2]
             raise ValueError(
                 f"{name}: wanted what the schedule of the design has, got component {component} "
                 f"of a measurement without it{f' in row {row}' if len(y) > 1 else ''}"
             )
-        return (missing & rows & (rates == 1.0)).any(axis=1)
+        return (missing & sure).any(axis=1)
 
     def report(self, state: Any, covariance: bool = True) -> Estimates:
         """What is estimated after a correction."""
@@ -567,23 +623,24 @@ class DesignedFilter(Filter):
         Warns
         -----
         UserWarning
-            Records with gaps, of a filter that was designed: how many, and from which time;
-            covariances that had to be repaired.
+            Records with gaps, of a filter that was designed: how many, and from which time.
         """
         batch, record = self.records_of(times, measurements, indicators, None, inputs)
-        numbers, repaired = self.numbered(record.times, record.y), []
+        numbers = self.numbered(record.times, record.y)
         gaps = self.record_gaps(record.y, record.indicators, numbers)
 
         def work(record: Record, stream: object) -> Estimates:
-            return stacked(self._states(record, numbers, covariances, repaired), len(numbers))
+            estimates = stacked(self._states(record, numbers, covariances), len(numbers))
+            if covariances:  # they are those of measurement times
+                estimates.cov[numbers < 0] = np.nan
+            return estimates
 
-        estimates = self.in_blocks(work, record, batch, 0, workers)
-        warn_of_repairs(sum(repaired))
-        diverged = ~np.isfinite(estimates.mean).all(axis=(0, 1))
-        if estimates.loglik is not None:
-            diverged |= (estimates.loglik == -np.inf).any(axis=0)
-        gaps = gaps.reshape(len(numbers), *batch)
-        return with_gaps(estimates._replace(diverged=diverged), gaps, record.times)
+        if not batch and (numbers >= 0).all() and self._single.of(self):
+            estimates = self.estimates_of(self._single.run(self, record), covariances)
+            estimates = with_divergence(estimates)
+        else:
+            estimates = self.in_blocks(work, record, batch, 0, workers)
+        return with_gaps(estimates, gaps.reshape(len(numbers), *batch), record.times)
 
     def record_gaps(self, y: np.ndarray, indicators: MaybeArray, numbers: np.ndarray) -> np.ndarray:
         """Whether a gap that the design does not expect was at or before each time, (J+1, *batch).
@@ -604,7 +661,7 @@ class DesignedFilter(Filter):
         return np.logical_or.accumulate(gaps)
 
     def _states(
-        self, record: Record, numbers: np.ndarray, covariances: bool, repaired: list[int]
+        self, record: Record, numbers: np.ndarray, covariances: bool
     ) -> Iterator[Estimates]:
         """Estimates at each time of a block of records, one after the other."""
         state, interval = self.initial(record.y.shape[2:]), None
@@ -619,16 +676,14 @@ class DesignedFilter(Filter):
             if k < 0:
                 interval = interval or self.interval(state, p)
                 mean = at(interval, times[j], self.between)
-                cov = np.full_like(state.cov, np.nan) if covariances else None
-                loglik = None if state.loglik is None else 0.0
-                yield Estimates(mean, cov, loglik=loglik)
+                cov = state.cov if covariances else None
+                yield Estimates(mean, cov, loglik=None if state.loglik is None else 0.0)
                 continue
             state = self.propagate(state, times[j], p, interval)
             indicator = None if record.indicators is None else record.indicators[j]
             state = self.update(state, record.y[j], values(j), indicator, covariances)
             interval, last = None, j
             yield self.report(state, covariances)
-        repaired.append(getattr(state, "repaired", 0))
 
 
 def with_gaps(estimates: Estimates, gaps: np.ndarray, times: np.ndarray) -> Estimates:

@@ -25,7 +25,7 @@ def switch_row(system: SwitchingSystem, i: int, linearization: Linearization) ->
     """Moments of a state that does not move while mode i switches, for each new mode."""
     switch = [branch and branch.switch_only for branch in system.branches[i]]
     if not all(branch is None or branch.constant for branch in switch):
-        return _of_one_part(_branch_moments([b and b.map for b in switch], linearization))
+        return _row([[branch and branch.map] for branch in switch], linearization)
 
     def row(t, mean, cov, p=()):
         unmoved = Gaussian(mean, cov), Moments(mean, cov, cov)
@@ -38,7 +38,7 @@ def forecast_row(system: SwitchingSystem, i: int, linearization: Linearization) 
     """Moments of the next state from mode i, for each new mode, of one part."""
     branches = _branches(system, i)
     if not all(branch is None or branch.constant for branch in branches):
-        return _of_one_part(_branch_moments([b and b.map for b in branches], linearization))
+        return _row([[branch and branch.map] for branch in branches], linearization)
     # what does not depend on the branch is formed once
     move = next(branch.whole for branch in branches if branch is not None)
     moments = constant_moments(move, linearization)
@@ -64,16 +64,7 @@ def split_row(system: SwitchingSystem, i: int, linearization: Linearization) -> 
         [branch and _with_indicator(system, branch, reading) for reading in system.readings[l]]
         for l, branch in enumerate(_branches(system, i))
     ]
-    moments, width = (
-        _branch_moments([map for row in table for map in row], linearization),
-        len(table[0]),
-    )
-
-    def row(t, mean, cov, p=()):
-        flat = moments(t, mean, cov, p)
-        return [flat[a : a + width] for a in range(0, len(flat), width)]
-
-    return row
+    return _row(table, linearization)
 
 
 def _branches(system, i):
@@ -83,19 +74,15 @@ def _branches(system, i):
     return [Branch(system.dynamics[i]) if l == i else None for l in range(system.modes)]
 
 
-def _of_one_part(moments: MomentFunction) -> MomentFunction:
-    return lambda t, mean, cov, p=(): [[weighted] for weighted in moments(t, mean, cov, p)]
-
-
-def _branch_moments(
-    maps: Sequence[StochasticMap | None], linearization: Linearization
+def _row(
+    table: Sequence[Sequence[StochasticMap | None]], linearization: Linearization
 ) -> MomentFunction:
-    """Moments of several branches of one state, None where there is no branch."""
-    moments = linearization.row([map for map in maps if map is not None])
+    """Moments of the parts of each new mode, None where there is no branch."""
+    moments = linearization.row([map for parts in table for map in parts if map is not None])
 
     def row(t, mean, cov, p=()):
         each = iter(moments(t, mean, cov, p))
-        return [map and next(each) for map in maps]
+        return [[map and next(each) for map in parts] for parts in table]
 
     return row
 

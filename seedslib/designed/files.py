@@ -32,7 +32,7 @@ from seedslib.designed.identity import difference, model_text, probe, probe_poin
 from seedslib.designed.tables import OutputFilter, TableFilter
 from seedslib.models.kinds import AnySystem, UnknownModel, switches
 
-FORMAT, VERSION = "seedslib designed filter", 5
+FORMAT, VERSION = "seedslib designed filter", 6
 FILTERS = (
     finite_order.FiniteOrderFilter,
     TableFilter,

@@ -18,11 +18,12 @@ from seedslib.base.conditioning import update
 from seedslib.base.linalg import symmetric
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
-from seedslib.designed.arrivals import fit_of, transitions, with_history
+from seedslib.designed.arrivals import fit_of, with_history
 from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_where, require_forecast
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
+from seedslib.designed.step import DesignedStep
 from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
@@ -233,7 +234,9 @@ class FiniteOrderFilter(DesignedFilter):
         self.check()
         as_count("components", self.components, 1, len(self.start.mean))
         self.check_fits(self.components, len(self.start.moments.mean))
-        vars(self).update(clock=Clock(self.times), transitions=transitions(self.fits, self.cycle))
+        if self.cycle and self.availability is not None:
+            raise ValueError("cycle: wanted 0 with an availability")
+        vars(self).update(clock=Clock(self.times))
         _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
@@ -296,7 +299,7 @@ class FiniteOrderFilter(DesignedFilter):
             state = self.rules.first(state, t, y, p, self.start, covariance)
         else:
             state = self.rules.correct(state, t, y, p, covariance)
-        return state if self.transitions is None else with_history(self, state, y)
+        return state if self.availability is None else with_history(self, state, y)
 
     def expect(self, state: FilterState, inputs: Mapping[Any, Any] | None = None) -> Moments:
         """Moments of the measurement that a forecast expects; after a gap the mean alone.
@@ -327,6 +330,14 @@ class FiniteOrderFilter(DesignedFilter):
         for fit, (t, after) in zip(fits, pairwise(stops), strict=True):
             values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
+
+    def program(self, **options: Any) -> DesignedStep:
+        """See `Filter.program`; forecasts must be affine or polynomial, and not by classes."""
+        from seedslib.designed.programs import finite_order
+
+        step = DesignedStep(self, **options)
+        finite_order(step)
+        return step
 
     def __repr__(self) -> str:
         rules = f"{self.predictor}; {self.linearization}"

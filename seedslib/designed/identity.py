@@ -12,16 +12,13 @@ from seedslib.models.switching import SwitchingSystem
 SAME = 1e-9
 """Largest difference between equal models, in units of each component of each quantity."""
 
-ROUNDING = 1e-14
-"""Part of a mean by which rounding may move a covariance's deviations."""
+ROUNDING = 1e-5
+"""Part of a mean that counts as a deviation: rounding moves the covariance beside a large mean."""
 
 POINTS = 12
 
 NODES = 5
 """Gauss-Hermite nodes of the noise at which a branch of a switching system is evaluated."""
-
-COVARIANCES = {"drift": "diffusion", "mean0": "cov0"}
-"""Covariance of a quantity that is not named "... (mean)"."""
 
 
 def probe_points(system: AnySystem, start: float, stop: float) -> np.ndarray:
@@ -58,7 +55,8 @@ def probe(system: AnySystem, points: np.ndarray, likelihood: bool = False) -> di
         return _branches(system, points, p)
     rows = [_values(system, t, np.array(x)[:, None], p, likelihood) for t, *x in points.T]
     values = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
-    values["mean0"], values["cov0"] = np.array([system.mean0]), np.array([system.cov0])
+    for part in ("mean", "cov"):
+        values[f"mean0, cov0 ({part})"] = np.array([getattr(system, f"{part}0")])
     return values
 
 
@@ -69,8 +67,8 @@ def _values(system, t, x, p, likelihood):
         maps["dynamics"] = system.dynamics
     else:
         matrix = system.diffusion(t, x, p)
-        values["drift"] = np.reshape(system.drift(t, x, p), -1)
-        values["diffusion"] = np.einsum("ikN,jkN->ij", matrix, matrix)
+        values["drift, diffusion (mean)"] = np.reshape(system.drift(t, x, p), -1)
+        values["drift, diffusion (cov)"] = np.einsum("ikN,jkN->ij", matrix, matrix)
         values["intensity"] = np.reshape(system.intensity(t, x, p), ())
         if system.jump is not None:
             maps["jump"] = system.jump
@@ -130,7 +128,7 @@ def difference(expected: dict[str, np.ndarray], given: dict[str, np.ndarray]) ->
     """
     for name in sorted(expected.keys() | given.keys()):
         if name not in expected or name not in given:
-            return f"its {name} is there in only one of them"
+            return f"its {name} is in only one of them"
         a, b = expected[name], given[name]
         if a.shape != b.shape:
             return f"its {name} has shape {b.shape}, not {a.shape}"
@@ -139,40 +137,29 @@ def difference(expected: dict[str, np.ndarray], given: dict[str, np.ndarray]) ->
             return f"its {name} has a value in only one of them at some points"
         with np.errstate(invalid="ignore"):
             distance = np.where((a == b) | ~np.isfinite(a), 0.0, np.abs(a - b))
-        beyond = distance > _tolerance(name, expected)
+        beyond = distance > SAME * _units(name, expected)
         if beyond.any():
             size, worst = np.abs(a[beyond]).max(), distance[beyond].max()
-            quantity, bracket, part = name.partition(" (")
-            return f"its {quantity} differs{bracket}{part} by up to {worst:.3g} of {size:.3g}"
+            return f"its {name} differs by up to {worst:.3g} of {size:.3g}"
     return ""
 
 
-def _tolerance(name: str, values: dict[str, np.ndarray]) -> np.ndarray:
-    """How far each component of a quantity may differ between equal models, without points."""
-    quantity = name.partition(" (")[0]
-    mean = next((m for m, c in COVARIANCES.items() if name in (m, c)), f"{quantity} (mean)")
-    cov = COVARIANCES.get(mean, f"{quantity} (cov)")
-    if name not in (mean, cov) or cov not in values:
-        return SAME * _largest(values[name]) + ROUNDING
-    size = _largest(values[mean])
-    deviation = np.sqrt(np.diagonal(_largest(values[cov]), axis1=-2, axis2=-1))
-    if name == mean:
-        return SAME * (size + deviation)
-    rounding = ROUNDING * size
-    return (
-        SAME * _outer(deviation, deviation)
-        + _outer(rounding, deviation + rounding)
-        + _outer(deviation, rounding)
-    )
+def _units(name: str, values: dict[str, np.ndarray]) -> np.ndarray:
+    """Unit of each component of a quantity, without points."""
+    quantity, part = name.partition(" (")[::2]
+    size, cov = _largest(values[name]), values.get(f"{quantity} (cov)")
+    if part not in ("mean)", "cov)") or cov is None:
+        return size + ROUNDING
+    deviation = np.sqrt(np.diagonal(_largest(cov), axis1=-2, axis2=-1))
+    if part == "mean)":
+        return size + deviation
+    deviation = deviation + ROUNDING * _largest(values[f"{quantity} (mean)"])
+    return deviation[..., :, None] * deviation[..., None, :]
 
 
 def _largest(values: np.ndarray) -> np.ndarray:
     """Largest finite size over the points."""
     return np.where(np.isfinite(values), np.abs(values), 0.0).max(axis=0, initial=0.0)
-
-
-def _outer(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    return a[..., :, None] * b[..., None, :]
 
 
 def model_text(system: AnySystem) -> dict[str, str]:

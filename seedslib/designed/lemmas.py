@@ -7,16 +7,21 @@ Probabilities are carried as logarithms, so that none underflows.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from seedslib.base.arrays import align
+from seedslib.base.checks import outside
 from seedslib.base.circle import Periods
 from seedslib.base.conditioning import update
 from seedslib.filters.weights import logarithm, mix, most_probable, normalised, relative
 from seedslib.linearization.moments import Moments, Weighted
+
+ROUNDING = 1e-9
+"""By how much the mean of a probability may be out of range."""
 
 FAINT = 1e-200
 """A sum of weights below this part of the largest weight is formed again by itself."""
@@ -107,6 +112,7 @@ def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> Mod
         mass = np.empty((len(sources), *batch))
         means, covs = np.empty((n, *mass.shape)), np.empty((n, n, *mass.shape))
         for p, (i, source) in enumerate(sources):
+            _warn_of_probability(source.mass)
             mass[p] = weight[i] * source.mass
             means[:, p] = align(source.value.mean, 1, len(batch))
             covs[:, :, p] = align(source.value.cov, 2, len(batch))
@@ -122,6 +128,15 @@ def propagate(rows: Sequence[Callable[..., Any]], t: float, law: ModeLaw) -> Mod
                 mix_logs(logs[:, faint], means[..., faint], covs[..., faint])
             )
     return ModeLaw(log_prob, mean, cov)
+
+
+def _warn_of_probability(mean: np.ndarray | float) -> None:
+    """Warn of a mean of a probability that is out of range: of a switch where the state may be."""
+    if np.any(mean < -ROUNDING) or np.any(mean > 1.0 + ROUNDING):
+        warnings.warn(
+            "switching: wanted probabilities from 0 to 1 wherever the state may be, got others",
+            stacklevel=outside(),
+        )
 
 
 def sense(

@@ -158,6 +158,17 @@ def _pushed(name, blocks, new, length):
     return (new, *blocks)[:length]
 
 
+def places(memory: Memory, estimate: int, measurement: int, count: int) -> np.ndarray:
+    """Which numbers of the full memory are in use after so many measurements.
+
+    An estimate takes up `estimate` of them, a measurement `measurement`.
+    """
+    estimates = estimate * min(count, memory.estimates)
+    measurements = measurement * min(count, memory.measurements)
+    start = estimate * memory.estimates
+    return np.concatenate([np.arange(estimates), np.arange(start, start + measurements)])
+
+
 def small_order() -> Memory:
     """Memory of the last estimate: the filter of small order (FMP), of the state's dimension."""
     return Memory(1)

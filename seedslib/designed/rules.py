@@ -55,8 +55,6 @@ class SwitchingState(NamedTuple):
         The memory; empty where the posterior itself is carried.
     loglik : ndarray
         Log-density of the last measurement and indicator.
-    repaired : int
-        Covariances whose negative eigenvalues had to be raised so far.
     corrected : bool
         Whether the measurement at `index` has been used.
     gap : ndarray of bool or bool
@@ -72,7 +70,6 @@ class SwitchingState(NamedTuple):
     mode: MaybeArray
     past: Past
     loglik: np.ndarray | float
-    repaired: int
     corrected: bool
     gap: np.ndarray | bool = False
     interval: float | None = None
@@ -174,12 +171,12 @@ class SwitchingRules:
 
     def start(self, batch: tuple[int, ...]) -> SwitchingState:
         """State before any measurement."""
-        return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, 0, False)
+        return SwitchingState(-1, None, self.initial(batch), None, None, Past(), 0.0, False)
 
+    @np.errstate(over="ignore", invalid="ignore")  # diverged paths show as NaN
     def predict(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Forecast for the next time from the posterior at time t."""
-        with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
-            return propagate(with_numbers(self.rows, p), t, self.switched(t, law, p))
+        return propagate(with_numbers(self.rows, p), t, self.switched(t, law, p))
 
     def switched(self, t: float, law: ModeLaw, p: Values = ()) -> ModeLaw:
         """Mode and state after the switch at time t and before the move.
@@ -191,7 +188,7 @@ class SwitchingRules:
             return law
         log_prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
         cov = cov[:, :, :, 0]
-        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
+        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov) if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
         """Mode and state given the indicator, and moments of the measurement.
@@ -232,11 +229,9 @@ class SwitchingRules:
             sensed = sense(with_numbers(self.unlabelled, p), t, law)
             return sensed._replace(log_prob=np.full_like(sensed.log_prob, -np.inf))
         readings = [row[j] for row in self.readings]
-        return sense(with_numbers(readings, p), t, law, self._column(law, j))
-
-    def _column(self, law, j):
-        """Part of the forecast that (6.21) divides by, where the printed form is wanted."""
-        return j if self.printed and law.log_prob.shape[1] > 1 else None
+        # the part of the forecast that (6.21) divides by, where the printed form is wanted
+        column = j if self.printed and law.log_prob.shape[1] > 1 else None
+        return sense(with_numbers(readings, p), t, law, column)
 
     def _noise(self, t, sensed, p):
         """Covariance of the measurement at a known state in each mode, (m, m, L, *batch)."""
@@ -259,41 +254,30 @@ class SwitchingRules:
         p: Values = (),
     ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
-        repaired = state.repaired
+        forecast = state.law
         if self.guarded:
-            cov, count = nearest_psd(state.law.cov)
-            scaled = state.law.log_prob - np.log(state.law.prob.sum(axis=(0, 1)))
-            state = state._replace(law=ModeLaw(scaled, state.law.mean, cov))
-            repaired += count
-        sensed = self.sense(state.time, state.law, indicator, p)
+            scaled = forecast.log_prob - np.log(forecast.prob.sum(axis=(0, 1)))
+            forecast = ModeLaw(scaled, forecast.mean, nearest_psd(forecast.cov))
+        sensed = self.sense(state.time, forecast, indicator, p)
         impossible = (sensed.log_prob == -np.inf).all(axis=0)
         if indicator is not None and impossible.any():  # in any mode: as if it were missing
             possible = np.where(impossible, -1, indicator)
-            sensed = self.sense(state.time, state.law, possible, p)
+            sensed = self.sense(state.time, forecast, possible, p)
         if self.printed:
-            cov, count = nearest_psd(sensed.moments.cov)
+            cov = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=cov))
-            repaired += count
         elif self.guarded:
-            sensed, count = _semidefinite(sensed)
-            repaired += count
+            sensed = _semidefinite(sensed)
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        cov, count = nearest_psd(law.cov, variances(sensed.cov))
-        law = law._replace(cov=cov)
+        law = law._replace(cov=nearest_psd(law.cov, variances(sensed.cov)))
         mode, mean = decide(law)
         past = state.past
         if memory is not None:
             past = _pushed(memory, past, mean, mode, y, indicator, law, sensed)
         return state._replace(
-            law=law,
-            mean=mean,
-            mode=mode,
-            past=past,
-            loglik=loglik,
-            repaired=repaired + count,
-            corrected=True,
+            law=law, mean=mean, mode=mode, past=past, loglik=loglik, corrected=True
         )
 
 
@@ -326,17 +310,16 @@ def _pushed(memory, past, mean, mode, y, indicator, law, sensed) -> Past:
 
 
 def _semidefinite(sensed):
-    """The same with joint covariances that are semidefinite, and how many had to be repaired."""
+    """The same with joint covariances that are semidefinite."""
     n, (mean, cross, cov) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), cov], axis=1)
-    joint, repaired = nearest_psd(np.concatenate([upper, lower]))
+    joint = nearest_psd(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
-    return sensed._replace(cov=joint[:n, :n], moments=moments), repaired
+    return sensed._replace(cov=joint[:n, :n], moments=moments)
 
 
 def log_odds(log_prob: np.ndarray) -> np.ndarray:
     """Log-odds of the modes against mode 0, cut to ±8: (L - 1, *batch)."""
-    with np.errstate(invalid="ignore"):
-        odds = log_prob[1:] - log_prob[0]
+    odds = log_prob[1:] - log_prob[0]
     return np.clip(np.nan_to_num(odds, nan=0.0, posinf=SOFTEST, neginf=-SOFTEST), -SOFTEST, SOFTEST)

@@ -5,127 +5,28 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import Clock, when
+from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Accuracy, Design, page
 from seedslib.designed.base import DesignedFilter, freeze, nan_where, require_corrected
 from seedslib.designed.between import Interval
+from seedslib.designed.cells import cell_number, require_memory
 from seedslib.designed.lemmas import ModeLaw, total_covariance
-from seedslib.designed.memory import Memory, Past
+from seedslib.designed.memory import Memory
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
+from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates, first_step
+from seedslib.filters.step import Step
 from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import as_system
 from seedslib.models.switching import SwitchingSystem
-
-
-class CellFit(NamedTuple):
-    """Normal distribution of state and memory in each cell and mode.
-
-    With C cells, L modes and a memory of d numbers:
-
-    Attributes
-    ----------
-    log_weight : ndarray, shape (L, C)
-        Logarithm of the probability of cell and mode, less that of the density's factor.
-    centre : ndarray, shape (d, L, C)
-    white : ndarray, shape (d, d, L, C)
-        The density of the memory falls with half the square of ``white (z - centre)``; rows of
-        zeros where the memory is singular.
-    gain, offset : ndarray, shapes (n, d, L, C) and (n, L, C)
-        Gamma and kappa of (6.34).
-    cov : ndarray, shape (n, n, L, C)
-        T of (6.34).
-    """
-
-    log_weight: np.ndarray
-    centre: np.ndarray
-    white: np.ndarray
-    gain: np.ndarray
-    offset: np.ndarray
-    cov: np.ndarray
-
-    def forecast(self, cell: np.ndarray, z: np.ndarray) -> ModeLaw:
-        """Mode and state given the memory: (6.32) to (6.34).
-
-        Parameters
-        ----------
-        cell : ndarray of int, shape (*batch)
-        z : ndarray, shape (d, *batch)
-
-        Returns
-        -------
-        ModeLaw
-            Xi (L, *batch), gamma (n, L, *batch), T (n, n, L, *batch).
-        """
-        with np.errstate(over="ignore", invalid="ignore"):  # diverged paths show as NaN
-            weight, centre, white, gain, offset, cov = (self._of_cell(a, cell, z) for a in self)
-            residual = z[:, None] - centre
-            score = np.zeros(np.broadcast_shapes(weight.shape, (len(weight), *z.shape[1:])))
-            score += weight
-            for row in white:
-                square = row[0] * residual[0]
-                for factor, part in zip(row[1:], residual[1:], strict=True):
-                    square = square + factor * part
-                score -= 0.5 * square * square
-            score -= score.max(axis=0)
-            score -= np.log(np.exp(score).sum(axis=0))
-            mean = np.empty((len(offset), *score.shape))
-            for component, row, start in zip(mean, gain, offset, strict=True):
-                component[...] = start
-                for factor, part in zip(row, z, strict=True):
-                    component += factor * part
-        return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
-
-    @property
-    def dimension(self) -> int:
-        """How many numbers it forecasts from."""
-        return len(self.centre)
-
-    @staticmethod
-    def _of_cell(array, cell, z):
-        if array.shape[-1] == 1:
-            return array.reshape(*array.shape[:-1], *(1,) * (z.ndim - 1))
-        return array[..., cell]
-
-
-def cell_number(past: Past, modes: int, indicators: int, batch: tuple[int, ...]) -> np.ndarray:
-    """Number of the memory's cell, newest block first; zeros where no mode is remembered."""
-    number = np.zeros(batch, dtype=np.intp)
-    for block in past.modes:
-        number = number * modes + block
-    for block in past.indicators:
-        number = number * indicators + block
-    return number
-
-
-def cell_count(memory: Memory, system: SwitchingSystem, k: int) -> int:
-    """Number of cells of the memory after measurement k."""
-    return system.modes ** min(k + 1, memory.estimates) * system.indicators ** min(
-        k + 1, memory.indicators
-    )
-
-
-def require_memory(memory: Memory, system: SwitchingSystem) -> None:
-    """Refuse a memory of what a switching system does not have.
-
-    Raises
-    ------
-    TypeError, ValueError
-        No memory; one of indicators where there are none, or of log-odds of one mode.
-    """
-    if not isinstance(memory, Memory):
-        raise TypeError(f"memory: wanted a Memory, got {memory!r}")
-    if memory.indicators and not system.indicators:
-        raise ValueError(f"memory: wanted no indicators, the system has none: {memory}")
-    if memory.log_odds and system.modes == 1:
-        raise ValueError("memory: wanted several modes for log-odds, got one")
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -298,6 +199,56 @@ class SwitchingFilter(DesignedFilter):
         prob = parts[0].sum(axis=1)
         cov = nan_where(state.gap, mixed.cov)
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
+
+    def program(self, **options: Any) -> Step:
+        """See `Filter.program`; moments must be formulas, fits in cells."""
+        from seedslib.designed.mode_programs import switching
+
+        step = (Step if self.memory is None else DesignedStep)(self, **options)
+        switching(step)
+        return step
+
+    def steps_alone(self, state: SwitchingState, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        started = state.index >= 0
+        if self.memory is None and started:
+            first_step(state, t, self.system)
+        return state.corrected == started and state.law.log_prob.ndim == 2 - started
+
+    def numbers_of(self, state: SwitchingState) -> dict[str, Any]:
+        """See `Filter.numbers_of`."""
+        if self.memory is not None:
+            return super().numbers_of(state)
+        started = state.index >= 0
+        log_prob, mean, cov = state.law if started else (part[..., 0] for part in state.law)
+        moments = np.concatenate([mean, cov[lower_triangle(len(mean))]]).T
+        time = {"t": state.time if started else 0.0, "started": started}
+        return time | {"carried_log_prob": log_prob, "carried_moments": moments}
+
+    def state_of(self, parts: dict[str, Any], t: float, before: SwitchingState) -> SwitchingState:
+        """See `Filter.state_of`."""
+        n, interval, past = self.system.state_size, before.interval, before.past
+        if self.memory is None:
+            index = before.index + 1
+            if interval is None and before.index >= 0:
+                interval = t - before.time
+        else:
+            index = self.index_of(parts)
+            past = self.recalled(parts, index + 1)
+        moments, gap = parts["carried_moments"].T, parts.get("gap", 0.0) > 0.0
+        cov = nan_where(gap, symmetric(moments[n:], n))
+        return SwitchingState(
+            index,
+            t,
+            ModeLaw(parts["carried_log_prob"], moments[:n], cov),
+            parts["mean"],
+            np.intp(parts["mode"]),
+            past,
+            parts["loglik"],
+            True,
+            gap,
+            interval,
+        )
 
     def smoother(self) -> Any:
         """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""

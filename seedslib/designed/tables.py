@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
@@ -10,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import outside
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
 from seedslib.base.values import Values
@@ -17,6 +19,7 @@ from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory, Past
+from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
 
@@ -114,6 +117,17 @@ class Step(NamedTuple):
 
     update: Any
     forecast: OutputFunction
+
+
+def _warn_beyond(axes: Sequence[Axis], y: Sequence[np.ndarray]) -> None:
+    """Warn of measurements beyond the first axes of a table."""
+    for axis, values in zip(axes, y, strict=False):
+        if np.any(values < axis.low) or np.any(values > axis.high):
+            warnings.warn(
+                f"y: wanted measurements from {axis.low:g} to {axis.high:g}, where the tables are, "
+                "got others, which count as the nearer end",
+                stacklevel=outside(),
+            )
 
 
 def prior(system: AnySystem, components: int) -> Table:
@@ -372,6 +386,8 @@ class OutputFilter(DesignedFilter):
         """The output of a measurement; y is None where it is missing."""
         step = self.steps[self.served(state.index)]
         function, y = (step.forecast, ()) if y is None else (step.update, y)
+        if isinstance(function, Table):
+            _warn_beyond(function.axes[int(self.system.indicators > 0) :], y)
         points = arguments(self.system, y, indicator, state.past)
         return function(points).on(state.mean.shape[1:])
 
@@ -474,6 +490,35 @@ class TableFilter(OutputFilter):
     >>> filter.order
     1
     """
+
+    def program(self, **options: Any) -> DesignedStep:
+        """See `Filter.program`; all output functions must be tables."""
+        from seedslib.designed.programs import table
+
+        functions = (function for step in self.steps for function in step)
+        others = {type(f).__name__ for f in functions if not isinstance(f, Table)}
+        if others:
+            names = ", ".join(sorted(others))
+            raise TypeError(f"filter: wanted tables over even axes, got {names}")
+        step = DesignedStep(self, **options)
+        table(step)
+        return step
+
+    def state_of(self, parts: dict[str, Any], t: float, before: FilterState) -> FilterState:
+        """See `Filter.state_of`."""
+        state, mode = super().state_of(parts, t, before), parts.get("mode")
+        mode = None if mode is None else self._mode_type(mode)
+        return state._replace(loglik=None, mode=mode, mode_prob=parts.get("prob"))
+
+    def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
+        """See `Filter.estimates_of`; there is no likelihood."""
+        found = super().estimates_of(parts, covariances)
+        modes = None if found.modes is None else found.modes.astype(self._mode_type)
+        return found._replace(loglik=None, modes=modes)
+
+    @property
+    def _mode_type(self) -> Any:
+        return self.steps[0].update.mode.dtype.type
 
     @property
     def bytes(self) -> int:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.optimize import minimize
 from scipy.special import ndtri
 
 from seedslib.base.parameters import Parameter
+from seedslib.base.progress import LOG
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Filter
 
@@ -26,8 +25,17 @@ CONVERGED = 1e-6
 FLAT = 1e-5
 """Curvatures below this part of those along the axes are rounding."""
 
-WORST = 1e200
-"""Stands for a likelihood that is zero or no number."""
+BOUND = 1e-4
+"""A positive parameter is at its bound where its logarithm is known by less information."""
+
+NEAR = 1e-10
+"""The step that is expected to rise by less is the last one."""
+
+STEPS = 200
+"""Steps uphill before one gives up."""
+
+RADII = 1.0, 1e3, 1e-7
+"""Length of the first step, of the longest, and of one that is too short to go on."""
 
 
 @dataclass(frozen=True)
@@ -46,7 +54,9 @@ class Fit:
         Whether the log-likelihood is expected to rise by less than 1e-6 from here, and curves
         down in all directions.
     message : str
-        Why not, or nothing.
+        Why not, or nothing: a step that meets no number, a likelihood that is rough (of random
+        numbers, as those of a particle filter), a positive parameter that goes to zero or grows
+        without end, parameters that the data do not distinguish. They are named.
     evaluations : int
         Likelihoods that were computed.
     """
@@ -90,8 +100,8 @@ class Fit:
         others = [k for k in range(len(u)) if k != axis]
         for values[axis] in points:
             u[axis] = self._likelihood.free(values)[axis]
-            u, loglik = self._likelihood.climb(u, others)
-            logliks.append(loglik)
+            u = self._likelihood.climb(u, others, self._likelihood.batch)
+            logliks.append(float(self._likelihood.loglik(u[:, None])[0]))
         return np.array(logliks)
 
     def __str__(self) -> str:
@@ -115,15 +125,17 @@ def fit(
     Derivatives, first and second, are differences of fourth order, and all the likelihoods that
     they need are computed as one batch of paths, each with its own parameters; nothing is compiled
     again. The maximum is found by Newton's method in a region of trust, from where the parameters
-    stand; positive parameters are varied by their logarithms.
+    stand; positive parameters are varied by their logarithms, and steps that meet no number are
+    shortened. A filter from `seedslib.export.compiled` gives the same likelihoods sooner.
 
     Parameters
     ----------
     filter : Filter, or callable
         One that gives a log-likelihood, of a model whose formulas mention the parameters; or a
         function of their numbers, as `bind` takes them, that makes it, where a filter cannot have
-        a number for each record (a chain on a grid). That is called for every value, without a
-        batch.
+        a number for each record (a chain on a grid) or a parameter cannot stand in a formula (the
+        moments of the first state, `LinearSystem.from_continuous`). That is called for every
+        value, without a batch.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m) or (K+1, m, series)
         Of one record, or of many with the same parameters.
@@ -140,14 +152,21 @@ def fit(
     Raises
     ------
     TypeError, ValueError
-        No parameters, a positive one that starts at zero, a filter without a likelihood, a
-        likelihood that is zero at the start.
+        No filter, no parameters, a positive one that starts at zero, a filter without a
+        likelihood, a likelihood that is zero or no number at the start.
     """
+    if not isinstance(filter, Filter) and (hasattr(filter, "parameters") or not callable(filter)):
+        raise TypeError(
+            "filter: wanted a filter, such as KalmanFilter(system), or a function that makes it, "
+            f"got {filter!r}"
+        )
+    if isinstance(free, Parameter):
+        raise TypeError(f"free: wanted a sequence of parameters, got {free}; write [{free}]")
     likelihood = _Likelihood(filter, times, measurements, tuple(free), indicators, inputs)
-    u, loglik = likelihood.climb(likelihood.free(likelihood.start))
-    if loglik <= -WORST:
-        raise ValueError("free: the likelihood is zero, or no number, at the start")
-    return likelihood.maximum(u)
+    u, along = likelihood.free(likelihood.start), range(len(likelihood.parameters))
+    if not likelihood.batch:  # second derivatives only where they pay
+        u = likelihood.climb(u, along, False)
+    return likelihood.maximum(likelihood.climb(u, along, True))
 
 
 class _Likelihood:
@@ -198,7 +217,7 @@ class _Likelihood:
             else:
                 made = (self.filter(self._numbers(v)) for v in values.T.tolist())
                 logliks = np.array([self._run(filter, 1).sum() for filter in made])
-        return np.where(np.isfinite(logliks), logliks, -WORST)
+        return np.where(np.isfinite(logliks), logliks, np.nan)
 
     def _numbers(self, values):
         return dict(zip(self.parameters, values, strict=True))
@@ -217,48 +236,75 @@ class _Likelihood:
             raise ValueError(f"filter: {filter!r} gives no likelihood")
         return loglik.sum(axis=0)
 
-    def climb(self, u: np.ndarray, along: Sequence[int] | None = None) -> tuple[np.ndarray, float]:
-        """A maximum near u, in some of the numbers."""
-        along, u = list(range(len(u)) if along is None else along), u.copy()
+    def climb(self, u: np.ndarray, along: Sequence[int], second: bool) -> np.ndarray:
+        """A maximum near u, in some of the numbers; steps that meet no number are shortened.
 
-        @lru_cache(maxsize=4)
-        def down(key):
-            u[along] = np.frombuffer(key)
-            value, slopes, curvature = derivatives(self.loglik, u, along, self.batch)
-            return -value, -slopes, None if curvature is None else -curvature
-
-        def part(which):
-            return lambda free: down(np.ascontiguousarray(free, dtype=float).tobytes())[which]
-
-        if along:
-            method = (
-                {"method": "trust-exact", "hess": part(2)} if self.batch else {"method": "BFGS"}
-            )
-            best = minimize(part(0), u[along], jac=part(1), options={"gtol": 1e-5}, **method)
-            u[along] = best.x
-        return u, float(self.loglik(u[:, None])[0])
+        Raises
+        ------
+        ValueError
+            The likelihood is zero or no number at the start.
+        """
+        along, (radius, longest, shortest) = list(along), RADII
+        if not along:
+            return u
+        here = derivatives(self.loglik, u, along, second)
+        if not _are_numbers(here):
+            start = dict(zip(map(str, self.parameters), self.values(u).tolist(), strict=True))
+            place = self._irregular(u) if np.isfinite(here[0]) else "it is zero or no number there"
+            raise ValueError(f"free: wanted a start with a likelihood, got {start}; {place}")
+        value, slopes, curvature = here
+        curvature = -np.eye(len(along)) if curvature is None else curvature
+        for number in range(STEPS):
+            LOG.info("fit: step %d, log-likelihood %.6f at %s", number, value, self.values(u))
+            step = uphill(slopes, curvature, radius)
+            expected = slopes @ step + 0.5 * step @ curvature @ step
+            there, later = u.copy(), None
+            there[along] += step
+            if not expected > NEAR + 1e-14 * abs(value):
+                return there if self.loglik(there[:, None])[0] >= value else u
+            if radius < shortest:
+                break
+            if self.batch or self.loglik(there[:, None])[0] > value:
+                later = derivatives(self.loglik, there, along, second)
+            rises = later is not None and _are_numbers(later) and later[0] > value
+            part = (later[0] - value) / expected if rises else -1.0
+            if part < 0.25:
+                radius = 0.25 * min(radius, np.linalg.norm(step))
+            elif part > 0.75:
+                radius = min(max(radius, 2.0 * np.linalg.norm(step)), longest)
+            if rises:
+                if later[2] is None:  # a formula of rank one that gives the new slopes
+                    missing = later[1] - slopes - curvature @ step
+                    if abs(missing @ step) > 1e-8 * np.linalg.norm(missing) * np.linalg.norm(step):
+                        curvature = curvature + np.outer(missing, missing) / (missing @ step)
+                else:
+                    curvature = later[2]
+                u, value, slopes = there, later[0], later[1]
+        return u
 
     def maximum(self, u: np.ndarray) -> Fit:
-        """The maximum, polished by Newton's steps, with its errors and whether it is one."""
-        every = range(len(u))
-        loglik, slopes, curvature = derivatives(self.loglik, u, every)
-        for _ in range(4):
-            definite = _is_negative(curvature)
-            if not definite:
-                break
-            step = np.linalg.solve(curvature, slopes)
-            later = derivatives(self.loglik, u - step, every)
-            if not later[0] > loglik:
-                break
-            u, (loglik, slopes, curvature) = u - step, later
+        """The fit at a maximum, with its errors and whether it is one."""
+        loglik, slopes, curvature = derivatives(self.loglik, u, range(len(u)))
+        information = -np.diagonal(curvature)
+        bound = self.positive & (np.abs(information) < BOUND)
+        bound &= np.abs(u - self.free(self.start)) > 3.0
         values, cov = self.values(u), np.full((len(u), len(u)), np.nan)
+        inside = np.flatnonzero(~bound)
+        definite, message = _is_negative(curvature[np.ix_(inside, inside)]), ""
         if definite:
-            rise = -0.5 * slopes @ np.linalg.solve(curvature, slopes)
-            message = "" if rise < CONVERGED else f"the log-likelihood can rise by about {rise:.2g}"
-            slope = (self.values(u + STEP) - self.values(u - STEP)) / (2 * STEP)
-            cov = np.linalg.inv(-curvature) * np.outer(slope, slope)
-        else:
-            message = "the log-likelihood does not curve down: too many parameters"
+            part = curvature[np.ix_(inside, inside)]
+            rise = -0.5 * slopes[inside] @ np.linalg.solve(part, slopes[inside])
+            if not rise < CONVERGED:
+                message = f"the log-likelihood can rise by about {rise:.2g}"
+            slope = (self.values(u + STEP) - self.values(u - STEP))[inside] / (2 * STEP)
+            cov[np.ix_(inside, inside)] = np.linalg.inv(-part) * np.outer(slope, slope)
+        if message or not definite:
+            message = self._irregular(u) or message or self._flat(curvature, inside)
+        for k in np.flatnonzero(bound):
+            goes = "zero" if u[k] < self.free(self.start)[k] else "infinity"
+            message = (
+                f"{self.parameters[k]} goes to {goes}, its bound" + "; " * bool(message) + message
+            )
         return Fit(
             self.parameters,
             values,
@@ -269,6 +315,57 @@ class _Likelihood:
             self.evaluations,
             self,
         )
+
+    def _named(self, chosen: Iterable[int]) -> str:
+        return ", ".join(str(self.parameters[k]) for k in chosen)
+
+    def _irregular(self, u: np.ndarray) -> str:
+        """What is wrong with the likelihood near u, or nothing: no numbers, or rough ones."""
+        steps = STEP * np.array([1.0, -1.0, 2.0, -2.0])
+        ends = u[:, None, None] + np.eye(len(u))[:, :, None] * steps
+        here = self.loglik(u[:, None])[0]
+        rise = self.loglik(ends.reshape(len(u), -1)).reshape(-1, 4) - here
+        if len(none := np.flatnonzero(np.isnan(rise).any(axis=1))):
+            return f"the likelihood is zero or no number beside it in {self._named(none)}"
+        # curvatures of one and of two steps; both are rounding where it is flat
+        one, two = rise[:, :2].sum(axis=1), rise[:, 2:].sum(axis=1) / 4.0
+        rough = np.abs(one - two) > 0.5 * np.maximum(np.abs(one), np.abs(two)) + 1e-10 * abs(here)
+        names = self._named(np.flatnonzero(rough))
+        return f"the log-likelihood is rough in {names}, as random numbers make it" if names else ""
+
+    def _flat(self, curvature: np.ndarray, inside: np.ndarray) -> str:
+        """Along which parameters the log-likelihood does not curve down."""
+        part = curvature[np.ix_(inside, inside)]
+        size = np.sqrt(np.abs(np.diagonal(part)))
+        size = np.where(size > 0, size, 1.0)
+        direction = np.linalg.eigh(part / np.outer(size, size))[1][:, -1]
+        names = self._named(inside[np.abs(direction) > 0.1])
+        return f"the log-likelihood does not curve down along {names}: too many parameters"
+
+
+def _are_numbers(derivatives: tuple[Any, ...]) -> bool:
+    """Whether a likelihood and its derivatives are finite."""
+    return all(part is None or np.isfinite(part).all() for part in derivatives)
+
+
+def uphill(slopes: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
+    """Step of at most this length to where the quadratic model of a function is largest."""
+    values, vectors = np.linalg.eigh(curvature)
+    slope, top = vectors.T @ slopes, max(values[-1], 0.0)
+
+    def step(shift: float) -> np.ndarray:
+        return slope / (shift - values)
+
+    if values[-1] < 0.0 and np.linalg.norm(step(0.0)) <= radius:
+        return vectors @ step(0.0)
+    low, high = top, top + np.linalg.norm(slope) / radius
+    for _ in range(60):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.linalg.norm(step(middle)) > radius else (low, middle)
+    found = step(high) if high > values[-1] else np.zeros_like(slope)
+    # a slope without a part in the direction that curves up: either side of it will do
+    found[-1] += np.copysign(np.sqrt(max(radius**2 - found @ found, 0.0)), found[-1])
+    return vectors @ found
 
 
 def _is_negative(curvature: np.ndarray) -> bool:

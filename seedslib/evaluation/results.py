@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.checks import optional
 
 
 @dataclass(frozen=True, repr=False)
@@ -180,7 +181,8 @@ class Comparison(Mapping[str, Evaluation]):
         ValueError
             Another number of names.
         """
-        import pandas
+        with optional("tables"):
+            import pandas
 
         table: dict[str, list[Any]] = {}
         for name, pairs in self._columns(names).items():

@@ -6,10 +6,9 @@ import math
 import os
 import re
 import textwrap
-from collections import Counter
 from collections.abc import Callable
 from importlib.resources import files
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -17,34 +16,18 @@ from seedslib.base.atomic import write_whole
 from seedslib.designed.identity import model_text
 from seedslib.designed.tables import TableFilter
 from seedslib.export.programs import recorded
-from seedslib.export.step import Step
-from seedslib.export.tape import (
-    SIGNS,
-    Array,
-    Let,
-    Load,
-    Loop,
-    Number,
-    Refuse,
-    Scalar,
-    Store,
-    When,
-    walk,
-)
 from seedslib.filters.covariance import CovarianceFilter
+from seedslib.filters.step import Step
 from seedslib.models.kinds import switches
+from seedslib.tape.tape import Array, Loop, Number, Scalar, When
+from seedslib.tape.writer import Writer
 
 WIDTH = 100
 PER_LINE = 4
 """Numbers of a table in a line."""
 
-LONGEST = 60
-"""Characters of a value that is written where it is used."""
 
-SHAPES = {"neg": "-{}", "!": "!{}", "choose": "{} ? {} : {}"}
-
-
-class C:
+class C(Writer):
     """How C spells a program.
 
     Parameters
@@ -53,61 +36,46 @@ class C:
         Prefix of the names of tables and types.
     """
 
+    shapes: ClassVar[dict[str, str]] = {
+        **Writer.shapes,
+        **{"neg": "-{}", "!": "!{}", "choose": "{} ? {} : {}"},
+    }
+    end = "}"
+
     def __init__(self, name: str) -> None:
+        super().__init__()
         self.name = name
         self.types = {"real": f"{name}_real", "time": "double", "int": "int", "truth": "int"}
-        self.inlined: dict[str, str] = {}
-        self.compound: set[str] = set()
 
     def constant(self, value: float) -> str:
-        """A number that is read back exactly."""
+        """See `Writer.constant`."""
         if math.isnan(value):
             return "(double)NAN"
         return repr(float(value)) if math.isfinite(value) else "-HUGE_VAL"[value > 0 :]
 
-    def whole(self, value: Number) -> str:
-        """A name, an expression in its place, or a constant."""
-        if type(value) is not Scalar:
-            return self.constant(value)
-        return self.inlined.get(value.name, value.name)
-
-    def number(self, value: Number) -> str:
-        """The same where it is a part of an expression."""
-        part = type(value) is Scalar and value.name in self.compound
-        return f"({self.whole(value)})" if part else self.whole(value)
-
-    def operation(self, operation: str, operands: tuple[Number, ...]) -> str:
-        """An expression."""
-        parts = [self.number(x) for x in operands]
-        if operation in SIGNS:
-            return f"{parts[0]} {operation} {parts[1]}"
-        if operation in SHAPES:
-            return SHAPES[operation].format(*parts)
-        return f"{operation}({', '.join(map(self.whole, operands))})"
-
     def place(self, array: Array, index: tuple[Number, ...]) -> str:
-        """A place in memory; arrays of which all places are known are one variable a place."""
+        """See `Writer.place`; arrays of which all places are known are one variable a place."""
         if array.owner == "local" and not array.indexed:
-            return "_".join([array.name, *(str(int(x)) for x in index)])
+            return self.variable(array, index)
         lead = {"state": "s->", "table": f"{self.name}_"}.get(array.owner, "")
         places = (f"(int){self.number(x)}" if type(x) is Scalar else str(int(x)) for x in index)
         return lead + array.name + "".join(f"[{place}]" for place in places)
 
-    def load(self, array: Array, index: tuple[Number, ...]) -> str:
-        """A number from memory."""
-        return self.place(array, index)
-
     def let(self, result: Scalar, text: str) -> str:
-        """A named value."""
+        """See `Writer.let`."""
         return f"const {self.types[result.kind]} {result.name} = {text};"
 
     def store(self, array: Array, place: str, value: Number) -> str:
-        """A value put into memory."""
+        """See `Writer.store`."""
         value = f"(int){self.number(value)}" if array.kind == "int" else self.whole(value)
         return f"{place} = {value};"
 
     def head(self, statement: When | Loop) -> str:
-        """What stands before a block."""
+        """See `Writer.head`."""
+        return f"{self.condition(statement)} {{"
+
+    def condition(self, statement: When | Loop) -> str:
+        """What a block depends on."""
         (operand,) = statement.operands
         if isinstance(statement, When):
             return f"if ({self.whole(operand)})"
@@ -115,7 +83,7 @@ class C:
         return f"for (double {i} = 0.0; {i} < {self.number(operand)}; {i} += 1.0)"
 
     def refuse(self, condition: Number, code: str) -> str:
-        """The end of the step with a code."""
+        """See `Writer.refuse`."""
         return f"if ({self.whole(condition)}) return {self.name.upper()}_{code};"
 
     def local(self, array: Array) -> list[str]:
@@ -126,53 +94,14 @@ class C:
         places = (self.place(array, index) for index in np.ndindex(*array.shape))
         return [f"{kind} {place} = 0.0;" for place in places]
 
-    def body(self, step: Step) -> list[str]:
+    def step(self, step: Step) -> list[str]:
         """The lines of a step: its memory, then the statements."""
-        block = step.program()
-        uses = Counter(x.name for one in walk(block) for x in one.operands if type(x) is Scalar)
-        self.once = {name for name, count in uses.items() if count == 1}
-        lines = self.lines(block)
+        lines = self.body(step.program())
         used = set(re.findall(r"\w+", "\n".join(lines)))
         local = [a for a in step.arrays.values() if a.owner == "local"]
         memory = [line for a in local for line in self.local(a)]
         memory = [line for line in memory if re.split(r"[ \[]", line)[1] in used]
         return [f"    {line}" for line in memory] + lines
-
-    def lines(self, block: list[Any], indent: str = "    ") -> list[str]:
-        """The statements of a block."""
-        result = []
-        own = {
-            x.name
-            for one in block
-            if not isinstance(one, Loop)
-            for x in one.operands
-            if type(x) is Scalar
-        }
-        for one in block:
-            if isinstance(one, Let | Load):
-                text = (
-                    self.operation(one.operation, one.operands)
-                    if isinstance(one, Let)
-                    else self.load(one.array, one.operands)
-                )
-                fixed = isinstance(one, Let) or one.array.owner in {"argument", "table"}
-                if fixed and one.result.name in self.once & own and len(text) <= LONGEST:
-                    self.inlined[one.result.name] = text
-                    if isinstance(one, Let) and one.operation in SIGNS | SHAPES.keys():
-                        self.compound.add(one.result.name)
-                    continue
-                text = self.let(one.result, text)
-            elif isinstance(one, Store):
-                *index, value = one.operands
-                text = self.store(one.array, self.place(one.array, tuple(index)), value)
-            elif isinstance(one, Refuse):
-                text = self.refuse(one.operands[0], one.code)
-            else:
-                result.append(f"{indent}{self.head(one)} {{")
-                result += [*self.lines(one.block, indent + "    "), indent + "}"]
-                continue
-            result.append(indent + text)
-        return result
 
 
 def shape(array: Array) -> str:
@@ -305,11 +234,11 @@ def header(step: Step, name: str) -> str:
     sizes = (f"#define {upper}_{key} {value}\n" for key, value in dimensions(step).items())
     start = (
         f"    {writer.place(step.arrays[field], index)} = {writer.constant(value)};\n"
-        for field, values in step.start().items()
+        for field, values in step.initial.items()
         for index, value in np.ndenumerate(values)
     )
     untold = f"    if (held == NULL || u == NULL) return {upper}_UNTOLD;"
-    lines = [untold] * bool(step.inputs) + writer.body(step)
+    lines = [untold] * bool(step.inputs) + writer.step(step)
     names = {"name": name, "NAME": upper}
     inputs = (f", const {name}_real *u", ", u, u") if step.inputs else ("", "")
     halves = filled("halves.h", {**names, "INPUTS": inputs[0], "PASSED": inputs[1]})

@@ -33,9 +33,9 @@ from seedslib.designed.tables import OutputFilter
 from seedslib.export.c import arguments, header
 from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
-from seedslib.export.step import CODES, Step
 from seedslib.filters.base import Estimates, Filter, as_indicators
 from seedslib.filters.covariance import CovarianceFilter
+from seedslib.filters.step import CODES, Step
 
 if TYPE_CHECKING:
     from typing import Self

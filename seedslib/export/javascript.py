@@ -12,8 +12,8 @@ import numpy as np
 from seedslib.base.atomic import write_whole
 from seedslib.export.c import C, about, arguments, carries_cov, filled, shape
 from seedslib.export.programs import recorded
-from seedslib.export.step import CODES, Step
-from seedslib.export.tape import Array, Loop, Number, Scalar, When
+from seedslib.filters.step import CODES, Step
+from seedslib.tape.tape import Array, Loop, Number, Scalar, When
 
 
 class JavaScript(C):
@@ -48,7 +48,7 @@ class JavaScript(C):
     def place(self, array: Array, index: tuple[Number, ...]) -> str:
         """See `C.place`."""
         if array.owner == "local" and not array.indexed:
-            return super().place(array, index)
+            return self.variable(array, index)
         if not array.shape and array.owner == "argument":
             return array.name
         strides = np.cumprod([1, *array.shape[:0:-1]])[::-1].tolist()[: len(index)]
@@ -69,10 +69,10 @@ class JavaScript(C):
         """See `C.store`."""
         return f"{place} = {self.whole(value)};"
 
-    def head(self, statement: When | Loop) -> str:
-        """See `C.head`."""
+    def condition(self, statement: When | Loop) -> str:
+        """See `C.condition`."""
         if isinstance(statement, When):
-            return super().head(statement)
+            return super().condition(statement)
         i = statement.index.name
         return f"for (let {i} = 0; {i} < {self.number(statement.operands[0])}; {i}++)"
 
@@ -136,7 +136,7 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
         "GIVEN": ", ".join(names),
         "M": step.m,
         "N": step.rows,
-        "LINES": "\n".join(writer.body(step)),
+        "LINES": "\n".join(writer.step(step)),
         "RECORD": ", ".join(record[name] for name in names if name != "held"),
         "EACH": ", ".join(each[name] for name in names),
         "INPUTS": inputs[0],
@@ -180,7 +180,7 @@ def _getters(step: Step, writer: JavaScript) -> list[str]:
 
 def _start(step: Step, writer: JavaScript) -> list[str]:
     result = []
-    for name, values in step.start().items():
+    for name, values in step.initial.items():
         numbers = ", ".join(writer.constant(value) for value in np.ravel(values).tolist())
         result.append(f"  state.S.set([{numbers}], {writer.start[name]});\n")
     return result

@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.export.c import SIGNS, C, shape
-from seedslib.export.step import Step
-from seedslib.export.tape import Array, Let, Load, Loop, Number, Scalar, Store, When
+from seedslib.export.c import C, shape
+from seedslib.filters.step import Step
+from seedslib.tape.tape import SIGNS, Array, Let, Load, Loop, Number, Scalar, Store, When
 
 RESULTS = ("mean", "cov", "loglik", "prob", "mode")
 """What is handed out of the state after each measurement; vectors in any case."""
@@ -112,11 +112,11 @@ class Lanes(C):
             return super().refuse(condition, code)
         return f"if (any({self.truth(condition)} & {self.mask})) return {self.name.upper()}_{code};"
 
-    def head(self, statement: When | Loop) -> str:
-        """See `C.head`."""
+    def condition(self, statement: When | Loop) -> str:
+        """See `C.condition`."""
         (operand,) = statement.operands
         if not self.differs(operand):
-            return super().head(statement)
+            return super().condition(statement)
         self.masks += 1
         mask = self.inner = f"m{self.masks}"
         if isinstance(statement, When):
@@ -180,7 +180,7 @@ def varying(program: list[Any]) -> set[str]:
 def to_lanes(step: Step, name: str) -> str:
     """C that runs whole records of a filter; it stands behind the header of that name."""
     text, own = files("seedslib.export").joinpath("lanes.c").read_text(), Lanes(step, name)
-    body = "\n".join(own.body(step))
+    body = "\n".join(own.step(step))
     called = sorted(set(re.findall(r"\bv_(\w+)\(", body)) - INLINE)
     modes = [("prob", "F_MODES"), ("mode", "1")]
     for mark, part in (

@@ -13,11 +13,13 @@ from itertools import repeat
 from operator import itemgetter
 from typing import Any
 
-import distributed
-from distributed.client import ClosedClientError
-from distributed.comm import CommClosedError
-
+from seedslib.base.checks import optional
 from seedslib.design.paths import Executor
+
+with optional("cluster"):
+    import distributed
+    from distributed.client import ClosedClientError
+    from distributed.comm import CommClosedError
 
 PATIENCE = 30
 """Seconds for a scheduler to answer, and for a first worker to come."""

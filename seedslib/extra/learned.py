@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, optional
 from seedslib.base.progress import followed
 from seedslib.design.regression import ABSOLUTE, fit_forecast, scatter
 from seedslib.design.samples import MemoryPaths, Sample
@@ -242,13 +242,8 @@ def _forecast(sample: Sample, components: int) -> LearnedForecast:
 
 
 def _boosting() -> object:
-    try:
+    with optional("learn"):
         from sklearn.ensemble import HistGradientBoostingRegressor
-    except ImportError:
-        raise ImportError(
-            "regressor: the default one wants scikit-learn, which is not installed; "
-            'pip install "seedslib[learn]", or give a regressor'
-        ) from None
     return HistGradientBoostingRegressor(max_iter=80, max_leaf_nodes=24, early_stopping=False)
 
 

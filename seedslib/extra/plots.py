@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_count
+from seedslib.base.checks import as_count, optional
 from seedslib.filters.base import Estimates
 
 COLOURS = "#0042b4", "#ca8100", "#0ba86c", "#9e2b78", "#4798e3", "#5f3200", "#111111"
@@ -108,12 +108,8 @@ def _axes(given, count):
         if len(axes) != count:
             raise ValueError(f"axes: wanted {count}, got {len(axes)}")
         return axes
-    try:
+    with optional("plots"):
         from matplotlib import pyplot
-    except ImportError:
-        raise ImportError(
-            'a picture wants matplotlib, which is not installed; pip install "seedslib[plots]"'
-        ) from None
     size = (6.4, 1.0 + (2.8 if count == 1 else 1.9 * count))
     axes = pyplot.subplots(
         count, 1, sharex=True, squeeze=False, figsize=size, layout="constrained"

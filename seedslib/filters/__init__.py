@@ -3,7 +3,7 @@
 And what all filters share: estimates, mixtures, weights of modes. No synthesis, no tables, no
 files.
 
-May import: base, models, linearization.
+May import: base, tape, models, linearization.
 """
 
 from seedslib.base.lazy import lazy_names

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 
 import numpy as np
@@ -10,10 +11,12 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole
+from seedslib.base.checks import as_real, as_whole, optional
 from seedslib.base.clock import when
 from seedslib.base.objects import Pickled, changed
 from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
+from seedslib.filters.single import Single
+from seedslib.filters.step import Step
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import (
     AnySystem,
@@ -106,7 +109,8 @@ class Estimates(NamedTuple):
         ValueError
             Another number of times or names.
         """
-        import pandas
+        with optional("tables"):
+            import pandas
 
         (count, n), times = self.mean.shape[:2], np.asarray(times)
         names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
@@ -307,13 +311,19 @@ def stacked(reports: Iterable[Estimates], count: int) -> Estimates:
                 column[k] = part
             else:
                 column[k].T[...] = np.transpose(part)
+    return with_divergence(Estimates(**columns, diverged=diverged))
+
+
+def with_divergence(estimates: Estimates) -> Estimates:
+    """Estimates that say which records have diverged, beside those of which it is known."""
+    mean, cov, _, loglik, diverged, _ = estimates
     # what is no number once is none at the end, or on the way back at the beginning
-    diverged = diverged | ~np.isfinite(columns["mean"]).all(axis=(0, 1))
-    if "cov" in columns:
-        diverged = diverged | np.isnan(columns["cov"][[0, -1]]).all(axis=(1, 2)).any(axis=0)
-    if "loglik" in columns:
-        diverged = diverged | (columns["loglik"] == -np.inf).any(axis=0)
-    return Estimates(**columns, diverged=np.asarray(diverged))
+    diverged = diverged | ~np.isfinite(mean).all(axis=(0, 1))
+    if cov is not None:
+        diverged = diverged | np.isnan(cov[[0, -1]]).all(axis=(1, 2)).any(axis=0)
+    if loglik is not None:
+        diverged = diverged | (loglik == -np.inf).any(axis=0)
+    return estimates._replace(diverged=np.asarray(diverged))
 
 
 CORE_AXES = Estimates(mean=2, cov=3, mode_prob=2, loglik=1, diverged=0, modes=1)
@@ -381,11 +391,70 @@ class Filter(Pickled):
         values, **named
             As `bind` of the system; an array (*batch) gives each record its own number.
         """
+        _ = self._single  # recorded once for all numbers
         return changed(self, system=self.system.bind(values, **named))
 
     def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
         """Numbers of the model's parameters, see `Parametrized.values`."""
         return self.system.values(inputs, dt)
+
+    # One record: its program
+
+    @cached_property
+    def _single(self) -> Single:
+        return Single()
+
+    def program(self, **options: Any) -> Step:
+        """The program of one measurement, see `seedslib.tape`.
+
+        Parameters
+        ----------
+        **options
+            Of `Step`.
+
+        Raises
+        ------
+        TypeError, ValueError
+            A kind of filter that has none; a part of the filter without formulas.
+        """
+        tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
+        raise TypeError(
+            "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
+            f"CovarianceFilter, got {type(self).__name__}" + tables * hasattr(self, "tabulated")
+        )
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """Whether a state is of one record, and one that the program steps on to time t from.
+
+        Raises
+        ------
+        ValueError
+            A time that `predict` refuses.
+        """
+        raise NotImplementedError
+
+    def numbers_of(self, state: Any) -> dict[str, Any]:
+        """The arrays of the program's state, by their names; zero where they lack or are None."""
+        raise NotImplementedError
+
+    def state_of(self, parts: dict[str, Any], t: float, before: Any) -> Any:
+        """The state after a measurement from the arrays of the program's state.
+
+        Parameters
+        ----------
+        parts : dict of float or ndarray by name
+        t : float
+        before : NamedTuple
+            An earlier state of the record.
+        """
+        raise NotImplementedError
+
+    def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
+        """Estimates of a record from the arrays of its program's states, (K+1, ...)."""
+        cov, modes = (parts["cov"] if covariances else None), parts.get("mode")
+        modes = None if modes is None else modes.astype(int)
+        loglik, diverged = parts["loglik"], np.asarray(False)
+        return Estimates(parts["mean"], cov, parts.get("prob"), loglik, diverged, modes)
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
@@ -512,6 +581,10 @@ class Filter(Pickled):
         TypeError, ValueError
             As `predict` and `correct`.
         """
+        if mode is None and self._single.of(self):
+            later = self._single.step(self, state, t, y, indicator, inputs)
+            if later is not None:
+                return later
         modes = () if mode is None else (mode,)
         indicators = () if indicator is None else (indicator,)
         state = self.predict(state, t, *modes, inputs=inputs)
@@ -599,6 +672,8 @@ class Filter(Pickled):
             refuse.
         """
         batch, record = self.records_of(times, measurements, indicators, modes, inputs)
+        if not batch and self._single.of(self):
+            return with_divergence(self.estimates_of(self._single.run(self, record)))
 
         def work(record: Record, stream: Any) -> Estimates:
             reports = (self.report(state) for state in walk(self, record, stream))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -12,12 +12,13 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import align
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
-from seedslib.base.clock import step_count
+from seedslib.base.clock import MOST_STEPS, SAME, step_count
 from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
 from seedslib.base.values import Values
-from seedslib.filters.base import Estimates, Filter
-from seedslib.linearization.moments import Linearization, Moments, as_linearization
+from seedslib.filters.base import Estimates, Filter, first_step, stays
+from seedslib.filters.step import Step
+from seedslib.linearization.moments import Linearization, Matrices, Moments, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
 from seedslib.models.maps import StochasticMap
@@ -261,6 +262,94 @@ class CovarianceFilter(Filter):
         except (OverflowError, ZeroDivisionError):
             return [np.full(np.shape(part), np.nan) for part in parts]
         return parts
+
+    def program(self, **options: Any) -> Step:
+        """See `Filter.program`; the first state must have a distribution, the maps formulas."""
+        from seedslib.filters.kernels import (
+            correct,
+            lower_of,
+            map_moments,
+            moment_rates,
+            settled,
+            unpacked,
+        )
+
+        self._require_formulas()
+        step, system, rule, n = Step(self, **options), self.system, self.linearization, self.n
+        step.initial = {"mean": system.mean0, "cov": system.cov0}
+        by_points, t = isinstance(rule, PointRule), step.timed(again=True)
+        moving = step.array("moving", (n * (n + 3) // 2,))
+        moving.store([*step.mean.all, *lower_of(step.cov.all)])
+        last_time = step.last_time.all
+        later = (step.started.all > 0.0) & (t > last_time)
+        span = t - last_time
+        if self.continuous:
+            count = np.maximum(1.0, np.ceil(span / self.integration_step - SAME))
+            step.refuse(later & ~(count <= float(MOST_STEPS)), "TIME")
+        with step.when(later):
+            p = step.since(span)
+            if self.continuous:
+                rates = partial(self._rate, p=p)
+                if by_points:
+                    rates = moment_rates(step, rule, system, p)
+                h = span / count
+                with step.loop(count) as i:
+                    moved = STEPS[self.integrator](rates, last_time + i * h, list(moving.all), h)
+                    moving.store(moved)
+            else:
+                given = last_time, *unpacked(moving.all, n), p
+                mean, _, cov = map_moments(step, rule, system.dynamics, *given)
+                moving.store([*mean, *lower_of(cov)])
+        mean, cov = unpacked(moving.all, n)
+        moments = map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
+        mean, after, loglik, _ = correct(step, mean, cov, moments, system.sensor, exact=True)
+        step.cov.store(settled(step, after, cov) if by_points else after)
+        step.mean.store(mean)
+        step.loglik.store(loglik)
+        step.last_time.store(t)
+        step.started.store(1.0)
+        return step
+
+    def _require_formulas(self) -> None:
+        """Refuse a first state without a distribution, and maps and rules without formulas."""
+        system, rule = self.system, self.linearization
+        if getattr(system, "diffuse", ()):
+            raise ValueError(
+                "system: wanted a first state with a distribution to write in C, got a diffuse one"
+            )
+        if not (hasattr(rule, "formulas") or isinstance(rule, PointRule | Matrices)):
+            raise TypeError(
+                f"linearization: wanted formulas or a rule with points to write in C, got {rule!r}"
+            )
+        maps = [system.sensor, system.drift_map if self.continuous else system.dynamics]
+        if not all(map.symbolic or getattr(map, "formulas", None) is not None for map in maps):
+            raise ValueError(
+                "system: wanted symbolic expressions to write in C, got array functions"
+            )
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        if not stays(state, t):
+            first_step(state, t, self.system)
+        return state.mean.ndim == 1
+
+    def numbers_of(self, state: Any) -> dict[str, Any]:
+        """See `Filter.numbers_of`."""
+        started = state.time is not None
+        time = {"t": state.time if started else 0.0, "started": started}
+        return time | {"mean": state.mean, "cov": state.cov}
+
+    def state_of(self, parts: dict[str, Any], t: float, before: FilterState) -> FilterState:
+        """See `Filter.state_of`."""
+        interval = before.interval
+        if interval is None and not stays(before, t):
+            interval = t - before.time
+        return FilterState(t, parts["mean"], parts["cov"], parts["loglik"], interval)
+
+    def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
+        """See `Filter.estimates_of`; a record diverges where its mean is beyond the bound."""
+        beyond = (np.abs(parts["mean"]) > self.bound).any()
+        return super().estimates_of(parts)._replace(diverged=beyond)
 
     def smoother(self) -> Any:
         """See `Filter.smoother`."""

@@ -108,7 +108,7 @@ class GridBayesFilter(Filter):
         shape = (self._modes, self._count)
         node_prob = align(self.chain.initial.reshape(shape), 2, len(batch))
         log_prob, node_prob = _split(np.broadcast_to(node_prob, (*shape, *batch)))
-        self._warn_of_loss(log_prob, 0.0)
+        self._warn_of_loss(self.chain.missed)
         parts = {"log_prob": log_prob, "node_prob": node_prob}
         return GridState(None, **parts, **self._estimate(**parts), **clean(batch))
 
@@ -116,10 +116,8 @@ class GridBayesFilter(Filter):
         """The distribution one step of the system later."""
         shape, transition = state.node_prob.shape, self.chain.transition(state.time, t, p)
         weight, highest, _ = relative(state.log_prob, 0)
-        joint = weight[:, None] * state.node_prob
-        log_prob, node_prob = _split(
-            (transition @ joint.reshape(len(transition), -1)).reshape(shape)
-        )
+        joint = (weight[:, None] * state.node_prob).reshape(len(transition), -1)
+        log_prob, node_prob = _split((transition @ joint).reshape(shape))
         faint = log_prob < FAINT
         log_prob += highest
         for l in np.flatnonzero(faint.any(axis=tuple(range(1, faint.ndim)))):
@@ -127,7 +125,8 @@ class GridBayesFilter(Filter):
             log_prob[l, mask], node_prob[l][:, mask] = self._into_mode(
                 l, transition, state.log_prob[:, mask], state.node_prob[:, :, mask]
             )
-        self._warn_of_loss(log_prob, state.log_prob)
+        with np.errstate(invalid="ignore"):  # nothing was left before
+            self._warn_of_loss(self.chain.loss(state.time, t, p) @ joint / joint.sum(axis=0))
         parts = {"log_prob": log_prob, "node_prob": node_prob}
         return state._replace(**parts, **self._estimate(**parts))
 
@@ -183,16 +182,12 @@ class GridBayesFilter(Filter):
         """Mode probabilities or None, mean and covariance of joint distributions (S, N)."""
         return self._estimate(*_split(joint.reshape(self._modes, self._count, -1)))
 
-    def _warn_of_loss(self, log_prob: np.ndarray, before: np.ndarray | float) -> None:
-        """Warn where a step changes the probability: by what leaves the nodes or is between."""
-        if not self.chain.loses:
-            return
-        with np.errstate(invalid="ignore"):  # nothing was left before
-            change = np.abs(np.expm1(log_prob - before))
-        if (change > LOSS).any():
+    def _warn_of_loss(self, lost: np.ndarray | float) -> None:
+        """Warn of the probability that leaves the nodes in a step or is between them."""
+        if np.max(lost) > LOSS:
             warnings.warn(
-                f"x: more than {LOSS:g} of the probability leaves the nodes in a step, and is "
-                "dropped, or they are too coarse for the noise; compare with a run on more of them",
+                f"x: more than {LOSS:g} of the probability leaves the nodes in a step, or they "
+                "are too coarse for the noise; compare with a run on more of them",
                 stacklevel=outside(),
             )
 

@@ -12,6 +12,7 @@ from seedslib.base.lazy import lazy_names
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from seedslib.linearization.formulas import Formulas as Formulas
     from seedslib.linearization.moments import Gaussian as Gaussian
     from seedslib.linearization.moments import Linearization as Linearization
     from seedslib.linearization.moments import Matrices as Matrices

@@ -22,6 +22,7 @@ from seedslib.linearization.moments import (
 )
 from seedslib.models.codegen import batch_of, compile_components, stack
 from seedslib.models.maps import StochasticMap
+from seedslib.tape.tape import choose
 
 Parts: TypeAlias = tuple[sympy.Matrix, sympy.Matrix, sympy.Matrix | None]
 """E y (m, 1), cov(x, y) (n, m) and cov y (m, m) or None."""
@@ -195,6 +196,9 @@ def _compiled(arguments: tuple, parts: Sequence) -> Callable[..., list]:
 
 def _weighted(mass: np.ndarray, moments: list[np.ndarray]) -> Weighted:
     """Zero for the mass of an empty branch (rounding may be negative), NaN for its moments."""
+    if mass.dtype == object:  # of a program
+        mass = choose(mass[()] < TINY, 0.0, mass[()])
+        return Weighted(mass, Gaussian(*moments[:2]), Moments(*moments[2:]))
     empty = mass < TINY
     if empty.any():
         moments = [np.where(empty, np.nan, part) for part in moments]

@@ -189,7 +189,8 @@ class Matrices(Linearization):
 
         def f(t: float, mean: np.ndarray, cov: np.ndarray, p: Values = ()) -> Moments:
             slope = map.slope_at(t, p)
-            y = map.pushed(t, product(slope, mean, 1), p)
+            y = product(slope, mean, 1)
+            y = y + align(map.offset_at(t, p), 1, y.ndim - 1)
             cross = product(slope, cov, 2).swapaxes(0, 1)
             if not spread:
                 return Moments(y, cross, None)

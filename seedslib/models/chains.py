@@ -5,7 +5,6 @@ What the exact recursions ask of a model, as a `GridChain` that `grid_chain` mak
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
@@ -27,10 +26,7 @@ from seedslib.base.values import Values
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.maps import StochasticMap
-from seedslib.models.switching import Branch, SwitchingSystem
-
-OUTSIDE = 1e-6
-"""Probability in the outermost cells above which a grid is too short."""
+from seedslib.models.switching import CLOSE, Branch, SwitchingSystem
 
 STORED = 64
 """Transitions that are stored, of times or of values of inputs."""
@@ -62,9 +58,12 @@ class GridChain:
     initial : ndarray, shape (S,)
         Initial probabilities.
     matrix : callable
-        ``matrix(start, stop, p)``, probabilities (S, S) of a transition, column by column.
+        ``matrix(start, stop, p)``, probabilities (S, S) of a transition, column by column, and
+        the `loss` (S,) in it.
     steady : bool
         Whether it depends on the length of the step only.
+    missed : float
+        Initial probability beyond the nodes or between them.
     stored : int
         How many matrices are stored, of times or of values of inputs.
     loses : bool
@@ -85,8 +84,9 @@ class GridChain:
         system: Any,
         axes: Sequence[Axis | Nodes],
         initial: Any,
-        matrix: Callable[[float, float, Values], np.ndarray] | None = None,
+        matrix: Callable[[float, float, Values], tuple[np.ndarray, np.ndarray]] | None = None,
         *,
+        missed: float = 0.0,
         steady: bool = False,
         stored: int = STORED,
         loses: bool = False,
@@ -95,6 +95,7 @@ class GridChain:
         self.system: Any = system
         self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
         self.initial: Any = initial
+        self.missed: float = missed
         self.steady, self.stored, self.loses = steady, stored, loses
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes if switching else 1
@@ -138,8 +139,22 @@ class GridChain:
         Raises
         ------
         ValueError
-            A parameter that has a number for each path; noise that does not move the state.
+            A parameter that has a number for each path; noise that does not move the state;
+            probabilities that are none.
         """
+        return self._moved(start, stop, p)[0]
+
+    def loss(self, start: float, stop: float, p: Values | None = None) -> np.ndarray:
+        """Probability (S,) that a step from each state goes beyond the nodes or between them.
+
+        Parameters
+        ----------
+        start, stop, p
+            As `transition`.
+        """
+        return self._moved(start, stop, p)[1]
+
+    def _moved(self, start: float, stop: float, p: Values | None) -> tuple[np.ndarray, np.ndarray]:
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
         p = self.numbers(p, stop - start)
@@ -198,15 +213,10 @@ class GridChain:
         parts = [mean_and_deviation(sensor, t, self.nodes, p) for sensor in self._sensors]
         return tuple(np.concatenate(part, axis=1) for part in zip(*parts, strict=True))
 
-    def look_at_ends(self, mass: np.ndarray) -> None:
-        """Warn where the probability reaches the ends of the grid; mass of shape (S,)."""
+    def at_ends(self, mass: np.ndarray) -> float:
+        """Probability of the likelier one of the outermost cells; mass of shape (S,)."""
         mass = mass.reshape(self.modes, -1).sum(axis=0)
-        outside = max(mass[0], mass[-1])
-        if outside > OUTSIDE:
-            warnings.warn(
-                f"x: probability {outside:.2g} in an outermost cell; the axis is too short",
-                stacklevel=4,
-            )
+        return float(max(mass[0], mass[-1]))
 
 
 def grid_chain(system: Any, axes: Any) -> GridChain:
@@ -251,13 +261,12 @@ def grid_chain(system: Any, axes: Any) -> GridChain:
 
 def _discrete_chain(system: DiscreteSystem, axes: Sequence[Axis | Nodes]) -> GridChain:
     require_densities("dynamics", ((system.dynamics,),))
-    weights = np.ones(1)
-    for axis in axes:
-        weights = np.outer(weights, axis.weights).ravel()
+    weights = _weights(axes)
     matrix = partial(_discrete_matrix, system.dynamics, mesh(axes), weights)
     steady = _without(system.dynamics.time, system.dynamics.expressions)
     initial = _discrete_start(system, axes, weights)
-    return GridChain(system, axes, initial, matrix, steady=steady, stored=1, loses=True)
+    known = {"missed": abs(1.0 - float(initial.sum())), "steady": steady}
+    return GridChain(system, axes, initial, matrix, **known, stored=1, loses=True)
 
 
 def _discrete_start(system: DiscreteSystem, axes: Sequence[Axis | Nodes], weights: np.ndarray):
@@ -275,7 +284,14 @@ def _discrete_start(system: DiscreteSystem, axes: Sequence[Axis | Nodes], weight
 
 def _discrete_matrix(
     map: StochasticMap, x: np.ndarray, weights: np.ndarray, start: float, stop: float, p: Values
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
+    matrix = _density(map, x, start, p)
+    matrix *= weights[:, None]
+    return matrix, np.abs(1.0 - matrix.sum(axis=0))
+
+
+def _density(map: StochasticMap, x: np.ndarray, start: float, p: Values) -> np.ndarray:
+    """Densities (S, S) of the next state at each node, from each node."""
     if map.gaussian_density:
         mean, cov = map.conditional_moments(start, x, p)
         require_moved("dynamics", cov)
@@ -286,10 +302,9 @@ def _discrete_matrix(
             density *= density
             density *= -0.5
             np.exp(density, out=density)
-            density *= weights[:, None]
             density /= np.sqrt(2.0 * np.pi) * deviation
             return density
-    return weights[:, None] * np.exp(map.log_density(start, x[:, :, None], x[:, None, :], p))
+    return np.exp(map.log_density(start, x[:, :, None], x[:, None, :], p))
 
 
 def _switching_chain(system: SwitchingSystem, axes: Sequence[Axis]) -> GridChain:
@@ -298,25 +313,39 @@ def _switching_chain(system: SwitchingSystem, axes: Sequence[Axis]) -> GridChain
     steady = all(map.symbolic for map in maps) and _without(
         maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
     )
-    initial = np.concatenate([p * _normal(axes, mean, cov) for p, mean, cov in system.initial])
-    return GridChain(system, axes, initial, partial(_switching_matrix, system, axes), steady=steady)
+    starts = [(chance, *_normal(axes, mean, cov)) for chance, mean, cov in system.initial]
+    initial = np.concatenate([chance * mass for chance, mass, _ in starts])
+    missed = sum(chance * loss for chance, _, loss in starts)
+    matrix = partial(_switching_matrix, system, axes)
+    return GridChain(system, axes, initial, matrix, missed=missed, steady=steady)
 
 
 def _switching_matrix(
     system: SwitchingSystem, axes: Sequence[Axis], start: float, stop: float, p: Values
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     nodes, maps, table = mesh(axes), system.dynamics, system.branches
     count, modes = nodes.shape[1], system.modes
-    matrix = np.zeros((modes, count, modes, count))
-    if system.drives == "new":  # the switch at each node, and the move of the new mode
-        moves = [_leaving(axes, nodes, start, map, [Branch(map)], p)[0] for map in maps]
-        for i, l in np.ndindex(modes, modes):
-            if (branch := table[i][l]) is not None:
-                matrix[l, :, i] = moves[l] * branch.probability(start, nodes, p)
-    else:
-        for i in range(modes):
-            matrix[:, :, i] = _leaving(axes, nodes, start, maps[i], table[i], p)
-    return matrix.reshape(modes * count, -1)
+    matrix, loss = np.zeros((modes, count, modes, count)), np.zeros((modes, count))
+    with np.errstate(invalid="ignore"):  # logarithms of probabilities that are none
+        if system.drives == "new":  # the switch at each node, and the move of the new mode
+            moves = [_leaving(axes, nodes, start, map, [Branch(map)], p) for map in maps]
+            for i, l in np.ndindex(modes, modes):
+                if (branch := table[i][l]) is not None:
+                    chance = branch.probability(start, nodes, p)
+                    matrix[l, :, i] = moves[l][0][0] * chance
+                    loss[i] += moves[l][1] * chance
+        else:
+            for i in range(modes):
+                matrix[:, :, i], loss[i] = _leaving(axes, nodes, start, maps[i], table[i], p)
+    proper = (matrix >= -CLOSE).all(axis=(0, 1))
+    if not proper.all():
+        i, place = np.argwhere(~proper)[0]
+        at = ", ".join(f"{value:g}" for value in nodes[:, place])
+        raise ValueError(
+            f"switching of mode {i}: wanted probabilities from 0 to 1 at all nodes, got others at "
+            f"x = {at}"
+        )
+    return matrix.reshape(modes * count, -1), loss.ravel()
 
 
 def _leaving(
@@ -326,8 +355,8 @@ def _leaving(
     map: StochasticMap,
     row: Sequence[Branch | None],
     p: Values,
-) -> np.ndarray:
-    """Probabilities (branches, N, N) of the branches of a map and the next node."""
+) -> tuple[np.ndarray, np.ndarray]:
+    """Probabilities (branches, N, N) of the branches of a map and the next node, and the loss."""
     if len(x) == 1:
         mean, deviation = (part[0] for part in mean_and_deviation(map, t, x, p))
         if (deviation < axes[0].step).any():
@@ -337,14 +366,44 @@ def _leaving(
                     "which the switching depends on"
                 )
             masses = cell_masses(axes[0], mean, deviation)
-            return np.stack([masses * (0.0 if b is None else b.probability(t, x, p)) for b in row])
+            parts = [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
+            loss = _rounded(axes[0], mean, deviation)
+            if not map.noise.gaussian:  # cells take its variance alone
+                density = np.exp(map.log_density(t, x[:, :, None], x[:, None, :], p))
+                loss = np.maximum(loss, np.abs(1.0 - axes[0].weights @ density))
+            return np.stack(parts), loss
     logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
     for log, branch in zip(logs, row, strict=True):
         if branch is not None:
             log[:] = branch.log_density(t, x[:, :, None], x[:, None, :], p)
     # a state that moves far beyond the ends goes to the node that is the least far away
-    masses = np.exp(logs - logs.max(axis=(0, 1)))
-    return masses / masses.sum(axis=(0, 1))
+    highest = logs.max(axis=(0, 1))
+    masses = np.exp(logs - highest)
+    loss = np.abs(1.0 - np.exp(highest) * (_weights(axes) @ masses.sum(axis=0)))
+    return masses / masses.sum(axis=(0, 1)), loss
+
+
+def _weights(axes: Sequence[Axis | Nodes]) -> np.ndarray:
+    """Weights of the quadrature at all nodes, (S,)."""
+    weights = np.ones(1)
+    for axis in axes:
+        weights = np.outer(weights, axis.weights).ravel()
+    return weights
+
+
+def _rounded(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """What `cell_masses` loses: (N,) probabilities beyond the ends, and for too wide cells.
+
+    The latter is the error of the trapezoid rule for the density, from which on a rounding to
+    cells shows; a point of no deviation keeps its mean.
+    """
+    from scipy.special import ndtr
+
+    wide = np.where(deviation > 0, deviation, 1e-300)
+    with np.errstate(over="ignore"):
+        beyond = ndtr((axis.low - mean) / wide) + ndtr((mean - axis.high) / wide)
+    coarse = 2.0 * np.exp(-2.0 * (np.pi * deviation / axis.step) ** 2)
+    return np.minimum(1.0, beyond + np.where(deviation > 0, coarse, 0.0))
 
 
 def _feller_chain(system: JumpDiffusion, axes: Sequence[Axis]) -> GridChain:
@@ -354,12 +413,13 @@ def _feller_chain(system: JumpDiffusion, axes: Sequence[Axis]) -> GridChain:
         formulas += [system.intensity_expression, *(system.jump.expressions if system.jump else ())]
     steady = system.symbolic and _without(system.time, formulas)
     matrix = partial(_feller_matrix, system, axes[0], steady)
-    return GridChain(system, axes, _diffusion_start(system, axes), matrix, steady=steady)
+    initial, missed = _diffusion_start(system, axes)
+    return GridChain(system, axes, initial, matrix, missed=missed, steady=steady)
 
 
 def _feller_matrix(
     system: JumpDiffusion, axis: Axis, steady: bool, start: float, stop: float, p: Values
-) -> np.ndarray:
+) -> tuple[np.ndarray, np.ndarray]:
     """Matrix exponential of the rates, or of those at the middle of integration steps."""
     from scipy.linalg import expm
 
@@ -371,23 +431,25 @@ def _feller_matrix(
             step, last = expm(rates * h), rates
         matrix = step @ matrix
     matrix = np.maximum(matrix, 0.0)
-    return matrix / matrix.sum(axis=0)
+    return matrix / matrix.sum(axis=0), np.zeros(axis.count)  # no flux through the ends
 
 
-def _diffusion_start(system: JumpDiffusion, axes: Sequence[Axis]) -> np.ndarray:
+def _diffusion_start(system: JumpDiffusion, axes: Sequence[Axis]) -> tuple[np.ndarray, float]:
     require_gaussian(system)
     return _normal(axes, system.mean0, system.cov0)
 
 
-def _normal(axes: Sequence[Axis], mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-    """Probabilities of the nodes for a normal law."""
+def _normal(axes: Sequence[Axis], mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, float]:
+    """Probabilities of the nodes for a normal law, and what is beyond them."""
     deviation = np.sqrt(cov[0, 0])
     if len(axes) == 1 and deviation < axes[0].step:
         mass = cell_masses(axes[0], mean[:1], deviation[None])[:, 0]
-    else:  # for a smooth density the values at the nodes are better than masses of cells
-        error = mesh(axes) - mean[:, None]
-        mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
-    return mass / mass.sum()
+        return mass / mass.sum(), float(not axes[0].low <= mean[0] <= axes[0].high)
+    # for a smooth density the values at the nodes are better than masses of cells
+    error = mesh(axes) - mean[:, None]
+    mass = np.exp(-0.5 * np.einsum("iN,iN->N", error, np.linalg.solve(cov, error)))
+    whole = np.sqrt(np.linalg.det(2.0 * np.pi * cov))
+    return mass / mass.sum(), abs(1.0 - float(_weights(axes) @ mass) / whole)
 
 
 def _without(time: Any, expressions: Any) -> bool:
@@ -406,8 +468,10 @@ def require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
 
 def require_gaussian(system: Any) -> None:
     """Refuse an initial distribution without a density."""
-    if not system.law.gaussian:
-        raise ValueError("system: wanted a Gaussian initial law, got one that is only sampled")
+    if not system.prior.gaussian:
+        raise ValueError(
+            "system: wanted a Gaussian initial distribution, got one that is only sampled"
+        )
 
 
 class PlaneChain(GridChain):
@@ -447,8 +511,8 @@ class PlaneChain(GridChain):
         if system.state_size != 2 or system.jump is not None:
             raise ValueError("system: wanted two state components and no jumps")
         axes = as_axes("axes", axes, 2)
-        initial = _diffusion_start(system, axes) if system.law.gaussian else None
-        super().__init__(system, axes, initial)
+        initial, missed = _diffusion_start(system, axes) if system.prior.gaussian else (None, 0.0)
+        super().__init__(system, axes, initial, missed=missed)
         self.substep: float = float(substep)
         if np.abs(self._diffusion(system.nominal_values())[0, 1]).max() > 0:
             raise ValueError("system: wanted components driven by noises of their own")

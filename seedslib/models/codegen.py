@@ -237,7 +237,11 @@ def stack(
         batch = batch_shape(*[np.shape(c) for c in components])
     result = np.empty((len(components), *batch))
     for slot, component in enumerate(components):
-        result[slot] = component
+        try:
+            result[slot] = component
+        except TypeError:  # a number of a program
+            result = result.astype(object)
+            result[slot] = component
     return result.reshape((*shape, *batch))
 
 

@@ -13,7 +13,7 @@ from seedslib.base.blocks import Source
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, require_no_step
-from seedslib.models.maps import StochasticMap
+from seedslib.models.maps import StochasticMap, warn_of_angles
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -32,8 +32,8 @@ class DiscreteSystem(Parametrized, Pickled):
         f, evaluated at the time it leaves; one application per step of the time grid.
     sensor : StochasticMap
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Moments of the initial law, Gaussian unless `initial` is given; numbers will do for one
-        component.
+        Moments of the initial distribution, Gaussian unless `initial` is given; numbers will do
+        for one component.
     initial : callable, optional
         ``initial(rng, count) -> (n, count)``.
 
@@ -50,7 +50,7 @@ class DiscreteSystem(Parametrized, Pickled):
     cov0: Array
     initial: object = None
     state_size: int = field(init=False)
-    law: Noise = field(init=False, repr=False)
+    prior: Noise = field(init=False, repr=False)
     indicators = 0
 
     def __post_init__(self) -> None:
@@ -63,9 +63,10 @@ class DiscreteSystem(Parametrized, Pickled):
         self._require_names()
         mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
-        law = Noise(n, mean0, cov0, self.initial)
-        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, law=law)
+        prior = Noise(n, mean0, cov0, self.initial)
+        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, prior=prior)
         require_no_step("sensor", self.sensor.mentions)
+        warn_of_angles(self.sensor)
         parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions))
         dynamics, sensor = (map.taking(parameters) for map in (self.dynamics, self.sensor))
         vars(self).update(parameters=parameters, numbers={}, dynamics=dynamics, sensor=sensor)
@@ -86,7 +87,7 @@ class DiscreteSystem(Parametrized, Pickled):
 
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
-        return self.law.draw(rng, count)
+        return self.prior.draw(rng, count)
 
     def advance(
         self, x: np.ndarray, start: float, stop: float, rng: Source, p: Values | None = None

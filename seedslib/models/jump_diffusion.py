@@ -14,11 +14,11 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_real
+from seedslib.base.checks import as_covariance, as_positive, as_real, outside
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
-from seedslib.models.maps import StochasticMap, picked
+from seedslib.models.maps import StochasticMap, picked, warn_of_angles
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -41,7 +41,7 @@ class JumpDiffusion(Parametrized, Pickled):
     noise : Noise
         The sensor noise V.
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Moments of the initial law, Gaussian unless `initial` is given.
+        Moments of the initial distribution, Gaussian unless `initial` is given.
     intensity : SymPy expression
         Jumps per unit of time (default 0).
     jump : sequence of SymPy expressions, optional
@@ -51,7 +51,8 @@ class JumpDiffusion(Parametrized, Pickled):
     parameters : mapping, optional
         Values of the other symbols.
     initial : callable, optional
-        ``initial(rng, count) -> (n, count)``: sampler of an initial law that is not Gaussian.
+        ``initial(rng, count) -> (n, count)``: sampler of an initial distribution that is not
+        Gaussian.
     step : float
         Default step of simulation and of the filters' integration, in units of time.
     time : SymPy symbol, optional
@@ -68,8 +69,8 @@ class JumpDiffusion(Parametrized, Pickled):
     spread_map : StochasticMap
         Without noise: Sigma = B Bᵀ + mu S₂ on and below the diagonal, row by row, with S₂ the
         second moment of the jump.
-    law : Noise
-        The initial law.
+    prior : Noise
+        The initial distribution.
     parameters : tuple of Parameter
         Parameters and inputs in all formulas, in the order of their numbers p.
 
@@ -131,10 +132,11 @@ class JumpDiffusion(Parametrized, Pickled):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
         self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
+        warn_of_angles(self.sensor)
         rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
         self._functions: Functions | None = None
-        self._set_parameters(parameters_of(rates))
-        self._set_law(n, self.diffusion_expressions.shape[1], mean0, cov0, initial, step)
+        self.wiener_size = self.diffusion_expressions.shape[1]
+        self._complete(parameters_of(rates), mean0, cov0, initial, step)
 
     @classmethod
     def from_functions(
@@ -149,7 +151,6 @@ class JumpDiffusion(Parametrized, Pickled):
         jump: StochasticMap | None = None,
         initial: Any = None,
         step: float = 0.01,
-        wiener_size: int | None = None,
         parameters: Sequence[Any] = (),
     ) -> JumpDiffusion:
         """Make a system of array functions.
@@ -167,8 +168,6 @@ class JumpDiffusion(Parametrized, Pickled):
             ``intensity(t, x) -> (*batch)``.
         jump : StochasticMap, optional
             The jump; its conditional moments or Gaussian marks are needed by filters.
-        wiener_size : int, optional
-            Number of Wiener processes, from one call of `diffusion` by default.
         parameters : sequence of Parameter, optional
             As `StochasticMap.from_functions`.
 
@@ -181,30 +180,28 @@ class JumpDiffusion(Parametrized, Pickled):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.sensor, self.jump = sensor, jump
         self._functions = Functions(drift, diffusion, intensity, tuple(parameters))
-        self._set_parameters(parameters)
-        mean0 = as_real("mean0", mean0, (sensor.state_size,))
-        n, probe, p = len(mean0), np.tile(mean0[:, None], 3), self.nominal_values()
+        self._complete(parameters, mean0, cov0, initial, step)
+        n, probe, p = self.state_size, np.tile(self.mean0[:, None], 3), self.nominal_values()
         as_real("drift", self.drift(0.0, probe, p), (n, 3))
-        size = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
+        self.wiener_size = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
         as_real("intensity", self.intensity(0.0, probe, p), (3,))
-        self._set_law(n, size if wiener_size is None else wiener_size, mean0, cov0, initial, step)
         return self
 
-    def _set_parameters(self, rates: Any) -> None:
+    def _complete(self, rates: Any, mean0: Any, cov0: Any, initial: Any, step: float) -> None:
+        """Parameters, those of the `rates` among them, sizes and the initial distribution."""
+        self.state_size, self.measurement_size = self.sensor.state_size, self.sensor.size
+        n = self.state_size
+        if self.jump is not None and (self.jump.state_size, self.jump.size) != (n, n):
+            raise ValueError(f"jump: wanted a map of {n} components to {n}")
         maps = [map for map in (self.sensor, self.jump) if map is not None]
         self.parameters = in_order([*rates, *(p for map in maps for p in map.mentions)])
         require_no_step("system", self.parameters)
         self.numbers: Mapping[Any, Any] = {}
         self.sensor = self.sensor.taking(self.parameters)
         self.jump = self.jump and self.jump.taking(self.parameters)
-
-    def _set_law(self, n, wiener_size, mean0, cov0, initial, step):
         self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
         self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
-        self.law: Noise = Noise(n, self.mean0, self.cov0, initial)
-        if self.sensor.state_size != n or (self.jump and self.jump.size != n):
-            raise ValueError(f"sensor, jump: wanted maps of a state of {n} components")
-        self.state_size, self.wiener_size, self.measurement_size = n, wiener_size, self.sensor.size
+        self.prior: Noise = Noise(n, self.mean0, self.cov0, initial)
         self.step: float = as_positive("step", step)
 
     @property
@@ -239,8 +236,16 @@ class JumpDiffusion(Parametrized, Pickled):
 
     @cached_property
     def jumps(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
-        """Intensity and jump on lists of components; see `compiled_jumps`."""
-        return compiled_jumps(self)
+        """Intensity (t, x, p) and the components of the jump (t, x, z, p); they may be numbers."""
+        if not self.symbolic:
+            return self.intensity, self.jump.value
+        from seedslib.models.codegen import compile_components
+
+        given, p = (self.time, self.state), self.parameters
+        rate = compile_components((*given, p), [self.intensity_expression])
+        marks, jump = self.jump.noise.symbols, self.jump.expressions.tolist()
+        kick = compile_components((*given, marks, p), jump)
+        return lambda t, x, p: rate(t, x, p)[0], kick
 
     @cached_property
     def moment_expressions(self) -> tuple[np.ndarray, np.ndarray]:
@@ -251,7 +256,16 @@ class JumpDiffusion(Parametrized, Pickled):
         NoClosedForm
             The mean of the jump over its marks has no closed form.
         """
-        return closed_rates(self)
+        import sympy
+
+        velocity, spread = self.drift_expressions, self.diffusion_expressions
+        spread = spread @ spread.T
+        if self.jump is not None:
+            mean, cov, _ = self.jump.conditional_expressions
+            velocity = velocity + self.intensity_expression * mean
+            spread = spread + self.intensity_expression * (cov + np.outer(mean, mean))
+        expand = np.vectorize(sympy.expand, otypes=[object])
+        return expand(velocity), expand(spread)
 
     @cached_property
     def drift_map(self) -> StochasticMap:
@@ -264,29 +278,6 @@ class JumpDiffusion(Parametrized, Pickled):
         lower = np.tril_indices(self.state_size)
         return rate_map(self, 1, lower, len(lower[0]))
 
-    def increment(self, scheme: str = "euler") -> Callable[..., Any]:
-        """One step of the diffusion as ``f(t, h, sqrt(h), x, z, p) -> list of n components``.
-
-        Parameters
-        ----------
-        scheme : {"euler", "heun"}
-            Itô increment a h + B sqrt(h) z, or the Stratonovich increment with the drift
-            a - (1/2) sum_j (dB_j/dx) B_j, which a Heun step needs to converge to the Itô
-            solution.
-
-        Raises
-        ------
-        ValueError
-            An unknown scheme, or Heun for array functions, whose derivatives are unknown.
-        """
-        if scheme not in SCHEMES:
-            raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
-        if not self.symbolic:
-            if scheme == "heun":
-                raise ValueError("scheme: heun wants a symbolic system, got array functions")
-            return partial(numeric_increment, self)
-        return self._heun if scheme == "heun" else self._euler
-
     @cached_property
     def _euler(self) -> Callable[..., Any]:
         return compiled_increment(self, "euler")
@@ -295,9 +286,23 @@ class JumpDiffusion(Parametrized, Pickled):
     def _heun(self) -> Callable[..., Any]:
         return compiled_increment(self, "heun")
 
+    def _increment(self, scheme: str) -> Callable[..., Any]:
+        """One step of the diffusion, ``f(t, h, sqrt(h), x, z, p)``: its n components.
+
+        The Itô increment a h + B sqrt(h) z, or the Stratonovich increment with the drift
+        a - (1/2) sum_j (dB_j/dx) B_j, which a Heun step needs to converge to the Itô solution.
+        """
+        if scheme not in SCHEMES:
+            raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
+        if self.symbolic:
+            return self._heun if scheme == "heun" else self._euler
+        if scheme == "heun":
+            raise ValueError("scheme: heun wants a symbolic system, got array functions")
+        return partial(numeric_increment, self)
+
     def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the initial state, shape (n, count)."""
-        return self.law.draw(rng, count)
+        return self.prior.draw(rng, count)
 
     def advance(
         self,
@@ -310,19 +315,66 @@ class JumpDiffusion(Parametrized, Pickled):
         step: float | None = None,
         scheme: str = "euler",
     ) -> np.ndarray:
-        """Move states of shape (n, *batch) from one time to a later one; see `advance`.
+        """Move states from one time to a later one.
+
+        A jump comes in a step with probability 1 - exp(-mu(t, X) h) and is drawn at the state
+        before the step. This is done by one unit exponential clock per path that runs out with
+        the intensity: the same distribution, without a uniform number at every step. The clock
+        needs no memory across calls.
 
         Parameters
         ----------
+        x : ndarray, shape (n, *batch)
+        start, stop : float
+        rng : numpy.random.Generator
+            Only its children are used, in a layout where the first paths of many have the numbers
+            of few.
         p : tuple, optional
-            Numbers of the parameters; the system's own by default.
+            Numbers of the parameters, or arrays (*batch); the system's own by default.
         step : float, optional
-            Largest integration step; the system's own by default.
+            Largest step, the system's own by default; the interval is divided evenly.
         scheme : {"euler", "heun"}
+
+        Returns
+        -------
+        ndarray, shape (n, *batch)
+            Where a path leaves the range of floating-point numbers, what arithmetic makes of it.
+
+        Raises
+        ------
+        ValueError
+            An intensity that is negative or not a number, an unknown scheme, Heun for array
+            functions, whose derivatives are unknown, an empty interval.
         """
-        step = self.step if step is None else step
-        p = self.values() if p is None else p
-        return advance(self, x, start, stop, rng, p, step, scheme)
+        if not stop > start:
+            raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
+        step = as_positive("step", self.step if step is None else step, infinite=True)
+        increment, steps = self._increment(scheme), step_count(start, stop, step)
+        h, shape = (stop - start) / steps, np.shape(x)
+        root, state = math.sqrt(h), np.array(x, dtype=float).reshape(shape[0], -1)
+        count, p = state.shape[1], of_paths(self.values() if p is None else p, shape[1:])
+        clock = None if self.jump is None else _JumpClock(self, rng, count, p)
+        later = np.empty_like(state)
+        with np.errstate(over="ignore", invalid="ignore"):
+            for k, normal in enumerate(_normals(rng, steps, self.wiener_size, count)):
+                t = start + k * h
+                move = increment(t, h, root, state, normal, p)
+                if scheme == "heun":
+                    guess = [a + b for a, b in zip(state, move, strict=True)]
+                    again = increment(t + h, h, root, guess, normal, p)
+                    move = [0.5 * (a + b) for a, b in zip(move, again, strict=True)]
+                for row, component, change in zip(later, state, move, strict=True):
+                    np.add(component, change, out=row)
+                if clock is not None:
+                    clock.jump(t, h, state, later)
+                state, later = later, state
+        if clock is not None and clock.second > LARGEST_LOSS:
+            warnings.warn(
+                f"step: about {clock.second:.2g} of the jumps would come second in a step and are "
+                f"left out; take a step below {h:g}",
+                stacklevel=outside(),
+            )
+        return state.reshape(shape)
 
     def simulate(self, times: ArrayLike, paths: Count, seed: Seed, **options: Any) -> Simulation:
         """Simulate paths and measurements; see `seedslib.models.simulation.simulate`.
@@ -344,26 +396,6 @@ class Functions(NamedTuple):
 def _never(t: float, x: np.ndarray) -> np.ndarray:
     """Intensity of no jumps."""
     return np.zeros(np.shape(x)[1:])
-
-
-def closed_rates(system: JumpDiffusion) -> tuple[np.ndarray, np.ndarray]:
-    """SymPy b of shape (n,) and Sigma of shape (n, n) of a symbolic `JumpDiffusion`.
-
-    Raises
-    ------
-    NoClosedForm
-        The mean of the jump over its marks has no closed form.
-    """
-    import sympy
-
-    velocity = system.drift_expressions
-    spread = system.diffusion_expressions @ system.diffusion_expressions.T
-    if system.jump is not None:
-        mean, cov, _ = system.jump.conditional_expressions
-        velocity = velocity + system.intensity_expression * mean
-        spread = spread + system.intensity_expression * (cov + np.outer(mean, mean))
-    expand = np.vectorize(sympy.expand, otypes=[object])
-    return expand(velocity), expand(spread)
 
 
 def numeric_rates(
@@ -411,82 +443,8 @@ LARGEST_LOSS = 0.05
 """Share of jumps that come second in a step and are left out above which the step is too coarse."""
 
 
-def advance(
-    system: JumpDiffusion,
-    x: np.ndarray,
-    start: float,
-    stop: float,
-    rng: Source,
-    p: Values,
-    step: float,
-    scheme: str,
-) -> np.ndarray:
-    """Move states from one time to a later one.
-
-    A jump comes in a step with probability 1 - exp(-mu(t, X) h) and is drawn at the state before
-    the step. This is done by one unit exponential clock per path that runs out with the
-    intensity: the same law, without a uniform number at every step. The clock needs no memory
-    across calls.
-
-    Parameters
-    ----------
-    system : JumpDiffusion
-    x : ndarray, shape (n, *batch)
-    start, stop : float
-    rng : numpy.random.Generator
-        Only its children are used, in a layout where the first paths of many have the numbers
-        of few.
-    p : tuple
-        Numbers of the parameters, or arrays (*batch).
-    step : float
-        Largest step; the interval is divided evenly.
-    scheme : {"euler", "heun"}
-
-    Returns
-    -------
-    ndarray, shape (n, *batch)
-        Where a path leaves the range of floating-point numbers, what arithmetic makes of it.
-
-    Raises
-    ------
-    ValueError
-        An intensity that is negative or not a number, an unknown scheme, an empty interval.
-    """
-    if not stop > start:
-        raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
-    step = as_positive("step", step, infinite=True)
-    increment = system.increment(scheme)
-    steps = step_count(start, stop, step)
-    h = (stop - start) / steps
-    root = math.sqrt(h)
-    shape = np.shape(x)
-    x = np.array(x, dtype=float).reshape(shape[0], -1)
-    state, count = list(x), x.shape[1]
-    p = of_paths(p, shape[1:])
-    clock = _JumpClock(system, rng, count, p) if system.jump is not None else None
-    with np.errstate(over="ignore", invalid="ignore"):
-        for k, normal in enumerate(_normals(rng, steps, system.wiener_size, count)):
-            t = start + k * h
-            move = increment(t, h, root, state, normal, p)
-            if scheme == "heun":
-                guess = [c + d for c, d in zip(state, move, strict=True)]
-                again = increment(t + h, h, root, guess, normal, p)
-                move = [0.5 * (a + b) for a, b in zip(move, again, strict=True)]
-            moved = [c + d for c, d in zip(state, move, strict=True)]
-            if clock is not None:
-                clock.jump(t, h, state, moved)
-            state = moved
-    if clock is not None and clock.second > LARGEST_LOSS:
-        warnings.warn(
-            f"step: about {clock.second:.2g} of the jumps would come second in a step and are left "
-            f"out; take a step below {h:g}",
-            stacklevel=2,
-        )
-    return np.stack(state).reshape(shape)
-
-
 def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable[..., Any]:
-    """Code of one step of a symbolic system; see `JumpDiffusion.increment`."""
+    """Code of one step of a symbolic system, a list of n components."""
     import sympy
 
     from seedslib.models.codegen import compile_components
@@ -511,33 +469,13 @@ def numeric_increment(
     t: float,
     h: float,
     root: float,
-    x: list[np.ndarray],
+    x: np.ndarray,
     z: np.ndarray,
     p: Values,
-) -> list[np.ndarray]:
-    """Euler increment of a system of array functions; see `JumpDiffusion.increment`."""
-    state = np.stack(x)
-    noise = np.einsum("ij...,j...->i...", system.diffusion(t, state, p), root * z)
-    return list(system.drift(t, state, p) * h + noise)
-
-
-def compiled_jumps(system: JumpDiffusion) -> tuple[Callable[..., Any], Callable[..., Any]]:
-    """Intensity ``(t, x, p) -> component`` and jump ``(t, x, z, p) -> list`` on components.
-
-    The intensity comes as a plain number where it is constant.
-    """
-    if not system.symbolic:
-        return (
-            lambda t, x, p: system.intensity(t, np.stack(x), p),
-            lambda t, x, z, p: list(system.jump.value(t, np.stack(x), np.stack(z), p)),
-        )
-    from seedslib.models.codegen import compile_components
-
-    given, p = (system.time, system.state), system.parameters
-    rate = compile_components((*given, p), [system.intensity_expression])
-    marks, jump = system.jump.noise.symbols, system.jump.expressions.tolist()
-    kick = compile_components((*given, marks, p), jump)
-    return lambda t, x, p: rate(t, x, p)[0], kick
+) -> np.ndarray:
+    """Euler increment of a system of array functions, shape (n, count)."""
+    noise = np.einsum("ij...,j...->i...", system.diffusion(t, x, p), root * z)
+    return system.drift(t, x, p) * h + noise
 
 
 def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndarray]:
@@ -560,18 +498,11 @@ def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndar
         yield from chunk.reshape(-1, size, count)
 
 
-def _bad_intensity(value: float, t: float) -> ValueError:
-    return ValueError(
-        f"intensity: wanted finite nonnegative numbers, got {value:g} at time {when(t)}"
-    )
-
-
 class _JumpClock:
     """Unit exponential clocks of the paths of one block over one interval."""
 
     def __init__(self, system: JumpDiffusion, rng: Source, count: int, p: Values):
-        self.p = p
-        self.count, self.noise = count, system.jump.noise
+        self.count, self.p, self.noise = count, p, system.jump.noise
         self.rate, self.kick = system.jumps
         self.rng = rng.spawn(1)[0]
         self.jumped = np.zeros(count, dtype=int)
@@ -601,30 +532,28 @@ class _JumpClock:
         met = np.concatenate(self.hazards) if self.hazards else np.zeros(1)
         return 0.5 * float(met.mean())
 
-    def jump(self, t: float, h: float, before: list, after: list) -> None:
+    def jump(self, t: float, h: float, before: np.ndarray, after: np.ndarray) -> None:
         """Run the clocks for one step and add the jumps to the states after it, in place."""
-        hazard = self.rate(t, before, self.p) * h
-        least = hazard.min() if isinstance(hazard, np.ndarray) else hazard
-        if not least >= 0:
-            raise _bad_intensity(least / h, t)
-        left = self.left
-        left -= hazard
-        due = (left <= 0).nonzero()[0]
+        hazard = np.broadcast_to(self.rate(t, before, self.p) * h, self.count)
+        self.left -= hazard
+        due = (self.left <= 0).nonzero()[0]
+        met = hazard[due]
+        least, most = hazard.min(), met.max(initial=0.0)
+        if not (least >= 0 and most < np.inf):
+            bad = most if least >= 0 else least
+            raise ValueError(
+                f"intensity: wanted finite nonnegative numbers, got {bad / h:g} at time {when(t)}"
+            )
         if due.size == 0:
             return
-        met = hazard[due] if isinstance(hazard, np.ndarray) else np.full(1, hazard)
-        if met.max() == np.inf:
-            raise _bad_intensity(np.inf, t)
         self.hazards.append(met)
         number = self.jumped[due]
         while number.max() + 1 >= self.ready:
             self._extend()
-        marks = self.marks[number, :, due]
+        marks = self.marks[number, :, due].T
         p = of_paths(self.p, (self.count,), due)
-        kicks = self.kick(t, [c[due] for c in before], list(marks.T), p)
+        kicks = self.kick(t, before[:, due], marks, p)
         for component, kick in zip(after, kicks, strict=True):
-            if isinstance(kick, np.ndarray) or kick != 0:
-                component[due] += kick
-        number += 1
-        left[due] = self.clocks[number, due]
-        self.jumped[due] = number
+            component[due] += kick
+        self.left[due] = self.clocks[number + 1, due]
+        self.jumped[due] = number + 1

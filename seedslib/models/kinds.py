@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import MISSING, dataclass, fields
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from seedslib.base.checks import as_count, as_times, is_whole
+from seedslib.base.checks import as_count, as_times, is_whole, outside
 from seedslib.base.clock import when
 from seedslib.base.values import Parametrized, Values
 
@@ -120,10 +121,23 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
     TypeError, ValueError
         As `as_times`; `ValueError` also for unequal steps of a system in discrete time, whose
         map moves it by one step however long the gap is: it does not mention the elapsed time.
+
+    Warns
+    -----
+    UserWarning
+        Steps of two or more whole units, in which it may be meant to move several times.
     """
     times = as_times(name, value)
-    if len(times) > 2 and in_even_steps(system):
-        require_even(name, np.diff(times), times)
+    if len(times) > 1 and in_even_steps(system):
+        steps = np.diff(times)
+        require_even(name, steps, times)
+        if steps[0] >= 2.0 and steps[0].is_integer():
+            warnings.warn(
+                f"{name}: steps of {steps[0]:g} count as one step each, for the dynamics do not "
+                "mention the elapsed time ELAPSED; every time wants to be there, with NaN where "
+                "nothing was measured",
+                stacklevel=outside(),
+            )
     return times
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cached_property
 from typing import Any, TypeAlias
 
@@ -10,137 +10,88 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
-from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole
+from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole, require_shape
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import Conditional, Functions, StochasticMap
 from seedslib.models.noise import Noise, tidy
-from seedslib.models.propagation import Discretised, SteppedMatrix
+from seedslib.models.propagation import stepped
 
 Matrix: TypeAlias = Any
 """An array of numbers or of SymPy expressions, or a function of time that gives one."""
 
 
 class LinearMap(StochasticMap):
-    """y = A(t) x + B(t) u + v with v ~ N(0, S(t)).
+    """y = A(t) x + b(t) + v with v ~ N(0, S(t)).
 
     Parameters
     ----------
-    slope : array_like or callable, shape (m, n)
-        A, or a function of time that gives it.
-    cov : array_like or callable, shape (m, m)
-        S, likewise.
+    slope, cov, offset : ndarray, Entries, OfTime or SteppedMatrix
+        A, S and b, shapes (m, n), (m, m) and (m,).
     shape : (int, int)
         m and n.
-    push : array_like or callable, shape (m, p), optional
-        B, likewise.
-    inputs : tuple of Parameter, length p
-        u.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Other shapes, or a constant S that is not positive semidefinite.
     """
 
-    def __init__(
-        self,
-        slope: Matrix,
-        cov: Matrix,
-        shape: tuple[int, int],
-        push: Matrix = None,
-        inputs: tuple[Any, ...] = (),
-    ) -> None:
+    def __init__(self, slope: Matrix, cov: Matrix, offset: Matrix, shape: tuple[int, int]) -> None:
         m, n = shape
-        self._matrices, self._inputs = (slope, cov, push), inputs
-        if any(map(_varies, self._matrices)):
+        self._matrices = slope, cov, offset
+        entries = getattr(offset, "expressions", offset)
+        if not all(isinstance(M, np.ndarray) for M in (slope, cov, entries)):
             self.state = self.time = self.expressions = self.weight_expression = None
             self.state_size, self.size, self.noise, self.period = n, m, Noise(m), ()
-            self._functions = Functions(None, None, None, None, None, self._mentioned())
-            self.parameters = in_order(self._functions.parameters)
+            varying = [M for M in self._matrices if not isinstance(M, np.ndarray)]
+            self.parameters = in_order(p for M in varying for p in M.mentions)
+            self._functions = Functions(None, None, None, None, None, self.parameters)
             return
         import sympy
 
         state = sympy.symbols(f"x1:{n + 1}", real=True)
         noise = sympy.symbols(f"v1:{m + 1}", real=True)
-        rows = slope if push is None else np.hstack([slope, push])
         value = [
-            sum((tidy(a) * x for a, x in zip(row, (*state, *inputs), strict=True) if a), v)
-            for row, v in zip(rows, noise, strict=True)
+            sum((tidy(a) * x for a, x in zip(row, state, strict=True) if a), b + v)
+            for row, b, v in zip(slope, entries, noise, strict=True)
         ]
         super().__init__(state, value, Noise(noise, 0.0, cov))
 
-    def _mentioned(self) -> tuple[Any, ...]:
-        """Inputs, and parameters in the entries of the matrices."""
-        parameters = set(self._inputs)
-        for M in self._matrices:
-            if isinstance(M, Entries):
-                parameters.update(M.mentions)
-            elif isinstance(M, SteppedMatrix):
-                from seedslib.base.parameters import ELAPSED
-
-                parameters.add(ELAPSED)
-        return in_order(parameters)
-
-    def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
-        """See `StochasticMap.taking`."""
-        made = super().taking(parameters)
-        if made is not self:
-            vars(made).pop("_at", None)
-        return made
-
     @property
     def formulas(self) -> tuple[Any, ...] | None:
-        """A, S and B (or None) as numbers or expressions in t, and u; None without such."""
-        parts = [getattr(M, "expressions", M) for M in self._matrices]
-        return None if any(map(callable, parts)) else (*parts, self._inputs)
+        """A, S and b as numbers or expressions in t; None without such."""
+        parts = tuple(getattr(M, "expressions", M) for M in self._matrices)
+        return parts if all(isinstance(part, np.ndarray) for part in parts) else None
 
     @cached_property
     def _at(self) -> list[Any]:
-        """A, S and B as functions (t, p), or as they are where they are constant."""
-        return [self._function_of(M) for M in self._matrices]
+        """A, S and b as functions (t, p), or as they are where they are constant."""
+        return [
+            M if isinstance(M, np.ndarray) else M.compiled(self.parameters) for M in self._matrices
+        ]
 
-    def _function_of(self, M: Matrix) -> Any:
-        if isinstance(M, Entries):
-            return M.compiled(self.parameters)
-        if isinstance(M, SteppedMatrix):
-            step = next(k for k, p in enumerate(self.parameters) if p.role == "elapsed")
-            return lambda t, p: M(t, p[step])
-        return (lambda t, p: M(t)) if callable(M) else M
+    def _matrix(self, k: int, t: float, p: Values, shape: tuple[int, ...]) -> np.ndarray:
+        matrix = self._at[k]
+        if callable(matrix):
+            return as_real(("slope", "cov", "offset")[k], matrix(t, p), (*shape, ...))
+        return matrix
 
     def slope_at(self, t: float, p: Values = ()) -> np.ndarray:
         """A at a time, shape (m, n); with axes of paths where parameters have them."""
-        slope = self._at[0]
-        if not callable(slope):
-            return slope
-        return as_real("slope", slope(t, p), (self.size, self.state_size, ...))
+        return self._matrix(0, t, p, (self.size, self.state_size))
 
     def cov_at(self, t: float, p: Values = ()) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
-        cov = self._at[1]
-        if not callable(cov):
+        cov = self._matrix(1, t, p, (self.size, self.size))
+        if cov.ndim > 2 or cov is self._at[1]:
             return cov
-        cov = as_real("cov", cov(t, p))
-        if cov.ndim > 2:
-            return as_real("cov", cov, (self.size, self.size, ...))
-        return as_covariance("cov", cov, self.size)
+        return as_covariance("cov", cov)
 
-    def pushed(self, t: float, y: np.ndarray, p: Values = ()) -> np.ndarray:
-        """What the inputs make of A x, shape (m, *batch): they are added."""
-        push = self._at[2]
-        if push is None:
-            return y
-        if callable(push):
-            push = as_real("push", push(t, p), (self.size, len(self._inputs), ...))
-        push = align(push, 2, y.ndim - 1)
-        for k, u in enumerate(self._inputs):
-            y = y + push[:, k] * p[self.parameters.index(u)]
-        return y
+    def offset_at(self, t: float, p: Values = ()) -> np.ndarray:
+        """Offset b at a time, shape (m,); with axes of paths where inputs have them."""
+        return self._matrix(2, t, p, (self.size,))
 
     def _mean(self, t: float, x: np.ndarray, p: Values) -> np.ndarray:
-        return self.pushed(t, np.einsum("ij...,j...->i...", self.slope_at(t, p), x), p)
+        product = np.einsum("ij...,j...->i...", self.slope_at(t, p), x)
+        return product + align(self.offset_at(t, p), 1, np.ndim(x) - 1)
 
     def _cov(self, t: float, x: np.ndarray, p: Values) -> np.ndarray:
         cov = align(self.cov_at(t, p), 2, np.ndim(x) - 1)
@@ -175,7 +126,7 @@ class LinearMap(StochasticMap):
 
 
 class LinearSystem(DiscreteSystem):
-    """X_{k+1} = F X_k + B u_k + W_k, Y_k = H X_k + D u_k + V_k, W ~ N(0, Q), V ~ N(0, R).
+    """X_{k+1} = F X_k + b + W_k, Y_k = H X_k + d + V_k, W ~ N(0, Q), V ~ N(0, R).
 
     Every filter takes it; the one that is made for it is `seedslib.filters.KalmanFilter`.
 
@@ -187,20 +138,19 @@ class LinearSystem(DiscreteSystem):
     H, R : array_like or callable, shapes (m, n) and (m, m)
         Likewise, at the time of the measurement.
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Law of the state at the first time.
+        Moments of the state at the first time.
+    b, d : array_like or callable, shapes (n,) and (m,)
+        What is added to the state and to the measurement, like F and H; zero by default. Controls
+        u are inputs in it: ``b=B @ [u1, u2]`` with `seedslib.base.Input`.
     diffuse : sequence of int
         Components of the first state of which nothing is known: `KalmanFilter` gives them an
         infinite variance, and other filters refuse the system. Their rows of `cov0` are zero.
-    B, D : array_like or callable, shapes (n, p) and (m, p), optional
-        What the inputs do to the state and to the measurement, like F and H.
-    inputs : sequence of Input, length p
-        u; those of a time act until the next time.
 
     Raises
     ------
     TypeError, ValueError
         Shapes that do not fit, covariances that are not positive semidefinite, components that
-        do not exist, inputs without a matrix or a matrix without them.
+        do not exist.
     """
 
     def __init__(
@@ -212,28 +162,20 @@ class LinearSystem(DiscreteSystem):
         mean0: ArrayLike,
         cov0: ArrayLike,
         *,
+        b: Matrix = None,
+        d: Matrix = None,
         diffuse: tuple[int, ...] = (),
-        B: Matrix = None,
-        D: Matrix = None,
-        inputs: Sequence[Any] = (),
     ) -> None:
-        inputs = tuple(inputs)
-        if not all(hasattr(u, "role") for u in inputs):
-            raise TypeError(f"inputs: wanted a sequence of Input, got {inputs!r}")
-        if bool(inputs) != (B is not None or D is not None):
-            raise ValueError("B, D, inputs: wanted a matrix and its inputs, got one without other")
         mean0 = np.atleast_1d(as_real("mean0", mean0))
         n = len(mean0)
-        given = zip("FQHRBD", (F, Q, H, R, B, D), strict=True)
-        made = {name: _entries(name, M) for name, M in given if M is not None}
-        m = next((len(made[name]) for name in "RH" if hasattr(made[name], "__len__")), None)
-        m = len(np.atleast_2d(R(0.0))) if m is None else m
-        rows, columns = {"F": n, "Q": n, "B": n}, {"F": n, "H": n, "Q": n, "R": m}
-        for name, M in made.items():
-            if not _varies(M):
-                as_real(name, M, (rows.get(name, m), columns.get(name, len(inputs))))
-                if name in "QR":
-                    as_covariance(name, M)
+        known = next((M for M in (R, H) if not callable(M)), None)
+        m = len(np.atleast_2d(R(0.0) if known is None else np.array(known, dtype=object)))
+        b, d = np.zeros(n) if b is None else b, np.zeros(m) if d is None else d
+        F, Q, b = _entries("F", F, (n, n)), _entries("Q", Q, (n, n)), _entries("b", b, (n,))
+        H, R, d = _entries("H", H, (m, n)), _entries("R", R, (m, m)), _entries("d", d, (m,))
+        for name, cov in (("Q", Q), ("R", R)):
+            if isinstance(cov, np.ndarray):
+                as_covariance(name, cov)
         diffuse = tuple(diffuse)
         for k in diffuse:
             if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
@@ -243,12 +185,7 @@ class LinearSystem(DiscreteSystem):
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
         if np.any(cov0[list(diffuse)] != 0.0):
             raise ValueError("cov0: wanted zeros in the rows of diffuse components")
-        maps = (("F", "Q", "B", n), ("H", "R", "D", m))
-        dynamics, sensor = (
-            LinearMap(made[a], made[s], (size, n), made.get(b), inputs if b in made else ())
-            for a, s, b, size in maps
-        )
-        super().__init__(dynamics, sensor, mean0, cov0)
+        super().__init__(LinearMap(F, Q, b, (n, n)), LinearMap(H, R, d, (m, n)), mean0, cov0)
         vars(self)["diffuse"] = diffuse
 
     def initial_sample(self, rng: Any, count: int) -> np.ndarray:
@@ -257,10 +194,12 @@ class LinearSystem(DiscreteSystem):
         Raises
         ------
         ValueError
-            Diffuse components, which have no law.
+            Diffuse components, which have no distribution.
         """
         if self.diffuse:
-            raise ValueError(f"diffuse: components {self.diffuse} have no law to draw from")
+            raise ValueError(
+                f"diffuse: components {self.diffuse} have no distribution to draw from"
+            )
         return super().initial_sample(rng, count)
 
     @classmethod
@@ -274,25 +213,20 @@ class LinearSystem(DiscreteSystem):
         cov0: ArrayLike,
         *,
         step: float | None,
-        diffuse: tuple[int, ...] = (),
-        B: ArrayLike | None = None,
-        D: Matrix = None,
-        inputs: Sequence[Any] = (),
+        **options: Any,
     ) -> LinearSystem:
-        """The system dX = (drift X + B u) dt + dW seen at some times, by exact discretisation.
+        """The system dX = drift X dt + dW measured at some times, by exact discretisation.
 
         Parameters
         ----------
         drift : array_like, shape (n, n)
         diffusion : array_like, shape (n, n)
             Covariance of W per unit of time.
-        H, R, mean0, cov0, diffuse, D, inputs
+        H, R, mean0, cov0, **options
             As for the class.
         step : float, or None
             Time from one measurement to the next; None for times at any distance, each step being
             discretised by itself.
-        B : array_like, shape (n, p), optional
-            Of the inputs, which are constant from one measurement to the next.
 
         Raises
         ------
@@ -301,31 +235,27 @@ class LinearSystem(DiscreteSystem):
         """
         drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        as_real("drift", drift, noise.shape)
-        push = np.zeros((len(drift), 0)) if B is None else np.atleast_2d(as_real("B", B))
-        as_real("B", push, (len(drift), len(inputs) if B is not None else 0))
-        steps = Discretised(drift, noise, push)
+        require_shape("drift", drift, noise.shape)
         if step is None:
-            F, Q, B = (SteppedMatrix(steps, part) for part in range(3))
+            steps = Discretised(drift, noise)
+            F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)
         else:
-            F, Q, B = steps(as_positive("step", step))
-        B = None if push.size == 0 else B
-        return cls(F, Q, H, R, mean0, cov0, diffuse=diffuse, B=B, D=D, inputs=inputs)
+            F, Q = stepped(drift, noise, as_positive("step", step))
+        return cls(F, Q, H, R, mean0, cov0, **options)
 
 
-def _varies(matrix: Any) -> bool:
-    """Whether a matrix is no constant."""
-    return callable(matrix) or isinstance(matrix, Entries)
-
-
-def _entries(name: str, matrix: Any) -> Any:
-    """A matrix of numbers, or a function of time where it is one or has expressions for entries."""
-    if callable(matrix):  # of the time
+def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
+    """A matrix of numbers, or what changes with time or has parameters."""
+    if isinstance(matrix, SteppedMatrix):
         return matrix
-    entries = np.array(matrix, dtype=object)
-    if not any(hasattr(entry, "free_symbols") for entry in entries.flat):
-        return np.atleast_2d(as_real(name, matrix))
-    return Entries(name, np.atleast_2d(entries))
+    if callable(matrix):
+        return OfTime(matrix)
+    entries = np.array(matrix, dtype=object, ndmin=len(shape))
+    if any(hasattr(entry, "free_symbols") for entry in entries.flat):
+        return Entries(name, entries, shape)
+    array = np.array(as_real(name, matrix), ndmin=len(shape))
+    require_shape(name, array, shape)
+    return array
 
 
 class Entries:
@@ -335,25 +265,24 @@ class Entries:
     ----------
     name : str
         Of the matrix, for messages.
-    entries : ndarray of SymPy expressions, shape (m, n)
+    entries : ndarray of SymPy expressions
+    shape : tuple of int
+        Wanted shape.
 
     Raises
     ------
     TypeError, ValueError
-        No expressions, other symbols, or what is no number.
+        No expressions, another shape, other symbols, or what is no number.
     """
 
-    def __init__(self, name: str, entries: np.ndarray) -> None:
+    def __init__(self, name: str, entries: np.ndarray, shape: tuple[int, ...]) -> None:
         import sympy
 
         from seedslib.base.parameters import parameters_of
         from seedslib.models.codegen import known_expressions
 
-        self.shape: tuple[int, ...] = entries.shape
         self.time: Any = sympy.Symbol("t")
-        self.expressions: np.ndarray = known_expressions(
-            name, entries, entries.shape, {}, {self.time}
-        )
+        self.expressions: np.ndarray = known_expressions(name, entries, shape, {}, {self.time})
         self.mentions: tuple[Any, ...] = parameters_of(self.expressions.flat)
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
@@ -361,7 +290,64 @@ class Entries:
         from seedslib.models.codegen import compile_components, stack
 
         function = compile_components([self.time, parameters], list(self.expressions.flat))
-        return lambda t, p: stack(function(t, p), self.shape)
+        return lambda t, p: stack(function(t, p), self.expressions.shape)
 
-    def __len__(self) -> int:
-        return self.shape[0]
+
+class OfTime:
+    """A matrix that is a function of the time alone."""
+
+    mentions: tuple[Any, ...] = ()
+
+    def __init__(self, function: Callable[[float], Any]) -> None:
+        self.function = function
+
+    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., Any]:
+        """The matrix as a function (t, p)."""
+        return lambda t, p: self.function(t)
+
+
+class Discretised:
+    """Exact discretisation of dX = F X dt + dW, that of the last step stored.
+
+    Parameters
+    ----------
+    drift, diffusion : ndarray, shape (n, n)
+        F, and the covariance of W per unit of time.
+    """
+
+    def __init__(self, drift: np.ndarray, diffusion: np.ndarray) -> None:
+        self.drift, self.diffusion = drift, diffusion
+        self._last: Any = None, None
+
+    def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
+        """Transition matrix and noise covariance of a step of this length."""
+        last = self._last
+        if last[0] != step:
+            last = self._last = step, stepped(self.drift, self.diffusion, step)
+        return last[1]
+
+
+class SteppedMatrix:
+    """One of the matrices of `Discretised`, for the time that has elapsed in a step.
+
+    Parameters
+    ----------
+    steps : Discretised
+    part : int
+        0 for the transition, 1 for the noise.
+    """
+
+    def __init__(self, steps: Discretised, part: int) -> None:
+        self.steps, self.part = steps, part
+
+    @property
+    def mentions(self) -> tuple[Any, ...]:
+        """The elapsed time."""
+        from seedslib.base.parameters import ELAPSED
+
+        return (ELAPSED,)
+
+    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
+        """The matrix as a function (t, p)."""
+        place = parameters.index(*self.mentions)
+        return lambda t, p: self.steps(p[place])[self.part]

@@ -7,6 +7,7 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -14,11 +15,29 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import Source
+from seedslib.base.checks import outside
 from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.conditioning import gaussian_logpdf
-from seedslib.base.objects import Pickled, changed
+from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order
 from seedslib.models.noise import Noise, named_noise
+
+
+def warn_of_angles(sensor: StochasticMap) -> None:
+    """Warn of components of a sensor that are angles in the plane, without a period."""
+    if not sensor.symbolic:
+        return
+    import sympy
+
+    for k, expression in enumerate(sensor.expressions):
+        terms = sympy.Add.make_args(expression)
+        factors = (factor for term in terms for factor in sympy.Mul.make_args(term))
+        if k not in dict(sensor.period) and any(isinstance(f, sympy.atan2) for f in factors):
+            warnings.warn(
+                f"sensor: wanted the period of component {k}, an angle (atan2), got none, so it "
+                f"jumps where it comes round; period={{{k}: 2*pi}} says that it does",
+                stacklevel=outside(),
+            )
 
 
 class Conditional(NamedTuple):
@@ -183,25 +202,17 @@ class StochasticMap(Pickled):
 
     def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
         """The same map in a system with these parameters, all of which its functions take."""
-        if parameters == self.parameters:
-            return self
-        made = changed(self, parameters=parameters)
-        for name in ("_value", "_weight", "conditional", "_by_noise", "_content"):
-            vars(made).pop(name, None)
-        return made
+        return self if parameters == self.parameters else self.remade(parameters=parameters)
 
     def whole(self) -> StochasticMap:
         """The map without its weight: what it does where it applies."""
         if not self.weighted:
             return self
-        if self.symbolic:
-            made = StochasticMap(
-                self.state, self.expressions, self.noise, time=self.time, period=dict(self.period)
-            )
-            return made.taking(self.parameters)
-        made = changed(self, _functions=self._functions._replace(weight=None))
-        vars(made).pop("_weight", None)
-        return made
+        if not self.symbolic:
+            return self.remade(_functions=self._functions._replace(weight=None))
+        from sympy import S
+
+        return self.remade(weight_expression=S.One)
 
     def _compiled(self, arguments: Sequence[Any], expressions: Any) -> Callable[..., Any]:
         """Code of expressions in the time, the arguments and the parameters."""
@@ -256,7 +267,23 @@ class StochasticMap(Pickled):
             from seedslib.gaussian.algebra import NoClosedForm
 
             raise NoClosedForm("map: array functions have no closed form; use a rule with points")
-        return Conditional(*conditional_formulas(self))
+        import sympy
+
+        average, y, w = self.noise.expectation, self.expressions, self.weight_expression
+        joint = bool(w.free_symbols & set(self.noise.symbols))
+        weight = average(w) if joint else w
+        w, mass = (w, weight) if joint else (1, 1)
+        mean = [average(sympy.expand(w * part)) / mass for part in y]
+        # in a branch the means are quotients, which only their names keep from being multiplied out
+        named = sympy.symbols(f"mean:{self.size}", cls=sympy.Dummy, real=True) if joint else mean
+        means = dict(zip(named, mean, strict=True)) if joint else {}
+        cov = np.empty((self.size, self.size), dtype=object)
+        for i in range(self.size):
+            for j in range(i + 1):
+                entry = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
+                entry = entry.xreplace(means) / mass if joint else sympy.expand(entry)
+                cov[i, j] = cov[j, i] = entry
+        return Conditional(np.array(mean, dtype=object), cov, weight)
 
     @cached_property
     def conditional(self) -> Conditional:
@@ -313,19 +340,36 @@ class StochasticMap(Pickled):
         import sympy
 
         v = self.noise.symbols
-        affine = all(sympy.diff(y, a, b) == 0 for y in self.expressions for a in v for b in v)
-        if not affine or self.noise.gaussian:
-            return affine
-        return self._by_noise is not None
-
-    @cached_property
-    def _by_noise(self):
-        return by_noise(self)
+        if any(sympy.diff(y, a, b) != 0 for y in self.expressions for a in v for b in v):
+            return False
+        if self.noise.gaussian or self.noise.log_density is None:
+            return self.noise.gaussian
+        return not self.period and self.solved_noise is not None
 
     @property
     def gaussian_density(self) -> bool:
         """Whether that density is the Gaussian one of the conditional moments."""
         return self.symbolic and self.has_log_density and self.noise.gaussian
+
+    @cached_property
+    def solved_noise(self) -> Callable[..., Any] | None:
+        """The noise that makes y of x, and the determinant of dy/dv, of a map affine in the noise.
+
+        A function of (t, x, y, p), shape (size + 1, *batch); None where y does not determine the
+        noise.
+        """
+        if not self.symbolic or self.size != self.noise.size:
+            return None
+        import sympy
+
+        y = sympy.symbols(f"y:{self.size}", cls=sympy.Dummy, real=True)
+        value = sympy.Matrix(self.expressions)
+        slope = value.jacobian(self.noise.symbols)
+        if (volume := slope.det()) == 0:
+            return None
+        rest = value.subs(dict.fromkeys(self.noise.symbols, 0))
+        noise = slope.LUsolve(sympy.Matrix(y) - rest)
+        return self._compiled((self.state, y), [*noise, sympy.Abs(volume)])
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
         """Logarithm of the density of y given x, shape (*batch); NaN components are left out.
@@ -341,12 +385,17 @@ class StochasticMap(Pickled):
                 "log_density: wanted y affine in Gaussian noise or a given log_density, "
                 "got a map without a closed form"
             )
-        if not self.symbolic:
-            return with_missing(self._given(self._functions.log_density), t, y, x, p)
-        if not self.noise.gaussian:
-            return with_missing(self._by_noise, t, y, x, p)
-        mean, cov, _ = self.conditional
-        return gaussian_logpdf(y, mean(t, x, p), cov(t, x, p), self.period)
+        if self.gaussian_density:
+            mean, cov, _ = self.conditional
+            return gaussian_logpdf(y, mean(t, x, p), cov(t, x, p), self.period)
+        given = self._by_noise if self.symbolic else self._given(self._functions.log_density)
+        return with_missing(given, t, y, x, p)
+
+    def _by_noise(self, t: float, y: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
+        """Log-density of y from that of the noise, by the change of variables."""
+        *noise, volume = self.solved_noise(t, x, y, p)
+        with np.errstate(divide="ignore"):
+            return self.noise.log_density(np.stack(noise)) - np.log(volume)
 
 
 class Functions(NamedTuple):
@@ -364,76 +413,6 @@ def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -
     """Value of a function that takes some of the numbers p, its last argument, one by one."""
     *others, p = given
     return function(*others, *(p[k] for k in places))
-
-
-def conditional_formulas(map: StochasticMap) -> tuple[np.ndarray, np.ndarray, Any]:
-    """SymPy mean (size,), covariance (size, size) and weight of y given x, in its branch."""
-    import sympy
-
-    average, y = map.noise.expectation, map.expressions
-    joint = map.weight_expression.free_symbols & set(map.noise.symbols)
-    w = map.weight_expression if joint else sympy.Integer(1)
-    mass = average(w)
-    mean = [average(sympy.expand(w * part)) / mass for part in y]
-    # in a branch the means are quotients, which only their names keep from being multiplied out
-    named = sympy.symbols(f"mean:{map.size}", cls=sympy.Dummy, real=True) if joint else mean
-    means = dict(zip(named, mean, strict=True))
-    cov = np.empty((map.size, map.size), dtype=object)
-    for i in range(map.size):
-        for j in range(i + 1):
-            spread = average(sympy.expand(w * (y[i] - named[i]) * (y[j] - named[j])))
-            spread = sympy.expand(spread) if not joint else spread.xreplace(means) / mass
-            cov[i, j] = cov[j, i] = spread
-    return np.array(mean, dtype=object), cov, mass if joint else map.weight_expression
-
-
-def noise_of(map: StochasticMap) -> tuple[Any, list[Any], Any] | None:
-    """The noise that makes y of x, for a map that is affine in it and can be solved for it.
-
-    Returns
-    -------
-    y : tuple of SymPy symbols
-    noise : list of SymPy expressions
-        In the time, the state and y.
-    volume : SymPy expression
-        Determinant of the map's derivative by the noise. None for a map of another kind.
-    """
-    if not map.symbolic or map.size != map.noise.size:
-        return None
-    import sympy
-
-    y = sympy.symbols(f"y:{map.size}", cls=sympy.Dummy, real=True)
-    value = sympy.Matrix(map.expressions)
-    slope = value.jacobian(map.noise.symbols)
-    volume = slope.det()
-    if volume == 0:
-        return None
-    rest = value.subs(dict.fromkeys(map.noise.symbols, 0))
-    return y, list(slope.LUsolve(sympy.Matrix(y) - rest)), volume
-
-
-def by_noise(map: StochasticMap) -> Callable[..., Any] | None:
-    """Log-density (t, y, x, p) of y from that of the noise, by the change of variables."""
-    solution = noise_of(map)
-    if map.noise.log_density is None or map.period or solution is None:
-        return None
-    import sympy
-
-    from seedslib.models.codegen import compile_array
-
-    y, noise, volume = solution
-    given = map.time, map.state, y, map.parameters
-    solved = compile_array(given, [*noise, sympy.Abs(volume)])
-
-    def log_density(t: float, y: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
-        parts = solved(t, x, y, p)
-        batch = np.broadcast_shapes(np.shape(y)[1:], np.shape(x)[1:])
-        with np.errstate(divide="ignore"):
-            return map.noise.log_density(np.broadcast_to(parts[:-1], (map.size, *batch))) - np.log(
-                parts[-1]
-            )
-
-    return log_density
 
 
 def with_missing(

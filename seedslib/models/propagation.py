@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 from scipy.integrate import solve_ivp
@@ -69,57 +68,6 @@ def stepped(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
         column = unit[:, None]
         move, spread = move * (column / unit), 0.5 * (spread + spread.T) * column * unit
     return bounded(step, move, spread)
-
-
-class Discretised:
-    """Exact discretisation of dX = (F X + G u) dt + dW, with u constant within a step.
-
-    Called with the length of a step it gives the transition matrix, the covariance of the noise
-    and the matrix of the inputs, the integral of exp(F s) G; those of the last length are kept.
-
-    Parameters
-    ----------
-    drift, diffusion : ndarray, shape (n, n)
-        F, and the covariance of W per unit of time.
-    push : ndarray, shape (n, p)
-        G.
-    """
-
-    def __init__(self, drift: np.ndarray, diffusion: np.ndarray, push: np.ndarray) -> None:
-        n, p = push.shape
-        self.size: int = n
-        self._drift, self._diffusion = np.zeros((2, n + p, n + p))  # of (X, u)
-        self._drift[:n] = np.hstack([drift, push])
-        self._diffusion[:n, :n] = diffusion
-        self._last: Any = None, None
-
-    def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """The three matrices for a step of this length."""
-        known, n = self._last, self.size
-        if known[0] != step:
-            move, spread = stepped(self._drift, self._diffusion, step)
-            known = step, (move[:n, :n], spread[:n, :n], move[:n, n:])
-            self._last = known
-        return known[1]
-
-
-class SteppedMatrix:
-    """One of the matrices of `Discretised`, for the time that has elapsed in a step.
-
-    Parameters
-    ----------
-    steps : Discretised
-    part : int
-        0 for the transition, 1 for the noise, 2 for the inputs.
-    """
-
-    def __init__(self, steps: Discretised, part: int) -> None:
-        self.steps: Discretised = steps
-        self.part: int = part
-
-    def __call__(self, t: float, dt: float) -> np.ndarray:
-        """The matrix."""
-        return self.steps(dt)[self.part]
 
 
 def balanced(
@@ -201,44 +149,27 @@ def integrated(coefficients: Callable[[float], Pair], start: float, stop: float)
     """
     n = coefficients(start)[0].shape[0]
     start_pair = np.stack([np.eye(n), np.zeros((n, n))])
+    if stop == start:
+        return start_pair[0], start_pair[1]
 
     def slope(t: float, y: np.ndarray) -> np.ndarray:
         drift, diffusion = coefficients(t)
         move, spread = y.reshape(2, n, n)
         return np.stack([drift @ move, drift @ spread + spread @ drift.T + diffusion]).ravel()
 
-    if stop == start:
-        return start_pair[0], start_pair[1]
-    move, spread = solve(slope, start, stop, start_pair.ravel())[:, -1].reshape(2, n, n)
-    return move, 0.5 * (spread + spread.T)
-
-
-def solve(
-    slope: Callable[..., Any],
-    start: float,
-    stop: float,
-    y0: np.ndarray,
-    times: np.ndarray | None = None,
-) -> np.ndarray:
-    """Solution of a differential equation at `times` (at `stop` by default), shape (y, K).
-
-    Raises
-    ------
-    ValueError
-        The integration failed.
-    """
+    y0 = start_pair.ravel()
     # An absolute tolerance far below the size of the data keeps components that start at zero
     # accurate relative to what they become.
-    size = max(np.abs(y0).max(initial=0.0), np.abs(slope(start, y0)).max() * (stop - start))
+    size = max(1.0, np.abs(slope(start, y0)).max() * (stop - start))
     with np.errstate(over="ignore", invalid="ignore"):
-        atol = ATOL * (size or 1.0)
-        result = solve_ivp(slope, (start, stop), y0, "DOP853", times, rtol=RTOL, atol=atol)
+        result = solve_ivp(slope, (start, stop), y0, "DOP853", rtol=RTOL, atol=ATOL * size)
     if not result.success:
         raise ValueError(
             f"times: the equations of the moments could not be integrated from {when(start)} to "
             f"{when(stop)}: {result.message}"
         )
-    return result.y
+    move, spread = result.y[:, -1].reshape(2, n, n)
+    return move, 0.5 * (spread + spread.T)
 
 
 def distinct_steps(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

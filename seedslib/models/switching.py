@@ -13,11 +13,12 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
 from seedslib.base.checks import as_count, as_covariance, as_real, as_whole
+from seedslib.base.clock import when
 from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, noise_of
+from seedslib.models.maps import StochasticMap, warn_of_angles
 from seedslib.models.noise import Noise, lower_times, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -79,7 +80,7 @@ class Branch(Pickled):
         """Whether `log_density` exists."""
         if not self.whole.has_log_density:
             return False
-        return not self.depends_on_noise or self._residual_noise is not None
+        return not self.depends_on_noise or self.map.solved_noise is not None
 
     @cached_property
     def probability_expression(self) -> Any:
@@ -116,7 +117,7 @@ class Branch(Pickled):
         ValueError
             No closed form, and noise that is not Gaussian.
         """
-        x = np.asarray(x, dtype=float)
+        x = np.asarray(x)
         if not self.depends_on_noise:
             none = np.zeros((self.map.noise.size, *(1,) * (x.ndim - 1)))
             return np.broadcast_to(self.map.weight(t, x, none, p), x.shape[1:])
@@ -152,22 +153,11 @@ class Branch(Pickled):
                     "of a branch depends on it"
                 )
             missing = np.isnan(y).any(axis=0)
-            v = self._residual_noise(t, x, np.where(missing, 0.0, y), p)
+            v = self.map.solved_noise(t, x, np.where(missing, 0.0, y), p)[:-1]
             joint = plain + np.log(self.map.weight(t, x, v, p))
             if missing.any():
                 joint = np.where(missing, plain + np.log(self.probability(t, x, p)), joint)
             return joint
-
-    @cached_property
-    def _residual_noise(self):
-        """The noise as a function of (t, x, y, p) where the value can be solved for it."""
-        solution = noise_of(self.map)
-        if solution is None:
-            return None
-        from seedslib.models.codegen import compile_array
-
-        y, noise, _ = solution
-        return compile_array((self.map.time, self.map.state, y, self.map.parameters), noise)
 
 
 def branch_table(
@@ -332,8 +322,9 @@ class SwitchingSystem(Parametrized, Pickled):
     TypeError, ValueError
         Shapes that do not fit, unknown symbols, covariances that are not semidefinite,
         probabilities outside of [0, 1] or that do not sum to one (looked at on points about the
-        initial law, where they depend on the state); those of a switch that depend on the noise
-        where the new mode drives the step.
+        initial law, where they depend on the state, and again wherever paths, particles and nodes
+        of a grid go; a filter of Gaussian distributions warns of their means); those of a switch
+        that depend on the noise where the new mode drives the step.
     """
 
     state: Any
@@ -397,6 +388,7 @@ class SwitchingSystem(Parametrized, Pickled):
         if drives == "new":  # those of one value are a column: the moves to a mode
             moves = list(zip(*moves, strict=True))
         self._set_up(moves, readings, initial, indicator is not None, drives)
+        warn_of_angles(self.sensors[0])
 
     @classmethod
     def from_maps(
@@ -646,7 +638,7 @@ class Hybrid(Parametrized):
             if old_drives:
                 moved[:-1, here] = self.system.dynamics[i].value(start, old, noise, own)
             if modes is None:
-                moved[-1, here] = _branch(row, start, old, noise, own, choice[here])
+                moved[-1, here] = _branch("switching", row, start, old, noise, own, choice[here])
         if modes is not None:
             moved[-1] = modes.ravel()
         if not old_drives:
@@ -682,7 +674,7 @@ class HybridSensor:
             own = of_paths(p, x.shape[1:], here)
             y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise, own)
             if system.indicators:
-                y[-1, here] = _branch(row, t, state, noise, own, choice[here])
+                y[-1, here] = _branch("indicator", row, t, state, noise, own, choice[here])
         return y.reshape(self.size, *x.shape[1:])
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:
@@ -709,14 +701,28 @@ class HybridSensor:
 
 
 def _branch(
-    row: tuple, t: float, x: np.ndarray, noise: np.ndarray, p: Values, choice: np.ndarray
+    name: str,
+    row: tuple,
+    t: float,
+    x: np.ndarray,
+    noise: np.ndarray,
+    p: Values,
+    choice: np.ndarray,
 ) -> np.ndarray:
     """Number of the branch that each uniform number chooses."""
     weights = np.zeros((len(row), x.shape[1]))
     for weight, branch in zip(weights, row, strict=True):
         if branch is not None:
             weight[:] = branch.map.weight(t, x, noise, p)
-    return _chosen(np.cumsum(weights, axis=0)[:-1], choice)
+    bounds = np.cumsum(weights, axis=0)
+    # comparisons that are false for a path that has diverged
+    if (weights < -CLOSE).any() or (np.abs(bounds[-1] - 1.0) > CLOSE).any():
+        worst = weights.flat[np.nanargmax(np.abs(weights - 0.5))]
+        raise ValueError(
+            f"{name}: wanted probabilities from 0 to 1 that sum to 1, got {worst:g} at time "
+            f"{when(t)}"
+        )
+    return _chosen(bounds[:-1], choice)
 
 
 def _chosen(bounds: np.ndarray, choice: np.ndarray) -> np.ndarray:

@@ -1,13 +1,10 @@
 """What the tests of the harness share: a small project to plant faults in."""
 
 import shutil
-from pathlib import Path
 
 import pytest
 
 from bookkit import execution
-
-ROOT = Path(__file__).resolve().parents[2]
 
 TINY = """---
 jupytext:
@@ -68,8 +65,6 @@ def executed_project(tmp_path_factory):
     (root / "requirements.lock").write_text("nothing==1.0\n")
     (root / "notebooks" / "tiny.md").write_text(TINY)
     (root / "book" / "claims.yml").write_text(LEDGER)
-    shutil.copy(ROOT / "conftest.py", root)
-    (root / "pytest.ini").write_text("[pytest]\naddopts = --nbval --nbval-kernel-name=python3\n")
     assert execution.execute(root) == {"tiny.md": ""}
     return root
 

@@ -81,31 +81,32 @@ def test_a_data_file_that_the_notebook_names_is_an_input(project, source, spoil)
 CODE = "if gain == 7.0:"
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "problem"),
-    [
-        ("= 2.0", "= 7.0", "ArithmeticError: seven is out of reach"),
-        ("= 2.0", "= -2.0", "ValueError: bad parameters: gain = -2.0"),
-        (CODE, f"import os; os._exit(1)\n{CODE}", "Kernel died"),
-        (
-            CODE,
-            f"import sys; print('beware', file=sys.stderr)\n{CODE}",
-            "cell 3 wrote to stderr: beware",
-        ),
-        ("kernelspec:", "inputs: [\nkernelspec:", "failed"),
-    ],
-)
-def test_a_failing_notebook_says_why_and_leaves_the_old_result(
-    project, source, old, new, problem, spoil
-):
-    target, other = source.with_suffix(".ipynb"), source.with_name("other.md")
-    before = target.read_bytes()
-    other.write_text("# Nothing\n")
-    spoil(source, old, new)
+FAILING = {  # what is put in the place of what, and what is said of it
+    "raises": ("= 2.0", "= 7.0", "ArithmeticError: seven is out of reach"),
+    "parameter": ("= 2.0", "= -2.0", "ValueError: bad parameters: gain = -2.0"),
+    "dies": (CODE, f"import os; os._exit(1)\n{CODE}", "Kernel died"),
+    "warns": (
+        CODE,
+        f"import sys; print('beware', file=sys.stderr)\n{CODE}",
+        "cell 3 wrote to stderr: beware",
+    ),
+    "header": ("kernelspec:", "inputs: [\nkernelspec:", "failed"),
+}
+
+
+def test_failing_notebooks_say_why_and_leave_the_old_results(project, source):
+    text, before = source.read_text(), source.with_suffix(".ipynb").read_bytes()
+    for name, (old, new, _) in FAILING.items():
+        assert old in text
+        source.with_name(f"{name}.md").write_text(text.replace(old, new))
+        source.with_name(f"{name}.ipynb").write_bytes(before)
+    source.with_name("other.md").write_text("# Nothing\n")
     outcomes = execution.execute(project)
-    assert problem in outcomes["tiny.md"]
-    assert target.read_bytes() == before
-    assert outcomes["other.md"] == ""
+    assert outcomes.pop("other.md") == ""
+    assert set(outcomes) == {f"{name}.md" for name in FAILING}
+    for name, (*_, problem) in FAILING.items():
+        assert problem in outcomes[f"{name}.md"]
+        assert source.with_name(f"{name}.ipynb").read_bytes() == before
 
 
 def test_a_source_that_changes_while_it_runs_does_not_pass_for_executed(project, source, spoil):

@@ -25,7 +25,7 @@ system = LinearSystem(1, q, 1, r, 1, 3)
 FILES = {
     "level.py": LEVEL,
     "own.py": f"{LEVEL}filter = KalmanFilter(system)\n",
-    "heated.py": LEVEL.replace("1, 3)", "1, 3, B=2, D=1, inputs=(Input('u'),))"),
+    "heated.py": LEVEL.replace("1, 3)", "1, 3, b=2 * Input('u'), d=Input('u'))"),
     "pair.py": "from seedslib import zoo\nsystem, times = zoo.van_der_pol(), range(3)\n",
     "flip.py": "from seedslib import zoo\nsystem = zoo.flip_process()\n",
     "target.py": "from seedslib import zoo\nsystem = zoo.manoeuvring_target('noisy')\n",
@@ -130,7 +130,7 @@ def test_inputs_and_indicators_are_columns_of_their_names(run, folder):
     u, values = Input("u"), np.array([0.5, 1.0, -2.0, 0.25])
     (folder / "u.csv").write_text("t,u,y1\n0,.5,1.5\n1,1,\n2,-2,-.25\n3,.25,2\n")
     assert run(f"filter heated.py u.csv {PLAIN} --out x.csv")[0] == 0
-    heated = KalmanFilter(LinearSystem(1, Q, 1, R, 1, 3, B=2, D=1, inputs=(u,)))
+    heated = KalmanFilter(LinearSystem(1, Q, 1, R, 1, 3, b=2 * u, d=u))
     same("x.csv", heated.run(TIMES, Y, inputs={u: values}))
     (folder / "j.csv").write_text("t,y1,indicator\n0,1.5,0\n1,,1\n2,-.25,\n3,2,1\n")
     words = "'filter=SwitchingFilter(system, Taylor())'"

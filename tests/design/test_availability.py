@@ -9,7 +9,7 @@ import sympy
 
 from oracles.linear import Linear, kalman
 from seedslib import zoo
-from seedslib.design import Polynomial, stationary, synthesize
+from seedslib.design import Polynomial, synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
@@ -150,19 +150,6 @@ def test_a_curved_sensor_has_the_predicted_errors_of_all_histories():
     data = system.simulate(stops, 4000, 7, measured=shown, availability=0.8, step=0.05)
     error = filter.run(stops, data.measurements).mean - data.states
     np.testing.assert_allclose(filter.predicted.rms, np.sqrt((error**2).mean(axis=2)), rtol=0.12)
-
-
-@pytest.mark.parametrize("maker", MAKERS)
-def test_frozen_designs_claim_what_kalman_does_on_long_records(maker):
-    """With a silence that comes long after the end of the design, and a short transient."""
-    filter, long = made(maker, availability=0.9), np.arange(3.0, 43.0)
-    y = filter.system.simulate(long, 10, 9, availability=0.9).measurements
-    y[25:31] = np.nan
-    wanted = kalmans(model(*WALK, steps=40)[1], y)[1]
-    for transient, settled, bound in ((None, 9, 0.15), (3, 20, 0.25)):
-        lasting = stationary(filter, 0.3, transient=transient, paths=300)
-        error = np.log(deviations(lasting.run(long, y, covariances=True), y) / wanted)
-        assert np.abs(error[settled:]).max() < bound
 
 
 def test_classes_that_are_too_few_are_warned_of_and_still_predict_their_errors():

@@ -10,10 +10,8 @@ from seedslib.designed import Memory, finite_memory, large_order
 
 def test_first_two_steps_are_quantiles_means_and_majorities():
     """On the paths of the design; thin cells take the mean over all memories."""
-    system, bins, least = zoo.scalar_switching(), 6, 21
-    filter = binned_synthesis(
-        system, large_order(1), [0, 1], paths=800, seed=5, bins=bins, least=least
-    )
+    system, bins, least = zoo.scalar_switching(), 12, 5
+    filter = binned_synthesis(system, large_order(1), [0, 1], paths=800, seed=5, bins=bins)
     data = system.simulate([0, 1], 800, 5)
     found = filter.run([0, 1], data.measurements)
     x, y, mode = data.states[:, 0], data.measurements[:, 0], data.modes

@@ -169,9 +169,3 @@ def test_a_known_start_is_no_regressor_in_either_kind_of_design():
         assert made.fits[1].gain[0, 1] == 0.0
         assert made.fits[1].gain[0, 0] != 0.0
         assert made.predicted.rms[0, 0] < 1e-12
-
-
-def test_a_very_wide_prior_is_warned_of():
-    system = JumpDiffusion((x1,), [-x1], [[1]], [x1 + v1], Noise((v1,)), [0], [[1e20]])
-    with pytest.warns(UserWarning, match="cov0"):
-        synthesize(system, Memory(1), Taylor(), [0, 0.5], exact_moments=True)

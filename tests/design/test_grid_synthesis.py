@@ -1,5 +1,7 @@
 """Exact designs on grids: against Kalman, quadrature, simulation, and other designs."""
 
+import warnings
+
 import numpy as np
 import pytest
 import sympy
@@ -24,6 +26,7 @@ from seedslib.models import (
     JumpDiffusion,
     Noise,
     StochasticMap,
+    grid_chain,
 )
 
 x, v, w, t = sympy.symbols("x v w t")
@@ -242,3 +245,27 @@ def test_probability_beyond_an_axis_is_warned_of_by_name(flip):
     for name, change in (("z", (-0.5, 0.5, 31)), ("y", (-2.0, 2.0, 41)), ("x", (-1.5, 1.5, 71))):
         with pytest.warns(UserWarning, match=f"{name}: "):
             grid_synthesis(flip, large_order(1), TIMES[:3], **{**few, name: change})
+
+
+def test_a_design_warns_once_of_each_axis_with_the_worst_figure(flip):
+    """Of an axis of the state that is short at every time, and worst at the last."""
+    with pytest.warns(UserWarning, match="too short|outside") as caught:
+        grid_synthesis(flip, large_order(1), TIMES, x=(-1.5, 1.5, 71), z=(-0.5, 0.5, 31), nodes=0)
+    messages = [str(one.message) for one in caught]
+    assert sorted(text[:2] for text in messages) == ["x:", "z:"]
+    chain = grid_chain(flip, (-1.5, 1.5, 71))
+    shares = [chain.missed, *(chain.law(t)[[0, -1]].max() for t in TIMES)]
+    (text,) = [text for text in messages if text.startswith("x:")]
+    assert f"probability {max(shares):.2g} in an outermost cell, or beyond it" in text
+
+
+def test_a_design_of_modes_on_few_nodes_warns_of_them():
+    """A step of two deviations of the noise, and one of half of them."""
+    system = zoo.scalar_switching()
+    deviation = np.sqrt(system.dynamics[0].conditional_moments(0.0, np.zeros((1, 1)))[1].max())
+    for step, count in ((2.0, 1), (0.5, 0)):
+        nodes = int(16 / (step * deviation)) + 1
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            optimal_risk(system, Memory(1), range(3), x=(-8, 8, nodes))
+        assert sum("too coarse for the noise" in str(one.message) for one in caught) == count

@@ -91,7 +91,7 @@ def quartic(paths, seed):
 
 def counted(paths, seed):
     system = zoo.scalar_switching()
-    return binned_synthesis(system, Memory(1), range(6), paths=paths, seed=seed, bins=16, least=1)
+    return binned_synthesis(system, Memory(1), range(6), paths=paths, seed=seed, bins=16)
 
 
 @pytest.mark.parametrize(

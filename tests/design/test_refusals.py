@@ -91,7 +91,6 @@ REFUSALS = [
     (lambda: made(components=2), ValueError, "components"),
     (lambda: made(times=[0, 1, 1]), ValueError, "times"),
     (lambda: made(nodes=-1), ValueError, "nodes"),
-    (lambda: made(nodes=[[0.7], []]), ValueError, "nodes"),
     (lambda: made(paths=4, memory=Memory(3)), ValueError, "paths"),
     (lambda: made(paths=None), TypeError, "paths"),
     (lambda: made(seed=None), TypeError, "seed"),
@@ -134,8 +133,6 @@ REFUSALS = [
     # tables on paths
     (lambda: tables(method="neural"), ValueError, "method"),
     (lambda: tables(CUBIC), ValueError, "method"),
-    (lambda: tables(sets=1), ValueError, "sets"),
-    (lambda: tables(kernel=0.0), ValueError, "kernel"),
     (lambda: tables(components=2), ValueError, "components"),
     (lambda: tables(seed=None), TypeError, "seed"),
     (lambda: tables(nodes=-1), ValueError, "nodes"),
@@ -166,6 +163,7 @@ REFUSALS = [
     # designs without an end
     (lambda: stationary(extended_kalman(WALK)), TypeError, "filter"),
     (lambda: stationary(made(times=TIMES[:2])), ValueError, "times"),
+    (lambda: stationary(made(WALK, times=range(4), availability=0.8)), ValueError, "availability"),
     (lambda: stationary(made(WALK, times=range(4)), 0), ValueError, "tolerance"),
     (lambda: stationary(made(WALK, times=range(4)), 5.0, transient=7), ValueError, "transient"),
 ]

@@ -91,7 +91,7 @@ def test_fits_are_the_laws_of_state_and_memory_in_the_cells_of_the_design_paths(
             mass = np.array(weights) * [density(part, z) for part in used]
             log_prob = fit.forecast(np.array(c), z).log_prob
             np.testing.assert_allclose(np.exp(log_prob), mass / mass.sum(), rtol=1e-4)
-    assert (made.design.pooled, made.design.pairs, made.design.repaired) == (thin, pairs, 0)
+    assert (made.design.pooled, made.design.pairs) == (thin, pairs)
 
 
 def test_cells_from_moments_are_conditional_normal_laws():

@@ -81,7 +81,7 @@ KINDS = {
     "affine": lambda: finite_order(Memory(2), ExactGaussian()).forecasting("constant"),
     "seed of two numbers": lambda: finite_order(Memory(1), Taylor(), seed=SEED),
     "finite memory": lambda: finite_order(Memory(0, 2), Unscented(1, 2, 0), nodes=1),
-    "mixed": lambda: finite_order(Memory(1, 1), Cubature(), nodes=[[0.2], [], [1.1, 1.2]]),
+    "mixed": lambda: finite_order(Memory(1, 1), Cubature(), nodes=2),
     "polynomial": lambda: finite_order(
         Memory(1), GaussHermite(3), components=1, predictor=Polynomial(3, 2)
     ),

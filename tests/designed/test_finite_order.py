@@ -23,7 +23,7 @@ u = 1 - t / 3
 # correlated noises with means, a late irregular start, nodes, a schedule with gaps of its own.
 
 TIMES = np.array([1.5, 2.0, 3.1, 3.4, 4.2])
-NODES = [[1.6, 1.9], [], [3.15], [3.5, 4.0]]
+NODES = [start + (end - start) * np.array([1, 2]) / 3 for start, end in pairwise(TIMES)]
 MEASURED = np.array([[1, 1], [1, 0], [1, 1], [0, 0], [1, 1]], dtype=bool)
 MEAN0, COV0 = [0.4, -0.3], [[1.0, 0.3], [0.3, 0.8]]
 NOISE_MEAN, NOISE_COV = np.array([0.2, -0.1]), np.array([[0.5, 0.1], [0.1, 0.3]])
@@ -74,7 +74,7 @@ def designed(memory, rule=None, measured=MEASURED, **options):
         memory,
         rule or Taylor(),
         TIMES,
-        nodes=NODES,
+        nodes=2,
         exact_moments=True,
         measured=measured,
         **options,
@@ -126,7 +126,7 @@ def test_design_of_a_linear_system_has_the_errors_of_regressions_on_its_memory(l
     for fit, wanted in pairs:
         assert_allclose(fit.cov, wanted.cov, rtol=1e-6, atol=1e-8)
     assert filter.design.exact
-    assert filter.design.pooled == filter.design.pairs == filter.design.repaired == 0
+    assert filter.design.pooled == filter.design.pairs == 0
     at = np.isin(filter.predicted.times, TIMES)
     errors = np.sqrt([np.diagonal(cov) for cov in expected.errors])
     assert_allclose(filter.predicted.rms[at], errors, rtol=1e-6)
@@ -269,17 +269,12 @@ KINDS = [
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("start", [0.0, 1.7e9])
 def test_forecasts_between_measurements_are_the_printed_formulas(kind, start):
-    """Nodes at unequal times, also where a second is near the last digits of a time stamp."""
-    times, nodes = start + np.array([0, 1, 2.5]), [start + np.array([0.25, 0.5]), start + 1.5]
+    """At unequal times, also where a second is near the last digits of a time stamp."""
+    times = start + np.array([0, 1, 2.5])
     made = synthesize(
-        zoo.linear_gaussian(),
-        Memory(2),
-        Taylor(),
-        times,
-        nodes=[nodes[0], [nodes[1]]],
-        exact_moments=True,
+        zoo.linear_gaussian(), Memory(2), Taylor(), times, nodes=2, exact_moments=True
     )
-    filter = made.forecasting(kind)
+    nodes, filter = made.node_times, made.forecasting(kind)
     assert filter.between == kind
     record = np.random.default_rng(1).normal(size=(3, 1, 4))
     zero = made.step(made.initial((4,)), times[0], record[0])
@@ -289,14 +284,13 @@ def test_forecasts_between_measurements_are_the_printed_formulas(kind, start):
         u = state.past.vector
         return [(s, fit.mean(u)) for s, fit in zip(nodes[row], made.node_fits[row], strict=True)]
 
-    nodes[1] = [nodes[1]]
     first = [(times[0], zero.mean), *inside(zero, 0)]
     ahead = times[1], made.predict(zero, times[1]).mean
     second = [(times[1], one.mean), *inside(one, 1)]
     later = times[2], made.predict(one, times[2]).mean
     for state, values, moments in (
-        (zero, ((None, None), first, ahead), [0, 0.1, 0.25, 0.3, 0.5, 0.9, 1]),
-        (one, ((first[0], first[-1]), second, later), [1, 1.25, 1.5, 2, 2.5]),
+        (zero, ((None, None), first, ahead), [0, 0.1, 1 / 3, 0.4, 2 / 3, 0.9, 1]),
+        (one, ((first[0], first[-1]), second, later), [1, 1.25, 1.5, 1.8, 2, 2.2, 2.5]),
     ):
         for now in start + np.array(moments):
             wanted = literal(values, kind, now)
@@ -447,7 +441,9 @@ def test_filter_taking_some_steps_of_a_design():
     assert_allclose(some.times, [1.5, 2.6, 3.4], rtol=1e-12)
     assert_array_equal(some.measured, MEASURED[[0, 2, 4]])
     assert_array_equal(some.fits[1].gain, filter.fits[3].gain)
-    assert_allclose(np.concatenate(some.node_times), [2.7, 3.2], rtol=1e-12)
-    rows = np.isin(filter.predicted.times, [1.5, 3.1, 3.5, 4.0, 4.2])
+    assert_allclose(
+        np.concatenate(some.node_times), 1.5 + np.array([1.1, 2.2, 4.1, 4.9]) / 3, rtol=1e-12
+    )
+    rows = np.isin(filter.predicted.times, [1.5, *NODES[1], 3.1, *NODES[3], 4.2])
     assert_array_equal(some.predicted.rms, filter.predicted.rms[rows])
-    assert_allclose(some.predicted.times, [1.5, 2.6, 2.7, 3.2, 3.4], rtol=1e-12)
+    assert_allclose(some.predicted.times[[0, 3, 6]], some.times, rtol=1e-12)

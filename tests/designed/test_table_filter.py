@@ -1,5 +1,6 @@
 """Filters of tables: what is looked up, remembered, claimed, forecast and left out."""
 
+import warnings
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -149,9 +150,24 @@ def test_tables_are_constant_beyond_their_axes(table):
     if table.system.indicators:
         shown = np.zeros((len(y), 4), dtype=int)
     given = {} if shown is None else {"indicators": shown}
-    last = table.run(table.times, y, **given).mean[-1, 0]
+    with pytest.warns(UserWarning, match=r"^y: wanted measurements from .*, where the tables are"):
+        last = table.run(table.times, y, **given).mean[-1, 0]
     assert last[0] == last[1]
     assert last[2] == last[3]
+
+
+def test_measurements_inside_of_the_tables_are_not_warned_of(table):
+    y = np.full((len(table.times), 1, 2), 0.5)
+    y[1:, 0, 0] = np.nan
+    given = {}
+    if table.system.indicators:
+        given["indicators"] = np.zeros((len(y), 2), dtype=int)
+    y = y[..., 1:] if table.memory.measurements else y
+    given = {name: part[:, : y.shape[2]] for name, part in given.items()}
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        table.run(table.times, y, **given)
+    assert not [one for one in caught if str(one.message).startswith("y:")]
 
 
 def test_order_change_and_size_of_tables(table):

@@ -78,8 +78,8 @@ def test_the_maximum_of_the_diffuse_likelihood_is_that_of_the_textbook():
 def test_records_with_gaps_and_inputs_of_their_own_are_fitted_by_the_sum_of_their_likelihoods():
     """The factor of an input, positive or any, against the regression of each record."""
     model = linear_numbers(means=False)
-    F, cov, B, inputs = linear_system().dynamics.formulas
-    H, noise, D, _ = linear_system().sensor.formulas
+    F, cov, b = linear_system().dynamics.formulas
+    H, noise, d = linear_system().sensor.formulas
     start = model.mean0, model.cov0
     own = {u: row[:, None] * [1.0, 0.3, -0.5] for u, row in INPUTS.items()}
     each = [
@@ -95,7 +95,7 @@ def test_records_with_gaps_and_inputs_of_their_own_are_fitted_by_the_sum_of_thei
     point = best.x[0]
     bend = (exact(point + 0.1) - 2 * exact(point) + exact(point - 0.1)) / 0.01
     for factor in (Parameter("g", 0.4), Parameter("g", 0.4, positive=True)):
-        system = LinearSystem(F, cov, H, noise, *start, B=B * factor, D=D, inputs=inputs)
+        system = LinearSystem(F, cov, H, noise, *start, b=b * factor, d=d)
         found = fit(KalmanFilter(system), TIMES, y, [factor], inputs=own)
         assert found.converged
         assert found.values[0] == pytest.approx(point, rel=1e-5)

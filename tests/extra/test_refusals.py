@@ -1,5 +1,8 @@
 """What `extra` refuses: the type of the error, and the argument that its message names."""
 
+import sys
+from importlib import reload
+
 import numpy as np
 import pytest
 from sklearn.tree import DecisionTreeRegressor
@@ -59,3 +62,22 @@ OTHERS = [
 def test_a_refusal_names_the_argument(call, error, argument):
     with pytest.raises(error, match=rf"^({argument})\b"):
         call()
+
+
+@pytest.mark.parametrize(
+    ("package", "extra", "use"),
+    [
+        ("distributed", "cluster", lambda: reload(sys.modules["seedslib.extra.dask_crew"])),
+        ("matplotlib", "plots", lambda: plot_estimates([0.0], Estimates(np.zeros((1, 1)), None))),
+        ("pandas", "tables", lambda: Estimates(np.zeros((1, 1)), None).to_dataframe([0.0])),
+        (
+            "sklearn.ensemble",
+            "learn",
+            lambda: learn(growth(), Memory(1), range(2), paths=9, seed=1),
+        ),
+    ],
+)
+def test_a_package_that_is_not_there_is_named_with_its_extra(monkeypatch, package, extra, use):
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(ImportError, match=rf"^{package.partition('.')[0]}: .*seedslib\[{extra}\]"):
+        use()

@@ -250,7 +250,33 @@ def test_probability_that_leaves_the_nodes_is_dropped_and_warned_about():
     assert estimates.cov[1, 0, 0] == pytest.approx(variance, rel=1e-6)
     one = SwitchingSystem.from_maps([[still]], [[sensor]], [(1, [0], [[0]])])
     filter = GridBayesFilter(one, (-1.0, 1.0, 401))
-    assert filter.run([0, 1], missing).loglik.sum() == pytest.approx(0.0, abs=1e-12)
+    with pytest.warns(UserWarning, match=r"^x: "):
+        estimates = filter.run([0, 1], missing)
+    assert estimates.loglik.sum() == pytest.approx(0.0, abs=1e-12)
+    lost = filter.chain.loss(0.0, 1.0)
+    assert lost[200] == pytest.approx(1 - inside, abs=1e-4)
+    assert lost[-1] == pytest.approx(norm.cdf(0.0) + norm.cdf(-4.0), abs=1e-4)
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+def test_nodes_of_modes_that_are_short_or_coarse_for_the_noise_are_warned_about(drives):
+    """Each step adds h**2 / 12 to the variance where cells are wide; fine nodes say nothing."""
+    system = SwitchingSystem(
+        (x,),
+        [[0.9 * x + v / 4]] * 2,
+        Noise((v,)),
+        [[0.9, 0.1], [0.2, 0.8]],
+        [[x + w]] * 2,
+        Noise((w,)),
+        [(0.5, [0], [[0.3]])] * 2,
+        drives=drives,
+    )
+    y = np.zeros((5, 1))
+    for axis, warned in (((-6, 6, 97), False), ((-6, 6, 25), True), ((-0.7, 0.7, 29), True)):
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            GridBayesFilter(system, axis).run(range(5), y)
+        assert {str(one.message)[:2] for one in caught} == ({"x:"} if warned else set())
 
 
 def test_mode_returns_from_any_log_odds():

@@ -30,7 +30,7 @@ from systems import U, growth, linear_system
 
 x, v, w = sp.symbols("x v w")
 LINE = LinearSystem(0.5, 1, 1, 1, 0, 1)
-DRIVEN = LinearSystem(0.5, 1, 1, 1, 0, 1, B=[[1]], inputs=(U,))
+DRIVEN = LinearSystem(0.5, 1, 1, 1, 0, 1, b=U)
 SQUARED = JumpDiffusion((x,), [0], [[1]], [x * v**2], Noise((v,)), [0], [[1]])
 BANK = zoo.manoeuvring_target("noisy")
 KALMAN, PARTICLES, KNOWN = KalmanFilter(LINE), ParticleFilter(LINE, 5), KnownModeFilter(BANK)

@@ -1,13 +1,11 @@
 """Modulus, maximum and sine: moments and exact errors against integrals in many digits."""
 
-from functools import cache
-
 import mpmath as mp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from oracles.gaussian import hermite_mean, panels
+from oracles.gaussian import panels
 from seedslib.gaussian import (
     abs_errors,
     abs_moments,
@@ -46,53 +44,6 @@ def errors_by_simulation(state, optimal, plugin, found):
     for exact, guess in ((found.optimal, optimal), (found.plugin, plugin)):
         squares = (state - guess) ** 2
         assert abs(squares.mean() - exact) < 4 * squares.std() / np.sqrt(squares.size)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_modulus_against_quadrature(seed):
-    rng = np.random.default_rng(seed)
-    mean, origin = rng.normal(size=2) * 2
-    var = rng.uniform(0.05, 4)
-    x, w = split_rule(origin, mean, np.sqrt(var))
-    found = abs_moments(mean, var, origin)
-    first = w @ np.abs(x - origin)
-    assert found.mean == pytest.approx(first, rel=2e-14)
-    assert found.var == pytest.approx(w @ (np.abs(x - origin) - first) ** 2, rel=1e-12)
-
-
-@pytest.mark.parametrize(
-    ("mean", "var", "error_var"),
-    [
-        (1, 1, 0.5),
-        (0.3, 2.0, 1.99),
-        (0, 1, 0.1),
-        (1, 1, 2e-5),
-        (3, 1, 1e-9),
-        (0.2, 1, 0.999),
-        (5, 1, 0.1),
-        (0, 1, 1e-12),
-    ],
-)
-def test_errors_of_the_modulus_to_forty_digits(mean, var, error_var):
-    """One integral over the estimate, of the gap between E|x| and |xhat|."""
-    with mp.workdps(40):
-        m, v, p = (mp.mpf(value) for value in (mean, var, error_var))
-        width, centre = mp.sqrt((v - p) / p), m / mp.sqrt(p)
-
-        @cache  # both integrals have the same nodes
-        def parts(a):
-            gap = 2 * (mp.npdf(a) - a * mp.ncdf(-a))
-            return gap, (mp.npdf((a - centre) / width) + mp.npdf((a + centre) / width)) / width
-
-        cuts = {mp.mpf(c) for c in (0, 1, 2, 4, 8, 14)}
-        cuts |= {centre + width * j for j in (-9, -6, -3, -1, 0, 1, 3, 6, 9)}
-        cuts = sorted(c for c in cuts if 0 <= c <= 14)
-        lost = mp.quad(lambda a: (2 * a + parts(a)[0]) * parts(a)[0] * parts(a)[1], cuts)
-        square = mp.quad(lambda a: parts(a)[0] ** 2 * parts(a)[1], cuts)
-        optimal, excess = float(p * (1 - lost)), float(p * square)
-    found = abs_errors(mean, var, error_var)
-    assert found.optimal == pytest.approx(optimal, rel=1e-14)
-    assert found.plugin - found.optimal == pytest.approx(excess, rel=1e-10, abs=4e-16 * optimal)
 
 
 def test_modulus_of_degenerate_laws_and_without_information():
@@ -187,17 +138,6 @@ def test_sine_against_the_printed_constants(mean, var, error_var):
     found = sine_errors(mean, var, error_var)
     assert found.optimal == pytest.approx(k1 - shrink * k2 + shrink**2 * k3, rel=1e-13)
     assert found.plugin == pytest.approx(k1 - k2 + k3, rel=1e-13)
-
-
-def test_sine_moments_against_gauss_hermite():
-    mean, var = np.array([0.4, -1.3, 2.9]), np.array([0.1, 1.0, 3.0])
-    found = sine_moments(mean, var)
-    for k in range(3):
-        law = [mean[k]], [[var[k]]]
-        first = hermite_mean(np.sin, *law, 60)
-        second = hermite_mean(lambda u, first=first: (np.sin(u) - first) ** 2, *law, 60)
-        assert found.mean[k] == pytest.approx(first, rel=1e-12)
-        assert found.var[k] == pytest.approx(second, rel=1e-12)
 
 
 def test_sine_errors_at_the_ends():

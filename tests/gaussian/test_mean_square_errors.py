@@ -1,6 +1,5 @@
 """Exact errors of the optimal and the plug-in estimate, and the conditional variance."""
 
-import mpmath as mp
 import numpy as np
 import pytest
 import sympy as sp
@@ -104,42 +103,6 @@ def test_errors_match_simulation(f):
         ]:
             doubt = products.std() / np.sqrt(draws)
             assert abs(products.mean() - exact) < 4.5 * doubt + 1e-12 * abs(exact)
-
-
-def power_error(power, m, C, P):
-    """Optimal error of x**power: E f f' of two copies of correlation P less than one, by Mehler."""
-
-    def product(X):
-        total = mp.mpf(0)
-        for j in range(power + 1):
-            derivative = mp.fsum(
-                mp.ff(power, j)
-                * mp.binomial(power - j, 2 * i)
-                * mp.fac2(2 * i - 1)
-                * C**i
-                * m ** (power - j - 2 * i)
-                for i in range((power - j) // 2 + 1)
-            )
-            total += derivative**2 * X**j / mp.factorial(j)
-        return total
-
-    return product(C) - product(C - P)
-
-
-@pytest.mark.parametrize("ratio", ["0.9", "1e-3", "1e-8"])
-def test_small_errors_keep_their_digits(ratio):
-    with mp.workdps(60):
-        m, C = mp.mpf(0.4), mp.mpf(2)
-        P = mp.mpf(float(mp.mpf(ratio) * C))
-        law = ([float(m)], [[float(C)]], [[float(P)]])
-        sine = (-mp.expm1(-P) + mp.expm1(P) * mp.exp(-2 * C) * mp.cos(2 * m)) / 2
-        found = mean_square_errors(sp.sin(x), [x])(*law)
-        assert abs(found.optimal / sine - 1) < 1e-13
-        excess = mp.expm1(-P / 2) ** 2 * (1 - mp.exp(-2 * (C - P)) * mp.cos(2 * m)) / 2
-        assert abs((found.plugin - found.optimal) / excess - 1) < 1e-6
-        for power in (2, 4, 7):
-            found = mean_square_errors(x**power, [x])(*law)
-            assert abs(found.optimal / power_error(power, m, C, P) - 1) < 1e-13
 
 
 def test_plugin_excess_of_small_errors_is_a_quarter_of_the_squared_curvature():

@@ -273,10 +273,9 @@ def test_moments_of_matrices():
         B, D = np.array([[0.5], [t]]), np.array([[t], [0.3], [-0.7]])
         return [(G, t * np.array([[1.0, 0.3], [0.3, 0.5]]), B), (H, R, D)]
 
-    (G, Q, B), (H, R, D) = (
-        [lambda t, i=i, j=j: matrices(t)[i][j] for j in range(3)] for i in range(2)
-    )
-    system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2), B=B, D=D, inputs=(u,))
+    (G, Q), (H, R) = ([lambda t, i=i, j=j: matrices(t)[i][j] for j in range(2)] for i in range(2))
+    b, d = (push @ [u] for _, _, push in matrices(sympy.Symbol("t")))
+    system = LinearSystem(G, Q, H, R, [0, 0], np.eye(2), b=b, d=d)
     means, covs = laws(2)
     for map, (slope, noise, push) in zip(
         (system.dynamics, system.sensor), matrices(AT), strict=True

@@ -214,6 +214,27 @@ def test_a_switching_chain_switches_at_the_node_and_moves_as_its_mode(drives, sc
     np.testing.assert_allclose(chain.initial, wanted, atol=1e-6)
 
 
+def test_cells_too_wide_for_a_mixture_of_noises_are_a_loss():
+    """Its deviation of 0.71 is wide, its narrow part of 0.1 is not."""
+    mixed = Noise(
+        (v,),
+        0,
+        [[0.505]],
+        lambda rng, count: rng.standard_normal((1, count)),
+        lambda e: np.log(5 * norm.pdf(10 * e[0]) + 0.5 * norm.pdf(e[0])),
+    )
+    modes = [[1]], [[x + w]], Noise((w,)), [(1, [0], [[1]])]
+    system = SwitchingSystem((x,), [[x + v]], mixed, *modes)
+    for count, lost in ((17, 0.5), (25, 0.5), (241, 1e-12)):
+        chain = grid_chain(system, (-8.0, 8.0, count))
+        density = np.exp(
+            system.dynamics[0].log_density(0.0, chain.nodes[:, :, None], np.zeros((1, 1)))
+        )
+        defect = abs(1 - chain.axes[0].weights @ density[:, 0])
+        assert chain.loss(0.0, 1.0)[count // 2] == pytest.approx(defect, abs=1e-4)
+        assert defect >= lost or count == 241
+
+
 def test_likelihoods_of_a_switching_chain_take_in_the_indicator():
     tells = 1 / (1 + x**2)
     system = SwitchingSystem(

@@ -11,7 +11,7 @@ from scipy.linalg import expm
 from oracles.linear import Regression
 from seedslib.base import ELAPSED, Input
 from seedslib.filters import extended_kalman
-from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, inputs_of
+from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
 from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
 
 x, v, w, t = sympy.symbols("x v w t")
@@ -77,20 +77,17 @@ def test_dynamics_see_the_time_they_leave():
 
 
 def test_continuous_matrices_are_discretised_exactly_for_each_step():
-    drift, push = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.2, 0.0], [1.0, 0.5]])
-    noise, inputs = np.array([[0.2, 0.1], [0.1, 1.5]]), (Input("u"), Input("s"))
-    parts = drift, noise, [[1, 0]], [[0.2]], [0, 0], np.eye(2)
-    free = LinearSystem.from_continuous(*parts, step=None, B=push, inputs=inputs)
+    drift, noise = np.array([[0.0, 1.0], [-2.0, -0.3]]), np.array([[0.2, 0.1], [0.1, 1.5]])
+    parts, u = (drift, noise, [[1, 0]], [[0.2]], [0, 0], np.eye(2)), Input("u")
+    free = LinearSystem.from_continuous(*parts, step=None, b=[0.5, u])
     at = np.array([0.3, -0.4])
     for step in (0.3, 1.7, 12.0):
-        even = LinearSystem.from_continuous(*parts, step=step, B=push, inputs=inputs)
-        wanted = quad_vec(lambda s: expm(drift * s) @ push, 0, step, epsabs=1e-13)[0]
+        even = LinearSystem.from_continuous(*parts, step=step, b=[0.5, u])
         spread = quad_vec(lambda s: expm(drift * s) @ noise @ expm(drift * s).T, 0, step)[0]
         for system in (even, free, pickle.loads(pickle.dumps(free))):
-            u, s = sorted(inputs_of(system), key=str, reverse=True)
-            p = system.values({u: 0.8, s: -0.6}, step)
+            p = system.values({u: -0.6}, step)
             mean, cov = system.dynamics.conditional_moments(0.0, at[:, None], p)
-            moved = expm(drift * step) @ at + wanted @ [0.8, -0.6]
+            moved = expm(drift * step) @ at + [0.5, -0.6]
             assert mean[:, 0] == pytest.approx(moved, rel=1e-10)
             assert cov.reshape(2, 2, -1)[..., 0] == pytest.approx(spread, rel=1e-8)
 

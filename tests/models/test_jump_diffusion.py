@@ -218,7 +218,7 @@ def test_an_initial_law_may_be_sampled_and_parameters_may_be_put_in():
     start = system.simulate([0.0], 10_000, 0).states[0, 0]
     assert start.min() >= 0
     assert start.mean() == pytest.approx(1, abs=4 / np.sqrt(30_000))
-    assert not system.law.gaussian
+    assert not system.prior.gaussian
     s = sympy.Symbol("s")
     fixed = scalar(drift=s * x, parameters={s: 3})
     assert fixed.drift(0.0, np.array([[2.0, 1.0]])).tolist() == [[6, 3]]

@@ -1,5 +1,7 @@
 """Switching systems: the law of modes, states, measurements and indicators on simulated paths."""
 
+import warnings
+
 import numpy as np
 import pytest
 import sympy
@@ -9,7 +11,8 @@ from scipy.stats import norm
 from seedslib import zoo
 from seedslib.base import Parameter
 from seedslib.designed import SwitchingFilter
-from seedslib.linearization import GaussHermite
+from seedslib.filters import GridBayesFilter, ParticleFilter
+from seedslib.linearization import GaussHermite, Taylor, Unscented
 from seedslib.models import (
     Noise,
     StochasticMap,
@@ -262,3 +265,33 @@ def test_a_switch_that_never_happens_has_no_branch_however_zero_is_written():
     for zero, one in ((0, 1), (0.0, 1.0), (sympy.Float(0), 1)):
         moves = system("old", switching=[[one, zero], [zero, one]]).branches
         assert [[b is None for b in row] for row in moves] == [[False, True], [True, False]]
+
+
+# Probabilities that are none where the state goes
+
+
+@pytest.mark.parametrize("drives", ["old", "new"])
+def test_probabilities_out_of_range_are_refused_wherever_a_path_goes(drives):
+    """p = x**2 / 100 beyond ten, where a walk of 200 steps is sooner or later."""
+    chance = X**2 / 100
+    leave = [[1 - chance, chance], [chance, 1 - chance]]
+    walk = {"dynamics": [[X + V], [X + 2 * V]], "switching": leave}
+    far, times, y = system(drives, **walk), range(200), np.full((200, 1), 12.0)
+    for call in (
+        lambda: far.simulate(times, 5, 1),
+        lambda: ParticleFilter(far, 50).run(times, y),
+        lambda: GridBayesFilter(far, (-20, 20, 161)).run(times, y),
+    ):
+        with pytest.raises(ValueError, match=r"^switching.*: wanted probabilities from 0 to 1"):
+            call()
+    for rule in (Taylor(), Unscented(), GaussHermite()):
+        with pytest.warns(UserWarning, match="^switching: wanted probabilities from 0 to 1"):
+            SwitchingFilter(far, rule).run(times, y)
+    shows = system(drives, dynamics=[[X + V]] * 2, indicator=[[1 - chance, chance]] * 2)
+    with pytest.raises(ValueError, match=r"^indicator: wanted probabilities from 0 to 1"):
+        shows.simulate(times, 5, 1)
+    inside = system(drives)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        data = inside.simulate(times, 20, 1)
+        SwitchingFilter(inside, Taylor()).run(times, data.measurements)

@@ -1,9 +1,10 @@
 """Reference moments over polygons in high precision, written to ``polygon_reference.json``.
 
-Run by hand (two minutes): ``python tests/oracles/polygon_reference.py``. An independent
-route: Green's theorem in the whitened plane with 90 decimal digits, the mass as winding number
-less a numerical integral along each edge, the other moments in closed form. Digits lost to
-cancellation are paid for by precision; a second run with 130 digits must agree to 1e-24.
+Run by hand (two minutes): ``python tests/oracles/polygon_reference.py`` solves the cases of that
+file again. An independent route: Green's theorem in the whitened plane with 90 decimal digits, the
+mass as winding number less a numerical integral along each edge, the other moments in closed form.
+Digits lost to cancellation are paid for by precision; a second run with 130 digits must agree to
+1e-24.
 """
 
 from __future__ import annotations
@@ -13,7 +14,6 @@ import json
 from pathlib import Path
 
 import mpmath as mp
-import numpy as np
 
 FILE = Path(__file__).with_suffix(".json")
 
@@ -144,213 +144,6 @@ def edge_mass(h, t1, t2):
     return whole * scale * mp.exp(-(h * h + nearest**2) / 2) / (2 * mp.pi)
 
 
-def box(x0, x1, y0, y1):
-    return [[x0, y0], [x1, y0], [x1, y1], [x0, y1]]
-
-
-def ring(radius, thickness, points, start, stop):
-    """Part of an annulus: a non-convex polygon around the origin."""
-    angles = np.linspace(start, stop, points)
-    outer = [[(radius + thickness) * np.cos(t), (radius + thickness) * np.sin(t)] for t in angles]
-    inner = [[radius * np.cos(t), radius * np.sin(t)] for t in angles[::-1]]
-    return [[float(x), float(y)] for x, y in outer + inner]
-
-
-def star(points, inner, outer, centre=(0.0, 0.0), turn=0.1):
-    angles = turn + np.pi * np.arange(2 * points) / points
-    radii = np.where(np.arange(2 * points) % 2 == 0, outer, inner)
-    return [
-        [float(centre[0] + r * np.cos(t)), float(centre[1] + r * np.sin(t))]
-        for r, t in zip(radii, angles, strict=True)
-    ]
-
-
-def nearly_singular(rho, s1=1.0, s2=1.0):
-    return [[s1 * s1, rho * s1 * s2], [rho * s1 * s2, s2 * s2]]
-
-
-def hard_cases():
-    one = [[1.0, 0.0], [0.0, 1.0]]
-    tilted = [[1.0, 0.3], [0.3, 1.0]]
-    skew = [[2.0, -1.1], [-1.1, 0.9]]
-    near = nearly_singular(1 - 1e-14)
-    square = [[0.1, 0.9], [-0.7, 0.1], [0.2, -0.8], [1.0, 0.0]]
-    comb = [
-        [0, 0],
-        [5, 0],
-        [5, 3],
-        [4, 3],
-        [4, 1],
-        [3, 1],
-        [3, 3],
-        [2, 3],
-        [2, 1],
-        [1, 1],
-        [1, 3],
-        [0, 3],
-    ]
-    chevron = [
-        [-3.0, 2.0],
-        [0.0, 0.0],
-        [3.0, 2.0],
-        [3.0, 2.0 + 1e-10],
-        [0.0, 1e-10],
-        [-3.0, 2.0 + 1e-10],
-    ]
-    case = {
-        "square": ([0.03, 0.07], tilted, square),
-        "square clockwise": ([0.03, 0.07], tilted, square[::-1]),
-        "square padded": ([0.03, 0.07], tilted, [*square, square[-1], square[-1]]),
-        "mean on a vertex": ([0.0, 0.0], skew, box(0.0, 1.0, 0.0, 2.0)),
-        "mean on an edge": ([0.5, 0.0], skew, box(0.0, 1.0, 0.0, 2.0)),
-        "mean at 1e-9 from a vertex": ([1e-9, -2e-9], tilted, box(0.0, 1.0, 0.0, 2.0)),
-        "mean at 1e-6 from an oblique vertex": ([0.1 + 1e-6, 0.9 - 3e-6], tilted, square),
-        "tiny": ([0.3, -0.4], tilted, box(1.0, 1.0 + 1e-8, 2.0, 2.0 + 1e-8)),
-        "strip": ([0.2, 0.1], one, box(0.0, 1.0, 0.0, 1e-10)),
-        "strip, mean far": ([0.2, -3.0], tilted, box(0.0, 1.0, 0.0, 1e-10)),
-        "strip, long": ([0.2, 0.1], skew, box(-50.0, 70.0, 0.3, 0.3 + 1e-10)),
-        "strip, oblique": (
-            [0.2, 0.1],
-            skew,
-            [[-2.0, -1.0], [3.0, 2.0], [3.0, 2.0 + 1e-10], [-2.0, -1.0 + 1e-10]],
-        ),
-        "strip in the tail": ([0.0, 0.0], tilted, box(5.0, 5.0 + 1e-10, -20.0, 3.0)),
-        "strip pointing at the mean": ([0.0, 0.0], one, box(7.0, 90.0, -1e-10, 2e-10)),
-        "needle": ([0.0, 0.0], skew, [[-1.0, -1.0], [30.0, 2.0], [30.0, 2.0 + 1e-9]]),
-        "needle tip near": ([0.0, 0.0], tilted, [[0.5, 0.5], [40.0, 3.0], [40.0, 3.000001]]),
-        "huge square": ([0.3, 0.2], skew, box(-1e9, 1e9, -1e9, 1e9)),
-        "huge, an edge near": (
-            [0.0, 0.0],
-            tilted,
-            [[-1e9, -1e9 + 0.5], [1e9, 1e9 + 0.5], [-1e9, 1e9]],
-        ),
-        "huge, a vertex near": ([0.0, 0.0], skew, [[0.3, 0.7], [1e9, -3e8], [1e9, 2e9]]),
-        "huge strip": ([0.0, 0.0], tilted, box(-1e9, 1e9, 0.5, 0.5 + 1e-7)),
-        "huge oblique strip": (
-            [0.0, 0.0],
-            tilted,
-            [[-1e9, -1e9], [1e9, 1e9], [1e9, 1e9 + 1e-6], [-1e9, -1e9 + 1e-6]],
-        ),
-        "tail": ([0.0, 0.0], tilted, box(9.0, 10.0, -1.0, 1.0)),
-        "tail, vertex": ([0.0, 0.0], one, [[30.0, 40.0], [33.0, 41.0], [32.0, 45.0]]),
-        "ln P = -5e5": ([0.0, 0.0], one, box(1000.0, 1001.0, -1.0, 1.0)),
-        "ln P = -1e8": ([0.0, 0.0], one, box(14142.0, 14143.0, -3.0, 1.0)),
-        "ln P = -1e8, oblique": (
-            [0.0, 0.0],
-            one,
-            [[1e4, 1e4], [10100.0, 9900.5], [10100.0, 10100.0]],
-        ),
-        "ln P = -1e8, edge across": (
-            [0.0, 0.0],
-            one,
-            [[10007.0, 9993.0], [10100.0, 10100.0], [9992.0, 10008.0]],
-        ),
-        "1 - rho = 1e-6": ([0.1, 0.2], nearly_singular(1 - 1e-6), box(-1.0, 1.0, -0.5, 2.0)),
-        "1 - rho = 1e-10": (
-            [0.1, 0.2],
-            nearly_singular(1 - 1e-10, 2.0, 0.5),
-            box(-1.0, 1.0, -0.5, 2.0),
-        ),
-        "1 - rho = 1e-14": ([0.1, 0.2], near, box(-1.0, 1.0, -0.5, 2.0)),
-        "1 + rho = 1e-14": ([0.1, 0.2], nearly_singular(-1 + 1e-14), box(-1.0, 1.0, -0.5, 2.0)),
-        "1 - rho = 1e-14, off the ridge": ([0.0, 0.0], near, box(0.5, 1.0, 0.5 - 1e-6, 0.5 - 5e-7)),
-        "1 - rho = 1e-14, corner on the ridge": ([0.0, 0.0], near, box(0.5, 1.0, -3.0, 0.5)),
-        "1 - rho = 1e-14, unequal": (
-            [3.0, -2.0],
-            nearly_singular(1 - 1e-14, 1e3, 1e-3),
-            box(-500.0, 900.0, -2.002, -1.9995),
-        ),
-        "1 - rho = 1e-14, tail": (
-            [0.0, 0.0],
-            near,
-            [[20.0, 20.0], [21.0, 20.0], [21.0, 21.0], [20.5, 21.0]],
-        ),
-        "far from zero": (
-            [1e6, 1e6],
-            [[1e-4, 5e-5], [5e-5, 1e-4]],
-            box(1e6 + 0.01, 1e6 + 0.02, 1e6 - 0.01, 1e6),
-        ),
-        "small law, large box": (
-            [0.0, 0.0],
-            [[1e-12, 0.0], [0.0, 1e-10]],
-            box(-1.0, 1e-6, -1e-5, 1.0),
-        ),
-        "disc of 40 edges": ([0.3, 0.1], tilted, ring(0.0, 1.5, 41, 0.0, 2 * np.pi)[:40]),
-        "disc of 40 edges, tail": ([30.0, 4.0], tilted, ring(0.0, 1.5, 41, 0.0, 2 * np.pi)[:40]),
-        "comb": ([1.5, 2.0], skew, comb),
-        "comb, mean outside": ([7.0, 8.0], tilted, comb),
-        "star": ([0.1, 0.0], tilted, star(5, 0.4, 1.5)),
-        "star in the tail": ([0.0, 0.0], skew, star(5, 0.1, 1.0, centre=(12.0, 3.0))),
-        "thin star": ([0.0, 0.0], one, star(3, 1e-6, 2.0)),
-        "ring around the mean": ([0.0, 0.0], one, ring(30.0, 1.0, 12, 0.3, 5.8)),
-        "ring around the mean, thin": ([0.1, -0.2], one, ring(1.0, 1e-9, 9, 0.3, 5.8)),
-        "chevron 1e-10 wide": ([0.1, 0.0], tilted, chevron),
-        "collinear vertices": (
-            [0.2, 0.1],
-            skew,
-            [[0, 0], [0.5, 0.0], [1, 0], [1, 1], [0.25, 0.75], [0, 0.5]],
-        ),
-        "quadrant": ([0.0, 0.0], one, [[1.0, 1.0]], [[0.0, 1.0], [1.0, 0.0]]),
-        "quadrant, far": ([0.0, 0.0], one, [[9.0, 9.0]], [[0.0, 1.0], [1.0, 0.0]]),
-        "three quarters": ([0.2, 0.4], skew, [[0.0, 0.0]], [[1.0, 0.0], [0.0, 1.0]]),
-        "half-plane": ([0.2, 0.4], skew, [[1.0, 0.0]], [[-1.0, -2.0], [1.0, 2.0]]),
-        "half-plane, tail": ([0.2, 0.4], tilted, [[-20.0, 10.0]], [[-1.0, -2.0], [1.0, 2.0]]),
-        "half-strip": ([0.0, 0.0], tilted, [[0.0, 1.0], [0.3, 0.0]], [[1.0, 0.1], [1.0, 0.1]]),
-        "all but a half-strip": (
-            [0.0, 0.0],
-            tilted,
-            [[0.3, 0.0], [0.0, 1.0]],
-            [[1.0, 0.1], [1.0, 0.1]],
-        ),
-        "narrow wedge": ([0.5, 0.0], one, [[0.0, 0.0]], [[1.0, 1e-8], [1.0, -1e-8]]),
-        "wedge, 1 - rho = 1e-12": (
-            [0.0, 0.1],
-            nearly_singular(1 - 1e-12),
-            [[-1.0, -1.0]],
-            [[0.0, 1.0], [1.0, 0.9]],
-        ),
-        "unbounded, non-convex": (
-            [0.5, 0.5],
-            skew,
-            [[0, 2], [1, 1], [0, 0], [1, -1]],
-            [[-1.0, 0.5], [3.0, -1.0]],
-        ),
-    }
-    return {name: with_rays(*value) for name, value in case.items()}
-
-
-def with_rays(mean, cov, vertices, rays=None):
-    return {"mean": mean, "cov": cov, "vertices": vertices, "rays": rays}
-
-
-def random_cases(count, seed=20):
-    """Star-shaped polygons, mostly non-convex, of all sizes, under laws of all shapes."""
-    rng = np.random.default_rng(seed)
-    cases = {}
-    for k in range(count):
-        corners = int(rng.integers(3, 9))
-        angles = np.sort(rng.uniform(0, 2 * np.pi, corners))
-        while np.max(np.diff(angles, append=angles[0] + 2 * np.pi)) > 0.95 * np.pi:
-            angles = np.sort(rng.uniform(0, 2 * np.pi, corners))
-        size = 10.0 ** rng.uniform(-4, 3)
-        radii = size * rng.uniform(0.1, 1.0, corners)
-        squash = 10.0 ** rng.uniform(-6, 0) if k % 3 == 0 else 1.0
-        centre = rng.normal(size=2) * 3.0 * rng.choice([0.1, 1.0, 5.0])
-        x = centre[0] + radii * np.cos(angles)
-        y = centre[1] + squash * radii * np.sin(angles)
-        rho = rng.choice([rng.uniform(-0.95, 0.95), 1 - 10.0 ** rng.uniform(-12, -2)])
-        s = 10.0 ** rng.uniform(-0.7, 0.7, 2)
-        cases[f"random {k}"] = with_rays(
-            [float(v) for v in rng.normal(size=2)],
-            [
-                [float(s[0] ** 2), float(rho * s[0] * s[1])],
-                [float(rho * s[0] * s[1]), float(s[1] ** 2)],
-            ],
-            [[float(a), float(b)] for a, b in zip(x, y, strict=True)],
-        )
-    return cases
-
-
 def solved(case):
     first, second = (
         reference(case["mean"], case["cov"], case["vertices"], case["rays"], digits)
@@ -373,12 +166,6 @@ def solved(case):
 
 
 if __name__ == "__main__":
-    import sys
-
-    known = json.loads(FILE.read_text()) if FILE.exists() else {}
-    for name, case in {**hard_cases(), **random_cases(40)}.items():
-        if any(known.get(name, {}).get(key) != value for key, value in case.items()):
-            print(name, file=sys.stderr, flush=True)
-            known[name] = solved(case)
+    known = {name: solved(case) for name, case in json.loads(FILE.read_text()).items()}
     lines = ",\n".join(f"{json.dumps(name)}: {json.dumps(case)}" for name, case in known.items())
     FILE.write_text("{\n" + lines + "\n}\n")

@@ -1,15 +1,11 @@
 """References: covariances of functions of a normal number, down to the smallest variances."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import mpmath as mp
 
 from references.high import family
 
 HALF = mp.mpf(1) / 2
-FUNCTIONS: dict[str, list[tuple[Any, int, Any, int]]] = {
+FUNCTIONS = {
     "sin x": [(-0.5j, 0, 1j, 0), (0.5j, 0, -1j, 0)],
     "cos 2x": [(HALF, 0, 2j, 0), (HALF, 0, -2j, 0)],
     "exp x/2": [(1, 0, HALF, 0)],
@@ -20,7 +16,7 @@ FUNCTIONS: dict[str, list[tuple[Any, int, Any, int]]] = {
 """Sums of c x^k exp(a x - q x^2 / 2), as (c, k, a, q)."""
 
 
-def whole(terms: list[tuple[Any, int, Any, int]], mean: Any, var: Any) -> Any:
+def whole(terms, mean, var):
     """Mean of a sum, by completing the square."""
     total = mp.mpf(0)
     for c, k, a, q in terms:
@@ -32,17 +28,8 @@ def whole(terms: list[tuple[Any, int, Any, int]], mean: Any, var: Any) -> Any:
     return mp.re(total)
 
 
-@family(
-    "covariance",
-    "closed form",
-    ordinary={"mean": 0.7, "var": 0.3},
-    quiet={"mean": 0.7, "var": 1e-4},
-    small={"mean": 0.7, "var": 1e-8},
-    smaller={"mean": -1.2, "var": 1e-12},
-    beyond={"mean": 0.7, "var": 1e-20},
-    smallest={"mean": 0.7, "var": 1e-290},
-)
-def covariance(mean: Any, var: Any) -> dict[str, Any]:
+@family("covariance", "closed form")
+def covariance(mean, var):
     found = {}
     with mp.workdps(700):
         for i, (name, f) in enumerate(FUNCTIONS.items()):

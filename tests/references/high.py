@@ -5,7 +5,7 @@ Nothing here or in the families uses the library: only mpmath, and formulas from
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -26,43 +26,42 @@ class Value(NamedTuple):
 
 
 class Family(NamedTuple):
-    """Cases by their names, the function of their arguments, and where its numbers come from.
+    """Function of a case's arguments, which gives named values, and where its numbers come from.
 
     `sensitive` says whether the condition number is computed, which costs a run for each argument.
     """
 
-    values: Callable[..., dict[str, Any]]
-    cases: dict[str, dict[str, Any]]
+    values: Callable[..., dict]
     provenance: str
     sensitive: bool
 
 
-def family(name: str, provenance: str, sensitive: bool = True, **cases: dict[str, Any]) -> Any:
-    """Decorator that enters a function of arguments, which gives named values, as a family."""
+def family(name, provenance, sensitive=True):
+    """Decorator that enters a function as a family."""
 
-    def enter(values: Callable[..., dict[str, Any]]) -> Callable[..., dict[str, Any]]:
-        FAMILIES[name] = Family(values, cases, provenance, sensitive)
+    def enter(values):
+        FAMILIES[name] = Family(values, provenance, sensitive)
         return values
 
     return enter
 
 
-def relative(number: Any, *others: Any) -> Value:
+def relative(number, *others):
     """A number whose error is relative to the largest of it and others."""
     return Value(number, max(abs(part) for part in (number, *others)))
 
 
-def density(z: Any) -> Any:
+def density(z):
     """Standard normal density."""
     return mp.exp(-z * z / 2) / mp.sqrt(2 * mp.pi)
 
 
-def below(z: Any) -> Any:
+def below(z):
     """Standard normal distribution function, relative digits in both tails."""
     return mp.erfc(-z / mp.sqrt(2)) / 2
 
 
-def integral(f: Callable[[Any], Any], points: Iterable[Any]) -> Any:
+def integral(f, points):
     """Integral over the intervals between points, checked to 30 digits of the whole."""
     points = sorted(set(points))
     middles = [(a + b) / 2 for a, b in pairwise(points) if not mp.isinf(b)]
@@ -73,7 +72,7 @@ def integral(f: Callable[[Any], Any], points: Iterable[Any]) -> Any:
     return total * size
 
 
-def about(centre: Any, spread: Any, *kinks: tuple[Any, Any]) -> list[Any]:
+def about(centre, spread, *kinks):
     """Ends and divisions of an integral against N(centre, spread²), dense about kinks.
 
     A kink is a place and a width.
@@ -85,17 +84,17 @@ def about(centre: Any, spread: Any, *kinks: tuple[Any, Any]) -> list[Any]:
     return [*ends, *(mark for mark in marks if ends[0] < mark < ends[1])]
 
 
-def matrix(rows: Any) -> Any:
+def matrix(rows):
     """Matrix of nested sequences, or of a number."""
     return mp.matrix(rows) if isinstance(rows, Sequence) else mp.matrix([[rows]])
 
 
-def column(entries: Sequence[Any]) -> Any:
+def column(entries):
     """Column of a sequence."""
     return mp.matrix([[entry] for entry in entries])
 
 
-def law_values(mean: Any, cov: Any, prefix: str = "") -> dict[str, Value]:
+def law_values(mean, cov, prefix=""):
     """Mean and covariance: means relative to their deviations at least, covariances to theirs.
 
     Where nothing is unknown the errors are absolute.
@@ -110,7 +109,7 @@ def law_values(mean: Any, cov: Any, prefix: str = "") -> dict[str, Value]:
     return found
 
 
-def pairings(order: Sequence[int], cov: Any) -> Any:
+def pairings(order, cov):
     """Central moment of components (with repetitions) of a Gaussian vector: Isserlis' sum."""
     if not order:
         return mp.mpf(1)
@@ -124,7 +123,7 @@ def pairings(order: Sequence[int], cov: Any) -> Any:
     )
 
 
-def moment(powers: Sequence[int], mean: Any, cov: Any) -> Any:
+def moment(powers, mean, cov):
     """E of the product of components to given powers, expanded about the mean."""
     axes = [i for i, power in enumerate(powers) for _ in range(power)]
     total = mp.mpf(0)

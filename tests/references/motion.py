@@ -1,9 +1,5 @@
 """References: linear motion in continuous time, the Kalman-Bucy filter, what stands on it."""
 
-from __future__ import annotations
-
-from typing import Any
-
 import mpmath as mp
 
 from references.errors import maximum_error, modulus_error, polynomial_error, sine_error
@@ -11,12 +7,8 @@ from references.filters import corrected
 from references.high import Value, column, family, law_values, matrix
 from references.record import wave
 
-DAMPED = {"drift": [[0.0, 1.0], [-1.0, -0.5]], "diffusion": [[0.25, 0.0], [0.0, 1.0]]}
-STIFF = {"drift": [[-1000.0, 1.0], [0.0, -0.125]], "diffusion": [[1.0, 0.0], [0.0, 1e-6]]}
-DRIVEN = {"drift": [[0.0, 1.0], [0.0, 0.0]], "diffusion": [[0.0, 0.0], [0.0, 1.0]]}
 
-
-def matrix_law(found: Any, name: str) -> dict[str, Value]:
+def matrix_law(found, name):
     """Entries, relative to the largest of the matrix."""
     scale = max(abs(found[i, j]) for i in range(found.rows) for j in range(found.cols))
     return {
@@ -26,7 +18,7 @@ def matrix_law(found: Any, name: str) -> dict[str, Value]:
     }
 
 
-def moved(drift: Any, diffusion: Any, step: Any) -> tuple[Any, Any]:
+def moved(drift, diffusion, step):
     """Transition and noise of a step, from the exponential of a matrix of twice the size."""
     n = drift.rows
     block = mp.zeros(2 * n)
@@ -36,21 +28,13 @@ def moved(drift: Any, diffusion: Any, step: Any) -> tuple[Any, Any]:
     return move, move * power[:n, n:]
 
 
-def digits(drift: Any, time: Any) -> int:
+def digits(drift, time):
     """Enough for the growth that cancels in such an exponential."""
     return 100 + int(time * sum(abs(drift[i, j]) for i in range(2) for j in range(2)))
 
 
-@family(
-    "discretisation",
-    "series",
-    damped={**DAMPED, "step": 0.5},
-    long={**DAMPED, "step": 20.0},
-    driven={**DRIVEN, "step": 0.25},
-    short={**DAMPED, "step": 1e-6},
-    stiff={**STIFF, "step": 0.5},
-)
-def discretisation(drift: Any, diffusion: Any, step: Any) -> dict[str, Any]:
+@family("discretisation", "series")
+def discretisation(drift, diffusion, step):
     drift, diffusion = matrix(drift), matrix(diffusion)
     with mp.workdps(digits(drift, step)):
         move, noise = moved(drift, diffusion, step)
@@ -63,7 +47,7 @@ def discretisation(drift: Any, diffusion: Any, step: Any) -> dict[str, Any]:
         return {**matrix_law(move, "transition"), **spread}
 
 
-def hamiltonian(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> Any:
+def hamiltonian(drift, diffusion, sensor, intensity):
     n = drift.rows
     block = mp.zeros(2 * n)
     block[:n, :n], block[n:, n:] = -drift.T, drift
@@ -71,19 +55,8 @@ def hamiltonian(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> Any:
     return block
 
 
-SEEN = {"sensor": [[1.0, 0.0]], "intensity": [[0.25]]}
-STEADY = {
-    "damped": {**DAMPED, **SEEN},
-    "driven": {**DRIVEN, **SEEN},
-    "quiet": {**DRIVEN, "sensor": [[1.0, 0.0]], "intensity": [[1e-8]]},
-    "loud": {**DAMPED, "sensor": [[1.0, 0.0]], "intensity": [[1e8]]},
-    "unstable": {"drift": [[1.0, 2.0], [0.0, 0.5]], "diffusion": [[1.0, 0.5], [0.5, 1.0]], **SEEN},
-    "stiff": {**STIFF, "sensor": [[1.0, 1.0]], "intensity": [[1.0]]},
-}
-
-
-@family("Riccati equation", "invariant subspace", **STEADY)
-def riccati(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> dict[str, Any]:
+@family("Riccati equation", "invariant subspace")
+def riccati(drift, diffusion, sensor, intensity):
     """The steady covariance from the growing eigenvectors of the Hamiltonian matrix."""
     with mp.workdps(90):
         block = hamiltonian(*map(matrix, (drift, diffusion, sensor, intensity)))
@@ -97,43 +70,8 @@ def riccati(drift: Any, diffusion: Any, sensor: Any, intensity: Any) -> dict[str
         return {k: v for k, v in law_values(column([1, 1]), cov).items() if k.startswith("cov")}
 
 
-BUCY = {
-    "damped": {
-        **DAMPED,
-        **SEEN,
-        "mean0": [0.5, -0.25],
-        "cov0": [[1.0, 0.25], [0.25, 2.0]],
-        "step": 0.0625,
-    },
-    "known": {
-        **DAMPED,
-        **SEEN,
-        "mean0": [0.5, -0.25],
-        "cov0": [[0.0, 0.0], [0.0, 0.0]],
-        "step": 0.0625,
-    },
-    "diffuse": {
-        **DRIVEN,
-        **SEEN,
-        "mean0": [0.5, -0.25],
-        "cov0": [[1e10, 0.0], [0.0, 1e8]],
-        "step": 0.0625,
-    },
-    "quiet": {
-        **DAMPED,
-        "sensor": [[1.0, 0.0], [0.0, 1.0]],
-        "mean0": [1e6, 0.0],
-        "step": 2.0**-10,
-        "intensity": [[1e-4, 0.0], [0.0, 1e-2]],
-        "cov0": [[1e-6, 0.0], [0.0, 1e-6]],
-    },
-}
-
-
-@family("Kalman-Bucy filter", "series", **BUCY)
-def kalman_bucy(
-    drift: Any, diffusion: Any, sensor: Any, intensity: Any, mean0: Any, cov0: Any, step: Any
-) -> dict[str, Any]:
+@family("Kalman-Bucy filter", "series")
+def kalman_bucy(drift, diffusion, sensor, intensity, mean0, cov0, step):
     """Mean x - P p and covariance V U⁻¹ from the linear flows of (p, x) and (U, V)."""
     with mp.workdps(140):
         drift, diffusion, sensor, intensity = map(matrix, (drift, diffusion, sensor, intensity))
@@ -155,22 +93,8 @@ def kalman_bucy(
         return law_values(mean, cov)
 
 
-START = {"mean0": [0.5, -0.25], "cov0": [[1.0, 0.25], [0.25, 2.0]], **DAMPED}
-TWO = {**START, **SEEN}
-ONE = {**START, "sensor": [[1.0, 0.0]]}
-
-
-@family(
-    "two-step estimator",
-    "quadrature",
-    sensitive=False,
-    early={**TWO, "time": 0.25},
-    late={**TWO, "time": 8.0},
-    quiet={**TWO, "intensity": [[1e-8]], "time": 0.015625},
-)
-def two_step(
-    mean0: Any, cov0: Any, drift: Any, diffusion: Any, sensor: Any, intensity: Any, time: Any
-) -> dict[str, Any]:
+@family("two-step estimator", "quadrature", sensitive=False)
+def two_step(mean0, cov0, drift, diffusion, sensor, intensity, time):
     """Errors of estimates of a product, a sine, a modulus and a maximum at one time."""
     drift, diffusion, sensor, intensity = map(matrix, (drift, diffusion, sensor, intensity))
     with mp.workdps(300):  # the flow grows by up to a hundred digits
@@ -194,31 +118,8 @@ def two_step(
     return {f"{f} {name}": v for f, told in found.items() for name, v in told.items()}
 
 
-@family(
-    "designed filter",
-    "recursion",
-    damped={**ONE, "step": 0.5, "noise": 0.25, "memory": 1},
-    short={**ONE, "step": 0.5, "noise": 0.25, "memory": -2},
-    longer={**ONE, "step": 0.125, "noise": 1e-4, "memory": -4},
-    quiet={
-        **ONE,
-        "diffusion": [[0.0, 0.0], [0.0, 1e-10]],
-        "cov0": [[1e-8, 0.0], [0.0, 1e-8]],
-        "step": 0.5,
-        "noise": 1e-12,
-        "memory": -3,
-    },
-)
-def designed(
-    mean0: Any,
-    cov0: Any,
-    drift: Any,
-    diffusion: Any,
-    sensor: Any,
-    step: Any,
-    noise: Any,
-    memory: Any,
-) -> dict[str, Any]:
+@family("designed filter", "recursion")
+def designed(mean0, cov0, drift, diffusion, sensor, step, noise, memory):
     """Estimate from the last measurements; of all of them where an estimate is remembered.
 
     A memory of -l is that of l measurements beside the present one, 1 that of an estimate.

@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.linalg import symmetric
 from seedslib.base.tables import Labels
-from seedslib.designed.memory import Memory
+from seedslib.designed.memory import places
 from seedslib.designed.predictors import (
     CLIP,
     FLOOR,
@@ -21,21 +21,9 @@ from seedslib.designed.predictors import (
     monomial_recipe,
     range_roots,
 )
-from seedslib.designed.tables import Table, block_labels
-from seedslib.export.kernels import correct, map_moments
-from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Scalar, choose, isnan
-
-
-def places(memory: Memory, estimate: int, measurement: int, count: int) -> np.ndarray:
-    """Which numbers of the full memory are in use after so many measurements.
-
-    An estimate takes up `estimate` of them, a measurement `measurement`.
-    """
-    estimates = estimate * min(count, memory.estimates)
-    measurements = measurement * min(count, memory.measurements)
-    start = estimate * memory.estimates
-    return np.concatenate([np.arange(estimates), np.arange(start, start + measurements)])
+from seedslib.designed.step import DesignedStep
+from seedslib.filters.step import any_of
+from seedslib.tape.tape import Scalar, choose, isnan
 
 
 def widened(values: np.ndarray, columns: Any, size: int) -> np.ndarray:
@@ -48,7 +36,7 @@ def widened(values: np.ndarray, columns: Any, size: int) -> np.ndarray:
 # Finite order
 
 
-def finite_order(step: Step) -> None:
+def finite_order(step: DesignedStep) -> None:
     """Record a `FiniteOrderFilter`: forecast from the memory, correction, memory.
 
     Raises
@@ -56,20 +44,20 @@ def finite_order(step: Step) -> None:
     TypeError, ValueError
         Forecasts of another kind than affine and polynomial; inputs in what is evaluated.
     """
-    filter = step.filter
+    from seedslib.filters.kernels import correct, map_moments
+
+    filter, sensor = step.filter, step.filter.system.sensor
     _check_finite_order(filter)
     k, t = step.begin()
     gap_before, gap = step.gap(k)
-    memory = step.array("memory", (filter.order,), owner="state")
+    past = step.past(step.rows)
 
     def correction(mean: np.ndarray, cov: np.ndarray, moments: Any) -> None:
-        mean, after, loglik, y = correct(
-            mean, cov, step.y, moments, step.rows, filter.rules.periods
-        )
+        mean, after, loglik, y = correct(step, mean, cov, moments, sensor, step.rows)
         step.mean.store(mean)
         step.cov.store(choose(gap, np.nan, after))
         step.loglik.store(choose(gap_before, np.nan, loglik))
-        step.push(memory, mean, y)
+        step.push(past, mean, y)
 
     with step.when(k < 1.0):
         mean, cov, *moments = (
@@ -77,15 +65,13 @@ def finite_order(step: Step) -> None:
         )
         correction(mean, cov, moments)
     with step.when(k >= 1.0):
-        u = memory.all
+        u = past["memory"].all
         if isinstance(filter.predictor, Continuous):
             u = _moved(step, k, u)
         forecast = _affine if isinstance(filter.fits[0], AffineFit) else _polynomial
         mean, cov = forecast(step, k - 1.0, u)
-        sensor = filter.system.sensor
-        correction(
-            mean, cov, map_moments(step, filter.linearization, sensor, t, mean, cov, step.at_time())
-        )
+        given = step, filter.linearization, sensor, t, mean, cov, step.at_time()
+        correction(mean, cov, map_moments(*given))
     step.end(k)
 
 
@@ -113,7 +99,7 @@ def _fits(filter: Any) -> list[tuple[np.ndarray, Any]]:
     return [(places(filter.memory, *sizes, k + 1), fit) for k, fit in enumerate(filter.fits)]
 
 
-def _affine(step: Step, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _affine(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by an affine fit."""
     fits = _fits(step.filter)
     gain = step.table("gain", [widened(fit.gain, used, len(u)) for used, fit in fits])
@@ -122,7 +108,7 @@ def _affine(step: Step, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndar
     return gain[row] @ u + offset[row], cov[row]
 
 
-def _polynomial(step: Step, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _polynomial(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by polynomials in the standardised memory."""
     fits, size = _fits(step.filter), len(u)
     degrees = fits[0][1].mean_degree, fits[0][1].cov_degree
@@ -176,7 +162,7 @@ def _monomials(size: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def _bounded_below(
-    step: Step, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
+    step: DesignedStep, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
 ) -> np.ndarray:
     """See `seedslib.designed.predictors.bounded_below`; eigenvalues by rotations of Jacobi."""
     n = step.n
@@ -203,8 +189,10 @@ def _bounded_below(
     return scaled @ scaled.T
 
 
-def _moved(step: Step, k: Scalar, z: np.ndarray) -> np.ndarray:
+def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
     """The estimate after Euler's steps of the continuous forecast up to measurement k."""
+    from seedslib.filters.kernels import map_moments
+
     filter, row = step.filter, k - 1.0
     grids = [
         [start, *nodes, stop]
@@ -237,18 +225,9 @@ def _moved(step: Step, k: Scalar, z: np.ndarray) -> np.ndarray:
 # Tables
 
 
-def table(step: Step) -> None:
-    """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up.
-
-    Raises
-    ------
-    TypeError
-        Output functions that are no tables.
-    """
-    filter, system, memory = step.filter, step.filter.system, step.filter.memory
-    others = {type(f).__name__ for row in filter.steps for f in row if not isinstance(f, Table)}
-    if others:
-        raise TypeError(f"filter: wanted tables over even axes, got {', '.join(sorted(others))}")
+def table(step: DesignedStep) -> None:
+    """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up."""
+    filter, memory = step.filter, step.filter.memory
     k, _ = step.begin()
     gap = step.gap(k)[1]
     missing = isnan(step.y)
@@ -256,10 +235,13 @@ def table(step: Step) -> None:
     step.refuse(some_missing if memory.measurements else some_missing & any_of(~missing), "PARTLY")
     if memory.indicators:
         step.refuse(step.indicator < 0.0, "PARTLY")
-    labels = [len(part) for part in block_labels(system, memory)]
-    sizes = step.rows + sum(labels), step.m + labels[1]
-    size = sizes[0] * memory.estimates + sizes[1] * memory.measurements
-    past = step.array("memory", (size,), owner="state")
+    past = step.past(step.rows)
+    numbers, remembered = list(past["memory"].all), []
+    for i in range(memory.estimates + memory.measurements):  # in the order of the axes
+        remembered += [past[name][i] for name in ("modes", "indicators") if name in past]
+        size = step.rows if i < memory.estimates else step.m
+        remembered += [numbers.pop(0) for _ in range(size)]
+    sizes = step.rows + len(past) - 1, step.m + ("indicators" in past)
     first: list[Any] = []
     if step.indicators:  # the label after the last value is a missing indicator
         first = [choose(step.indicator < 0.0, float(step.indicators), step.indicator)]
@@ -274,7 +256,7 @@ def table(step: Step) -> None:
             for row in range(len(tables))
         ]
         with step.when(condition):
-            points = [*known, *past.all]
+            points = [*known, *remembered]
             result.store(_looked_up(step, name, k, tables, used, points))
     mean, prob, mode = np.split(result.all, [step.rows, step.rows + prob_count])
     step.mean.store(mean)
@@ -284,16 +266,15 @@ def table(step: Step) -> None:
         step.array("mode", (), "int", "state").store(mode[0])
     if prob_count:
         step.array("prob", (prob_count,), owner="state").store(prob)
-    indicator = [step.indicator] * labels[1]
-    step.push(past, [*mode[: labels[0]], *indicator, *mean], [*indicator, *step.y])
+    step.push(past, mean, step.y, mode[0] if step.modes else None)
     step.end(k)
 
 
 def _looked_up(
-    step: Step,
+    step: DesignedStep,
     name: str,
     k: Scalar,
-    tables: Sequence[Table],
+    tables: Sequence[Any],
     used: Sequence[Sequence[int]],
     points: Sequence[Scalar],
 ) -> list[Any]:
@@ -343,7 +324,7 @@ def _looked_up(
     return [*corners[0], step.table(f"{name}_mode", modes, "int")[index + nearest]]
 
 
-def _entry(step: Step, name: str, values: np.ndarray, k: Scalar) -> Any:
+def _entry(step: DesignedStep, name: str, values: np.ndarray, k: Scalar) -> Any:
     """Entry k of a table; a constant where all entries are alike."""
     same = (values == values[0]).all()
     return values[0].astype(object) if same else step.table(name, values)[k]

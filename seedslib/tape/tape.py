@@ -1,12 +1,13 @@
 """Numbers that write down what is done with them: formulas of the library become a program.
 
 A tape holds statements: a value with a name, a store into an array, a choice of blocks, a loop, a
-refusal. A writer (`seedslib.export.c`, `seedslib.export.javascript`) spells them in a language.
+refusal. A `seedslib.tape.writer.Writer` spells them in a language.
 """
 
 from __future__ import annotations
 
 import math
+import sys
 from collections import ChainMap
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -14,7 +15,6 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
-from numpy.lib.mixins import NDArrayOperatorsMixin
 
 Number: TypeAlias = "Scalar | float"
 
@@ -61,10 +61,11 @@ LARGEST_POWER = 40
 """Whole powers up to this one are written as products."""
 
 
-class Scalar(NDArrayOperatorsMixin):
+class Scalar:
     """A number of a program: the result of an operation, with the name that holds it.
 
-    Operators and functions of NumPy are recorded; so are ``&``, ``|`` and ``~`` of truths.
+    Operators and functions of NumPy are recorded; so are ``&``, ``|`` and ``~`` of truths. The
+    operators go round NumPy's, which take three times as long.
 
     Attributes
     ----------
@@ -81,6 +82,15 @@ class Scalar(NDArrayOperatorsMixin):
 
     def __repr__(self) -> str:
         return self.name
+
+    def __neg__(self) -> Any:
+        return self.tape.node("neg", self)
+
+    def __invert__(self) -> Any:
+        return self.tape.node("!", self)
+
+    def __abs__(self) -> Any:
+        return self.tape.node("fabs", self)
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -101,6 +111,8 @@ class Scalar(NDArrayOperatorsMixin):
         raise ValueError(f"formulas: wanted functions that C99 has, got {name}")
 
     def __array_function__(self, function: Any, types: Any, arguments: Any, options: Any) -> Any:
+        if function is np.shape:
+            return ()
         if function is not np.select:
             raise ValueError(f"formulas: wanted functions that C99 has, got {function.__name__}")
         conditions, choices, *rest = arguments
@@ -108,6 +120,30 @@ class Scalar(NDArrayOperatorsMixin):
         for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
             result = choose(condition, choice, result)
         return result
+
+
+def _operator(ufunc: np.ufunc, turned: bool = False) -> Callable[[Scalar, Any], Any]:
+    """What an operator of two operands does; `turned` is that of the second one."""
+    operation, composed = OPERATIONS.get(ufunc.__name__), COMPOSED.get(ufunc.__name__)
+
+    def apply(self: Scalar, other: Any) -> Any:
+        if isinstance(other, np.ndarray):
+            return ufunc(other, self) if turned else ufunc(self, other)
+        other = other if type(other) is Scalar else float(other)
+        pair = (other, self) if turned else (self, other)
+        return composed(*pair) if composed else self.tape.node(operation, *pair)
+
+    return apply
+
+
+_BOTH = {"add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.divide}
+_BOTH |= {"pow": np.power, "and": np.bitwise_and, "or": np.bitwise_or}
+_COMPARED = {"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal}
+_COMPARED |= {"eq": np.equal, "ne": np.not_equal}
+for _name, _ufunc in (_BOTH | _COMPARED).items():
+    setattr(Scalar, f"__{_name}__", _operator(_ufunc))
+for _name, _ufunc in _BOTH.items():
+    setattr(Scalar, f"__r{_name}__", _operator(_ufunc, True))
 
 
 def _power(base: Any, power: Any) -> Any:
@@ -288,13 +324,19 @@ class Loop:
 class Tape:
     """A program in the order in which it was recorded; equal values of a block are kept once.
 
+    Parameters
+    ----------
+    limit : int
+        Named values that it may have.
+
     Attributes
     ----------
     block : list of Let, Load, Store, Refuse, When, Loop
     arrays : dict of Array by name
     """
 
-    def __init__(self) -> None:
+    def __init__(self, limit: int = sys.maxsize) -> None:
+        self.limit = limit
         self.block: list[Any] = []
         self.arrays: dict[str, Array] = {}
         self._known: ChainMap[Any, Scalar] = ChainMap()
@@ -326,8 +368,16 @@ class Tape:
         return next(one for one in names if one not in self.arrays)
 
     def name(self, kind: str) -> Scalar:
-        """A new name."""
+        """A new name.
+
+        Raises
+        ------
+        ValueError
+            More than the program may have.
+        """
         self._count += 1
+        if self._count > self.limit:
+            raise ValueError(f"filter: wanted a program of at most {self.limit:,} values")
         return Scalar(self, f"{'q' if kind == 'truth' else 'x'}{self._count}", kind)
 
     def node(self, operation: str, *operands: Any) -> Any:

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from operator import add, mul, or_
+from operator import add, mul
 from typing import Any
 
 import numpy as np
 import sympy
 
-from seedslib.base.circle import Periods, around
-from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI
+from seedslib.base.circle import around
+from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI, WIDE
 from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
 from seedslib.base.values import Values
-from seedslib.designed.finite_order import gaussian_symbols
-from seedslib.export.tape import (
-    Number,
-    Scalar,
-    Tape,
-    choose,
-    isnan,
-    stacked,
-)
+from seedslib.filters.step import Step, any_of
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
 from seedslib.models.linear import LinearMap
 from seedslib.models.maps import StochasticMap
+from seedslib.tape.tape import Number, Scalar, Tape, choose, isnan, stacked
 
 MOST_UNROLLED = 300
 """Products of points and of numbers at each up to which points are written one after another."""
@@ -56,37 +49,30 @@ def map_moments(
         return _linear_moments(map, t, mean, cov, p)
     if isinstance(rule, PointRule):
         return _point_moments(tape, rule, map, t, mean, cov, p, spread)
-    n, m = map.state_size, map.size
-    symbols, lower, matrix = gaussian_symbols(n)
-    parts = rule.formulas(map, list(symbols), matrix, spread)[: 2 + spread]
-    entries = [entry for part in parts for entry in part]
-    evaluate = compile_components((map.time, symbols, lower, map.parameters), entries)
-    y, cross, square = np.split(
-        stacked(evaluate(t, list(mean), list(lower_of(cov)), p)), [m, m + n * m]
-    )
-    return y, cross.reshape(n, m), square.reshape(m, m) if spread else None
+    return rule.moments(map, spread)(t, mean, cov, p)
 
 
 def _linear_moments(map: LinearMap, t: Scalar, mean: np.ndarray, cov: np.ndarray, p: Values) -> Any:
-    """Moments of A x + B u + v: A m + B u, P A' and A P A' + S."""
-    slope, noise, push, inputs = map.formulas
-    push = np.zeros((map.size, 0)) if push is None else push
-    parts = [np.asarray(part, dtype=object) for part in (slope, noise, push)]
-    entries = [*(e for part in parts for e in part.flat), *inputs[: push.shape[1]]]
-    evaluate = compile_components([sympy.Symbol("t"), map.parameters], entries)
-    found = stacked(evaluate(t, p))
-    A, S, B, u = np.split(found, np.cumsum([part.size for part in parts]))
-    A, S, B = (one.reshape(part.shape) for one, part in zip((A, S, B), parts, strict=True))
+    """Moments of A x + b + v: A m + b, P A' and A P A' + S."""
+    parts = [np.asarray(part, dtype=object) for part in map.formulas]
+    entries = [entry for part in parts for entry in part.flat]
+    values = stacked(entries)
+    if any(hasattr(entry, "free_symbols") for entry in entries):
+        values = stacked(compile_components([sympy.Symbol("t"), map.parameters], entries)(t, p))
+    values = np.split(values, np.cumsum([part.size for part in parts])[:-1])
+    A, S, b = (one.reshape(part.shape) for one, part in zip(values, parts, strict=True))
     cross = cov @ A.T
-    return A @ mean + B @ u, cross, symmetric(lower_of(A @ cross), map.size) + S
+    return A @ mean + b, cross, symmetric(lower_of(A @ cross), map.size) + S
 
 
-def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
+def cholesky(tape: Tape, cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     """Lower triangular L with L L' = P; a pivot that counts as zero gives a zero column.
 
     A pivot is judged by its variance, and one that is negative by `scale`, see
     `seedslib.base.linalg.cholesky`.
     """
+    if scale is None:
+        cov = _with_least_variances(tape, cov)
     n, rest, root = len(cov), cov.copy(), np.zeros(cov.shape, dtype=object)
     for j in range(n):
         pivot, variance = rest[j, j], abs(cov[j, j])
@@ -100,10 +86,33 @@ def cholesky(cov: np.ndarray, scale: np.ndarray | None = None) -> np.ndarray:
     return root
 
 
-def settled(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
+def _with_least_variances(tape: Tape, cov: np.ndarray) -> np.ndarray:
+    """The same with the least variances of components without, which may covary with others.
+
+    See `seedslib.base.linalg.cholesky`.
+    """
+    n = len(cov)
+    zero = np.array([np.less_equal(abs(x), ABSOLUTE) for x in np.diagonal(cov)], dtype=object)
+    if not any(type(x) is Scalar or x for x in zero):
+        return cov
+    raised = tape.array("raised", (n * (n + 1) // 2,))
+    raised.store(lower_of(cov))
+    with tape.when(any_of(zero)):  # which is rare
+        others = choose(zero[:, None] | zero, 0.0, cov)
+        root = cholesky(tape, others, np.abs(np.diagonal(cov)))
+        slope = choose(~zero[:, None] & zero, cov, 0.0)
+        for j in range(n):  # L W = C
+            for k in range(j):
+                slope[j] = slope[j] - root[j, k] * slope[k]
+            slope[j] = slope[j] * choose(root[j, j] == 0.0, 0.0, 1.0 / root[j, j])
+        raised.store(lower_of(choose(zero[:, None] & zero, slope.T @ slope, cov)))
+    return symmetric(raised.all, n)
+
+
+def settled(tape: Tape, cov: np.ndarray, before: np.ndarray) -> np.ndarray:
     """A corrected covariance without what rounding has left of directions known exactly."""
-    root = cholesky(cov, np.diagonal(before))
-    singular = reduce(lambda a, b: a | b, [r == 0.0 for r in np.diagonal(root)])
+    root = cholesky(tape, cov, np.diagonal(before))
+    singular = any_of([r == 0.0 for r in np.diagonal(root)])
     return choose(singular, root @ root.T, cov)
 
 
@@ -125,11 +134,13 @@ def _point_moments(
     cov: np.ndarray,
     p: Values,
     spread: bool,
+    root: np.ndarray | None = None,
 ) -> Any:
     n, m = map.state_size, map.size
+    root = cholesky(tape, cov) if root is None else root
     expressions, noise_cov, noise = _at_points(map)
     unit, weight, centred = rule.rule(n + (0 if noise is None else noise.size))
-    root, arguments = cholesky(cov), [map.time, tuple(map.state)]
+    arguments = [map.time, tuple(map.state)]
     points = unit.T
     if noise is not None:
         arguments.append(tuple(noise.symbols))
@@ -204,54 +215,48 @@ def _alike(row: Sequence[Number]) -> bool:
 
 
 def moment_rates(
-    tape: Tape, rule: Linearization, system: Any, p: Values
+    tape: Tape, rule: PointRule, system: Any, p: Values
 ) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
-    """Rates of mean and covariance as ``f(t, components) -> components``, for the integrators."""
+    """Rates of mean and covariance by points, ``f(t, components) -> components``."""
     n = system.state_size
-    mean, lower, cov = gaussian_symbols(n)
-    if not isinstance(rule, PointRule):
-        velocity, change = rule.rate_formulas(system, list(mean), cov)
-        entries = [change[i, j] for i in range(n) for j in range(i + 1)]
-        arguments = (system.drift_map.time, (*mean, *lower), system.parameters)
-        evaluate = compile_components(arguments, [*velocity, *entries])
-        return lambda t, z: evaluate(t, z, p)
 
     def rates(t: Scalar, z: Sequence[Any]) -> list[Any]:
         mean, cov = unpacked(stacked(z), n)
-        b, cross, _ = _point_moments(tape, rule, system.drift_map, t, mean, cov, p, False)
-        spread = _point_moments(tape, rule, system.spread_map, t, mean, cov, p, False)[0]
+        given = t, mean, cov, p, False, cholesky(tape, cov)
+        b, cross, _ = _point_moments(tape, rule, system.drift_map, *given)
+        spread = _point_moments(tape, rule, system.spread_map, *given)[0]
         return [*b, *(lower_of(cross + cross.T) + spread)]
 
     return rates
 
 
 def correct(
+    step: Step,
     mean: np.ndarray,
-    cov: np.ndarray | None,
-    y: np.ndarray,
+    cov: np.ndarray,
     moments: Any,
-    rows: int,
-    periods: Periods = (),
+    sensor: StochasticMap,
+    rows: int | None = None,
     exact: bool = False,
-) -> tuple[np.ndarray, np.ndarray | None, Number, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, Number, np.ndarray]:
     """Correct the leading rows by a measurement of which components may be missing (NaN).
 
     A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
     component that those before it determine has the gain zero; one whose variance given them is
     clearly negative gives NaN. Where it is `exact` that there is no other noise, a determined
-    component with another value has the log-likelihood minus infinity.
+    component with another value has the log-likelihood minus infinity. Where the noise is lost
+    beside a variance the filter's arrays have it apart: the step is left to them.
 
     Returns
     -------
     mean, cov : ndarray, shapes (rows,) and (rows, rows)
-        The covariance is None where none was given.
     loglik : Scalar
     filled : ndarray, shape (m,)
         The measurement, missing components replaced by their predictions.
     """
-    predicted, cross, spread = moments
-    m, y = len(y), y.copy()
-    for k, period in periods:
+    (predicted, cross, spread), y = moments, step.y.copy()
+    m, rows = len(y), len(mean) if rows is None else rows
+    for k, period in sensor.period:
         y[k] = around(y[k], predicted[k], period)
     observed = ~isnan(y)
     innovation = list(choose(observed, y - predicted, 0.0))
@@ -269,28 +274,26 @@ def correct(
         return choose(regular[-1], 1.0 / pivot, redundant), choose(regular[-1], pivot, 1.0)
 
     prior, variances = mean, [spread[j][j] for j in range(m)]
-    mean, lower = list(mean[:rows]), None
-    if cov is not None:
-        lower = [list(cov[k, : k + 1]) for k in range(rows)]
+    mean, lower = list(mean[:rows]), [list(cov[k, : k + 1]) for k in range(rows)]
     terms, pivots = eliminate(mean, lower, innovation, cross, spread, reciprocal)
+    if np.any(sensor.noise.cov):
+        step.defer(any_of([lower[k][k] < WIDE * cov[k, k] for k in range(rows)]))
     counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
-    terms += [_log_product(pivots), reduce(add, counted) * LOG_2PI]
+    terms += [_log_product(step, pivots), reduce(add, counted) * LOG_2PI]
     if exact:
         redundant = [seen & ~sound for seen, sound in zip(observed, regular, strict=True)]
         components = zip(redundant, innovation, y, predicted, variances, strict=True)
-        terms.append(_impossible(prior, list(components)))
-    if lower is not None:
-        cov = symmetric(stacked([e for row in lower for e in row]), rows)
+        terms.append(_impossible(step, prior, list(components)))
+    cov = symmetric(stacked([e for row in lower for e in row]), rows)
     return stacked(mean), cov, -0.5 * reduce(add, terms), choose(observed, y, predicted)
 
 
-def _impossible(mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Number:
+def _impossible(tape: Tape, mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Number:
     """Infinity where a redundant component is not what those before it say, zero elsewhere.
 
     Of each component whether it is redundant, its innovation, value, prediction and variance.
     """
-    any_redundant = reduce(or_, [redundant for redundant, *_ in components])
-    tape = any_redundant.tape
+    any_redundant = any_of([redundant for redundant, *_ in components])
     result = tape.array(f"impossible_{any_redundant.name}")
     with tape.when(any_redundant):  # which is rare
         largest, parts = reduce(np.maximum, [abs(x) for x in mean]), []
@@ -303,12 +306,11 @@ def _impossible(mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Num
     return result.all
 
 
-def _log_product(pivots: Sequence[Number]) -> Number:
+def _log_product(tape: Tape, pivots: Sequence[Number]) -> Number:
     """Logarithm of a product; of its factors one by one where it is out of range, which is rare."""
     product = reduce(mul, pivots)
     if len(pivots) == 1 or type(product) is not Scalar:
         return np.log(product)
-    tape = product.tape
     result = tape.array(f"log_{product.name}")
     result.store(np.log(product))
     with tape.when(~((product > ABSOLUTE) & (product < np.inf))):

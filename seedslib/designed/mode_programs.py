@@ -10,51 +10,21 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from seedslib.base.values import Values
-from seedslib.designed.finite_order import gaussian_symbols
+from seedslib.designed.cells import CellFit
 from seedslib.designed.lemmas import FAINT
+from seedslib.designed.memory import places
 from seedslib.designed.rules import SOFTEST
-from seedslib.designed.switching import CellFit
-from seedslib.export.designs import places
-from seedslib.export.kernels import correct, lower_of, unpacked
-from seedslib.export.step import Step, any_of
-from seedslib.export.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
+from seedslib.designed.step import DesignedStep
+from seedslib.filters.kernels import cholesky, correct, lower_of, unpacked
+from seedslib.filters.step import Step, any_of
 from seedslib.filters.weights import TIE, logarithm
-from seedslib.linearization.formulas import mentions
-from seedslib.linearization.moments import TINY
-from seedslib.models.codegen import compile_components
+from seedslib.linearization.formulas import Formulas
+from seedslib.linearization.moments import Weighted
 from seedslib.models.kinds import inputs_of
-from seedslib.models.maps import StochasticMap
-from seedslib.models.switching import Branch
+from seedslib.tape.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 
 Gaussian: TypeAlias = tuple[np.ndarray, np.ndarray]
 """Mean (n,) and covariance (n, n)."""
-
-
-class BranchMoments(NamedTuple):
-    """Probability of a branch, and moments of the state and of a value in it.
-
-    Attributes
-    ----------
-    mass : Scalar or float
-    state_mean, state_cov : ndarray, shapes (n,) and (n, n)
-    mean, cross, cov : ndarray, shapes (d,), (n, d) and (d, d)
-    varies : bool
-        Whether the mass depends on the state: where it is zero the moments are no numbers.
-    """
-
-    mass: Number
-    state_mean: np.ndarray
-    state_cov: np.ndarray
-    mean: np.ndarray
-    cross: np.ndarray
-    cov: np.ndarray
-    varies: bool
-
-    @property
-    def joint(self) -> Gaussian:
-        """Mean and covariance of the state and, below it, the value."""
-        cov = np.block([[self.state_cov, self.cross], [self.cross.T, self.cov]])
-        return np.concatenate([self.state_mean, self.mean]), cov
 
 
 class Mixture(NamedTuple):
@@ -86,7 +56,7 @@ class Mixture(NamedTuple):
         return list(self.log_prob.all), [unpacked(row, n) for row in self.moments.all]
 
 
-def switching(step: Step) -> None:
+def switching(step: Any) -> None:
     """Record a `SwitchingFilter`: forecast of mode and state, then a correction in each mode.
 
     Raises
@@ -101,37 +71,40 @@ def switching(step: Step) -> None:
         gap_before, gap = step.gap(k)
         if filter.memory.indicators:
             step.refuse(step.indicator < 0.0, "PARTLY")
-        first, past = k < 1.0, _memory(step)
-        log_prob = step.array("log_prob", (modes,)) if filter.memory.log_odds else None
+        first, past = k < 1.0, step.past(n + filter.memory.log_odds * (modes - 1))
     else:
         t = step.timed()
         first = step.started.all < 1.0
-        carried = Mixture.of(step, "carried", modes, n, "state")
-        log_prob = carried.log_prob
+    # with a memory they are results: a state in Python has them
+    owner = "state" if step.defers or not step.designed else "local"
+    carried = Mixture.of(step, "carried", modes, n, owner)
     parts = step.indicators if filter.rules.split else 1
     ahead = Mixture.of(step, "ahead", modes * parts, n)
+    logs = [logarithm(start.probability) for start in system.initial]
+    gaussians = [(start.mean, start.cov) for start in system.initial]
+    if not step.designed:
+        rows = [[*mean, *lower_of(cov)] for mean, cov in gaussians]
+        step.initial = {"carried_log_prob": logs, "carried_moments": rows}
+        logs, gaussians = carried.parts(n)
     with step.when(first):
-        for i, start in enumerate(system.initial):
-            logs = logarithm(start.probability * np.eye(1, parts)[0])
-            for part, log in enumerate(logs):  # all of it is in the first part
-                ahead.store(i * parts + part, log, start.mean, start.cov)
+        for i, (log, (mean, cov)) in enumerate(zip(logs, gaussians, strict=True)):
+            for part in range(parts):  # all of it is in the first part
+                ahead.store(i * parts + part, -np.inf if part else log, mean, cov)
     with step.when(~first):
+        last = step.last_time.all if not step.designed else step.moment(k - 1.0)
         if step.designed:
-            last = step.moment(k - 1.0)
             logs, gaussians = _recalled(step, k, past)
-        else:
-            last = step.last_time.all
-            logs, gaussians = carried.parts(n)
         _forecast(step, last, logs, gaussians, ahead, step.since(t - last))
     sensed = Mixture.of(step, "sensed", modes, n + step.m)
     possible = _sense(step, t, ahead, sensed)
     before, joints = sensed.parts(n + step.m)
     logs, means, covs = [], [], []
-    for log, (mean, cov) in zip(before, joints, strict=True):
+    for log, (mean, cov), sensor in zip(before, joints, system.sensors, strict=True):
         moments = mean[n:], cov[:n, n:], cov[n:, n:]
-        mean, cov, loglik, _ = correct(
-            mean[:n], cov[:n, :n], step.y, moments, n, filter.rules.periods
-        )
+        mean, cov, loglik, _ = correct(step, mean[:n], cov[:n, :n], moments, sensor)
+        if step.defers:  # it may have to be repaired
+            pivots = np.diagonal(cholesky(step, cov, np.diagonal(cov)))
+            step.defer(any_of([~(pivot > 0.0) for pivot in pivots]))
         logs.append(choose(log > -np.inf, log + loglik, -np.inf))
         means.append(mean)
         covs.append(cov)
@@ -139,8 +112,7 @@ def switching(step: Step) -> None:
 
     def store_weights(logs: Sequence[Number], probs: Sequence[Number], total: Number) -> Number:
         prob.store(probs)
-        if log_prob is not None:
-            log_prob.store(logs)
+        carried.log_prob.store(logs)
         return total
 
     loglik = store_weights(*normalised(logs))
@@ -153,22 +125,22 @@ def switching(step: Step) -> None:
     mode = _most_probable(probs)
     step.array("mode", (), "int", "state").store(mode)
     step.mean.store(mean)
+    carried.moments.store([[*x, *lower_of(p)] for x, p in zip(means, covs, strict=True)])
     if not step.designed:
         step.cov.store(cov)
         step.loglik.store(loglik)
-        carried.moments.store([[*x, *lower_of(p)] for x, p in zip(means, covs, strict=True)])
         step.last_time.store(t)
         step.started.store(1.0)
         return
     step.cov.store(choose(gap, np.nan, cov))
     step.loglik.store(choose(gap_before, np.nan, loglik))
-    _remember(step, past, mean, mode, log_prob, (before, joints))
+    _remember(step, past, mean, mode, carried.log_prob, (before, joints))
     step.end(k)
 
 
 def _check(filter: Any) -> None:
     system, fits = filter.system, filter.fits
-    if not hasattr(filter.linearization, "formulas"):
+    if not isinstance(filter.linearization, Formulas):
         raise TypeError(
             "linearization: wanted formulas, Taylor or ExactGaussian, to write modes in C, got "
             f"{filter.linearization!r}"
@@ -180,7 +152,9 @@ def _check(filter: Any) -> None:
     if filter.memory is None:
         return
     if not fits or not all(isinstance(fit, CellFit) for fit in fits):
-        raise TypeError("fits: wanted laws in cells, for at least two measurements, to write in C")
+        raise TypeError(
+            "fits: wanted distributions in cells, for at least two measurements, to write in C"
+        )
     if inputs_of(system):
         raise ValueError("filter: wanted a model without inputs, C has none of a design with modes")
 
@@ -248,74 +222,55 @@ def _forecast(
     p: Values,
 ) -> None:
     """Forecast of mode and state from their distribution at time t: lemmas 4 and 6."""
-    system, rules, modes = step.filter.system, step.filter.rules, range(step.modes)
+    rules, pairs = step.filter.rules, list(enumerate(gaussians))
     if rules.switch is not None:  # the new mode drives the step: a switch, then a move
         switched = Mixture.of(step, "switched", step.modes, step.n)
-        at_rest = [[branch and branch.switch_only for branch in row] for row in system.branches]
-        rows = [_moments(step, at_rest[i], t, *gaussians[i], p) for i in modes]
-        _combine(step, logs, rows, switched)
+        _combine(step, logs, [rules.switch[i](t, *one, p) for i, one in pairs], switched)
         logs, gaussians = switched.parts(step.n)
-    rows = []
-    for i in modes:
-        branches = system.branches[i]
-        if rules.switch is not None:
-            branches = [Branch(system.dynamics[i]) if i == l else None for l in modes]
-        if rules.split:
-            branches = [
-                branch and reading and _with_indicator(branch.map, reading)
-                for branch, readings in zip(branches, system.readings, strict=True)
-                for reading in readings
-            ]
-        rows.append(_moments(step, branches, t, *gaussians[i], p))
-    _combine(step, logs, rows, ahead)
+        pairs = list(enumerate(gaussians))
+    _combine(step, logs, [rules.rows[i](t, *one, p) for i, one in pairs], ahead)
 
 
-def _with_indicator(move: StochasticMap, reading: Branch) -> Branch:
-    """Move to the next state together with what the indicator will be there, (6.19)."""
-    state = dict(zip(reading.map.state, move.expressions, strict=True))
-    probability = reading.probability_expression.subs(state, simultaneous=True)
-    weight = move.weight_expression * probability
-    return Branch(StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time))
+def _mass(branch: Weighted) -> Number:
+    """Probability of a branch."""
+    return np.asarray(branch.mass, dtype=object)[()]
 
 
 def _combine(
     step: Step,
     logs: Sequence[Number],
-    rows: Sequence[Sequence[BranchMoments | None]],
+    rows: Sequence[Sequence[Sequence[Weighted | None]]],
     into: Mixture,
 ) -> None:
     """Mixtures over the old modes: `rows` has for each of them the branches to the new ones."""
     weights, largest = relative(logs)
-    for new, column in enumerate(zip(*rows, strict=True)):
+    flat = [[part for parts in row for part in parts] for row in rows]
+    for new, column in enumerate(zip(*flat, strict=True)):
         old = [i for i, branch in enumerate(column) if branch is not None]
-        branches = [column[i] for i in old]
-        means, covs = [b.mean for b in branches], [b.cov for b in branches]
-        if not branches:
+        masses, values = [_mass(column[i]) for i in old], [column[i].value for i in old]
+        means, covs = [value.mean for value in values], [value.cov for value in values]
+        if not old:
             into.store(new, -np.inf, np.zeros(step.n), np.eye(step.n))
             continue
-        if len(branches) == 1:
-            (branch,), log = branches, logs[old[0]] + np.log(branches[0].mass)
-            into.store(new, log, *_where_possible(branch.varies, log, means[0], covs[0]))
+        if len(old) == 1:
+            log = logs[old[0]] + np.log(masses[0])
+            into.store(new, log, *_where_possible(masses[0], log, means[0], covs[0]))
             continue
-        mass = [weights[i] * branch.mass for i, branch in zip(old, branches, strict=True)]
-        sure = len(old) == len(rows) and all(
-            type(b.mass) is not Scalar and b.mass > FAINT for b in branches
-        )
+        mass = [weights[i] * part for i, part in zip(old, masses, strict=True)]
+        sure = len(old) == len(rows) and all(type(m) is not Scalar and m > FAINT for m in masses)
         total, mean, cov = mix(mass, means, covs, not sure)
         into.store(new, largest + np.log(total), mean, cov)
         if sure:
             continue
         with step.when(total < FAINT):  # so little that it is formed again by itself
-            mass, most = relative(
-                [logs[i] + np.log(b.mass) for i, b in zip(old, branches, strict=True)]
-            )
+            mass, most = relative([logs[i] + np.log(m) for i, m in zip(old, masses, strict=True)])
             total, mean, cov = mix(mass, means, covs, True)
             into.store(new, most + np.log(total), mean, cov)
 
 
-def _where_possible(varies: bool, log: Number, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
-    """Moments of a branch, where it has none mean zero and unit covariance."""
-    if not varies:
+def _where_possible(mass: Number, log: Number, mean: np.ndarray, cov: np.ndarray) -> Gaussian:
+    """Moments of a branch, where it has no mass mean zero and unit covariance."""
+    if type(mass) is not Scalar:
         return mean, cov
     possible = log > -np.inf
     return choose(possible, mean, 0.0), choose(possible, cov, np.eye(len(mean)))
@@ -337,80 +292,40 @@ def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
 
 def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None) -> None:
     """The same for a value of the indicator, None where it is missing: lemma 3."""
-    system, n, p = step.filter.system, step.n, step.at_time()
+    rules, n, p = step.filter.rules, step.n, step.at_time()
     log_prob, gaussians = ahead.parts(n)
     parts, size = len(log_prob) // step.modes, n + step.m
     for i in range(step.modes):
-        reading = Branch(system.sensors[i]) if value is None else system.readings[i][value]
+        reading = rules.unlabelled[i] if value is None else rules.readings[i][value]
         if reading is None:
             sensed.store(i, -np.inf, np.zeros(size), np.eye(size))
             continue
         rows = range(i * parts, (i + 1) * parts)
-        branches = [_moments(step, [reading], t, *gaussians[row], p)[0] for row in rows]
-        logs = [log_prob[row] + np.log(b.mass) for row, b in zip(rows, branches, strict=True)]
-        means, covs = zip(*(branch.joint for branch in branches), strict=True)
+        branches = [reading(t, *gaussians[row], p) for row in rows]
+        masses = [_mass(branch) for branch in branches]
+        logs = [log_prob[row] + np.log(mass) for row, mass in zip(rows, masses, strict=True)]
+        means, covs = zip(*map(_joint, branches), strict=True)
         if parts == 1:
-            moments = _where_possible(branches[0].varies, logs[0], means[0], covs[0])
-            sensed.store(i, logs[0], *moments)
+            sensed.store(i, logs[0], *_where_possible(masses[0], logs[0], means[0], covs[0]))
         else:
             mass, largest = relative(logs)
             total, mean, cov = mix(mass, means, covs, True)
             sensed.store(i, largest + np.log(total), mean, cov)
 
 
-def _moments(
-    step: Step,
-    branches: Sequence[Branch | None],
-    t: Scalar,
-    mean: np.ndarray,
-    cov: np.ndarray,
-    numbers: Values,
-) -> list[Any]:
-    """Moments of the branches of one mode, None where there is no branch."""
-    rule, n = step.filter.linearization, step.n
-    symbols, lower, matrix = gaussian_symbols(n)
-    known = [branch for branch in branches if branch is not None]
-    if all(branch.constant for branch in known):
-        moments = rule.formulas(known[0].whole, list(symbols), matrix) if known else ()
-        state = list(symbols), matrix
-        formulas = [(branch.map.weight_expression, *state, *moments) for branch in known]
-    else:
-        formulas = [rule.branch(branch.map, list(symbols), matrix) for branch in known]
-    flat = [[mass, *(entry for part in parts for entry in part)] for mass, *parts in formulas]
-    system = step.filter.system
-    arguments = system.time, symbols, lower, system.parameters
-    evaluate = compile_components(arguments, [e for row in flat for e in row])
-    values = iter(evaluate(t, list(mean), list(lower_of(cov)), numbers))
-    result: list[BranchMoments | None] = []
-    for branch in branches:
-        if branch is None:
-            result.append(None)
-            continue
-        mass, *parts = formulas.pop(0)
-        varies, value = mentions(mass, {*symbols, *lower}), next(values)
-        x, p, y, cross, s = (stacked([next(values) for _ in part]) for part in parts)
-        d = len(y)
-        shaped = x, p.reshape(n, n), y, cross.reshape(n, d), s.reshape(d, d)
-        result.append(
-            BranchMoments(choose(value < TINY, 0.0, value) if varies else value, *shaped, varies)
-        )
-    return result
+def _joint(branch: Weighted) -> Gaussian:
+    """Mean and covariance of the state and, below it, the value."""
+    state, value = branch.state, branch.value
+    cov = np.block([[state.cov, value.cross], [value.cross.T, value.cov]])
+    return np.concatenate([state.mean, value.mean]), cov
 
 
 # Memory
 
 
-def _memory(step: Step) -> dict[str, Array]:
-    """Numbers, decided modes and indicators that are remembered, newest first."""
-    memory, numbers = step.filter.memory, step.filter.memory.order(step.n, step.m, step.modes)
-    arrays = {"memory": step.array("memory", (numbers,), owner="state")}
-    for name, count in (("modes", memory.estimates), ("indicators", memory.indicators)):
-        if count:
-            arrays[name] = step.array(name, (count,), "int", "state")
-    return arrays
-
-
-def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Number], list[Gaussian]]:
+def _recalled(
+    step: DesignedStep, k: Scalar, past: dict[str, Array]
+) -> tuple[list[Number], list[Gaussian]]:
     """Distribution of mode and state given the memory: (6.32) to (6.34)."""
     row, cell, u = k - 1.0, 0.0, past["memory"].all
     for name, count in (("modes", step.modes), ("indicators", step.indicators)):
@@ -435,7 +350,7 @@ def _recalled(step: Step, k: Scalar, past: dict[str, Array]) -> tuple[list[Numbe
     return [log - log_total for log in logs], gaussians
 
 
-def _cell_tables(step: Step) -> dict[str, np.ndarray]:
+def _cell_tables(step: DesignedStep) -> dict[str, np.ndarray]:
     """Parts of the fits by measurement, cell and mode, for the numbers of the full memory."""
     filter, memory, n, modes = step.filter, step.filter.memory, step.n, step.modes
     size, estimate = memory.order(n, step.m, modes), n + (modes - 1) * memory.log_odds
@@ -454,7 +369,7 @@ def _cell_tables(step: Step) -> dict[str, np.ndarray]:
 
 
 def _remember(
-    step: Step,
+    step: DesignedStep,
     past: dict[str, Array],
     mean: np.ndarray,
     mode: Number,
@@ -472,7 +387,4 @@ def _remember(
         logs, joints = sensed
         parts = zip(normalised(logs)[1], joints, strict=True)
         y = choose(isnan(y), reduce(add, [share * joint[0][step.n :] for share, joint in parts]), y)
-    step.push(past["memory"], [*mean, *log_odds], y)
-    for name, newest in (("modes", mode), ("indicators", step.indicator)):
-        if name in past:
-            past[name].store([newest, *past[name].all[:-1]])
+    step.push(past, [*mean, *log_odds], y, mode)
