@@ -13,9 +13,10 @@ moves in three ways.
 
 "compiled" and "NumPy" are `run` of 4096 records of 31 measurements at once, dynamax is compiled and
 vectorised over them, filterpy runs ten of them one after the other. "C" is the exported header, one
-record after the other. "compiled, one record" is a record step by step from Python. All run in one
-process, repetitions interleaved; of each the shortest processor time counts. `floor` is the time
-that the numbers of a step, read or written once, take at the speed at which this machine copies
+record after the other. "compiled, one record" is a record step by step from Python, and "floats,
+one record" that of the filter itself; "floats, whole record" is its `run`. All run in one process,
+repetitions interleaved; of each the shortest processor time counts. `floor` is the time that the
+numbers of a step, read or written once, take at the speed at which this machine copies
 arrays, and `ratio` how many times that a filter takes.
 """
 
@@ -283,6 +284,8 @@ def programs(folder: str) -> Iterator[tuple[str, str, Callable[[], Any], int]]:
         yield name, "C", scalar[name], TRACKS // 10
         one = own[..., 0].copy()
         yield name, "compiled, one record", lambda f=twin, y=one: steps(f, y), 1
+        yield name, "floats, one record", lambda f=filter, y=one: steps(f, y), 1
+        yield name, "floats, whole record", lambda f=filter, y=one, o=more: f.run(TIMES, y, **o), 1
         for program, (work, count) in peers.items():
             if name in work:
                 yield name, program, work[name], count

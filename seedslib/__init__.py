@@ -3,8 +3,8 @@
 An observation system, what is remembered of the past, and how means are taken: together they
 make a filter. The library is a core in layers, each of which uses only layers before it,
 
-``base``, ``gaussian``, ``models``, ``linearization``, ``filters``, ``designed``, ``design``,
-``evaluation``, ``zoo``, ``commands``,
+``base``, ``tape``, ``gaussian``, ``models``, ``linearization``, ``filters``, ``designed``,
+``design``, ``evaluation``, ``zoo``, ``commands``,
 
 and one wing for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
 ``pareto``, ``riemann`` (``zoo`` has their systems too). ``export`` writes filters in C and
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from seedslib import pareto as pareto
     from seedslib import piecewise as piecewise
     from seedslib import riemann as riemann
+    from seedslib import tape as tape
     from seedslib import two_step as two_step
     from seedslib import zoo as zoo
 else:

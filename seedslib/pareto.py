@@ -134,7 +134,7 @@ def compromise(criteria: Criteria, lower: float, upper: float, *, scan: int = 33
     scan : int
         Points of a first scan; a minimum narrower than their spacing can be missed.
     """
-    low, high = as_real("lower", lower, ndim=0), as_real("upper", upper, ndim=0)
+    low, high = as_real("lower", lower, ()), as_real("upper", upper, ())
     if not low < high:
         raise ValueError(f"upper: wanted a bound above the lower, got {upper} and {lower}")
     nodes = np.linspace(low, high, as_count("scan", scan, 5))
@@ -175,7 +175,7 @@ def choose(criteria: ArrayLike) -> Compromise:
     criteria : array_like (n, p)
         Losses of the n choices.
     """
-    values = as_real("criteria", criteria, ndim=2)
+    values = as_real("criteria", criteria, (None, None))
     if values.shape[0] < 1 or values.shape[1] < 2:
         raise ValueError(f"criteria: wanted two at one choice or more, got shape {values.shape}")
     below = (values <= values[:, None]).all(axis=2) & (values < values[:, None]).any(axis=2)
@@ -191,7 +191,7 @@ def choose(criteria: ArrayLike) -> Compromise:
 
 def _evaluate(criteria: Criteria, x: Any) -> np.ndarray:
     values = criteria(x) if callable(criteria) else [criterion(x) for criterion in criteria]
-    array = as_real("criteria", values, ndim=1)
+    array = as_real("criteria", values, (None,))
     if array.size < 2:
         raise ValueError(f"criteria: wanted at least two, got {array.size}")
     return array

@@ -299,17 +299,11 @@ def oscillator(step=0.01):
     )
 
 
-class Recorded:
-    """A system that keeps all that it simulates; `change`, where given, alters it first."""
-
-    def __init__(self, system, change=None):
-        self.system, self.change, self.made = system, change, []
-
-    def __getattr__(self, name):
-        return getattr(self.system, name)
+class Recording:
+    """What `recorded` adds to a system."""
 
     def simulate(self, *arguments, **options):
-        made = self.system.simulate(*arguments, **options)
+        made = super().simulate(*arguments, **options)
         if self.change:
             self.change(made)
         self.made.append(made)
@@ -318,3 +312,10 @@ class Recorded:
     def all(self, name):
         """States, measurements, modes or indicators of all paths so far."""
         return np.concatenate([getattr(made, name) for made in self.made], axis=-1)
+
+
+def recorded(system, change=None):
+    """The system, of its own kind, that keeps all that it simulates; `change` alters it first."""
+    again = object.__new__(type("Recorded", (Recording, type(system)), {}))
+    vars(again).update(vars(system), system=system, change=change, made=[])
+    return again

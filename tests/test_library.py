@@ -13,6 +13,7 @@ import seedslib
 ROOT = Path(__file__).resolve().parents[1]
 LAYERS = (
     "base",
+    "tape",
     "gaussian",
     "models",
     "linearization",

@@ -5,15 +5,11 @@ from __future__ import annotations
 import os
 import secrets
 import shutil
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import BinaryIO
 
 
-@contextmanager
-def replacing(path: str | Path) -> Iterator[BinaryIO]:
-    """A new file, open for writing bytes, that takes the place of an old one when all is there.
+def write_whole(path: str | Path, content: bytes) -> None:
+    """Write a file that takes the place of an old one when all is there.
 
     The bytes go to a file beside it, are forced to the disk, and the name is then moved over; when
     anything fails on the way, the old file is as it was and nothing is left beside it. The
@@ -23,6 +19,7 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
     Parameters
     ----------
     path : path-like
+    content : bytes
 
     Raises
     ------
@@ -35,16 +32,10 @@ def replacing(path: str | Path) -> Iterator[BinaryIO]:
         with partial.open("xb") as file:  # made anew: nobody's file of this name is followed
             if path.exists():
                 shutil.copymode(path, partial)
-            yield file
+            file.write(content)
             file.flush()
             os.fsync(file.fileno())
         os.replace(partial, path)
     except BaseException:
         partial.unlink(missing_ok=True)
         raise
-
-
-def write_whole(path: str | Path, content: bytes) -> None:
-    """Write a file by `replacing`."""
-    with replacing(path) as file:
-        file.write(content)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from typing import Any
 
@@ -14,13 +14,15 @@ from seedslib.base.clock import when
 ASYMMETRY = 1e-10
 NEGATIVE_EIGENVALUE = 1e-10
 
+LONGEST = 80
+"""Characters of a value in a message."""
+
 
 def as_real(
     name: str,
     value: object,
     shape: tuple[Any, ...] | None = None,
     *,
-    ndim: int | None = None,
     nan: bool = False,
     infinite: bool = False,
 ) -> np.ndarray:
@@ -33,8 +35,6 @@ def as_real(
     value : array_like
     shape : tuple, optional
         Wanted lengths of the axes, see `require_shape`.
-    ndim : int, optional
-        Wanted number of axes.
     nan, infinite : bool
         Whether NaN (a missing value) and infinities are allowed.
 
@@ -52,19 +52,40 @@ def as_real(
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
     if array.dtype.kind not in "fiub":
-        hint = "; take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
-        text = f"{name}: wanted real numbers, got an array of dtype {array.dtype}"
-        raise TypeError(text + hint * (array.dtype.kind in "mM"))
+        raise TypeError(f"{name}: wanted real numbers, got {_no_numbers(array)}")
     array = array.astype(float)
-    if ndim is not None and array.ndim != ndim:
-        raise ValueError(f"{name}: wanted {ndim} axes, got shape {array.shape}")
+    if shape is not None:
+        require_shape(name, array, shape)
     bad = ~(np.isfinite(array) | (nan & np.isnan(array)) | (infinite & np.isinf(array)))
     if bad.any():
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
-    if shape is not None:
-        require_shape(name, array, shape)
     return array
+
+
+def _no_numbers(array: np.ndarray) -> str:
+    """What an array of something else is, and what may have been meant."""
+    if array.dtype.kind in "mM":
+        hint = "take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
+        return f"an array of dtype {array.dtype}; {hint}"
+    if array.dtype.kind != "O":
+        return f"an array of dtype {array.dtype}"
+    symbols = {str(s) for part in array.flat for s in getattr(part, "free_symbols", ())}
+    if symbols:
+        return f"formulas of {', '.join(sorted(symbols))}; fit takes a function of their numbers"
+    return brief(array.tolist())
+
+
+def brief(value: object) -> str:
+    """A value as a message shows it: as it is written, or what it is where that is long."""
+    text = repr(value)
+    if len(text) <= LONGEST:
+        return text
+    if hasattr(value, "shape"):
+        return f"an array of shape {value.shape}"
+    if isinstance(value, Mapping):
+        return f"a mapping of {', '.join(map(repr, value))}"
+    return f"a {type(value).__name__}: {text[:LONGEST]}..."
 
 
 def require_shape(name: str, array: np.ndarray, shape: tuple[Any, ...]) -> None:
@@ -211,7 +232,7 @@ def as_times(name: str, value: object) -> np.ndarray:
     TypeError, ValueError
         As `as_real`; `ValueError` also for an empty, negative, or not increasing grid.
     """
-    times = as_real(name, value, ndim=1)
+    times = as_real(name, value, (None,))
     if times.size == 0:
         raise ValueError(f"{name}: wanted at least one time, got an empty grid")
     if times[0] < 0:

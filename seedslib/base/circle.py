@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from seedslib.base.checks import is_whole
+from seedslib.base.checks import as_positive, brief, is_whole
 
 Periods = tuple[tuple[int, float], ...]
 """Components that are circular, and their periods."""
@@ -18,16 +18,19 @@ def as_periods(name: str, value: Mapping[int, float] | None, size: int) -> Perio
 
     Raises
     ------
-    ValueError
-        A component that does not exist, a period that is not positive.
+    TypeError, ValueError
+        No mapping; a component that does not exist, a period that is not positive.
     """
-    table = {} if value is None else dict(value)
-    for k, period in table.items():
+    table = {} if value is None else value
+    if not isinstance(table, Mapping):
+        raise TypeError(
+            f"{name}: wanted a mapping of components to their periods, such as {{0: 2 * pi}}, got "
+            f"{brief(value)}"
+        )
+    for k in table:
         if not is_whole(k) or not 0 <= k < size:
             raise ValueError(f"{name}: wanted components from 0 to {size - 1}, got {k!r}")
-        if not 0 < period < np.inf:
-            raise ValueError(f"{name}: wanted a positive period, got {period}")
-    return tuple(sorted((int(k), float(period)) for k, period in table.items()))
+    return tuple(sorted((int(k), as_positive(f"{name}[{k}]", v)) for k, v in table.items()))
 
 
 def around(value: Any, centre: Any, period: float) -> Any:

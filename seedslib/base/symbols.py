@@ -12,6 +12,7 @@ from typing import Any
 import sympy
 from sympy.core.function import AppliedUndef
 
+from seedslib.base.checks import brief
 from seedslib.base.parameters import Parameter
 
 # without `doit()` these are names of a value, which generated code cannot compute
@@ -41,11 +42,11 @@ def as_expression(name: str, value: object) -> sympy.Expr:
     try:
         expression = sympy.sympify(value, strict=True)
     except (sympy.SympifyError, TypeError, ValueError) as error:
-        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
+        raise TypeError(f"{name}: wanted SymPy expressions, got {brief(value)}") from error
     # means of formulas are taken of what can be multiplied in any order
     kinds = sympy.Lambda, sympy.UnevaluatedExpr
     if not isinstance(expression, sympy.Expr) or expression.has(*kinds):
-        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}")
+        raise TypeError(f"{name}: wanted SymPy expressions, got {brief(value)}")
     return expression
 
 
@@ -61,7 +62,7 @@ def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
         value, (sympy.Tuple, sympy.MatrixBase)
     )
     if isinstance(value, str) or not several or not isinstance(value, Iterable):
-        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {value!r}")
+        raise TypeError(f"{name}: wanted a sequence of SymPy symbols, got {brief(value)}")
     symbols = tuple(value)
     for symbol in symbols:
         if not isinstance(symbol, sympy.Symbol):
@@ -108,6 +109,8 @@ def require_known(
     unknown = {s for s in unknown if not isinstance(s, Parameter)}
     if {str(s) for s in unknown} & {str(s) for s in known}:
         advice = "; a Symbol of one name but another real=True is another symbol"
+    if "dt" in {str(s) for s in unknown}:
+        advice = "; the length of a step is ELAPSED of seedslib.base, which is written dt"
     if unknown:
         names = ", ".join(sorted(map(str, unknown)))
         raise ValueError(f"{name}: wanted known symbols, got {names}{advice}")

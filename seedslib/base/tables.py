@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_count, as_real, brief
 
 
 @dataclass(frozen=True)
@@ -36,16 +36,9 @@ class Axis:
 
     def __post_init__(self) -> None:
         count = as_count("count", self.count, 2)
-        try:
-            if isinstance(self.low, str | bytes) or isinstance(self.high, str | bytes):
-                raise TypeError
-            low, high = float(self.low), float(self.high)
-        except (TypeError, ValueError, OverflowError):
-            raise TypeError(
-                f"low, high: wanted numbers, got {self.low!r} and {self.high!r}"
-            ) from None
-        if not (math.isfinite(low) and math.isfinite(high) and low < high):
-            raise ValueError(f"low, high: wanted finite numbers in order, got {low:g}, {high:g}")
+        low, high = (float(as_real(name, getattr(self, name), ())) for name in ("low", "high"))
+        if not low < high:
+            raise ValueError(f"low, high: wanted numbers in order, got {low:g} and {high:g}")
         vars(self).update(low=low, high=high, count=count)
 
     @classmethod
@@ -54,15 +47,11 @@ class Axis:
         if isinstance(given, cls):
             return given
         try:
-            low, high, count = given
-        except (TypeError, ValueError):
-            raise TypeError(
-                f"{name}: wanted an Axis or (low, high, count), got {given!r}"
-            ) from None
-        try:
-            return cls(low, high, count)
+            return cls(*given)
         except (TypeError, ValueError) as error:
-            raise type(error)(f"{name}: {error}") from None
+            raise type(error)(
+                f"{name}: wanted an Axis or (low, high, count), got {brief(given)}; {error}"
+            ) from None
 
     @cached_property
     def nodes(self) -> np.ndarray:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.checks import as_real
+from seedslib.base.checks import as_real, brief
 from seedslib.base.objects import changed
 
 if TYPE_CHECKING:
@@ -99,7 +99,9 @@ class Parametrized:
         wanted = f"wanted parameters of the model, {', '.join(own) or 'none'}"
         values = {} if values is None else values
         if not isinstance(values, Mapping):
-            raise TypeError(f"values: wanted a mapping of Parameter to numbers, got {values!r}")
+            raise TypeError(
+                f"values: wanted a mapping of Parameter to numbers, got {brief(values)}"
+            )
         if unknown := named.keys() - own.keys():
             raise ValueError(f"{min(unknown)}: {wanted}, got another name")
         given = {**values, **{own[name]: value for name, value in named.items()}}
@@ -239,7 +241,7 @@ def input_values(
     if not isinstance(inputs, Mapping) or not all(
         getattr(u, "role", None) == "input" for u in inputs
     ):
-        raise TypeError(f"inputs: wanted a mapping of Input to arrays, got {inputs!r}")
+        raise TypeError(f"inputs: wanted a mapping of Input to arrays, got {brief(inputs)}")
     names = ", ".join(sorted(map(str, wanted))) or "none"
     if unknown := [u for u in inputs if u not in wanted]:
         raise ValueError(f"inputs: wanted those of the model, {names}, got {unknown[0]}")

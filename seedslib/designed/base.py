@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray, align
-from seedslib.base.checks import as_real, as_times, is_whole, outside, require_shape
+from seedslib.base.checks import as_count, as_real, as_times, is_whole, outside, require_shape
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
@@ -626,6 +626,7 @@ class DesignedFilter(Filter):
             Records with gaps, of a filter that was designed: how many, and from which time.
         """
         batch, record = self.records_of(times, measurements, indicators, None, inputs)
+        as_count("workers", workers)
         numbers = self.numbered(record.times, record.y)
         gaps = self.record_gaps(record.y, record.indicators, numbers)
 

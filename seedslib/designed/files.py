@@ -13,6 +13,7 @@ functions at fixed points.
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import math
 from collections.abc import Collection, Iterator, Mapping
@@ -25,8 +26,16 @@ import numpy as np
 
 import seedslib
 from seedslib import linearization as linearizations
-from seedslib.base.atomic import replacing
-from seedslib.designed import arrivals, finite_order, minimax, predictors, switching, tables
+from seedslib.base.atomic import write_whole
+from seedslib.designed import (
+    arrivals,
+    cells,
+    finite_order,
+    minimax,
+    predictors,
+    switching,
+    tables,
+)
 from seedslib.designed.base import DesignedFilter
 from seedslib.designed.identity import difference, model_text, probe, probe_points
 from seedslib.designed.tables import OutputFilter, TableFilter
@@ -41,7 +50,7 @@ FILTERS = (
 )
 KNOWN = {
     name: kind
-    for module in (arrivals, finite_order, minimax, predictors, switching, tables)
+    for module in (arrivals, cells, finite_order, minimax, predictors, switching, tables)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and (hasattr(kind, "_fields") or dataclasses.is_dataclass(kind))
 } | {"UnknownModel": UnknownModel}
@@ -87,8 +96,9 @@ def save(filter: DesignedFilter, path: str | PathLike[str]) -> None:
         "values": {name: numbers.packed(value, name) for name, value in values.items()},
     }
     text = json.dumps(header, sort_keys=True).encode()
-    with replacing(path) as file:  # NumPy dates no member: equal contents give equal bytes
-        np.savez(file, header=np.frombuffer(text, dtype=np.uint8), **numbers.vectors())
+    file = io.BytesIO()  # NumPy dates no member: equal contents give equal bytes
+    np.savez(file, header=np.frombuffer(text, dtype=np.uint8), **numbers.vectors())
+    write_whole(path, file.getvalue())
 
 
 def load(path: str | PathLike[str], system: AnySystem | None = None) -> Any:

@@ -11,7 +11,7 @@ import numpy as np
 
 from seedslib.base.values import Values
 from seedslib.designed.cells import CellFit
-from seedslib.designed.lemmas import FAINT
+from seedslib.designed.lemmas import FAINT, ROUNDING
 from seedslib.designed.memory import places
 from seedslib.designed.rules import SOFTEST
 from seedslib.designed.step import DesignedStep
@@ -248,6 +248,9 @@ def _combine(
     for new, column in enumerate(zip(*flat, strict=True)):
         old = [i for i, branch in enumerate(column) if branch is not None]
         masses, values = [_mass(column[i]) for i in old], [column[i].value for i in old]
+        for mass in masses:
+            if type(mass) is Scalar:  # no probability: arrays warn of it
+                step.defer((mass < -ROUNDING) | (mass > 1.0 + ROUNDING))
         means, covs = [value.mean for value in values], [value.cov for value in values]
         if not old:
             into.store(new, -np.inf, np.zeros(step.n), np.eye(step.n))

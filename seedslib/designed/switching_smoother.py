@@ -58,12 +58,11 @@ class SwitchingSmoother(Smoother):
     ) -> ModeLaw:
         """See `Smoother.back`."""
         rules, t, law = self.filter.rules, state.time, state.law
-        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-            if rules.switch is None:
-                return _back(rules, rules.rows, t, law, later, indicator, p)
-            # the new mode drives the step: a switch of a state that does not move, then a move
-            later = _back(rules, rules.rows, t, rules.switched(t, law, p), later, indicator, p)
-            return _back(rules, rules.switch, t, law, later, None, p)
+        if rules.switch is None:
+            return _back(rules, rules.rows, t, law, later, indicator, p)
+        # the new mode drives the step: a switch of a state that does not move, then a move
+        later = _back(rules, rules.rows, t, rules.switched(t, law, p), later, indicator, p)
+        return _back(rules, rules.switch, t, law, later, None, p)
 
     def report(self, smoothed: ModeLaw) -> Estimates:
         """Mean, covariance over all modes, and the modes with their probabilities."""
@@ -71,9 +70,10 @@ class SwitchingSmoother(Smoother):
         return Estimates(mean, total_covariance(smoothed), smoothed.prob, modes=modes)
 
 
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")  # diverged records show as NaN
 def _back(rules, rows, t, law, later, indicator, p) -> ModeLaw:
     """Smoothed mode and state before the moves in `rows`, from those after them."""
-    smoothed: list[list] = [[] for _ in rows]
+    sources, results = [], []
     moments = [row(t, law.mean[:, i], law.cov[:, :, i], p) for i, row in enumerate(rows)]
     for l in range(len(rows)):
         pairs = [
@@ -93,13 +93,12 @@ def _back(rules, rows, t, law, later, indicator, p) -> ModeLaw:
         both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
         mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
         cov = nearest_psd(cov) if rules.guarded else cov
-        result = _corrected(log_prob, mean, cov, ModeLaw(*(part[..., l, :] for part in later)))
-        for k, (i, *_) in enumerate(pairs):
-            smoothed[i].append([part[..., k, :] for part in result])
-    merged = [
-        mix_logs(*(np.stack(part, axis=-2) for part in zip(*pairs, strict=True)))
-        for pairs in smoothed
-    ]
+        sources += [i for i, *_ in pairs]
+        one = ModeLaw(*(part[..., l, :] for part in later))
+        results.append(_corrected(log_prob, mean, cov, one))
+    results = [np.concatenate(part, axis=-2) for part in zip(*results, strict=True)]
+    columns = [np.flatnonzero(np.array(sources) == i) for i in range(len(rows))]
+    merged = [mix_logs(*(part[..., own, :] for part in results)) for own in columns]
     log_prob, mean, cov = (np.stack(part, axis=-2) for part in zip(*merged, strict=True))
     return ModeLaw(normalised(log_prob, 0)[0], mean, cov)
 

@@ -138,8 +138,8 @@ def compare(
 
     def work(start, stop, stream):
         own = trajectory.of(slice(start, stop)).values
-        told = _inputs_for(system, own)
-        data = system.simulate(times, stop - start, stream, measured=mask, **told, **options)
+        given = _inputs_for(system, own)
+        data = system.simulate(times, stop - start, stream, measured=mask, **given, **options)
         return scoring.sums(data, own, stream)
 
     blocks = in_blocks(work, paths, seed, workers=workers, block=BLOCK)
@@ -261,8 +261,8 @@ class _Scoring:
 
     def _run(self, filter, data, inputs, stream) -> dict[str, Any]:
         """Errors of a filter on the paths (J, n, N), and what else is known of them by name."""
-        told = _inputs_for(getattr(filter, "system", None), inputs)
-        options = self._options(filter, data, stream) | told
+        given = _inputs_for(getattr(filter, "system", None), inputs)
+        options = self._options(filter, data, stream) | given
         begin = time.perf_counter()
         estimates = filter.run(data.times, data.measurements, **options)
         run: dict[str, Any] = {"seconds": time.perf_counter() - begin}
@@ -279,7 +279,7 @@ class _Scoring:
             unknown = np.full(data.modes.shape, np.nan)
             run["wrong"] = unknown if estimates.modes is None else estimates.modes != data.modes
         if self.consistency:
-            run["nis_ratio"] = self._innovations(filter, data, told.get("inputs", {}))
+            run["nis_ratio"] = self._innovations(filter, data, given.get("inputs", {}))
             if estimates.cov is not None:
                 run["nees_ratio"] = error_squares(error, estimates.cov[:, :n, :n]), n
                 with np.errstate(invalid="ignore"):
@@ -311,12 +311,12 @@ class _Scoring:
         periods = getattr(getattr(getattr(filter, "system", None), "sensor", None), "period", ())
         squares = np.full((len(y), y.shape[2]), np.nan)
         state = filter.initial(y.shape[2:])
-        stops = np.ones(len(y), dtype=bool)
-        if getattr(filter, "times", None) is not None:  # it stands at its own times only
-            placed = hasattr(filter, "placed")
-            stops = filter.placed(data.times, y) >= 0 if placed else self.observed
+        # a designed filter stands at its own times only, measured or not
+        rows = np.arange(len(y))
+        if hasattr(filter, "numbered"):
+            rows = np.flatnonzero(filter.numbered(data.times, y) >= 0)
         last = 0
-        for j in np.flatnonzero(stops):
+        for j in rows:
             state = filter.predict(state, data.times[j], inputs=trajectory.at(last))
             now = trajectory.at(j)
             if self.observed[j]:

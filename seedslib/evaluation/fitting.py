@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
+from seedslib.base.checks import brief
 from seedslib.base.parameters import Parameter
 from seedslib.base.progress import LOG
 from seedslib.base.values import Inputs
@@ -28,11 +29,17 @@ FLAT = 1e-5
 BOUND = 1e-4
 """A positive parameter is at its bound where its logarithm is known by less information."""
 
-NEAR = 1e-10
+FLATTEST = 1e-8
+"""Curvatures below this part of the largest are taken for as much as that, in a step."""
+
+NEAR = 1e-8
 """The step that is expected to rise by less is the last one."""
 
-STEPS = 200
+STEPS = 100
 """Steps uphill before one gives up."""
+
+PATIENCE, GAIN = 15, 1e-4
+"""So many steps that gain less than this together are the last."""
 
 RADII = 1.0, 1e3, 1e-7
 """Length of the first step, of the longest, and of one that is too short to go on."""
@@ -158,7 +165,7 @@ def fit(
     if not isinstance(filter, Filter) and (hasattr(filter, "parameters") or not callable(filter)):
         raise TypeError(
             "filter: wanted a filter, such as KalmanFilter(system), or a function that makes it, "
-            f"got {filter!r}"
+            f"got {brief(filter)}"
         )
     if isinstance(free, Parameter):
         raise TypeError(f"free: wanted a sequence of parameters, got {free}; write [{free}]")
@@ -174,7 +181,7 @@ class _Likelihood:
 
     def __init__(self, filter, times, measurements, parameters, indicators, inputs):
         if not parameters or not all(isinstance(p, Parameter) for p in parameters):
-            raise TypeError(f"free: wanted parameters of the model, got {parameters!r}")
+            raise TypeError(f"free: wanted parameters of the model, got {brief(parameters)}")
         system = getattr(filter, "system", None)
         strange = [p for p in parameters if system is not None and p not in system.parameters]
         if strange:
@@ -207,17 +214,24 @@ class _Likelihood:
 
     def loglik(self, points: np.ndarray) -> np.ndarray:
         """Log-likelihood at each of the points (p, count)."""
-        self.evaluations += points.shape[1]
-        with np.errstate(all="ignore"):
-            values = self.values(points)
-            if self.batch:
-                count, series = points.shape[1], self.y.shape[2]
-                filter = self.filter.bind(self._numbers(np.repeat(values, series, axis=1)))
-                logliks = self._run(filter, count).reshape(count, series).sum(axis=1)
-            else:
-                made = (self.filter(self._numbers(v)) for v in values.T.tolist())
-                logliks = np.array([self._run(filter, 1).sum() for filter in made])
+        first, self.evaluations = not self.evaluations, self.evaluations + points.shape[1]
+        try:
+            with np.errstate(all="ignore"):
+                logliks = self._logliks(self.values(points))
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            if first:  # what is wrong at the start is wrong everywhere
+                self._logliks(self.values(points[:, :1]))
+            return np.full(points.shape[1], np.nan)
         return np.where(np.isfinite(logliks), logliks, np.nan)
+
+    def _logliks(self, values: np.ndarray) -> np.ndarray:
+        """Log-likelihood of each of the values (p, count)."""
+        if not self.batch:
+            made = (self.filter(self._numbers(v)) for v in values.T.tolist())
+            return np.array([self._run(filter, 1).sum() for filter in made])
+        count, series = values.shape[1], self.y.shape[2]
+        filter = self.filter.bind(self._numbers(np.repeat(values, series, axis=1)))
+        return self._run(filter, count).reshape(count, series).sum(axis=1)
 
     def _numbers(self, values):
         return dict(zip(self.parameters, values, strict=True))
@@ -254,6 +268,7 @@ class _Likelihood:
             raise ValueError(f"free: wanted a start with a likelihood, got {start}; {place}")
         value, slopes, curvature = here
         curvature = -np.eye(len(along)) if curvature is None else curvature
+        gained = [value]
         for number in range(STEPS):
             LOG.info("fit: step %d, log-likelihood %.6f at %s", number, value, self.values(u))
             step = uphill(slopes, curvature, radius)
@@ -262,7 +277,8 @@ class _Likelihood:
             there[along] += step
             if not expected > NEAR + 1e-14 * abs(value):
                 return there if self.loglik(there[:, None])[0] >= value else u
-            if radius < shortest:
+            stalled = number >= PATIENCE and value - gained[-PATIENCE] < GAIN
+            if stalled or radius < shortest:
                 break
             if self.batch or self.loglik(there[:, None])[0] > value:
                 later = derivatives(self.loglik, there, along, second)
@@ -280,6 +296,7 @@ class _Likelihood:
                 else:
                     curvature = later[2]
                 u, value, slopes = there, later[0], later[1]
+            gained.append(value)
         return u
 
     def maximum(self, u: np.ndarray) -> Fit:
@@ -290,9 +307,9 @@ class _Likelihood:
         bound &= np.abs(u - self.free(self.start)) > 3.0
         values, cov = self.values(u), np.full((len(u), len(u)), np.nan)
         inside = np.flatnonzero(~bound)
-        definite, message = _is_negative(curvature[np.ix_(inside, inside)]), ""
+        part, message = curvature[np.ix_(inside, inside)], ""
+        definite = not len(inside) or _is_negative(part)
         if definite:
-            part = curvature[np.ix_(inside, inside)]
             rise = -0.5 * slopes[inside] @ np.linalg.solve(part, slopes[inside])
             if not rise < CONVERGED:
                 message = f"the log-likelihood can rise by about {rise:.2g}"
@@ -351,6 +368,8 @@ def _are_numbers(derivatives: tuple[Any, ...]) -> bool:
 def uphill(slopes: np.ndarray, curvature: np.ndarray, radius: float) -> np.ndarray:
     """Step of at most this length to where the quadratic model of a function is largest."""
     values, vectors = np.linalg.eigh(curvature)
+    flat = FLATTEST * np.abs(values).max()
+    values = np.where(np.abs(values) < flat, -flat, values)  # so that rounding leads nowhere
     slope, top = vectors.T @ slopes, max(values[-1], 0.0)
 
     def step(shift: float) -> np.ndarray:

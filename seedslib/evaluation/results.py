@@ -153,11 +153,11 @@ class Comparison(Mapping[str, Evaluation]):
             return np.sqrt(np.maximum(variance, 0.0))
 
         rms, slope = roots(mean[..., :size])
-        apart, apart_error = rms[0] - rms[1], error(slope, slice(size))
+        value, value_error = rms[0] - rms[1], error(slope, slice(size))
         scores = {}
         for k, name in zip(range(size, mean.shape[2]), ("square", "mode"), strict=False):
             scores |= named(name, mean[0, :, k] - mean[1, :, k], error((1.0, 1.0), k))
-        return Difference(apart[:-1], apart_error[:-1], apart[-1], apart_error[-1], **scores)
+        return Difference(value[:-1], value_error[:-1], value[-1], value_error[-1], **scores)
 
     def to_dataframe(self, names: Sequence[str] | None = None) -> Any:
         """A pandas table with a row for each filter.

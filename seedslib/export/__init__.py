@@ -3,7 +3,7 @@
 `to_c` and `to_js` write a filter as a C header and as a JavaScript module, `compiled` runs that C
 behind the filter's own verbs.
 
-May import: base, models, linearization, filters, designed.
+May import: base, tape, models, linearization, filters, designed.
 """
 
 from seedslib.base.lazy import lazy_names

@@ -370,7 +370,7 @@ class CompiledFilter(Filter):
             else:
                 given = pack(t, *y)  # type: ignore[misc]
         except (struct.error, TypeError):
-            given = time(as_real("t", t, ndim=0)) + self._measured(y, ()).tobytes()
+            given = time(as_real("t", t, ())) + self._measured(y, ()).tobytes()
         out = bytes(size)  # nobody has seen it, so that C may write it
         if code := work(state.raw, out, given):
             raise ValueError(REFUSALS[CODES[code]])

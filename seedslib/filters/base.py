@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.blocks import BLOCK, in_blocks
-from seedslib.base.checks import as_real, as_whole, optional
+from seedslib.base.checks import as_count, as_real, as_whole, optional
 from seedslib.base.clock import when
 from seedslib.base.objects import Pickled, changed
 from seedslib.base.values import Inputs, InputTrajectory, Values, as_trajectory
@@ -672,6 +672,7 @@ class Filter(Pickled):
             refuse.
         """
         batch, record = self.records_of(times, measurements, indicators, modes, inputs)
+        as_count("workers", workers)
         if not batch and self._single.of(self):
             return with_divergence(self.estimates_of(self._single.run(self, record)))
 

@@ -137,7 +137,7 @@ def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:
     TypeError, ValueError
         No region at all, or one that is not a table of finite vertices.
     """
-    tables = [as_real(f"regions[{i}]", region, ndim=2) for i, region in enumerate(regions)]
+    tables = [as_real(f"regions[{i}]", region, (None, None)) for i, region in enumerate(regions)]
     for i, table in enumerate(tables):
         if table.shape[0] < 1 or table.shape[1] != 2:
             raise ValueError(f"regions[{i}]: wanted shape (V, 2), got {table.shape}")

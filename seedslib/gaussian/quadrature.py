@@ -104,7 +104,7 @@ def unscented(n: int, kappa: float) -> Rule:
         Not a positive integer, or kappa not above -n.
     """
     n = as_count("n", n)
-    kappa = as_real("kappa", kappa, ndim=0).item()
+    kappa = as_real("kappa", kappa, ()).item()
     if not -n < kappa:
         raise ValueError(f"kappa: wanted a number above {-n}, got {kappa}")
     eye = np.sqrt(n + kappa) * np.eye(n)

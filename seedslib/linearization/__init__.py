@@ -5,7 +5,7 @@ covariance; every filter that takes means uses nothing else. A new one writes `m
 continuous-time flows follow, and `row` where it is for systems that switch. No filter, no
 correction.
 
-May import: base, gaussian, models.
+May import: base, tape, gaussian, models.
 """
 
 from seedslib.base.lazy import lazy_names

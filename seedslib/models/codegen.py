@@ -19,7 +19,7 @@ from sympy.printing.codeprinter import PrintMethodNotImplementedError
 from sympy.printing.numpy import SciPyPrinter
 
 from seedslib.base.arrays import batch_shape
-from seedslib.base.checks import require_shape
+from seedslib.base.checks import brief, require_shape
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
 from seedslib.gaussian.special import difference
 
@@ -124,13 +124,19 @@ def as_expressions(name: str, value: object) -> np.ndarray:
     ------
     TypeError
         An entry that is a string, or that SymPy cannot take as an expression.
+    ValueError
+        Rows of different lengths.
     """
     if isinstance(value, sympy.MatrixBase):
         value = value.tolist()
     try:
         array = np.array(value, dtype=object)
     except ValueError as error:
-        raise TypeError(f"{name}: wanted SymPy expressions, got {value!r}") from error
+        raise TypeError(f"{name}: wanted SymPy expressions, got {brief(value)}") from error
+    rows = [row for row in array.flat if isinstance(row, list | tuple)]
+    if rows:
+        lengths = ", ".join(str(len(row)) for row in rows)
+        raise ValueError(f"{name}: wanted rows of one length, got rows of {lengths}")
     result = np.empty(array.shape, dtype=object)
     result.ravel()[:] = [with_ratios(as_expression(name, entry)) for entry in array.ravel()]
     return result

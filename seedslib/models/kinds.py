@@ -60,6 +60,9 @@ KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
 
+FEW = 12
+"""Whole units of time in a step of which several steps may be meant."""
+
 
 def as_system(name: str, value: Any, *wanted: str) -> Any:
     """The system that was passed, or a sentence that says what it is.
@@ -125,13 +128,13 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
     Warns
     -----
     UserWarning
-        Steps of two or more whole units, in which it may be meant to move several times.
+        Steps of a few whole units, in which it may be meant to move several times.
     """
     times = as_times(name, value)
     if len(times) > 1 and in_even_steps(system):
         steps = np.diff(times)
         require_even(name, steps, times)
-        if steps[0] >= 2.0 and steps[0].is_integer():
+        if 2.0 <= steps[0] <= FEW and steps[0].is_integer():
             warnings.warn(
                 f"{name}: steps of {steps[0]:g} count as one step each, for the dynamics do not "
                 "mention the elapsed time ELAPSED; every time wants to be there, with NaN where "
@@ -208,9 +211,7 @@ class UnknownModel(Parametrized):
 
     def __post_init__(self) -> None:
         for part in fields(self):
-            if not is_whole(value := getattr(self, part.name)):
-                least = int(part.default is MISSING)
-                raise TypeError(f"{part.name}: wanted {least} to {MOST}, got {value!r}")
+            as_count(part.name, getattr(self, part.name), int(part.default is MISSING))
 
     def bounded(self) -> UnknownModel:
         """These sizes, where tables can have them.
@@ -218,13 +219,11 @@ class UnknownModel(Parametrized):
         Raises
         ------
         ValueError
-            More than 128 of something, or less than there must be.
+            More than 128 of something.
         """
         # tables hold the decided mode in a byte, and no table has as many arguments
         for part in fields(self):
-            value, least = getattr(self, part.name), int(part.default is MISSING)
-            if not is_whole(value) or not least <= value <= MOST:
-                raise ValueError(f"{part.name}: wanted {least} to {MOST}, got {value}")
+            as_count(part.name, getattr(self, part.name), 0, MOST)
         return self
 
     @classmethod

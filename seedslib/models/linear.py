@@ -10,7 +10,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import align
-from seedslib.base.checks import as_covariance, as_positive, as_real, is_whole, require_shape
+from seedslib.base.checks import (
+    as_covariance,
+    as_positive,
+    as_real,
+    brief,
+    is_whole,
+    require_shape,
+)
+from seedslib.base.clock import lengths_alike
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
@@ -21,6 +29,9 @@ from seedslib.models.propagation import stepped
 
 Matrix: TypeAlias = Any
 """An array of numbers or of SymPy expressions, or a function of time that gives one."""
+
+STORED = 64
+"""Lengths of a step whose discretisation is stored."""
 
 
 class LinearMap(StochasticMap):
@@ -176,12 +187,17 @@ class LinearSystem(DiscreteSystem):
         for name, cov in (("Q", Q), ("R", R)):
             if isinstance(cov, np.ndarray):
                 as_covariance(name, cov)
-        diffuse = tuple(diffuse)
-        for k in diffuse:
-            if not is_whole(k) or not 0 <= k < n or diffuse.count(k) > 1:
+        try:
+            components = tuple(diffuse)
+        except TypeError:
+            components = (None,)
+        for k in components:
+            if not is_whole(k) or not 0 <= k < n or components.count(k) > 1:
                 raise ValueError(
-                    f"diffuse: wanted distinct components from 0 to {n - 1}, got {diffuse}"
+                    f"diffuse: wanted a sequence of distinct components from 0 to {n - 1}, got "
+                    f"{brief(diffuse)}; all of them are range({n})"
                 )
+        diffuse = components
         cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
         if np.any(cov0[list(diffuse)] != 0.0):
             raise ValueError("cov0: wanted zeros in the rows of diffuse components")
@@ -233,9 +249,8 @@ class LinearSystem(DiscreteSystem):
         TypeError, ValueError
             As the class; a step that is not positive.
         """
-        drift = np.atleast_2d(as_real("drift", drift))
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        require_shape("drift", drift, noise.shape)
+        drift = as_real("drift", np.atleast_2d(drift), noise.shape)
         if step is None:
             steps = Discretised(drift, noise)
             F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)
@@ -307,7 +322,7 @@ class OfTime:
 
 
 class Discretised:
-    """Exact discretisation of dX = F X dt + dW, that of the last step stored.
+    """Exact discretisation of dX = F X dt + dW, once for steps of one length but for rounding.
 
     Parameters
     ----------
@@ -317,14 +332,17 @@ class Discretised:
 
     def __init__(self, drift: np.ndarray, diffusion: np.ndarray) -> None:
         self.drift, self.diffusion = drift, diffusion
-        self._last: Any = None, None
+        self._known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
 
     def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrix and noise covariance of a step of this length."""
-        last = self._last
-        if last[0] != step:
-            last = self._last = step, stepped(self.drift, self.diffusion, step)
-        return last[1]
+        step = float(lengths_alike(step))
+        found = self._known.get(step)
+        if found is None:
+            if len(self._known) >= STORED:
+                self._known.clear()
+            found = self._known[step] = stepped(self.drift, self.diffusion, step)
+        return found
 
 
 class SteppedMatrix:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.linalg import expm, matrix_balance
 
-from seedslib.base.checks import as_covariance, as_positive, as_real, require_shape
+from seedslib.base.checks import as_covariance, as_positive, as_real
 from seedslib.base.clock import lengths_alike, when
 
 RTOL = 1e-11
@@ -41,10 +41,8 @@ def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
     TypeError, ValueError
         No numbers, other shapes, no covariance, no such step; the moments overflow.
     """
-    drift, diffusion = as_real("drift", drift, ndim=2), as_real("diffusion", diffusion)
-    n = drift.shape[0]
-    require_shape("drift", drift, (n, n))
-    as_covariance("diffusion", diffusion, n)
+    diffusion = as_covariance("diffusion", diffusion)
+    drift = as_real("drift", drift, diffusion.shape)
     return stepped(drift, diffusion, as_positive("step", step, zero=True))
 
 

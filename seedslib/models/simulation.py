@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import child as descendant
 from seedslib.base.blocks import in_blocks
-from seedslib.base.checks import as_count, as_real
+from seedslib.base.checks import as_count, as_real, brief
 from seedslib.base.values import Inputs, as_trajectory
 from seedslib.models.kinds import AnySystem, as_grid
 
@@ -59,7 +59,7 @@ def as_measured(measured: object, count: int, name: str = "measured") -> np.ndar
             raise ValueError(f"{name}: wanted a mask of shape ({count},), got {given.shape}")
         return given
     if given.ndim != 1 or given.dtype.kind not in "iu" or (np.abs(given) >= count).any():
-        raise ValueError(f"{name}: wanted indices from 0 to {count - 1}, got {measured!r}")
+        raise ValueError(f"{name}: wanted indices from 0 to {count - 1}, got {brief(measured)}")
     mask = np.zeros(count, dtype=bool)
     mask[given] = True
     return mask
@@ -101,7 +101,7 @@ class Schedule(NamedTuple):
         chance = as_real("availability", availability)
         if chance.shape not in ((), (size,)) or not ((chance >= 0) & (chance <= 1)).all():
             raise ValueError(
-                f"availability: wanted a probability, or {size} of them, got {availability!r}"
+                f"availability: wanted a probability, or {size} of them, got {brief(availability)}"
             )
         return cls(mask, np.broadcast_to(chance, (size,)))
 

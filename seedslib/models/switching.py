@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
-from seedslib.base.checks import as_count, as_covariance, as_real, as_whole
+from seedslib.base.checks import as_count, as_covariance, as_real, as_whole, brief
 from seedslib.base.clock import when
 from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
@@ -482,9 +482,9 @@ class SwitchingSystem(Parametrized, Pickled):
                 probability, mean, cov = part
             except (TypeError, ValueError):
                 raise TypeError(
-                    f"initial: wanted (probability, mean, cov) for mode {i}, got {part!r}"
+                    f"initial: wanted (probability, mean, cov) for mode {i}, got {brief(part)}"
                 ) from None
-            probability = float(as_real(f"initial[{i}] probability", probability, ndim=0))
+            probability = float(as_real(f"initial[{i}] probability", probability, ()))
             mean = as_real(f"initial[{i}] mean", mean, (n,))
             modes.append(InitialMode(probability, mean, as_covariance(f"initial[{i}] cov", cov, n)))
         want_probabilities("initial", np.array([part.probability for part in modes]))

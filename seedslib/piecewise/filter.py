@@ -115,7 +115,7 @@ class PiecewiseLinearFilter(Filter):
 
     def __init__(self, system: PiecewiseLinearSystem, *, prune: float = 0.0) -> None:
         as_system("system", system, "PiecewiseLinearSystem")
-        if not 0.0 <= as_real("prune", prune, ndim=0) < 1.0:
+        if not 0.0 <= as_real("prune", prune, ()) < 1.0:
             raise ValueError(f"prune: wanted a share in [0, 1), got {prune:g}")
         self.system, self.prune = system, float(prune)
 

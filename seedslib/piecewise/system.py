@@ -119,7 +119,7 @@ class PiecewiseLinearSystem(Parametrized):
     def __post_init__(self) -> None:
         known = isinstance(self.regions, Intervals | Polygons)
         cells = self.regions if known else Intervals(self.regions)
-        mean0 = as_real("mean0", self.mean0, ndim=1)
+        mean0 = as_real("mean0", self.mean0, (None,))
         if mean0.size < cells.size:
             raise ValueError(f"mean0: wanted {cells.size} components or more, got {mean0.size}")
         cov0 = as_covariance("cov0", self.cov0, mean0.size)
@@ -158,11 +158,11 @@ class PiecewiseLinearSystem(Parametrized):
         from seedslib.base.symbols import named_model
         from seedslib.models.codegen import known_expressions
 
-        edges = as_real("breakpoints", breakpoints, ndim=1)
+        edges = as_real("breakpoints", breakpoints, (None,))
         cells = Intervals(np.concatenate([[-np.inf], edges[1:-1], [np.inf]]))
         rule = support if isinstance(support, str) else "points"
         middle, adaptive = rule in ("centroid", "estimate"), rule == "estimate"
-        points = as_real("support", 0.5 * (edges[:-1] + edges[1:]) if middle else support, ndim=1)
+        points = as_real("support", 0.5 * (edges[:-1] + edges[1:]) if middle else support, (None,))
         if not np.array_equal(cells.locate(points[None]), np.arange(len(cells))):
             raise ValueError("support: wanted one point in each cell, in the order of the cells")
         state, time, _ = named_model(state, time, None, noise=tuple(noise))

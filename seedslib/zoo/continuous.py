@@ -51,26 +51,20 @@ def van_der_pol(reading: str = "A") -> JumpDiffusion:
     )
 
 
-def kicked_duffing(
-    damping: float = 0.5,
-    diffusion: float = 0.2,
-    rate: Pair = (0.2, 0.2),
-    kick: Pair = (0.5, 3.0),
-    sensor_noise: Pair = (0.2, 1.0),
-) -> JumpDiffusion:
+def kicked_duffing(sensor_noise: Pair = (0.2, 1.0)) -> JumpDiffusion:
     """Duffing oscillator kicked at random times, more often where it is far out.
 
-    dX1 = X2 dt, dX2 = (X1 - X1³ - damping X2) dt + diffusion dW + kicks; kicks come with
-    intensity rate[0] + rate[1] X1² and are N(kick[0], kick[1]²) in velocity;
+    dX1 = X2 dt, dX2 = (X1 - X1³ - 0.5 X2) dt + 0.2 dW + kicks; kicks come with
+    intensity 0.2 + 0.2 X1² and are N(0.5, 3²) in velocity;
     Y = X1 (1 + sensor_noise[0] V1) + sensor_noise[1] V2. Default times 0, 0.5, ..., 6.
     """
     x1, x2, v1, v2, z = sympy.symbols("x1 x2 v1 v2 z")
     return JumpDiffusion(
         state=(x1, x2),
-        drift=[x2, x1 - x1**3 - damping * x2],
-        diffusion=[[0], [diffusion]],
-        intensity=rate[0] + rate[1] * x1**2,
-        jump=[0, kick[0] + kick[1] * z],
+        drift=[x2, x1 - x1**3 - 0.5 * x2],
+        diffusion=[[0], [0.2]],
+        intensity=0.2 + 0.2 * x1**2,
+        jump=[0, 0.5 + 3.0 * z],
         marks=Noise((z,)),
         sensor=[x1 * (1 + sensor_noise[0] * v1) + sensor_noise[1] * v2],
         noise=Noise((v1, v2)),
@@ -80,28 +74,21 @@ def kicked_duffing(
     )
 
 
-def flip_process(
-    diffusion: float = 0.5,
-    rate: Pair = (0.3, 0.2),
-    flip: float = 2.0,
-    flip_noise: float = 0.3,
-    sensor_noise: Pair = (0.3, 0.5),
-) -> JumpDiffusion:
+def flip_process(rate: Pair = (0.3, 0.2), flip: float = 2.0) -> JumpDiffusion:
     """Bistable scalar process whose jumps throw it to the other side.
 
-    dX = (X - X³) dt + diffusion dW + jumps with intensity rate[0] + rate[1] X² and size
-    N(-flip X, flip_noise²); Y = X (1 + sensor_noise[0] V1) + sensor_noise[1] V2. Default times
-    0, 0.25, ..., 3.
+    dX = (X - X³) dt + 0.5 dW + jumps with intensity rate[0] + rate[1] X² and size
+    N(-flip X, 0.3²); Y = X (1 + 0.3 V1) + 0.5 V2. Default times 0, 0.25, ..., 3.
     """
     x, v1, v2, z = sympy.symbols("x v1 v2 z")
     return JumpDiffusion(
         state=(x,),
         drift=[x - x**3],
-        diffusion=[[diffusion]],
+        diffusion=[[0.5]],
         intensity=rate[0] + rate[1] * x**2,
-        jump=[-flip * x + flip_noise * z],
+        jump=[-flip * x + 0.3 * z],
         marks=Noise((z,)),
-        sensor=[x * (1 + sensor_noise[0] * v1) + sensor_noise[1] * v2],
+        sensor=[x * (1 + 0.3 * v1) + 0.5 * v2],
         noise=Noise((v1, v2)),
         mean0=[1],
         cov0=[[0.25]],

@@ -6,12 +6,11 @@ from typing import Any
 
 import sympy
 
+from seedslib.base.checks import as_positive
 from seedslib.models.noise import Noise
 from seedslib.models.switching import SwitchingSystem
 
 SCALAR_SENSORS = {"A1H": 2.0, "A1L": 0.5, "A2": 1.0}
-FASTEST = 5 / 3
-"""At this factor of its probabilities the switching from mode 1 is certain at x = 0."""
 
 
 def scalar_switching(
@@ -36,23 +35,19 @@ def scalar_switching(
 
     Raises
     ------
-    ValueError
-        An unknown sensor, a deviation that is not positive, a rate out of (0, 5/3].
+    TypeError, ValueError
+        An unknown sensor, a deviation that is not positive, probabilities beyond one.
     """
     if sensor not in SCALAR_SENSORS:
         raise ValueError(f"sensor: wanted one of {', '.join(SCALAR_SENSORS)}, got {sensor!r}")
-    deviation = SCALAR_SENSORS[sensor] if deviation is None else float(deviation)
-    if not 0.0 < deviation < float("inf"):
-        raise ValueError(f"deviation: wanted a positive number, got {deviation!r}")
-    if not 0.0 < rate <= FASTEST:
-        raise ValueError(f"rate: wanted a number in (0, 5/3], got {rate!r}")
+    deviation = as_positive("deviation", SCALAR_SENSORS[sensor] if deviation is None else deviation)
     x, v, w = sympy.symbols("x v w", real=True)
     leave = rate * (0.35 - 0.3 * sympy.exp(-(x**2) / 8))
     back = rate * (0.1 + 0.5 * sympy.exp(-(x**2) / 2))
     deviation = sympy.nsimplify(deviation, rational=True)
-    shown = [[x + deviation * w], [2 + x + deviation * w]]
+    measured = [[x + deviation * w], [2 + x + deviation * w]]
     if sensor == "A2":
-        shown = [[x / 2 + x**2 / 5 + deviation * w]] * 2
+        measured = [[x / 2 + x**2 / 5 + deviation * w]] * 2
     return SwitchingSystem(
         state=(x,),
         dynamics=[
@@ -61,7 +56,7 @@ def scalar_switching(
         ],
         noise=Noise((v,)),
         switching=[[1 - leave, leave], [back, 1 - back]],
-        sensor=shown,
+        sensor=measured,
         sensor_noise=Noise((w,)),
         initial=[(0.5, [0], [[1]])] * 2,
     )
@@ -102,34 +97,28 @@ def manoeuvring_target(indicator: str = "noisy") -> SwitchingSystem:
     )
 
 
-def steady_target(
-    modes: int = 1, *, decay: float = 0.98, noise: float = 0.1, sensor_noise: float = 1.0
-) -> SwitchingSystem:
-    """Target whose filter is known: a linear system of one mode, or of two that are seen.
+def steady_target(modes: int = 1) -> SwitchingSystem:
+    """Target whose filter is known: a linear system of one mode, or of two that are observed.
 
-    State (position, velocity), its position measured. With two modes the indicator shows which,
-    and they differ only in what drives the velocity, 0 or 1: covariances do not depend on the
-    modes, and a filter of order one can be the Kalman filter with known modes. Default times
-    0, 1, ..., 15.
+    State (position, velocity), its position measured with unit noise; the velocity decays by 0.98
+    in a step. With two modes the indicator shows which, and they differ only in what drives the
+    velocity, 0 or 1: covariances do not depend on the modes, and a filter of order one can be the
+    Kalman filter with known modes. Default times 0, 1, ..., 15.
 
     Parameters
     ----------
     modes : {1, 2}
-    decay : float
-        Factor of the velocity in a step.
-    noise, sensor_noise : float
-        Deviations of the noises of velocity and measurement.
     """
     if modes not in (1, 2):
         raise ValueError(f"modes: wanted 1 or 2, got {modes!r}")
     x1, x2, v, w = sympy.symbols("x1 x2 v w", real=True)
-    pushes = [drive + noise * v for drive in range(modes)]
+    pushes = [drive + 0.1 * v for drive in range(modes)]
     return SwitchingSystem(
         state=(x1, x2),
-        dynamics=[[x1 + x2 + push / 2, decay * x2 + push] for push in pushes],
+        dynamics=[[x1 + x2 + push / 2, 0.98 * x2 + push] for push in pushes],
         noise=Noise((v,)),
         switching=[[1]] if modes == 1 else [[0.95, 0.05], [0.15, 0.85]],
-        sensor=[[x1 + sensor_noise * w]] * modes,
+        sensor=[[x1 + w]] * modes,
         sensor_noise=Noise((w,)),
         initial=[(1 / modes, [0, 0], [[4, 0], [0, 1]])] * modes,
         indicator=None if modes == 1 else INDICATORS["exact"],
@@ -154,8 +143,8 @@ def dependent_switching(offset: Any = 0.0) -> SwitchingSystem:
     def beyond(threshold, slope, correlation, noise) -> sympy.Expr:
         """Probability that a normal number, given its correlate `noise`, exceeds a threshold."""
         threshold, slope, correlation = map(q, (threshold, slope, correlation))
-        apart = (threshold + slope * x - correlation * noise) / sympy.sqrt(1 - correlation**2)
-        return (1 - sympy.erf(apart / sympy.sqrt(2))) / 2
+        distance = (threshold + slope * x - correlation * noise) / sympy.sqrt(1 - correlation**2)
+        return (1 - sympy.erf(distance / sympy.sqrt(2))) / 2
 
     switch = [beyond(1.2, -0.8, 0.6, v), beyond(-0.3, 0.5, -0.4, v)]
     show = [beyond(1, -0.7, 0.5, w), beyond(-0.2, 0.4, -0.3, w)]

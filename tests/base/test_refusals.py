@@ -9,13 +9,21 @@ import pytest
 import sympy as sp
 
 from seedslib import zoo
-from seedslib.base import Axis, Nodes, interpolate, update
+from seedslib.base import Axis, Input, Nodes, Parameter, interpolate, update
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
-from seedslib.filters import extended_kalman
+from seedslib.evaluation import fit
+from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.gaussian import expectation, expectation_function
 from seedslib.linearization import Moments, Taylor
-from seedslib.models import JumpDiffusion, Noise, StochasticMap, grid_chain
+from seedslib.models import (
+    JumpDiffusion,
+    LinearSystem,
+    Noise,
+    StochasticMap,
+    SwitchingSystem,
+    grid_chain,
+)
 from seedslib.two_step import LinearDiffusion
 
 X, V, K = sp.symbols("x v k")
@@ -136,3 +144,50 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
         told = work()
     assert "all 3 steps" in caplog.records[-1].getMessage()
     np.testing.assert_array_equal(quiet.predicted.rms, told.predicted.rms)
+
+
+Q = Parameter("q", 0.1, positive=True)
+LEVEL = LinearSystem(1, Q, 1, 1, 0, 1)
+MANY = np.arange(101.0)
+PUSHED = LinearSystem(1, 1, 1, 1, 0, 1, b=[Input("u")])
+DT = sp.Symbol("dt", real=True)
+
+
+def moved(*rows):
+    noises = Noise([V]), [[0.5, 0.5]] * 2, [[X]] * 2, Noise()
+    return SwitchingSystem([X], [*rows], *noises, [(0.5, [0], [[1]])] * 2)
+
+
+SENTENCES = [
+    (lambda: flow(period=6.28), r"period: wanted a mapping .* \{0: 2 \* pi\}, got 6\.28"),
+    (lambda: flow(period=[None, 6.28]), r"period: wanted a mapping .* got \[None, 6\.28\]"),
+    (lambda: flow(period={0: "2 pi"}), r"period\[0\]: wanted a number, got '2 pi'"),
+    (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=True), r"diffuse: .* got True; .* range\(1\)"),
+    (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse="all"), r"diffuse: .* got 'all'; .* range"),
+    (lambda: LinearSystem(1, 1, 1, 1, 0, Q), r"cov0: wanted real numbers, got formulas of q; fit"),
+    (lambda: LinearSystem(1, 1, 1, 1, 0, None), r"cov0: wanted real numbers, got None"),
+    (lambda: Noise([V], cov=[[Q * K]]), r"cov: wanted real numbers, got formulas of k, q"),
+    (lambda: moved([X + DT * V], [X]), r"dynamics: .* got dt; .* ELAPSED"),
+    (lambda: moved([X + V], [X, X]), r"dynamics: wanted rows of one length, got rows of 1, 2"),
+    (lambda: fit(LEVEL, MANY, MANY[:, None], [Q]), r"filter: .* KalmanFilter.* got LinearSystem"),
+    (lambda: fit(KalmanFilter(LEVEL), MANY, MANY[:, None], Q), r"free: .* got q; write \[q\]"),
+    (
+        lambda: KalmanFilter(PUSHED).run(MANY, MANY[:, None], inputs={"u": MANY}),
+        r"inputs: wanted a mapping of Input to arrays, got a mapping of 'u'$",
+    ),
+    (
+        lambda: KalmanFilter(PUSHED).run(MANY, MANY[:, None], inputs=MANY),
+        r"inputs: wanted a mapping of Input to arrays, got an array of shape \(101,\)$",
+    ),
+    (
+        lambda: grid_chain(flow(), MANY),
+        r"axes: wanted an Axis or \(low, high, count\), got an array of shape \(101,\)$",
+    ),
+    (lambda: LINEAR.simulate(MANY, 1, 1, measured=0.5 * MANY), r"measured: .* got an array of sh"),
+]
+
+
+@pytest.mark.parametrize(("call", "sentence"), SENTENCES)
+def test_a_natural_wrong_call_is_answered_by_what_was_got_and_what_is_wanted(call, sentence):
+    with pytest.raises((TypeError, ValueError), match=f"^{sentence}"):
+        call()

@@ -194,8 +194,10 @@ fit level.py d.csv | filter
 
 @pytest.mark.parametrize("row", REFUSED.strip().splitlines())
 def test_a_line_is_refused_by_name_and_nothing_is_written(run, folder, row):
-    made = synthesize(zoo.flip_process(), Memory(1), Taylor(), range(3), paths=300, seed=1, nodes=0)
-    save(made, folder / "plain.npz")
+    if "plain.npz" in row:
+        options = {"paths": 300, "seed": 1, "nodes": 0}
+        made = synthesize(zoo.flip_process(), Memory(1), Taylor(), range(3), **options)
+        save(made, folder / "plain.npz")
     line, words = row.split(" | ")
     code, out, err = run(line)
     assert (code, out, err.count("\n")) == (2, "", 1)

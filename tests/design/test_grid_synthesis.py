@@ -109,28 +109,6 @@ def test_changes_are_those_of_arguments_rounded_to_the_nodes_at_random(flip, exa
     assert (exact.changes[1, 2:] == 0.0).all()
 
 
-@pytest.mark.parametrize("l", [1, 2])
-def test_errors_of_the_optimal_function_are_orthogonal_to_every_function(flip, data, l):
-    """On common paths: any change h of the last function costs E h², with error bars."""
-    made = grid_synthesis(flip, large_order(l), TIMES[:4], **GRID, nodes=0)
-    y, x = data.measurements[:8:2], data.states[6, 0]
-    means = made.run(TIMES[:4], y).mean[:, 0]
-    last, known = y[3, 0], means[2]
-    changes = [
-        np.ones_like(last),
-        last,
-        known,
-        np.sin(3 * last * known),
-        np.tanh(2 * (last - known)),
-        means[1] if l == 2 else known**2,
-    ]
-    for change in changes:
-        cross = (means[3] - x) * change
-        assert abs(cross.mean()) < 4 * cross.std() / np.sqrt(len(cross))
-        more = (means[3] + 0.3 * change - x) ** 2 - (means[3] - x) ** 2 - 0.09 * change**2
-        assert within(more[None], 0.0)
-
-
 def test_filter_of_theorem_2_on_the_grid_has_the_parameters_of_simulated_ones(flip, gaussian, data):
     """Gamma, kappa, T at all measurements: mean and standard error of independent designs."""
     made, risk = gaussian

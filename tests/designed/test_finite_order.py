@@ -15,12 +15,12 @@ from seedslib.designed import Memory
 from seedslib.linearization import Cubature, ExactGaussian, Taylor, Unscented
 from seedslib.models import JumpDiffusion, Noise
 
-x, y, v, w = sympy.symbols("x y v w", real=True)
+x, y, z, v, w = sympy.symbols("x y z v w", real=True)
 t = sympy.Symbol("t")
 u = 1 - t / 3
 
-# A linear system that has everything: time in all its functions, a drive, unlike components,
-# correlated noises with means, a late irregular start, nodes, a schedule with gaps of its own.
+# A linear system that has everything: time in all its functions, a drive, jumps, unlike
+# components, correlated noises with means, a late irregular start, nodes, a schedule with gaps.
 
 TIMES = np.array([1.5, 2.0, 3.1, 3.4, 4.2])
 NODES = [start + (end - start) * np.array([1, 2]) / 3 for start, end in pairwise(TIMES)]
@@ -35,6 +35,9 @@ LINEAR = JumpDiffusion(
     Noise((v, w), mean=NOISE_MEAN, cov=NOISE_COV),
     MEAN0,
     COV0,
+    intensity=1.5,
+    jump=[z / 2, 0.2 - z / 3],
+    marks=Noise((z,), cov=[[1.2]]),
     time=t,
 )
 
@@ -43,8 +46,15 @@ def drift(now):
     return np.array([[-0.5, 1 + now / 4], [-0.5, -0.3 - now / 5]])
 
 
+def offset(now):
+    return np.array([1 - now / 3, now / 3 + 1.5 * 0.2])
+
+
 def diffusion(now):
-    return np.array([[0.4, 0], [0.1 + now / 10, 0.6]])
+    root = np.array([[0.4, 0], [0.1 + now / 10, 0.6]])
+    mark = np.array([0.5, -1 / 3])
+    jumps = 1.5 * (1.2 * np.outer(mark, mark) + np.diag([0.0, 0.2**2]))
+    return np.linalg.cholesky(root @ root.T + jumps)
 
 
 def sensor(now):
@@ -56,12 +66,7 @@ def oracle(estimates, measurements, components=2, measured=MEASURED):
     moves = []
     for k, nodes in enumerate(NODES):
         stops = [TIMES[k], *nodes, TIMES[k + 1]]
-        moves.append(
-            [
-                transition(drift, lambda s: np.array([1 - s / 3, s / 3]), diffusion, a, b)
-                for a, b in pairwise(stops)
-            ]
-        )
+        moves.append([transition(drift, offset, diffusion, *ends) for ends in pairwise(stops)])
     sensors = [sensor(now) for now in TIMES]
     return FiniteOrderOracle(
         MEAN0, COV0, moves, sensors, estimates, measurements, components, measured

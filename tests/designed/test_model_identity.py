@@ -232,7 +232,6 @@ def test_tables_know_the_likelihood_of_their_sensor_and_models_of_modes(tmp_path
     for other, said in (
         (zoo.flip_process(flip=1.99), "jump"),
         (zoo.flip_process(rate=(0.2, 0.3)), "intensity"),
-        (zoo.flip_process(sensor_noise=(0.3, 0.6)), ""),
         (single, "likelihood"),
         (zoo.van_der_pol(), "1 state components, not 2"),
         (zoo.scalar_switching(), "one without modes"),

@@ -1,6 +1,7 @@
 """What filters refuse: arguments by their names, and parts that do not fit together."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,7 +10,6 @@ import sympy
 from seedslib import zoo
 from seedslib.design import (
     BoundedPolynomial,
-    Continuous,
     Polynomial,
     grid_synthesis,
     minimax_synthesis,
@@ -77,53 +77,53 @@ def tables(system, memory=None, **options):
     return grid_synthesis(system, memory or Memory(1), [0.0, 0.25, 0.5], **axes | options)
 
 
-KINDS = {
-    "affine": affine,
-    "one component": lambda: affine(components=1),
-    "continuous": lambda: affine(predictor=Continuous()),
-    "polynomial": lambda: affine(predictor=Polynomial(2, 1)),
-    "availability": lambda: synthesize(
-        pair(), Memory(1), Taylor(), TIMES, paths=300, seed=1, availability=[0.6, 1.0]
-    ),
-    "modes": modes,
-    "table": lambda: tables(zoo.flip_process(), nodes=1),
-    "table of modes": lambda: tables(
-        zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True
-    ),
-    "minimax": lambda: minimax_synthesis(
-        pair(), Memory(1), TIMES, paths=600, seed=1, correction=BoundedPolynomial(2)
-    ),
-    "minimax of the residual": lambda: minimax_synthesis(
-        pair(), Memory(1), TIMES, paths=600, seed=1
-    ),
-}
-
-
-# Calls, the error, and the argument that its message begins with
-
-
 @pytest.fixture(scope="module")
 def made():
-    """A filter of each kind, made once."""
-    return {kind: make() for kind, make in KINDS.items()}
+    """A filter of each kind."""
+    return SimpleNamespace(
+        affine=affine(),
+        modes=modes(),
+        table=tables(zoo.flip_process(), nodes=1),
+        mode_table=tables(zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True),
+        minimax=minimax(correction=BoundedPolynomial(2)),
+    )
 
 
-def stepped(filter, count, y=None):
+def minimax(**options):
+    return minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, **options)
+
+
+def stepped(filter, count):
     state = filter.initial()
     for now in filter.times[:count]:
         state = filter.step(state, now, np.full(filter.system.measurement_size, 0.3))
     return state
 
 
-def forecast(made, kind="affine"):
-    return made[kind].predict(made[kind].initial((3,)), 0.0)
+def forecast(m):
+    return m.affine.predict(m.affine.initial((3,)), 0.0)
 
 
 def scheduled():
     return affine(measured=[[True], [False], [True]])
 
 
-TARGET, BANK = zoo.manoeuvring_target("noisy"), lambda: SwitchingFilter(TARGET, Taylor())
+def bank(system=None, *memory, **options):
+    return SwitchingFilter(system or TARGET, Taylor(), *memory, **options)
+
+
+def corrected(indicator):
+    """A correction of a bank by an indicator."""
+    return bank().correct(bank().predict(bank().initial((2,)), 0.0), np.zeros((1, 2)), indicator)
+
+
+def run(filter, **change):
+    given = {"times": TIMES, "measurements": np.zeros((3, 1, 4)), "indicators": SHOWN}
+    return filter.run(**given | change)
+
+
+TARGET = zoo.manoeuvring_target("noisy")
+SCALAR, STEADY, LOG_ODDS = zoo.scalar_switching(), zoo.steady_target(), Memory(1, log_odds=True)
 SHOWN = np.zeros((3, 4), dtype=int)
 REFUSED = [
     # memories
@@ -148,7 +148,7 @@ REFUSED = [
     (lambda _: BoundedPolynomial(0), ValueError, "degree"),
     # filters of finite order: fields
     *[
-        (lambda m, change=change: replace(m["affine"], **change), error, next(iter(change)))
+        (lambda m, change=change: replace(m.affine, **change), error, next(iter(change)))
         for change, error in (
             ({"components": 0}, ValueError),
             ({"components": 3}, ValueError),
@@ -165,183 +165,102 @@ REFUSED = [
             ({"availability": [1.5]}, ValueError),
         )
     ],
-    (lambda m: m["affine"].forecasting("cubic"), ValueError, "between"),
+    (lambda m: m.affine.forecasting("cubic"), ValueError, "between"),
     # steps
-    (lambda m: m["affine"].correct(m["affine"].initial(), [0.0]), ValueError, "state"),
-    (lambda m: m["affine"].expect(m["affine"].initial()), ValueError, "state"),
-    (lambda m: m["affine"].predict(forecast(m), 1.0), ValueError, "state"),
-    (lambda m: m["affine"].forecast(forecast(m), 0.5), ValueError, "state"),
-    (lambda m: m["affine"].predict(m["affine"].initial(), 0.5), ValueError, "t"),
-    (lambda m: m["affine"].predict(stepped(m["affine"], 3), 3.0), ValueError, "t"),
-    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 2.5), ValueError, "t"),
-    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 0.5), ValueError, "t"),
-    (lambda m: m["affine"].forecast(stepped(m["affine"], 2), 1.5, "x"), ValueError, "kind"),
-    (lambda m: m["affine"].correct(forecast(m), np.zeros((2, 3))), ValueError, "y"),
-    (lambda m: m["affine"].correct(forecast(m), [[0, np.inf, 0]]), ValueError, "y"),
-    (lambda m: m["affine"].correct(forecast(m), [["a", "b", "c"]]), TypeError, "y"),
+    (lambda m: m.affine.correct(m.affine.initial(), [0.0]), ValueError, "state"),
+    (lambda m: m.affine.expect(m.affine.initial()), ValueError, "state"),
+    (lambda m: m.affine.predict(forecast(m), 1.0), ValueError, "state"),
+    (lambda m: m.affine.forecast(forecast(m), 0.5), ValueError, "state"),
+    (lambda m: m.affine.predict(m.affine.initial(), 0.5), ValueError, "t"),
+    (lambda m: m.affine.predict(stepped(m.affine, 3), 3.0), ValueError, "t"),
+    (lambda m: m.affine.forecast(stepped(m.affine, 2), 2.5), ValueError, "t"),
+    (lambda m: m.affine.forecast(stepped(m.affine, 2), 0.5), ValueError, "t"),
+    (lambda m: m.affine.forecast(stepped(m.affine, 2), 1.5, "x"), ValueError, "kind"),
+    (lambda m: m.affine.correct(forecast(m), np.zeros((2, 3))), ValueError, "y"),
+    (lambda m: m.affine.correct(forecast(m), [[0, np.inf, 0]]), ValueError, "y"),
+    (lambda m: m.affine.correct(forecast(m), [["a", "b", "c"]]), TypeError, "y"),
     (lambda _: (f := scheduled()).correct(f.predict(stepped(f, 1), 1.0), [0.5]), ValueError, "y"),
     # records
     *[
         (
-            lambda m, times=times: m["affine"].run(times, np.full((len(times), 1), np.nan)),
+            lambda m, times=times: m.affine.run(times, np.full((len(times), 1), np.nan)),
             ValueError,
             "times",
         )
         for times in (TIMES[1:], TIMES + 0.25, [0, 2.0], [0, 1, 2, 3.5], [0, 0, 1])
     ],
-    (lambda m: m["affine"].run([0, 0.25, 1], np.zeros((3, 1))), ValueError, "measurements"),
-    (lambda m: m["affine"].run([0, 1], np.zeros((2, 3))), ValueError, "measurements"),
-    (lambda m: m["affine"].run([0, 1], [[np.inf], [0]]), ValueError, "measurements"),
-    (lambda m: m["affine"].run(TIMES, ONES, indicators=[0, 0, 0]), ValueError, "indicators"),
+    (lambda m: m.affine.run([0, 0.25, 1], np.zeros((3, 1))), ValueError, "measurements"),
+    (lambda m: m.affine.run([0, 1], np.zeros((2, 3))), ValueError, "measurements"),
+    (lambda m: m.affine.run([0, 1], [[np.inf], [0]]), ValueError, "measurements"),
+    (lambda m: m.affine.run(TIMES, ONES, indicators=[0, 0, 0]), ValueError, "indicators"),
     (lambda _: scheduled().run(TIMES, ONES), ValueError, "measurements"),
     # filters of modes
-    (lambda _: SwitchingFilter(zoo.flip_process(), Taylor()), TypeError, "system"),
+    (lambda _: bank(zoo.flip_process()), TypeError, "system"),
     (lambda _: SwitchingFilter(TARGET, "taylor"), TypeError, "linearization"),
-    (
-        lambda _: SwitchingFilter(TARGET, Taylor(), normalisation="other"),
-        ValueError,
-        "normalisation",
-    ),
+    (lambda _: bank(normalisation="other"), ValueError, "normalisation"),
     (lambda _: SwitchingRules(TARGET, Taylor(), "other"), ValueError, "normalisation"),
-    (lambda _: SwitchingFilter(TARGET, Taylor(), "one"), TypeError, "memory"),
-    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1)), ValueError, "times"),
-    (lambda _: SwitchingFilter(TARGET, Taylor(), Memory(1), times=TIMES), ValueError, "fits"),
-    (
-        lambda _: SwitchingFilter(
-            zoo.scalar_switching(), Taylor(), Memory(1, 0, 1), times=TIMES, fits=[1, 2]
-        ),
-        ValueError,
-        "memory",
-    ),
-    (
-        lambda _: SwitchingFilter(
-            zoo.steady_target(), Taylor(), Memory(1, log_odds=True), times=TIMES, fits=[1, 2]
-        ),
-        ValueError,
-        "memory",
-    ),
-    (lambda m: replace(m["modes"], memory=Memory(1)), ValueError, "fits"),
-    (lambda _: BANK().predict(BANK().step(BANK().initial(), 1.0, [0.0], 1), 1.0), ValueError, "t"),
-    (lambda _: BANK().correct(BANK().initial(), [0.0], 1), ValueError, "state"),
-    (lambda _: BANK().predict(BANK().predict(BANK().initial(), 0.0), 1.0), ValueError, "state"),
-    *[
-        (
-            lambda _, told=told: BANK().correct(
-                BANK().predict(BANK().initial((2,)), 0.0), np.zeros((1, 2)), told
-            ),
-            error,
-            "indicator",
-        )
-        for told, error in (
-            (None, ValueError),
-            (np.array([2, 0]), ValueError),
-            (np.array([0.5, 0.0]), TypeError),
-        )
-    ],
-    *[
-        (
-            lambda m, change=change: m["modes"].run(
-                **{
-                    "times": TIMES,
-                    "measurements": np.zeros((3, 1, 4)),
-                    "indicators": SHOWN,
-                    **change,
-                }
-            ),
-            error,
-            next(iter(change)),
-        )
-        for change, error in (
-            ({"indicators": None}, ValueError),
-            ({"indicators": SHOWN + 2}, ValueError),
-            ({"indicators": SHOWN + 0.5}, TypeError),
-            ({"indicators": SHOWN[:, :3]}, ValueError),
-            ({"measurements": np.full((3, 1, 4), np.inf)}, ValueError),
-            ({"measurements": np.zeros((3, 2, 4))}, ValueError),
-            ({"times": [0.0, 2.0, 1.0]}, ValueError),
-        )
-    ],
-    (
-        lambda m: m["modes"].run([0.0, 1.0, 3.0], np.zeros((3, 1, 4)), indicators=SHOWN),
-        ValueError,
-        "times",
-    ),
-    (
-        lambda m: m["modes"].run(TIMES, np.zeros((3, 1, 4)), indicators=SHOWN - 1),
-        ValueError,
-        "indicator",
-    ),
-    (
-        lambda m: smooth(m["modes"], TIMES, np.zeros((3, 1, 4)), indicators=SHOWN),
-        TypeError,
-        "filter",
-    ),
+    (lambda _: bank(TARGET, "one"), TypeError, "memory"),
+    (lambda _: bank(TARGET, Memory(1)), ValueError, "times"),
+    (lambda _: bank(TARGET, Memory(1), times=TIMES), ValueError, "fits"),
+    (lambda _: bank(SCALAR, Memory(1, 0, 1), times=TIMES, fits=[1, 2]), ValueError, "memory"),
+    (lambda _: bank(STEADY, LOG_ODDS, times=TIMES, fits=[1, 2]), ValueError, "memory"),
+    (lambda m: replace(m.modes, memory=Memory(1)), ValueError, "fits"),
+    (lambda _: bank().predict(bank().step(bank().initial(), 1.0, [0.0], 1), 1.0), ValueError, "t"),
+    (lambda _: bank().correct(bank().initial(), [0.0], 1), ValueError, "state"),
+    (lambda _: bank().predict(bank().predict(bank().initial(), 0.0), 1.0), ValueError, "state"),
+    (lambda _: corrected(None), ValueError, "indicator"),
+    (lambda _: corrected(np.array([2, 0])), ValueError, "indicator"),
+    (lambda _: corrected(np.array([0.5, 0.0])), TypeError, "indicator"),
+    (lambda m: run(m.modes, indicators=None), ValueError, "indicators"),
+    (lambda m: run(m.modes, indicators=SHOWN + 2), ValueError, "indicators"),
+    (lambda m: run(m.modes, indicators=SHOWN + 0.5), TypeError, "indicators"),
+    (lambda m: run(m.modes, indicators=SHOWN[:, :3]), ValueError, "indicators"),
+    (lambda m: run(m.modes, indicators=SHOWN - 1), ValueError, "indicator"),
+    (lambda m: run(m.modes, measurements=np.full((3, 1, 4), np.inf)), ValueError, "measurements"),
+    (lambda m: run(m.modes, measurements=np.zeros((3, 2, 4))), ValueError, "measurements"),
+    (lambda m: run(m.modes, times=[0.0, 2.0, 1.0]), ValueError, "times"),
+    (lambda m: run(m.modes, times=[0.0, 1.0, 3.0]), ValueError, "times"),
+    (lambda m: smooth(m.modes, TIMES, np.zeros((3, 1, 4)), indicators=SHOWN), TypeError, "filter"),
     # tables and other output functions
-    (lambda m: m["table"].correct(m["table"].initial(), [0.0]), ValueError, "state"),
+    (lambda m: m.table.correct(m.table.initial(), [0.0]), ValueError, "state"),
+    (lambda m: m.table.predict(m.table.predict(m.table.initial(), 0.0), 0.25), ValueError, "state"),
+    (lambda m: m.table.predict(m.table.initial(), 0.25), ValueError, "t"),
+    (lambda m: m.table.predict(stepped(m.table, 3), 0.75), ValueError, "t"),
+    (lambda m: m.table.forecast(stepped(m.table, 1), 0.3), ValueError, "t"),
+    (lambda m: m.table.run([0, 0.5], np.zeros((2, 1))), ValueError, "times"),
     (
-        lambda m: m["table"].predict(m["table"].predict(m["table"].initial(), 0.0), 0.25),
-        ValueError,
-        "state",
-    ),
-    (lambda m: m["table"].predict(m["table"].initial(), 0.25), ValueError, "t"),
-    (lambda m: m["table"].predict(stepped(m["table"], 3), 0.75), ValueError, "t"),
-    (lambda m: m["table"].forecast(stepped(m["table"], 1), 0.3), ValueError, "t"),
-    (lambda m: m["table"].run([0, 0.5], np.zeros((2, 1))), ValueError, "times"),
-    (
-        lambda m: m["table"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, 0]),
+        lambda m: m.table.run([0, 0.25], np.zeros((2, 1)), indicators=[0, 0]),
         ValueError,
         "indicators",
     ),
     (
-        lambda m: m["table of modes"].run(
-            [0, 0.1, 0.25], np.full((3, 1), np.nan), indicators=[0, 0, 0]
-        ),
+        lambda m: m.mode_table.run([0, 0.1, 0.25], np.full((3, 1), np.nan), indicators=[0, 0, 0]),
         ValueError,
         "times",
     ),
     (
-        lambda m: m["table of modes"].run([0, 0.25], np.zeros((2, 1)), indicators=[0, -1]),
+        lambda m: m.mode_table.run([0, 0.25], np.zeros((2, 1)), indicators=[0, -1]),
         ValueError,
         "indicator",
     ),
-    (lambda m: m["minimax"].run([0.0], [[1.0, np.nan]]), ValueError, "y"),
+    (lambda m: m.minimax.run([0.0], [[1.0, np.nan]]), ValueError, "y"),
     (
         lambda _: tables(zoo.flip_process(), Memory(0, 1), nodes=0).run([0.0], [[np.nan]]),
         ValueError,
         "y",
     ),
-    (lambda m: replace(m["table"], steps=m["table"].steps[:2]), ValueError, "steps"),
-    (lambda m: replace(m["table"], between="cubic"), ValueError, "between"),
-    (lambda m: replace(m["table"], memory=Memory(2)), ValueError, "steps"),
-    (lambda m: replace(m["table of modes"], memory=Memory(1)), ValueError, "steps"),
-    (lambda m: replace(m["table"], node_fits=((),)), ValueError, "node_times, node_fits"),
-    (
-        lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, correction=3),
-        TypeError,
-        "correction",
-    ),
-    (
-        lambda m: minimax_synthesis(pair(), Memory(1), TIMES, paths=100, seed=1, prediction=3),
-        TypeError,
-        "prediction",
-    ),
-    (
-        lambda m: minimax_synthesis(
-            pair(), Memory(1), TIMES, paths=100, seed=1, correction=lambda t, m, y: np.zeros(3)
-        ),
-        ValueError,
-        "correction",
-    ),
-    (
-        lambda m: minimax_synthesis(
-            pair(), Memory(1), TIMES, paths=100, seed=1, prediction=lambda t, u: np.zeros((1, 3))
-        ),
-        ValueError,
-        "prediction",
-    ),
+    (lambda m: replace(m.table, steps=m.table.steps[:2]), ValueError, "steps"),
+    (lambda m: replace(m.table, between="cubic"), ValueError, "between"),
+    (lambda m: replace(m.table, memory=Memory(2)), ValueError, "steps"),
+    (lambda m: replace(m.mode_table, memory=Memory(1)), ValueError, "steps"),
+    (lambda m: replace(m.table, node_fits=((),)), ValueError, "node_times, node_fits"),
+    (lambda m: minimax(correction=3), TypeError, "correction"),
+    (lambda m: minimax(prediction=3), TypeError, "prediction"),
+    (lambda m: minimax(correction=lambda t, m, y: np.zeros(3)), ValueError, "correction"),
+    (lambda m: minimax(prediction=lambda t, u: np.zeros((1, 3))), ValueError, "prediction"),
     # files
     (lambda _: save({}, "x.npz"), TypeError, "filter"),
-    (lambda _: save(BANK(), "x.npz"), TypeError, "filter"),
+    (lambda _: save(bank(), "x.npz"), TypeError, "filter"),
     (lambda _: load("no such file.npz"), FileNotFoundError, ""),
 ]
 

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import sympy
 from numpy.testing import assert_allclose, assert_array_equal
-from scipy.special import ndtr
 from scipy.stats import multivariate_normal
 
 from oracles.linear import mixed
@@ -15,14 +14,13 @@ from seedslib import zoo
 from seedslib.design import cells_from_moments
 from seedslib.designed import SwitchingFilter, SwitchingRules, lemmas
 from seedslib.linearization import (
-    ExactGaussian,
     GaussHermite,
     Gaussian,
     Moments,
     Taylor,
     Weighted,
 )
-from seedslib.models import Noise, StochasticMap, SwitchingSystem
+from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w, u = sympy.symbols("x y v w u", real=True)
 ModeLaw, Sensed = lemmas.ModeLaw, lemmas.Sensed
@@ -269,138 +267,6 @@ def test_posterior_law_is_that_of_the_joint_density(n, m):
     assert lemmas.weigh(none, seen)[1] == -np.inf
 
 
-# Lemmas 3, 4 and 6 with dependent noises: (6.23), (6.27), (6.35)
-
-DEPENDENT = zoo.dependent_switching()
-# thresholds, slopes and correlations of the model, typed once more
-ALPHA, BETA, RHO = (1.2, -0.3), (-0.8, 0.5), (0.6, -0.4)
-A0, A1, S = (0.2, -0.5), (0.9, 0.5), (0.6, 0.8)
-TAU, DELTA, RHO_W = (1.0, -0.2), (-0.7, 0.4), (0.5, -0.3)
-B0, B1, B2, R = (0.0, 1.0), (1.0, 0.7), (0.1, -0.05), (0.7, 0.5)
-
-
-def line(mean, variance, count=301):
-    """Points and weights of the trapezoidal rule on nine deviations of a normal law."""
-    points = mean + np.sqrt(variance) * np.linspace(-9, 9, count)
-    density = np.exp(-((points - mean) ** 2) / (2 * variance)) / np.sqrt(2 * np.pi * variance)
-    return points, density * (points[1] - points[0])
-
-
-NOISE, WEIGHTS = line(0.0, 1.0)
-
-
-def beyond(threshold, slope, correlation, place, noise, value):
-    """Pr[1{N' > threshold + slope x} = value | x, noise]."""
-    far = (correlation * noise - threshold - slope * place) / np.sqrt(1 - correlation**2)
-    return ndtr(far if value else -far)
-
-
-def moments_of(mass, first, second, *rest):
-    return mass, first / mass, second / mass - (first / mass) ** 2, *rest
-
-
-@pytest.mark.parametrize("shown", [0, 1])
-def test_measurement_with_dependent_noises_by_quadrature(shown):
-    """Consistent form: exact moments of the mixture (6.19) seen through (1.4)."""
-    law = random_law(np.random.default_rng(8), 1, 2, 2, 3)
-    rows = [ExactGaussian().row([branch.map for branch in row]) for row in DEPENDENT.readings]
-    readings = [lambda t, mean, cov, f=f: f(t, mean, cov)[shown] for f in rows]
-    found = lemmas.sense(readings, 0.0, law)
-    for i, path in np.ndindex(2, 3):
-        total = np.zeros(6)
-        for g in range(2):
-            points, density = line(law.mean[0, i, g, path], law.cov[0, 0, i, g, path])
-            place, noise = points[:, None], NOISE[None]
-            share = law.prob[i, g, path] * density[:, None] * WEIGHTS
-            share = share * beyond(TAU[i], DELTA[i], RHO_W[i], place, noise, shown)
-            value = B0[i] + B1[i] * place + B2[i] * place**2 + R[i] * noise
-            parts = 1.0, place, place**2, value, place * value, value**2
-            total += [(share * part).sum() for part in parts]
-        mass, first, second, mean, cross, square = total
-        wanted = moments_of(
-            mass,
-            first,
-            second,
-            mean / mass,
-            cross / mass - first * mean / mass**2,
-            square / mass - (mean / mass) ** 2,
-        )
-        parts = found.prob, found.mean[0], found.cov[0, 0], *(np.squeeze(m) for m in found.moments)
-        assert_allclose([part[i, path] for part in parts], wanted, **CLOSE)
-
-
-@pytest.mark.parametrize("split", [False, True])
-def test_forecast_with_dependent_noises_by_quadrature(split):
-    """(6.26): next mode and state, and with `split` the indicator that will be seen there."""
-    rng = np.random.default_rng(9)
-    law = random_law(rng, 1, 2, 3)._replace(cov=rng.uniform(0.2, 1.5, (1, 1, 2, 3)))
-    rule = GaussHermite(60) if split else ExactGaussian()
-    found = SwitchingRules(DEPENDENT, rule).predict(0.0, law)
-    assert found.prob.shape == (2, 2 if split else 1, 3)
-    for l, g, path in np.ndindex(*found.prob.shape):
-        total = np.zeros(3)
-        for i in range(2):
-            points, density = line(law.mean[0, i, path], law.cov[0, 0, i, path])
-            place, noise = points[:, None], NOISE[None]
-            share = law.prob[i, path] * density[:, None] * WEIGHTS
-            share = share * beyond(ALPHA[i], BETA[i], RHO[i], place, noise, l)
-            after = A0[i] + A1[i] * place + S[i] * noise
-            if split:
-                share = share * ndtr((TAU[l] + DELTA[l] * after) * (-1 if g else 1))
-            total += [(share * part).sum() for part in (1.0, after, after**2)]
-        parts = found.prob, found.mean[0], found.cov[0, 0]
-        assert_allclose([part[l, g, path] for part in parts], moments_of(*total), **CLOSE)
-
-
-def test_forecast_and_measurement_with_independent_noises_by_quadrature():
-    """Corollaries 1 and 2: the factor of the state, and noises averaged alone, with a mean."""
-
-    def bump(place, centre, low, high, exp):
-        return low + high * exp(-((place - centre) ** 2) / 2)
-
-    leave = ((0.5, 0.1, 0.6), (-0.5, 0.2, 0))
-    told = ((0.0, 0.1, 0.7), (1.0, 0.3, 0))
-    away, tell = ([bump(x, *part, sympy.exp) for part in parts] for parts in (leave, told))
-    system = SwitchingSystem(
-        (x,),
-        [[0.8 * x + 0.5 * v], [0.3 * x + 1 - v]],
-        Noise((v,), mean=0.4, cov=[[0.7]]),
-        [[1 - away[0], away[0]], [away[1], 1 - away[1]]],
-        [[x + 2 * w], [x / 2 - w]],
-        Noise((w,), mean=-0.3, cov=[[0.6]]),
-        [(0.5, [0], [[1]])] * 2,
-        indicator=[[1 - p, p] for p in tell],
-    )
-    rules, law = SwitchingRules(system, ExactGaussian()), random_law(np.random.default_rng(1), 1, 2)
-    push, shift = 0.4 + np.sqrt(0.7) * NOISE, -0.3 + np.sqrt(0.6) * NOISE
-    moves = (lambda s, n: 0.8 * s + 0.5 * n), (lambda s, n: 0.3 * s + 1 - n)
-    shows = (lambda s, n: s + 2 * n), (lambda s, n: s / 2 - n)
-    found = rules.predict(0.0, law)
-    grids = [line(law.mean[0, i], law.cov[0, 0, i]) for i in range(2)]
-    for l, f in np.ndindex(2, 2):
-        total = np.zeros(3)
-        for i, (points, density) in enumerate(grids):
-            switch = bump(points, *leave[i], np.exp)
-            share = law.prob[i] * density * (switch if l != i else 1 - switch)
-            after = moves[i](points[:, None], push)
-            chance = bump(after, *told[l], np.exp)
-            chance = chance if f else 1 - chance
-            total += [share @ (after**k * chance @ WEIGHTS) for k in range(3)]
-        parts = found.prob, found.mean[0], found.cov[0, 0]
-        assert_allclose([part[l, f] for part in parts], moments_of(*total), **CLOSE)
-    ahead = ModeLaw(*(part[..., None] for part in law))
-    for i, (points, density) in enumerate(grids):
-        for j in range(2):
-            seen = rules.sense(0.0, ahead, np.array(j))
-            chance = bump(points, *told[i], np.exp)
-            share = (law.prob[i] * density * (chance if j else 1 - chance))[:, None] * WEIGHTS
-            value = shows[i](points[:, None], shift)
-            mass, mean, square = ((share * value**k).sum() for k in range(3))
-            assert_allclose(seen.prob[i], mass, **CLOSE)
-            assert_allclose(seen.moments.mean[0, i], mean / mass, **CLOSE)
-            assert_allclose(seen.moments.cov[0, 0, i], square / mass - (mean / mass) ** 2, **CLOSE)
-
-
 def test_law_given_the_memory_by_the_information_form():
     """Lemma 5, (6.32) to (6.34): blocks of the inverse covariance, no Schur complement."""
     rng, n, d, modes, cells = np.random.default_rng(8), 2, 3, 3, 2
@@ -427,68 +293,6 @@ def test_law_given_the_memory_by_the_information_form():
 
 # Section 7: the linearised filter, and the guard of erratum E2
 
-LEAVE = 0.35 - 0.2 * sympy.exp(-(x**2) / 8 - (y - x / 3) ** 2 / 6)
-VALUES = [x + sympy.sin(y) + v / 2, x * y / 3 - y + (1 + x / 4) * w]
-PAIR = Noise((v, w), cov=[[1.0, 0.3], [0.3, 0.5]])
-
-
-def test_expansions_are_gaussian_means_of_the_products_of_expansions():
-    """(7.2), (7.3) in two dimensions: by a rule that is exact for them, and as printed."""
-    mean, cov = np.array([0.7, -0.4]), np.array([[0.5, 0.2], [0.2, 0.3]])
-    here = {x: mean[0], y: mean[1], v: 0, w: 0, u: 0}
-
-    def expanded(expression):
-        slopes = [sympy.diff(expression, s).subs(here) for s in (x, y, v, w)]
-        moved = (x - mean[0], y - mean[1], v, w)
-        return expression.subs(here) + sum(a * s for a, s in zip(slopes, moved, strict=True))
-
-    branch = StochasticMap((x, y), VALUES, PAIR, weight=LEAVE)
-    flat = StochasticMap((x, y), [expanded(e) for e in VALUES], PAIR, weight=expanded(LEAVE))
-    whole = StochasticMap.from_functions(2, 2, flat.value, PAIR, weight=flat.weight)
-    found = Taylor().weighted(branch)(0.0, mean, cov)
-    wanted = GaussHermite(5).weighted(whole)(0.0, mean, cov)
-    parts = zip(
-        (found.mass, *found.state, *found.value),
-        (wanted.mass, *wanted.state, *wanted.value),
-        strict=True,
-    )
-    for part, value in parts:
-        assert_allclose(part, value, **TIGHT)
-
-    def number(expression, *names):
-        matrix = sympy.Matrix(expression)
-        return np.array((matrix.jacobian(names) if names else matrix).subs(here), dtype=float)
-
-    chance, lean = number([LEAVE])[0, 0], number([LEAVE], x, y)
-    a, slope, push = number(VALUES), number(VALUES, x, y), number(VALUES, v, w)
-    first = chance * a + slope @ cov @ lean.T
-    second = a @ lean @ cov @ slope.T + slope @ cov @ lean.T @ a.T
-    square = slope @ cov @ slope.T + push @ np.array(PAIR.cov) @ push.T
-    second = second + chance * (a @ a.T + square)
-    middle = found.value.mean[:, None]
-    assert_allclose(found.mass * middle, first, **TIGHT)
-    assert_allclose(found.mass * (found.value.cov + middle @ middle.T), second, **TIGHT)
-
-
-def test_guard_keeps_variances_of_the_expanded_forecast_positive():
-    """Erratum E2: (7.3) gives the variance -1.51 at (0.9, 2); with the guard none is negative."""
-    system = zoo.scalar_switching("A1H")
-    m, d = 0.9, 2.0
-    chance, slope = 0.35 - 0.3 * np.exp(-(m**2) / 8), 0.075 * m * np.exp(-(m**2) / 8)
-    value, stretch = m + 1.8 * np.sin(m), 1 + 1.8 * np.cos(m)
-    lean = slope * d * stretch
-    second = 2 * value * lean + chance * (value**2 + stretch**2 * d + 0.25)
-    assert second / chance - (value + lean / chance) ** 2 == pytest.approx(-1.51, abs=0.005)
-    means, variances = np.meshgrid(np.linspace(-6, 6, 121), np.linspace(0.05, 5, 60))
-    for row in system.branches:
-        moved = Taylor().row([b.map for b in row])
-        for got in moved(0.0, means[None], variances[None, None]):
-            assert (got.value.cov >= 0.25).all()
-    (_, kept) = Taylor().row([b.map for b in system.branches[0]])(
-        0.0, np.array([m]), np.array([[d]])
-    )
-    assert_allclose(kept.value.cov, stretch**2 * d + 0.25, rtol=1e-12)
-
 
 @pytest.mark.parametrize(("variance", "mean", "left"), [(4.0, 0.0, 4.0), (3.0, 1.5, 0.75)])
 def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, mean, left):
@@ -514,42 +318,6 @@ def test_guard_drops_the_slope_where_the_variance_would_just_vanish(variance, me
 # Erratum E1: the normalisation of (6.21)
 
 
-def memories(count, seed, scale=0.7):
-    """Random laws given a memory, as (6.32) gives them."""
-    rng = np.random.default_rng(seed)
-    chance = rng.uniform(size=count)
-    return ModeLaw.of(
-        np.array([chance, 1 - chance]),
-        scale * rng.standard_normal((1, 2, count)),
-        rng.uniform(0.1, 1.0, (1, 1, 2, count)),
-    )
-
-
-def test_printed_normalisation_depends_on_the_origin():
-    """Its variance is r S + r (1 - r) mu² with r the mass of the mixture over the forecast's."""
-    laws = SwitchingRules(DEPENDENT, GaussHermite(12)).predict(0.0, memories(5000, 2))
-    readings = {
-        offset: ExactGaussian().weighted(zoo.dependent_switching(offset).readings[0][1].map)
-        for offset in (0.0, 100.0)
-    }
-    mass = lemmas.sense([readings[0.0], None], 0.0, laws).prob[0]
-    ratio = mass / laws.prob[0, 1]
-    assert ratio.min() < 0.97 < 1.0 < ratio.max()
-    path = int(np.argmin(np.abs(ratio - 1.009)))
-    law, r = ModeLaw(*(part[..., path : path + 1] for part in laws)), ratio[path]
-    right, printed = (
-        [lemmas.sense([f, None], 0.0, law, column).moments for f in readings.values()]
-        for column in (None, 1)
-    )
-    assert_allclose(right[0].cov[..., 0, :], right[1].cov[..., 0, :], rtol=1e-11)
-    assert_allclose(right[0].mean[:, 0] + 100, right[1].mean[:, 0], rtol=1e-13)
-    spread, mean = right[1].cov[0, 0, 0, 0], right[1].mean[0, 0, 0]
-    assert printed[1].mean[0, 0, 0] == pytest.approx(r * mean, rel=1e-12)
-    wanted = r * spread + r * (1 - r) * mean**2
-    assert printed[1].cov[0, 0, 0, 0] == pytest.approx(wanted, rel=1e-9)
-    assert -110 < printed[1].cov[0, 0, 0, 0] < -80
-
-
 def test_consistent_filter_does_not_see_the_zero_of_the_scale_and_the_printed_does():
     times = np.arange(8.0)
     runs = {}
@@ -559,12 +327,7 @@ def test_consistent_filter_does_not_see_the_zero_of_the_scale_and_the_printed_do
         for form in ("consistent", "printed"):
             filter = SwitchingFilter(system, GaussHermite(5), normalisation=form)
             assert filter.rules.printed is (form == "printed")
-            given = {"indicators": data.indicators}
-            if form == "printed":
-                with pytest.warns(UserWarning, match="covariances: eigenvalues of"):
-                    runs[form, offset] = filter.run(times, data.measurements, **given)
-            else:
-                runs[form, offset] = filter.run(times, data.measurements, **given)
+            runs[form, offset] = filter.run(times, data.measurements, indicators=data.indicators)
     one, two = (runs["consistent", offset] for offset in (0.0, 25.0))
     assert_allclose(two.mean, one.mean, atol=1e-9)
     assert_allclose(two.mode_prob, one.mode_prob, atol=1e-9)

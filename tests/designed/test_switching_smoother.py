@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 import sympy
 from numpy.testing import assert_allclose
-from scipy.stats import norm
 
 from seedslib.designed import SwitchingFilter
-from seedslib.filters import KalmanFilter, smooth
+from seedslib.filters import GridBayesFilter, KalmanFilter, smooth
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
 from seedslib.models import LinearSystem, Noise, SwitchingSystem
 from seedslib.zoo import manoeuvring_target
@@ -194,30 +193,12 @@ def test_state_that_moves_its_modes_and_the_indicator_is_near_the_law_on_a_grid(
         [(0.5, [0], [[1]])] * 2,
         indicator=[[0.8, 0.2], [0.3, 0.7] if blind else [far, 1 - far]],
     )
-    times, grid = np.arange(8.0), np.linspace(-5, 5, 301)
+    times = np.arange(8.0)
     data = system.simulate(times, 40, 2)
     y, shown = np.array(data.measurements), np.array(data.indicators)
     shown[4] = -1
-    chance = 0.05 + 0.9 * norm.cdf(grid * np.sqrt(2))
-    moves = [norm.pdf(grid, 0.8 * grid[:, None] + b, s) for b, s in ((0.5, 0.4), (-0.5, 0.6))]
-    move = np.array([[d * c[:, None] for c in (1 - chance, chance)] for d in moves])
-    one, far = np.ones_like(grid), 0.5 + 0.45 * grid / np.sqrt(0.2 + grid**2)
-    second = [0.3 * one, 0.7 * one] if blind else [far, 1 - far]
-    told = np.array([[0.8 * one, second[0]], [0.2 * one, second[1]], [one, one]])
-    density = norm.pdf(y[:, 0], grid[:, None, None], 0.7).transpose(1, 0, 2)[:, None]
-    like = np.moveaxis(told[shown], 1, -1) * density  # the last row of `told` is for none
-    ahead = [norm.pdf(grid)[None, :, None] * like[0]]
-    for k in range(1, 8):
-        ahead.append(np.einsum("iap,ilab->lbp", ahead[-1], move, optimize=True) * like[k])
-        ahead[-1] /= ahead[-1].sum(axis=(0, 1))
-    behind = [np.ones_like(ahead[0])]
-    for k in range(7, 0, -1):
-        behind.append(np.einsum("ilab,lbp->iap", move, behind[-1] * like[k], optimize=True))
-        behind[-1] /= behind[-1].max(axis=(0, 1))
-    laws = np.array([a * b for a, b in zip(ahead, behind[::-1], strict=True)])
-    laws /= laws.sum(axis=(1, 2), keepdims=True)
-    mean, square = (np.einsum("kiap,a->kp", laws, grid**n)[:, None] for n in (1, 2))
-    exact = laws.sum(axis=2), mean, (square - mean**2)[:, None]
+    law = smooth(GridBayesFilter(system, (-6.5, 6.5, 301)), times, y, indicators=shown)
+    exact = law.mode_prob, law.mean, law.cov
     filter = SwitchingFilter(system, ExactGaussian() if blind else GaussHermite(9))
     prob, error = distance(smooth(filter, times, y, indicators=shown), exact)
     assert prob < (0.01 if blind else 0.0135)

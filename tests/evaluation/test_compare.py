@@ -18,7 +18,7 @@ from seedslib.filters import (
 )
 from seedslib.linearization import ExactGaussian, Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
-from systems import INPUTS, TIMES, Recorded, switching_system
+from systems import INPUTS, TIMES, recorded, switching_system
 
 x, v, w = sympy.symbols("x v w", real=True)
 GRID = np.arange(6.0)
@@ -88,7 +88,7 @@ def rooted(squares):
 
 def test_errors_and_paired_differences_are_those_of_the_paths():
     """Modes, indicators, inputs of each path, gaps and a window, on two blocks of paths."""
-    system, paths = Recorded(switching_system()), 2500
+    system, paths = recorded(switching_system()), 2500
     mask = np.ones((7, 3), dtype=bool)
     mask[[1, 2, 2, 4], [0, 1, 2, 2]] = False
     own = {u: row[:, None] * np.linspace(-1, 1, paths) for u, row in INPUTS.items()}
@@ -243,9 +243,9 @@ def test_measurements_come_at_the_times_of_the_designed_filters():
     filter = synthesize(
         system, Memory(1), ExactGaussian(), times, nodes=0, paths=1000, seed=1, step=0.05
     )
-    recorded = Recorded(system)
-    found = evaluate(filter, recorded, np.linspace(0, 1.5, 16), 1000, 1, step=0.05)
-    shown = ~np.isnan(recorded.all("measurements")).any(axis=(1, 2))
+    observed = recorded(system)
+    found = evaluate(filter, observed, np.linspace(0, 1.5, 16), 1000, 1, step=0.05)
+    shown = ~np.isnan(observed.all("measurements")).any(axis=(1, 2))
     np.testing.assert_array_equal(np.flatnonzero(shown), [0, 5, 10, 15])
     at = found.rms[[0, 5, 10, 15]], found.rms_error[[0, 5, 10, 15]]
     assert np.abs(at[0] - filter.predicted.rms).min() > 1e-6
@@ -281,7 +281,7 @@ class Part:
 
 @pytest.mark.parametrize(("model", "truth"), [(autoregression, plane), (plane, autoregression)])
 def test_a_model_of_another_size_is_scored_on_the_common_components(model, truth):
-    system, filter = Recorded(truth()), Part(model())
+    system, filter = recorded(truth()), Part(model())
     found = compare({"part": filter, "again": filter}, system, GRID, 500, 3, consistency=True)
     run = filter.run(GRID, system.all("measurements"))
     error = run.mean[:, :1] - system.all("states")[:, :1]

@@ -12,7 +12,7 @@ from seedslib.evaluation import compare, evaluate
 from seedslib.filters import Estimates, KalmanFilter, extended_kalman
 from seedslib.linearization import ExactGaussian
 from seedslib.models import DiscreteSystem, Noise, StochasticMap
-from systems import INPUTS, TIMES, Recorded, linear_numbers, linear_system
+from systems import INPUTS, TIMES, linear_numbers, linear_system, recorded
 
 x, v, w = sympy.symbols("x v w", real=True)
 MASK = np.array([[1, 0], [0, 1], [0, 0], [1, 1], [0, 1], [1, 0], [1, 1]], dtype=bool)
@@ -37,7 +37,7 @@ def ratio(found, expected):
 
 def test_all_measures_are_those_of_a_filter_written_by_hand():
     """Unlike components, inputs, sensors of schedules of their own that fail, a window."""
-    system, paths, late = Recorded(linear_system()), 400, slice(2, 6)
+    system, paths, late = recorded(linear_system()), 400, slice(2, 6)
     options = {"measured": MASK, "availability": [0.9, 0.7], "window": (2, 5), "inputs": INPUTS}
     filter = KalmanFilter(system.system)
     found = evaluate(filter, system, TIMES, paths, 3, consistency=True, **options)
@@ -99,7 +99,7 @@ def test_singular_covariances_are_met_on_their_range():
     u = np.array([1.3, -1e3, 1e-3])
     state = sympy.symbols("a:3", real=True)
     still = StochasticMap(state, list(state))
-    system = Recorded(
+    system = recorded(
         DiscreteSystem(
             still, StochasticMap(state, [state[0] + v], Noise([v])), np.zeros(3), np.outer(u, u)
         )
@@ -124,7 +124,7 @@ def test_measures_leave_out_what_a_designed_filter_does_not_know():
     def fail(made):
         made.measurements[2, :, ::2] = np.nan
 
-    system, times = Recorded(walk(), fail), np.arange(6.0)
+    system, times = recorded(walk(), fail), np.arange(6.0)
     designed = synthesize(walk(), Memory(1), ExactGaussian(), times, paths=4000, seed=1)
     row = evaluate(designed, system, times, 1000, 3, consistency=True)
     run = designed.run(times, system.all("measurements"), covariances=True)
@@ -138,3 +138,14 @@ def test_measures_leave_out_what_a_designed_filter_does_not_know():
     assert abs(row.nees_ratio - 1) < 5 * row.nees_ratio_error
     inside = np.abs(run.mean - system.all("states")) <= norm.ppf(0.975) * np.sqrt(run.cov[:, 0])
     assert row.average_coverage == pytest.approx((inside[:, 0] & known).sum() / known.sum())
+
+
+def test_innovations_of_a_design_are_those_of_its_schedule():
+    """It passes through its own times, also where the schedule has nothing to read."""
+    times = np.arange(6.0)
+    read = times % 2 == 0
+    designed = synthesize(
+        walk(), Memory(1), ExactGaussian(), times, paths=4000, seed=1, measured=read
+    )
+    row = evaluate(designed, walk(), times, 1000, 3, measured=read, consistency=True)
+    assert abs(row.nis_ratio - 1) < 5 * row.nis_ratio_error

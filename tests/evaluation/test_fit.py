@@ -5,14 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 import sympy as sp
-from scipy.optimize import minimize
+from scipy.optimize import minimize, minimize_scalar
 from scipy.stats import multivariate_normal
 
 from oracles.linear import Regression
 from seedslib.base import Parameter
 from seedslib.designed import SwitchingFilter
 from seedslib.evaluation import fit
-from seedslib.filters import GridBayesFilter, KalmanFilter
+from seedslib.filters import GridBayesFilter, KalmanFilter, ParticleFilter
 from seedslib.linearization import Taylor
 from seedslib.models import LinearSystem, Noise, SwitchingSystem
 from systems import INPUTS, TIMES, linear_numbers, linear_system, record
@@ -163,9 +163,76 @@ def test_a_filter_on_a_grid_is_made_for_every_value():
     assert found.errors[0] == pytest.approx(1 / np.sqrt(-bend), rel=1e-2)
 
 
+def test_steps_that_meet_no_number_are_shortened():
+    """The variance log(3 - a) is negative beyond a = 2, and none beyond 3; the start is far off."""
+    times = np.arange(200.0)
+    true = LinearSystem(0.9, 0.1, 1, 0.05, 0, 1)
+    y = true.simulate(times, 1, 3).measurements[..., 0]
+    a, r = Parameter("a", -20.0), Parameter("r", 1.0, positive=True)
+    found = fit(KalmanFilter(LinearSystem(0.9, 0.1, 1, sp.log(3 - a), 0, 1)), times, y, [a])
+    plain = fit(KalmanFilter(LinearSystem(0.9, 0.1, 1, r, 0, 1)), times, y, [r])
+    assert found.converged
+    assert plain.converged
+    assert np.log(3 - found.values[0]) == pytest.approx(plain.values[0], rel=1e-5)
+    assert found.loglik == pytest.approx(plain.loglik, abs=1e-8)
+
+
+def test_a_start_beside_no_number_is_refused_by_name():
+    a = Parameter("a", 1.9995)
+    filter = KalmanFilter(LinearSystem(0.9, 0.1, 1, sp.log(3 - a), 0, 1))
+    with pytest.raises(ValueError, match=r"free: .*1\.9995.*no number beside it in a"):
+        fit(filter, YEARS, NILE[:, None], [a])
+
+
+def test_a_parameter_at_its_bound_is_named_and_the_others_have_their_errors():
+    """White noise has a level that does not move: the rest is a fit without its variance."""
+    y = np.random.default_rng(0).standard_normal((100, 1))
+    q, r = Parameter("q", 0.1, positive=True), Parameter("r", 2.0, positive=True)
+    found = fit(KalmanFilter(LinearSystem(1, q, 1, r, 0, 1)), YEARS, y, [q, r])
+    fixed = fit(KalmanFilter(LinearSystem(1, 0, 1, r, 0, 1)), YEARS, y, [r])
+    assert not found.converged
+    assert found.message == "q goes to zero, its bound"
+    assert found.values[1] == pytest.approx(fixed.values[0], rel=1e-5)
+    assert found.errors[1] == pytest.approx(fixed.errors[0], rel=1e-4)
+    assert np.isnan(found.errors[0])
+
+
+def test_a_likelihood_of_random_numbers_is_called_rough():
+    q = Parameter("q", 0.5, positive=True)
+    system = LinearSystem(0.9, q, 1, 1, 0, 1)
+    y = system.simulate(range(30), 1, 1).measurements[..., 0]
+    found = fit(ParticleFilter(system, 200), range(30), y, [q])
+    assert not found.converged
+    assert "rough in q" in found.message
+
+
+def test_a_parameter_of_the_first_state_is_fitted_by_a_function_that_makes_the_filter():
+    """A stationary start of an autoregression, against its dense likelihood."""
+    phi = Parameter("phi", 0.5)
+
+    def made(numbers):
+        return KalmanFilter(
+            LinearSystem(phi, 1, 1, 0.3, 0, 1 / (1 - numbers[phi] ** 2)).bind(numbers)
+        )
+
+    times = np.arange(60.0)
+    y = LinearSystem(0.8, 1, 1, 0.3, 0, 1 / 0.36).simulate(times, 1, 4).measurements[..., 0]
+    found = fit(made, times, y, [phi])
+
+    def dense(value):
+        cov = value ** np.abs(np.subtract.outer(times, times)) / (1 - value**2)
+        return multivariate_normal.logpdf(y[:, 0], None, cov + 0.3 * np.eye(60))
+
+    best = minimize_scalar(lambda u: -dense(u), bounds=(0.1, 0.99), options={"xatol": 1e-9})
+    assert found.converged
+    assert found.values[0] == pytest.approx(best.x, rel=1e-5)
+    assert found.loglik == pytest.approx(-best.fun, abs=1e-9)
+
+
 def test_parameters_that_the_data_do_not_tell_apart_are_not_converged():
     b, c = Parameter("b", 1.0, positive=True), Parameter("c", 2.0, positive=True)
     found = fit(KalmanFilter(LinearSystem(1, b * c, 1, R, 1000, 1e5)), YEARS, NILE[:, None], [b, c])
     assert not found.converged
     assert "not converged" in str(found)
+    assert found.message.endswith("does not curve down along b, c: too many parameters")
     assert np.isnan(found.errors).all()

@@ -15,7 +15,7 @@ from seedslib.designed import Memory
 from seedslib.export import compiled, to_c
 from seedslib.filters import extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
-from seedslib.models import DiscreteSystem, Noise, StochasticMap
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 from systems import growth, pendulum
 
 a, b, t = sympy.symbols("a b t", real=True)
@@ -103,6 +103,24 @@ def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick
             np.testing.assert_allclose(getattr(other, part), getattr(state, part), atol=1e-15)
         state, other = filter.step(state, 1.0, [0.9, 0.3]), twin.step(other, 1.0, [0.9, 0.3])
         np.testing.assert_allclose(other.loglik, state.loglik, rtol=1e-13)
+
+
+@pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
+def test_a_known_position_that_is_driven_through_its_velocity_is_followed_in_c(order, quick):
+    """In the first stages of a step it covaries with what it has no variance beside."""
+    pick, c = np.array(order), sympy.Symbol("c", real=True)
+    state, drift = np.array([a, b, c])[pick], np.array([b, -b / 2 + c / 5, -c + a])[pick]
+    spread, cov0 = np.array([[0, 0], [1, 0], [0.2, 0.5]])[pick], np.diag([0.0, 0.3, 0.0])
+    shown, mean0 = [a + w, b + c + v], np.zeros(3)
+    cov0, noise = cov0[np.ix_(pick, pick)], Noise([w, v])
+    system = JumpDiffusion(state, drift, spread, shown, noise, mean0, cov0, step=0.1)
+    filter, times = unscented_kalman(system), np.arange(5.0) / 2
+    y = np.random.default_rng(1).normal(size=(5, 2, 1))
+    wanted, found = filter.run(times, y), compiled(filter).run(times, y)
+    for part in ("mean", "cov", "loglik"):
+        expected = getattr(wanted, part)
+        expected = expected[..., None] if expected.ndim < getattr(found, part).ndim else expected
+        np.testing.assert_allclose(getattr(found, part), expected, rtol=1e-11, atol=1e-12)
 
 
 FLOAT = """

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 import sympy
 from scipy.integrate import solve_ivp
-from scipy.stats import norm
 
 from oracles.linear import Linear, Regression, constant, discretised, kalman, moment_rates, moments
 from seedslib.filters import (
@@ -172,64 +171,7 @@ def test_threads_and_blocks_give_equal_bits():
 # Nonlinear systems in discrete time
 
 
-def test_points_of_high_order_equal_quadrature_of_the_step():
-    """One forecast and one correction of a bent system, integrals by a fine sum."""
-    noises = Noise((v,), 0.3, [[0.5]]), Noise((w,), -0.2, [[0.4]])
-    system = DiscreteSystem(
-        StochasticMap((x,), [x / 2 + sympy.sin(2 * x + t) + t * v], noises[0]),
-        StochasticMap((x,), [sympy.exp(x / 2) / (1 + t) + w], noises[1]),
-        [0.5],
-        [[0.8]],
-    )
-    filter = CovarianceFilter(system, GaussHermite(40))
-    state = filter.predict(filter.predict(filter.initial(), 3.0), 4.0)
-    nodes = np.linspace(-12, 12, 4001)
-
-    def average(f, m, p):
-        weights = norm.pdf(nodes)
-        return (weights * f(m + np.sqrt(p) * nodes)).sum() / weights.sum()
-
-    def moved(x):
-        return x / 2 + np.sin(2 * x + 3) + 3 * 0.3
-
-    def shown(x):
-        return np.exp(x / 2) / 5 - 0.2
-
-    m = average(moved, 0.5, 0.8)
-    p = average(lambda x: (moved(x) - m) ** 2, 0.5, 0.8) + 9 * 0.5
-    y = average(shown, m, p)
-    spread = average(lambda x: (shown(x) - y) ** 2, m, p) + 0.4
-    cross = average(lambda x: (x - m) * shown(x), m, p)
-    expected = filter.expect(state)
-    later = filter.correct(state, [1.5])
-    for value, wanted in (
-        (state.mean[0], m),
-        (state.cov[0, 0], p),
-        (expected.mean[0], y),
-        (later.mean[0], m + cross / spread * (1.5 - y)),
-        (later.cov[0, 0], p - cross**2 / spread),
-        (later.loglik, norm.logpdf(1.5, y, np.sqrt(spread))),
-    ):
-        assert value == pytest.approx(wanted, rel=1e-9)
-
-
 # Exact sensors, known states, outliers
-
-
-@pytest.mark.parametrize("make", FILTERS)
-def test_exact_sensor_of_a_sum_in_any_units(make):
-    """Three correlated states, in other units each, of which a sum is known exactly."""
-    rng, units = np.random.default_rng(1), np.array([1.0, 1e3, 1e-3])
-    a = 0.5 * rng.standard_normal((3, 3)) * units[:, None] / units
-    root = rng.standard_normal((3, 3))
-    cov = root @ root.T * np.outer(units, units)
-    row = rng.standard_normal((1, 3)) / units
-    system = LinearSystem(a, 0.1 * cov, row, [[0.0]], [0, 0, 0], cov)
-    y = rng.standard_normal((25, 1))
-    estimates = make(system).run(np.arange(25.0), y)
-    assert not estimates.diverged
-    np.testing.assert_allclose(estimates.mean @ row[0], y[:, 0], atol=1e-9)
-    np.testing.assert_allclose(row[0] @ estimates.cov @ row[0], 0, atol=1e-11)
 
 
 @pytest.mark.parametrize("make", FILTERS[:4])
@@ -241,17 +183,6 @@ def test_state_that_is_known_exactly_stays_so(make):
     wanted = [np.linalg.matrix_power(a, k) @ start for k in range(30)]
     np.testing.assert_allclose(estimates.mean, wanted, rtol=1e-9, atol=1e-15)
     assert (estimates.cov == 0).all()
-
-
-@pytest.mark.parametrize("make", FILTERS)
-@pytest.mark.parametrize("prior", [1e4, 1e8])
-def test_wide_prior_beside_a_precise_sensor(make, prior):
-    """A constant, measured three times: 1 / P = 1 / P0 + k / R."""
-    system = LinearSystem(1, 0, 1, 1e-8, 0, prior)
-    estimates = make(system).run(np.arange(3.0), [[5.0], [6.0], [7.0]])
-    wanted = 1 / (1 / prior + np.arange(1.0, 4.0) / 1e-8)
-    np.testing.assert_allclose(estimates.cov[:, 0, 0], wanted, rtol=1e-7)
-    np.testing.assert_allclose(estimates.mean[:, 0], [5.0, 5.5, 6.0], rtol=1e-6)
 
 
 SURE = SwitchingSystem(

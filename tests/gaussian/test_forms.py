@@ -41,19 +41,6 @@ def test_means_of_forms_match_quadrature_in_batches(n):
     assert shared[0] == pytest.approx(forms.quartic_mean(A, B, means, covs)[0], rel=1e-12)
 
 
-def test_errors_of_scalar_powers_in_closed_form():
-    m, C, P = 0.7, 1.9, 0.6
-    law = [m], [[C]], [[P]]
-    square = 2 * P * (2 * C - P + 2 * m**2)
-    cube = 3 * P * (9 * C**2 - 6 * C * P + 2 * P**2 + 18 * C * m**2 - 6 * P * m**2 + 3 * m**4)
-    fourth = 30 * C**3 - 27 * C**2 * P + 12 * C * P**2 - 3 * P**3 + 90 * C**2 * m**2
-    fourth += -54 * C * P * m**2 + 12 * P**2 * m**2 + 30 * C * m**4 - 9 * P * m**4 + 2 * m**6
-    u = sp.Symbol("u")
-    assert_allclose(mean_square_errors(u**2, [u])(*law).optimal, square, rtol=1e-14)
-    assert_allclose(mean_square_errors(u**3, [u])(*law).optimal, cube, rtol=1e-13)
-    assert_allclose(mean_square_errors(u**4, [u])(*law).optimal, 8 * P * fourth, rtol=1e-13)
-
-
 def test_errors_of_forms_without_and_with_all_information():
     A = np.array([[1.0, 2.0], [0.0, 3.0]])
     mean, zero = np.array([0.4, -1.0]), np.zeros((2, 2))

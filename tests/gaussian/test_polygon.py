@@ -55,57 +55,6 @@ def test_polygon_against_fifty_digits(name):
     assert largest_error(found, case) < (1e-6 if name in EXTREME else 1e-13)
 
 
-def star_polygons(kind, size, rng):
-    """Random polygons (V, 2, size), mostly non-convex, and laws, of a kind."""
-    corners = int(rng.integers(3, 9))
-    step = 2 * np.pi / corners
-    angles = step * (np.arange(corners)[:, None] + rng.uniform(-0.45, 0.45, (corners, size)))
-    radii = rng.uniform(0.1, 1.0, (corners, size)) * 10.0 ** rng.uniform(-3, 2.5, size)
-    x, y = radii * np.cos(angles), radii * np.sin(angles)
-    centre = rng.normal(size=(2, size)) * rng.choice([1.0, 3.0], size)
-    if kind == "slender":
-        y = y * 10.0 ** rng.uniform(-4, 0, size)
-    nudge = 10.0 ** rng.uniform(-14, 0, size) * rng.normal(size=(2, size))
-    if kind == "vertex at the mean":
-        centre = nudge - [x[0], y[0]]
-    if kind == "edge at the mean":
-        share = rng.uniform(size=size)
-        centre = nudge - [share * v[0] + (1 - share) * v[1] for v in (x, y)]
-    rho = rng.uniform(-0.95, 0.95, size)
-    if kind == "nearly singular":
-        rho = (1 - 10.0 ** rng.uniform(-8, -1, size)) * rng.choice([-1, 1], size)
-    s = 10.0 ** rng.uniform(-0.5, 0.5, (2, size))
-    cov = np.array([[s[0] ** 2, rho * s[0] * s[1]], [rho * s[0] * s[1], s[1] ** 2]])
-    return np.zeros((2, size)), cov, np.stack([x + centre[0], y + centre[1]], axis=1)
-
-
-@pytest.mark.parametrize(
-    "kind", ["any", "slender", "vertex at the mean", "edge at the mean", "nearly singular"]
-)
-def test_either_component_first_gives_the_same_law_inside_the_polygon(kind):
-    rng = np.random.default_rng(sum(map(ord, kind)))
-    for _ in range(5):
-        mean, cov, vertices = star_polygons(kind, 200, rng)
-        found = polygon(mean, cov, vertices)
-        other = polygon(mean[::-1], cov[::-1, ::-1], vertices[:, ::-1])  # panels across the other
-        swapped = other.mean[::-1], other.cov[::-1, ::-1]
-        likely = other.log_mass > -1e4
-        sd = np.sqrt(np.array([found.cov[0, 0], found.cov[1, 1]]))
-        of_mean = np.abs(found.mean - swapped[0]) - 4 * np.spacing(np.abs(found.mean))
-        of_cov = np.abs(found.cov - swapped[1]) / (sd[:, None] * sd)
-        bound = {"slender": 1e-9, "nearly singular": 1e-8}.get(kind, 2e-12)
-        assert (np.abs(found.log_mass - other.log_mass)[likely] < bound).all()
-        assert ((of_mean / sd)[:, likely] < bound).all()
-        assert (of_cov[..., likely] < bound).all()
-        low, high = vertices.min(axis=0), vertices.max(axis=0)
-        margin = 1e-12 * (high - low) + 4 * np.spacing(np.abs(vertices).max(axis=0))
-        assert (found.mean >= low - margin).all()
-        assert (found.mean <= high + margin).all()
-        assert (found.cov[0, 0] > 0).all()
-        assert (found.cov[0, 1] ** 2 <= found.cov[0, 0] * found.cov[1, 1] * (1 + 1e-11)).all()
-        assert (found.log_mass <= 0).all()
-
-
 def partition(rng, sectors):
     """A star polygon cut into triangles at an apex, and the unbounded cells around it."""
     step = 2 * np.pi / sectors

@@ -10,8 +10,9 @@ from scipy.linalg import expm
 
 from oracles.linear import Regression
 from seedslib.base import ELAPSED, Input
-from seedslib.filters import extended_kalman
+from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
+from seedslib.models.propagation import stepped
 from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
 
 x, v, w, t = sympy.symbols("x v w t")
@@ -90,6 +91,20 @@ def test_continuous_matrices_are_discretised_exactly_for_each_step():
             moved = expm(drift * step) @ at + [0.5, -0.6]
             assert mean[:, 0] == pytest.approx(moved, rel=1e-10)
             assert cov.reshape(2, 2, -1)[..., 0] == pytest.approx(spread, rel=1e-8)
+
+
+def test_steps_of_one_length_but_for_rounding_are_discretised_once(monkeypatch):
+    """Three lengths in 300 steps, whose times are sums of tenths."""
+    lengths, made = np.tile([0.1, 0.2, 0.7], 100), []
+
+    def counted(*arguments):
+        made.append(arguments[-1])
+        return stepped(*arguments)
+
+    monkeypatch.setattr("seedslib.models.linear.stepped", counted)
+    system = LinearSystem.from_continuous(-0.5, 1, 1, 1, 0, 1, step=None)
+    KalmanFilter(system).run(np.cumsum(lengths), np.zeros((300, 1)))
+    assert sorted(made) == pytest.approx([0.1, 0.2, 0.7], rel=1e-11)
 
 
 def test_unequal_steps_are_for_maps_that_see_them():

@@ -39,22 +39,10 @@ class Touches:
         self.lines: dict[str, dict[int, set[str]]] = {}
         with tempfile.TemporaryDirectory() as folder:
             path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-            skipped = [f"--ignore={name}" for name in ELSEWHERE]
+            options = ["-q", "-n2", "--dist=loadscope", "-p", "touches", "-p", "no:cacheprovider"]
+            options += [f"--ignore={name}" for name in ELSEWHERE]
             subprocess.run(
-                [
-                    sys.executable,
-                    "-m",
-                    "pytest",
-                    "-q",
-                    "-n2",
-                    "--dist=loadscope",
-                    "-p",
-                    "touches",
-                    "-p",
-                    "no:cacheprovider",
-                    *skipped,
-                    *tests,
-                ],
+                [sys.executable, "-m", "pytest", *options, *tests],
                 cwd=ROOT,
                 env={**os.environ, "PYTHONPATH": path, "TOUCHES": folder},
                 check=True,

@@ -1,7 +1,5 @@
 """Corners that nobody visits: six digits against a route in many, never NaN, never a wrong sign."""
 
-from functools import cache
-
 import mpmath as mp
 import numpy as np
 import pytest
@@ -24,75 +22,6 @@ def close(found, exact, scale=None):
     """To six digits of itself, or of a scale that it is a part of."""
     assert np.isfinite(found)
     assert abs(float(found) - exact) <= DIGITS * abs(scale if scale is not None else exact)
-
-
-def strip_moments(rho, low, high, left, right):
-    """ln P, means and covariance of x, y in a box, by one integral over x in many digits."""
-    with mp.workdps(40):
-        rho, low, high = mp.mpf(rho), mp.mpf(low), mp.mpf(high)
-        root = mp.sqrt((1 - rho) * (1 + rho))
-
-        @cache  # the integrals share their nodes
-        def inner(s):
-            a, b = (low - rho * s) / root, (high - rho * s) / root
-            # the smaller of the two tails keeps its digits
-            a, b, sign = (a, b, 1) if a + b > 0 else (-b, -a, -1)
-            mass = (mp.erfc(a / mp.sqrt(2)) - mp.erfc(b / mp.sqrt(2))) / 2
-            first = mp.npdf(a) - mp.npdf(b)
-            second = mass + a * mp.npdf(a) - b * mp.npdf(b)
-            level = rho * s
-            return (
-                mass,
-                level * mass + sign * root * first,
-                level**2 * mass + 2 * level * sign * root * first + root**2 * second,
-            )
-
-        cuts = sorted(
-            {mp.mpf(left), mp.mpf(right)}
-            | {
-                c
-                for k in (-9, -4, 0, 4, 9)
-                for e in (low, high)
-                if left < (c := (e + k * root) / (rho or 1)) < right
-            }
-        )
-
-        def integral(i, power):
-            return mp.quad(lambda s: inner(s)[i] * s**power * mp.npdf(s), cuts)
-
-        places = {"m": (0, 0), "x": (0, 1), "y": (1, 0), "xx": (0, 2), "xy": (1, 1), "yy": (2, 0)}
-        sums = {name: integral(*place) for name, place in places.items()}
-        mass = sums["m"]
-        mx, my = sums["x"] / mass, sums["y"] / mass
-        cov = sums["xx"] / mass - mx**2, sums["xy"] / mass - mx * my, sums["yy"] / mass - my**2
-        return (*map(float, (mp.log(mass), mx, my, *cov)),)
-
-
-@pytest.mark.parametrize(
-    ("rho", "low", "high", "left", "right"),
-    [
-        (0.3, 0.5, 0.5 + 1e-10, -1.0, 2.0),  # strips 1e-10 wide
-        (-0.9, 3.0, 3.0 + 1e-10, -6.0, 1.0),
-        (0.0, -(2.0**-34), 2.0**-34, 4.0, 5.0),
-        (1 - 2.0**-34, -1.0, 2.0, -0.5, 0.25),  # correlations beyond 1 - 1e-10
-        (1 - 2.0**-40, 0.5, 2.0, -0.5, 0.5 + 2.0**-20),
-        (2.0**-40 - 1, -1.0, 1.0, 0.5, 3.0),
-        (1 - 2.0**-44, 1.0, 2.0, -3.0, 1.0),
-        (0.5, 30.0, 30.0 + 1e-8, 14.0, 16.0),
-    ],
-)
-def test_thin_strips_and_laws_that_are_nearly_a_line(rho, low, high, left, right):
-    log_mass, mx, my, xx, xy, yy = strip_moments(rho, low, high, left, right)
-    box = np.array([[left, low], [right, low], [right, high], [left, high]])
-    found = polygon([0, 0], [[1, rho], [rho, 1]], box)
-    close(found.log_mass, log_mass, max(1, abs(log_mass)))
-    sx, sy = np.sqrt([xx, yy])
-    close(found.mean[0], mx, sx / DIGITS * max(DIGITS, 4 * np.spacing(abs(mx)) / sx))
-    close(found.mean[1], my, sy / DIGITS * max(DIGITS, 4 * np.spacing(abs(my)) / sy))
-    close(found.cov[0, 0], xx)
-    close(found.cov[1, 1], yy)
-    close(found.cov[0, 1], xy, sx * sy)
-    assert found.cov[0, 1] ** 2 <= found.cov[0, 0] * found.cov[1, 1] * (1 + DIGITS)
 
 
 @pytest.mark.parametrize("ratio", [1e-12, 1e-14, 1e12])

@@ -68,7 +68,7 @@ NUMBERS = {
     "n": cubature,
     "order": lambda v: (gauss_hermite(2, 3), gauss_hermite(2, v)),  # 3.0 is not the cached 3
     "step": lambda v: diffusion(step=v),
-    "low, high": lambda v: Axis(v, 2.0, 3),
+    "low": lambda v: Axis(v, 2.0, 3),
     "points": lambda v: interpolate([[0.0, 1.0, 2.0]], [Axis(0, 1, 3)], [v]),
 }
 
