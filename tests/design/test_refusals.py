@@ -70,7 +70,7 @@ def grid(system=FLIP, memory=None, times=TIMES, **axes):
 
 
 def tables(system=FLIP, memory=None, times=TIMES, **options):
-    options = {"paths": 60, "seed": 1, "nodes": 0} | options
+    options = {"paths": 60, "seed": 1, "nodes": 0, "y": (-8, 8, 9), "z": (-2, 2, 9)} | options
     return simulated_synthesis(system, memory or Memory(1), times, **options)
 
 
