@@ -35,7 +35,6 @@ def simulated_synthesis(
     y: AxesLike,
     z: AxesLike | None = None,
     method: str = "likelihood",
-    components: int | None = None,
     nodes: Count = 4,
     workers: int = 1,
 ) -> TableFilter:
@@ -63,8 +62,6 @@ def simulated_synthesis(
     method : {"likelihood", "histogram"}
         Smooth in the memory only and weight by the known likelihood of y (Rao-Blackwellised), or
         count simulated measurements too (the paper's method).
-    components : int, optional
-        n': the first components of the state are estimated (default all).
     nodes : int
         Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
@@ -92,8 +89,8 @@ def simulated_synthesis(
     likelihood = method == "likelihood"
     if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    samples = MemoryPaths(system, memory, times, components, paths, 2, nodes, seed, workers)
-    axes_y, axes_z = _axes(system, memory, samples.components, y, z)
+    samples = MemoryPaths(system, memory, times, paths, 2, nodes, seed, workers)
+    axes_y, axes_z = _axes(system, memory, system.state_size, y, z)
     steps, node_fits = [], []
     for k, t in enumerate(followed(samples.times, "design of tables")):
         axes, memory_axes = step_axes(system, memory, axes_y, axes_z, k)
@@ -102,7 +99,7 @@ def simulated_synthesis(
             update = _by_likelihood(samples, float(t), sample, axes)
         else:
             update = _by_histogram(samples, sample, axes)
-        forecast = prior(system, samples.components)
+        forecast = prior(system, system.state_size)
         if k or switches(system):
             forecast = _by_histogram(samples, sample, memory_axes, measured=False)
         steps.append(Step(update, forecast))
@@ -147,11 +144,10 @@ def _points(paths, sample, axes, measured) -> np.ndarray:
 
 
 def _targets(paths, sample) -> np.ndarray:
-    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
-    states = sample.states[: paths.components]
+    """What is regressed: which mode it is, where there are modes, and the state, (L + n, N)."""
     if sample.modes is None:
-        return states
-    return np.concatenate([sample.modes == np.arange(paths.system.modes)[:, None], states])
+        return sample.states
+    return np.concatenate([sample.modes == np.arange(paths.system.modes)[:, None], sample.states])
 
 
 def _table(paths, axes, values) -> Table:

@@ -132,7 +132,6 @@ REFUSALS = [
     # tables on paths
     (lambda: tables(method="neural"), ValueError, "method"),
     (lambda: tables(CUBIC), ValueError, "method"),
-    (lambda: tables(components=2), ValueError, "components"),
     (lambda: tables(seed=None), TypeError, "seed"),
     (lambda: tables(nodes=-1), ValueError, "nodes"),
     (lambda: tables(memory=Memory(1, log_odds=True)), ValueError, "memory"),
