@@ -84,7 +84,7 @@ def grid_synthesis(
     Warns
     -----
     UserWarning
-        Probability at the ends of an axis.
+        Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
     if nodes != 0:
         as_count("nodes", nodes)
@@ -345,7 +345,7 @@ def grid_risk(
     Warns
     -----
     UserWarning
-        Probability at the ends of an axis.
+        Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
     if filter.memory is None:
         raise ValueError("filter: wanted one with a memory, got one without")

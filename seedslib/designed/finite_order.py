@@ -23,7 +23,7 @@ from seedslib.designed.base import DesignedFilter, FilterState, freeze, nan_wher
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Affine, AffineFit, Continuous, Polynomial
-from seedslib.designed.step import DesignedStep
+from seedslib.designed.program import DesignedProgram
 from seedslib.linearization.moments import Linearization, Moments
 from seedslib.models.kinds import AnySystem
 
@@ -251,7 +251,7 @@ class FiniteOrderFilter(DesignedFilter):
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    # Step by step
+    # Program by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
         """State before any measurement; the filter draws nothing from `seed`."""
@@ -322,11 +322,11 @@ class FiniteOrderFilter(DesignedFilter):
             values.append(self.rules.move(fit, t, after - t, values[-1], p))
         return values[1:]
 
-    def program(self, **options: Any) -> DesignedStep:
+    def program(self, **options: Any) -> DesignedProgram:
         """See `Filter.program`; forecasts must be affine or polynomial, and not by classes."""
-        from seedslib.designed.programs import finite_order
+        from seedslib.designed.memory_programs import finite_order
 
-        step = DesignedStep(self, **options)
+        step = DesignedProgram(self, **options)
         finite_order(step)
         return step
 

@@ -19,7 +19,7 @@ from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
 from seedslib.designed.between import Interval, require_kind
 from seedslib.designed.memory import Memory, Past
-from seedslib.designed.step import DesignedStep
+from seedslib.designed.program import DesignedProgram
 from seedslib.filters.base import Estimates
 from seedslib.models.kinds import AnySystem, switches
 
@@ -466,16 +466,16 @@ class TableFilter(OutputFilter):
     1
     """
 
-    def program(self, **options: Any) -> DesignedStep:
+    def program(self, **options: Any) -> DesignedProgram:
         """See `Filter.program`; all output functions must be tables."""
-        from seedslib.designed.programs import table
+        from seedslib.designed.memory_programs import table
 
         functions = (function for step in self.steps for function in step)
         others = {type(f).__name__ for f in functions if not isinstance(f, Table)}
         if others:
             names = ", ".join(sorted(others))
             raise TypeError(f"filter: wanted tables over even axes, got {names}")
-        step = DesignedStep(self, **options)
+        step = DesignedProgram(self, **options)
         table(step)
         return step
 

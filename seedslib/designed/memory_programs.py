@@ -21,8 +21,8 @@ from seedslib.designed.predictors import (
     monomial_recipe,
     range_roots,
 )
-from seedslib.designed.step import DesignedStep
-from seedslib.filters.step import any_of
+from seedslib.designed.program import DesignedProgram
+from seedslib.filters.program import any_of
 from seedslib.tape.tape import Scalar, choose, isnan
 
 
@@ -36,7 +36,7 @@ def widened(values: np.ndarray, columns: Any, size: int) -> np.ndarray:
 # Finite order
 
 
-def finite_order(step: DesignedStep) -> None:
+def finite_order(step: DesignedProgram) -> None:
     """Record a `FiniteOrderFilter`: forecast from the memory, correction, memory.
 
     Raises
@@ -99,7 +99,7 @@ def _fits(filter: Any) -> list[tuple[np.ndarray, Any]]:
     return [(places(filter.memory, *sizes, k + 1), fit) for k, fit in enumerate(filter.fits)]
 
 
-def _affine(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _affine(step: DesignedProgram, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by an affine fit."""
     fits = _fits(step.filter)
     gain = step.table("gain", [widened(fit.gain, used, len(u)) for used, fit in fits])
@@ -108,7 +108,7 @@ def _affine(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray,
     return gain[row] @ u + offset[row], cov[row]
 
 
-def _polynomial(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _polynomial(step: DesignedProgram, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by polynomials in the standardised memory."""
     fits, size = _fits(step.filter), len(u)
     degrees = fits[0][1].mean_degree, fits[0][1].cov_degree
@@ -162,7 +162,7 @@ def _monomials(size: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def _bounded_below(
-    step: DesignedStep, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
+    step: DesignedProgram, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
 ) -> np.ndarray:
     """See `seedslib.designed.predictors.bounded_below`; eigenvalues by rotations of Jacobi."""
     n = step.n
@@ -189,7 +189,7 @@ def _bounded_below(
     return scaled @ scaled.T
 
 
-def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
+def _moved(step: DesignedProgram, k: Scalar, z: np.ndarray) -> np.ndarray:
     """The estimate after Euler's steps of the continuous forecast up to measurement k."""
     from seedslib.filters.kernels import map_moments
 
@@ -225,7 +225,7 @@ def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
 # Tables
 
 
-def table(step: DesignedStep) -> None:
+def table(step: DesignedProgram) -> None:
     """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up."""
     filter, memory = step.filter, step.filter.memory
     k, _ = step.begin()
@@ -268,7 +268,7 @@ def table(step: DesignedStep) -> None:
 
 
 def _looked_up(
-    step: DesignedStep,
+    step: DesignedProgram,
     name: str,
     k: Scalar,
     tables: Sequence[Any],
@@ -320,7 +320,7 @@ def _looked_up(
     return [*corners[0], step.table(f"{name}_mode", modes, "int")[index + nearest]]
 
 
-def _entry(step: DesignedStep, name: str, values: np.ndarray, k: Scalar) -> Any:
+def _entry(step: DesignedProgram, name: str, values: np.ndarray, k: Scalar) -> Any:
     """Entry k of a table; a constant where all entries are alike."""
     same = (values == values[0]).all()
     return values[0].astype(object) if same else step.table(name, values)[k]
