@@ -16,7 +16,6 @@ from seedslib.filters import (
     extended_kalman,
     unscented_kalman,
 )
-from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
 from seedslib.models import (
     DiscreteSystem,
@@ -34,7 +33,6 @@ from systems import (
     continuous_system,
     growth,
     linear_numbers,
-    oscillator,
     record,
 )
 
@@ -138,23 +136,6 @@ def test_cubic_drift_equals_its_moment_equations(make, exact):
         state = filter.predict(filter.predict(filter.initial(batch), 0.2), 1.2)
         np.testing.assert_allclose(state.mean[0], want[0], rtol=1e-8)
         np.testing.assert_allclose(state.cov[0, 0], want[1], rtol=1e-8)
-
-
-def test_array_functions_equal_formulas():
-    made = JumpDiffusion.from_functions(
-        lambda t, x: np.stack([x[1], (1 - x[0] ** 2) * x[1] - x[0]]),
-        lambda t, x: np.stack([0 * x[0], 0.5 + 0 * x[0]])[:, None],
-        StochasticMap.from_functions(2, 1, lambda t, x, v: x[:1] + v, Noise(1, cov=[[0.2]])),
-        [1.0, 0.0],
-        np.diag([0.3, 0.2]),
-    )
-    system, times = oscillator(), np.array([0.5, 0.8, 1.4])
-    y = system.simulate(times, 4, 1).measurements
-    rule = GaussHermite(4)
-    one, two = (CovarianceFilter(s, rule, step=0.05).run(times, y) for s in (made, system))
-    close(one, two, 1e-9)
-    with pytest.raises(NoClosedForm):
-        extended_kalman(made)
 
 
 def test_threads_and_blocks_give_equal_bits():
