@@ -27,7 +27,15 @@ import numpy as np
 import seedslib
 from seedslib import linearization as linearizations
 from seedslib.base.atomic import write_whole
-from seedslib.designed import arrivals, finite_order, minimax, predictors, switching, tables
+from seedslib.designed import (
+    arrivals,
+    cells,
+    finite_order,
+    minimax,
+    predictors,
+    switching,
+    tables,
+)
 from seedslib.designed.base import DesignedFilter
 from seedslib.designed.identity import difference, model_text, probe, probe_points
 from seedslib.designed.tables import OutputFilter, TableFilter
@@ -42,7 +50,7 @@ FILTERS = (
 )
 KNOWN = {
     name: kind
-    for module in (arrivals, finite_order, minimax, predictors, switching, tables)
+    for module in (arrivals, cells, finite_order, minimax, predictors, switching, tables)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and (hasattr(kind, "_fields") or dataclasses.is_dataclass(kind))
 } | {"UnknownModel": UnknownModel}
