@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import sympy
-from scipy.integrate import solve_ivp
 
 from oracles.linear import Linear, Regression, constant, discretised, kalman, moment_rates, moments
 from seedslib.filters import (
@@ -116,26 +115,6 @@ def test_runge_kutta_is_of_order_four():
         for h in (0.1, 0.05)
     ]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.4)
-
-
-@pytest.mark.parametrize(("make", "exact"), [(extended_kalman, 0.0), (assumed_density, 1.0)])
-def test_cubic_drift_equals_its_moment_equations(make, exact):
-    """dX = (-t X³ + sin t) dt + t X dW: means over N(m, P), or the first-order ones."""
-    system = JumpDiffusion(
-        (x,), [-t * x**3 + sympy.sin(t)], [[t * x]], [x + v], Noise((v,)), [1.0], [[0.4]]
-    )
-
-    def rate(t, moments):
-        m, p = moments
-        drift = -t * (m**3 + 3 * m * exact * p) + np.sin(t)
-        return [drift, -6 * t * (m**2 + exact * p) * p + t**2 * (m**2 + exact * p)]
-
-    want = solve_ivp(rate, (0.2, 1.2), [1.0, 0.4], rtol=1e-11, atol=1e-13).y[:, -1]
-    filter = make(system, step=0.01)
-    for batch in ((), (3,)):
-        state = filter.predict(filter.predict(filter.initial(batch), 0.2), 1.2)
-        np.testing.assert_allclose(state.mean[0], want[0], rtol=1e-8)
-        np.testing.assert_allclose(state.cov[0, 0], want[1], rtol=1e-8)
 
 
 def test_threads_and_blocks_give_equal_bits():
