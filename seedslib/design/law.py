@@ -379,7 +379,7 @@ class JointLaw:
         return likelihood
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
-        """Optimal estimates (1, Y, cells), decided modes (Y, cells) and probabilities.
+        """Optimal estimates (1, Y, cells) and decided modes (Y, cells).
 
         Parameters
         ----------
@@ -393,7 +393,7 @@ class JointLaw:
         if not self.switching:
             return Output(means)
         prob = posterior_modes(given, masses)
-        return Output(means, most_probable(prob).astype(np.int8), prob)
+        return Output(means, most_probable(prob).astype(np.int8))
 
     def take(
         self, k: int, means: np.ndarray, likelihood: Likelihood, modes: MaybeArray = None

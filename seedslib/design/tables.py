@@ -41,7 +41,6 @@ def simulated_synthesis(
     components: int | None = None,
     nodes: Count = 4,
     workers: int = 1,
-    probabilities: bool = False,
 ) -> TableFilter:
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
@@ -73,8 +72,6 @@ def simulated_synthesis(
         Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
         Threads of the simulation.
-    probabilities : bool
-        Whether tables of the probabilities of the modes are wanted too.
 
     Returns
     -------
@@ -95,8 +92,6 @@ def simulated_synthesis(
     if method not in METHODS:
         raise ValueError(f"method: wanted one of {', '.join(METHODS)}, got {method!r}")
     as_system("system", system, *KINDS)
-    if probabilities and not switches(system):
-        raise ValueError("probabilities: wanted False, the system has no modes")
     likelihood = method == "likelihood"
     if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
@@ -122,8 +117,6 @@ def simulated_synthesis(
                 fits.append(_by_histogram(samples, samples.sample(stop), axes))
                 samples.score(stop, fits[-1])
             node_fits.append(tuple(fits))
-    if not probabilities:
-        steps = [Step(*(table._replace(prob=None) for table in step)) for step in steps]
     return samples.designed(
         TableFilter,
         steps=tuple(steps),
@@ -166,11 +159,11 @@ def _targets(paths, sample) -> np.ndarray:
 
 
 def _table(paths, axes, values) -> Table:
-    """Table of the regression: probabilities, where there are modes, then estimates."""
+    """Table of the regression, of probabilities, where there are modes, and estimates."""
     if not switches(paths.system):
         return Table(axes, values)
     prob, means = np.split(values, [paths.system.modes])
-    return Table(axes, means, most_probable(prob).astype(np.int8), prob)
+    return Table(axes, means, most_probable(prob).astype(np.int8))
 
 
 def _log_density(system, t, sample, axes) -> Callable[[slice], np.ndarray]:

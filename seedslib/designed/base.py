@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import MaybeArray, align
-from seedslib.base.checks import as_count, as_real, as_times, is_whole, outside, require_shape
+from seedslib.base.checks import as_real, as_times, is_whole, outside, require_shape
 from seedslib.base.clock import Clock, when
 from seedslib.base.values import Inputs, Values
 from seedslib.designed.between import Interval, at
@@ -50,7 +50,6 @@ class FilterState(NamedTuple):
         Log-density of the last measurement as forecast by the filter, where it has one.
     mode : ndarray of int, shape (*batch), or None
         The decided mode, or the likeliest one of a forecast.
-    mode_prob : ndarray, shape (L, *batch), or None
     before : FilterState or None
         The state after the measurement before the last, needed by linear forecasts.
     gap : ndarray of bool, shape (*batch), or False
@@ -67,7 +66,6 @@ class FilterState(NamedTuple):
     past: Past = Past()
     loglik: np.ndarray | float | None = None
     mode: MaybeArray = None
-    mode_prob: MaybeArray = None
     before: Any = None
     gap: np.ndarray | bool = False
     history: np.ndarray | int = 0
@@ -450,7 +448,7 @@ class DesignedFilter(Filter):
     def report(self, state: Any, covariance: bool = True) -> Estimates:
         """What is estimated after a correction."""
         cov = state.cov if covariance else None
-        return Estimates(state.mean, cov, state.mode_prob, state.loglik, modes=state.mode)
+        return Estimates(state.mean, cov, loglik=state.loglik, modes=state.mode)
 
     # Between measurements
 
@@ -626,21 +624,21 @@ class DesignedFilter(Filter):
             Records with gaps, of a filter that was designed: how many, and from which time.
         """
         batch, record = self.records_of(times, measurements, indicators, None, inputs)
-        as_count("workers", workers)
         numbers = self.numbered(record.times, record.y)
         gaps = self.record_gaps(record.y, record.indicators, numbers)
 
+        alone = not batch and (numbers >= 0).all() and self._single.of(self)
+
         def work(record: Record, stream: object) -> Estimates:
+            if alone:
+                parts = self._single.run(self, record)
+                return with_divergence(self.estimates_of(parts, covariances))
             estimates = stacked(self._states(record, numbers, covariances), len(numbers))
             if covariances:  # they are those of measurement times
                 estimates.cov[numbers < 0] = np.nan
             return estimates
 
-        if not batch and (numbers >= 0).all() and self._single.of(self):
-            estimates = self.estimates_of(self._single.run(self, record), covariances)
-            estimates = with_divergence(estimates)
-        else:
-            estimates = self.in_blocks(work, record, batch, 0, workers)
+        estimates = self.in_blocks(work, record, batch, 0, workers)
         return with_gaps(estimates, gaps.reshape(len(numbers), *batch), record.times)
 
     def record_gaps(self, y: np.ndarray, indicators: MaybeArray, numbers: np.ndarray) -> np.ndarray:

@@ -13,10 +13,10 @@ from seedslib.base.values import Values
 from seedslib.designed.cells import CellFit
 from seedslib.designed.lemmas import FAINT, ROUNDING
 from seedslib.designed.memory import places
+from seedslib.designed.program import DesignedProgram
 from seedslib.designed.rules import SOFTEST
-from seedslib.designed.step import DesignedStep
 from seedslib.filters.kernels import cholesky, correct, lower_of, unpacked
-from seedslib.filters.step import Step, any_of
+from seedslib.filters.program import Program, any_of
 from seedslib.filters.weights import TIE, logarithm
 from seedslib.linearization.formulas import Formulas
 from seedslib.linearization.moments import Weighted
@@ -41,7 +41,7 @@ class Mixture(NamedTuple):
     moments: Array
 
     @classmethod
-    def of(cls, step: Step, name: str, rows: int, n: int, owner: str = "local") -> Mixture:
+    def of(cls, step: Program, name: str, rows: int, n: int, owner: str = "local") -> Mixture:
         """Arrays for so many distributions of n components."""
         log_prob = step.array(f"{name}_log_prob", (rows,), owner=owner)
         return cls(log_prob, step.array(f"{name}_moments", (rows, n * (n + 3) // 2), owner=owner))
@@ -76,7 +76,7 @@ def switching(step: Any) -> None:
         t = step.timed()
         first = step.started.all < 1.0
     # with a memory they are results: a state in Python has them
-    owner = "state" if step.defers or not step.designed else "local"
+    owner = "state" if step.floats or not step.designed else "local"
     carried = Mixture.of(step, "carried", modes, n, owner)
     parts = step.indicators if filter.rules.split else 1
     ahead = Mixture.of(step, "ahead", modes * parts, n)
@@ -102,7 +102,7 @@ def switching(step: Any) -> None:
     for log, (mean, cov), sensor in zip(before, joints, system.sensors, strict=True):
         moments = mean[n:], cov[:n, n:], cov[n:, n:]
         mean, cov, loglik, _ = correct(step, mean[:n], cov[:n, :n], moments, sensor)
-        if step.defers:  # it may have to be repaired
+        if step.floats:  # it may have to be repaired
             pivots = np.diagonal(cholesky(step, cov, np.diagonal(cov)))
             step.defer(any_of([~(pivot > 0.0) for pivot in pivots]))
         logs.append(choose(log > -np.inf, log + loglik, -np.inf))
@@ -214,7 +214,7 @@ def _most_probable(probs: Sequence[Number]) -> Number:
 
 
 def _forecast(
-    step: Step,
+    step: Program,
     t: Scalar,
     logs: list[Number],
     gaussians: list[Gaussian],
@@ -237,7 +237,7 @@ def _mass(branch: Weighted) -> Number:
 
 
 def _combine(
-    step: Step,
+    step: Program,
     logs: Sequence[Number],
     rows: Sequence[Sequence[Sequence[Weighted | None]]],
     into: Mixture,
@@ -279,7 +279,7 @@ def _where_possible(mass: Number, log: Number, mean: np.ndarray, cov: np.ndarray
     return choose(possible, mean, 0.0), choose(possible, cov, np.eye(len(mean)))
 
 
-def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
+def _sense(step: Program, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
     """State and measurement in each mode, given the indicator; whether any mode can have it."""
     if not step.indicators:
         _sense_value(step, t, ahead, sensed, 0)
@@ -293,7 +293,9 @@ def _sense(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture) -> Any:
     return possible
 
 
-def _sense_value(step: Step, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None) -> None:
+def _sense_value(
+    step: Program, t: Scalar, ahead: Mixture, sensed: Mixture, value: int | None
+) -> None:
     """The same for a value of the indicator, None where it is missing: lemma 3."""
     rules, n, p = step.filter.rules, step.n, step.at_time()
     log_prob, gaussians = ahead.parts(n)
@@ -327,7 +329,7 @@ def _joint(branch: Weighted) -> Gaussian:
 
 
 def _recalled(
-    step: DesignedStep, k: Scalar, past: dict[str, Array]
+    step: DesignedProgram, k: Scalar, past: dict[str, Array]
 ) -> tuple[list[Number], list[Gaussian]]:
     """Distribution of mode and state given the memory: (6.32) to (6.34)."""
     row, cell, u = k - 1.0, 0.0, past["memory"].all
@@ -353,7 +355,7 @@ def _recalled(
     return [log - log_total for log in logs], gaussians
 
 
-def _cell_tables(step: DesignedStep) -> dict[str, np.ndarray]:
+def _cell_tables(step: DesignedProgram) -> dict[str, np.ndarray]:
     """Parts of the fits by measurement, cell and mode, for the numbers of the full memory."""
     filter, memory, n, modes = step.filter, step.filter.memory, step.n, step.modes
     size, estimate = memory.order(n, step.m, modes), n + (modes - 1) * memory.log_odds
@@ -372,7 +374,7 @@ def _cell_tables(step: DesignedStep) -> dict[str, np.ndarray]:
 
 
 def _remember(
-    step: DesignedStep,
+    step: DesignedProgram,
     past: dict[str, Array],
     mean: np.ndarray,
     mode: Number,

@@ -19,10 +19,10 @@ from seedslib.designed.between import Interval
 from seedslib.designed.cells import cell_number, require_memory
 from seedslib.designed.lemmas import ModeLaw, total_covariance
 from seedslib.designed.memory import Memory
+from seedslib.designed.program import DesignedProgram
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
-from seedslib.designed.step import DesignedStep
 from seedslib.filters.base import Estimates, first_step
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.filters.weights import mix, most_probable
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import as_system
@@ -67,6 +67,11 @@ class SwitchingFilter(DesignedFilter):
         Arguments that do not fit together.
     NoClosedForm
         The linearization has no formulas for a branch; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        In a step, that the mean of the probability of a switch is out of [0, 1].
     """
 
     node_times = node_fits = ()  # forecasts are for the next measurement only
@@ -110,7 +115,7 @@ class SwitchingFilter(DesignedFilter):
         numbers = memory.order(n, self.system.measurement_size, self.system.modes)
         return numbers + memory.estimates + memory.indicators
 
-    # Step by step
+    # Program by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> SwitchingState:
         """State before any measurement; the filter draws nothing from `seed`."""
@@ -200,11 +205,11 @@ class SwitchingFilter(DesignedFilter):
         cov = nan_where(state.gap, mixed.cov)
         return Estimates(mixed.mean, cov, prob, modes=most_probable(prob))
 
-    def program(self, **options: Any) -> Step:
+    def program(self, **options: Any) -> Program:
         """See `Filter.program`; moments must be formulas, fits in cells."""
         from seedslib.designed.mode_programs import switching
 
-        step = (Step if self.memory is None else DesignedStep)(self, **options)
+        step = (Program if self.memory is None else DesignedProgram)(self, **options)
         switching(step)
         return step
 

@@ -17,7 +17,7 @@ from seedslib.designed.identity import model_text
 from seedslib.designed.tables import TableFilter
 from seedslib.export.programs import recorded
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.models.kinds import switches
 from seedslib.tape.tape import Array, Loop, Number, Scalar, When
 from seedslib.tape.writer import Writer
@@ -94,7 +94,7 @@ class C(Writer):
         places = (self.place(array, index) for index in np.ndindex(*array.shape))
         return [f"{kind} {place} = 0.0;" for place in places]
 
-    def step(self, step: Step) -> list[str]:
+    def step(self, step: Program) -> list[str]:
         """The lines of a step: its memory, then the statements."""
         lines = self.body(step.program())
         used = set(re.findall(r"\w+", "\n".join(lines)))
@@ -123,7 +123,7 @@ def _braces(values: np.ndarray, written: Callable[[Any], str], indent: str = "")
     return "{\n" + ",\n".join(inner + line for line in lines) + "\n" + indent + "}"
 
 
-def tables(step: Step, writer: C) -> list[str]:
+def tables(step: Program, writer: C) -> list[str]:
     """The tables of a step."""
     result = []
     for a in step.arrays.values():
@@ -135,7 +135,7 @@ def tables(step: Step, writer: C) -> list[str]:
     return result
 
 
-def signature(step: Step, writer: C) -> str:
+def signature(step: Program, writer: C) -> str:
     """Head of the step in C."""
     real = f"const {writer.types['real']} *"
     kinds = {"time": "double ", "y": real, "indicator": "int ", "held": real, "u": real, "p": real}
@@ -150,7 +150,7 @@ def signature(step: Step, writer: C) -> str:
     return "\n".join(lines)[:-2] + ")"
 
 
-def arguments(step: Step) -> list[str]:
+def arguments(step: Program) -> list[str]:
     """Names of the arguments of a step in their order."""
     known = [step.arrays.get(name) for name in ("time", "y", "indicator", "held", "u", "p")]
     return [a.name for a in known if a is not None and a.owner == "argument"]
@@ -227,7 +227,7 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     return text
 
 
-def header(step: Step, name: str) -> str:
+def header(step: Program, name: str) -> str:
     """The header of a recorded step."""
     writer, upper = C(name), name.upper()
     state = [a for a in step.arrays.values() if a.owner == "state"]
@@ -281,7 +281,7 @@ def checked_name(name: object) -> str:
     return name
 
 
-def dimensions(step: Step) -> dict[str, int]:
+def dimensions(step: Program) -> dict[str, int]:
     """Sizes that a caller wants to know."""
     known = {"STATE": step.n, "MEASUREMENT": step.m, "ESTIMATE": step.rows}
     known |= {"MODES": step.modes, "INDICATORS": step.indicators, "INPUTS": len(step.inputs)}
@@ -292,7 +292,7 @@ def dimensions(step: Step) -> dict[str, int]:
     return {key: value for key, value in known.items() if value}
 
 
-def about(step: Step, language: str) -> str:
+def about(step: Program, language: str) -> str:
     """The comment that a program begins with: the filter, the model, what people must know."""
     filter, which = step.filter, ", ".join(map(str, step.inputs))
     known = filled("notes.txt", {"WHICH": which}).strip().split("\n\n")
@@ -308,7 +308,7 @@ def about(step: Step, language: str) -> str:
     return comment([described, model_lines(filter.system), *(notes[name] for name in chosen)])
 
 
-def carries_cov(step: Step) -> bool:
+def carries_cov(step: Program) -> bool:
     """Whether the state of the filter is a time, a mean and a covariance."""
     return isinstance(step.filter, CovarianceFilter)
 

@@ -35,7 +35,7 @@ from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
 from seedslib.filters.base import Estimates, Filter, as_indicators
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.step import CODES, Step
+from seedslib.filters.program import CODES, Program
 
 if TYPE_CHECKING:
     from typing import Self
@@ -136,7 +136,7 @@ def _make(command: list[str], text: str, path: Path) -> None:
         raise RuntimeError(f"compiler: {' '.join(line)} failed: {done.stderr.strip()[:2000]}")
 
 
-def source(step: Step) -> str:
+def source(step: Program) -> str:
     """C of a filter with what Python calls."""
     state = [a for a in step.arrays.values() if a.owner == "state"]
     places = ", ".join(f"(int)offsetof(f_state, {a.name})" for a in state)
@@ -157,7 +157,7 @@ def source(step: Step) -> str:
     )
 
 
-def _layout(step: Step, library: Any) -> np.dtype:
+def _layout(step: Program, library: Any) -> np.dtype:
     """How the bytes of a state are to be read."""
     state = [a for a in step.arrays.values() if a.owner == "state"]
     size, *places = (ctypes.c_int * (1 + len(state))).in_dll(library, "api_layout")
@@ -300,7 +300,7 @@ class CompiledFilter(Filter):
         The one that was compiled.
     """
 
-    def __init__(self, filter: Any, step: Step, path: Path) -> None:
+    def __init__(self, filter: Any, step: Program, path: Path) -> None:
         self.filter, self.system, self.takes = filter, filter.system, filter.takes
         if getattr(filter, "times", None) is not None:
             self.times = filter.times
@@ -499,9 +499,7 @@ class CompiledFilter(Filter):
         """Shapes of what C writes at each time, without batch axes; None for no such thing."""
         filter, modes = self.filter, getattr(self.system, "modes", 0)
         if isinstance(filter, OutputFilter):
-            with_prob = filter.steps[0].update.prob is not None
-            prob = (modes,) if with_prob else None
-            return Estimates((n,), mode_prob=prob, modes=() if modes else None)
+            return Estimates((n,), modes=() if modes else None)
         cov = (n, n) if covariances else None
         return Estimates((n,), cov, (modes,) if modes else None, (), None, () if modes else None)
 

@@ -12,14 +12,14 @@ import numpy as np
 from seedslib.base.atomic import write_whole
 from seedslib.export.c import C, about, arguments, carries_cov, filled, shape
 from seedslib.export.programs import recorded
-from seedslib.filters.step import CODES, Step
+from seedslib.filters.program import CODES, Program
 from seedslib.tape.tape import Array, Loop, Number, Scalar, When
 
 
 class JavaScript(C):
     """How ECMAScript spells a program: arrays are flat, the state is one."""
 
-    def __init__(self, step: Step) -> None:
+    def __init__(self, step: Program) -> None:
         super().__init__("")
         state = [a for a in step.arrays.values() if a.owner == "state"]
         ends = list(accumulate(math.prod(a.shape) for a in state))
@@ -150,12 +150,12 @@ def to_js(filter: Any, path: str | os.PathLike[str] | None = None) -> str:
     return text
 
 
-def _row(step: Step, k: str) -> str:
+def _row(step: Program, k: str) -> str:
     size = len(step.inputs)
     return f"inputs.slice(({k}) * {size}, ({k}) * {size} + {size})"
 
 
-def _tables(step: Step, writer: JavaScript) -> list[str]:
+def _tables(step: Program, writer: JavaScript) -> list[str]:
     result = []
     for a in step.arrays.values():
         if a.owner == "table":
@@ -166,7 +166,7 @@ def _tables(step: Step, writer: JavaScript) -> list[str]:
     return result
 
 
-def _getters(step: Step, writer: JavaScript) -> list[str]:
+def _getters(step: Program, writer: JavaScript) -> list[str]:
     result = []
     for name in ("mean", "cov", "loglik", "mode", "prob"):
         if name in step.arrays:
@@ -178,7 +178,7 @@ def _getters(step: Step, writer: JavaScript) -> list[str]:
     return result
 
 
-def _start(step: Step, writer: JavaScript) -> list[str]:
+def _start(step: Program, writer: JavaScript) -> list[str]:
     result = []
     for name, values in step.initial.items():
         numbers = ", ".join(writer.constant(value) for value in np.ravel(values).tolist())

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.export.c import C, shape
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.tape.tape import SIGNS, Array, Let, Load, Loop, Number, Scalar, Store, When
 
 RESULTS = ("mean", "cov", "loglik", "prob", "mode")
@@ -34,12 +34,12 @@ class Lanes(C):
 
     Parameters
     ----------
-    step : Step
+    step : Program
     name : str
         Prefix of the names of the header.
     """
 
-    def __init__(self, step: Step, name: str) -> None:
+    def __init__(self, step: Program, name: str) -> None:
         super().__init__(name)
         self.varying = varying(step.program())
         self.mask, self.inner, self.masks = "ALL", "", 0
@@ -141,7 +141,7 @@ class Lanes(C):
             return [f"vec {array.name}{shape(array)} = {{ {{ 0 }} }};"]
         return [f"vec {self.place(array, at)} = {{ 0 }};" for at in np.ndindex(*array.shape)]
 
-    def state(self, step: Step) -> str:
+    def state(self, step: Program) -> str:
         """The state of several records, and its beginning from that of one."""
         kept = [a for a in step.arrays.values() if a.owner == "state"]
         kinds = ["vec" if a.name in self.varying else self.types[a.kind] for a in kept]
@@ -177,7 +177,7 @@ def varying(program: list[Any]) -> set[str]:
     return names
 
 
-def to_lanes(step: Step, name: str) -> str:
+def to_lanes(step: Program, name: str) -> str:
     """C that runs whole records of a filter; it stands behind the header of that name."""
     text, own = files("seedslib.export").joinpath("lanes.c").read_text(), Lanes(step, name)
     body = "\n".join(own.step(step))

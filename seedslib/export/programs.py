@@ -11,13 +11,13 @@ from seedslib.base.checks import outside
 from seedslib.base.conditioning import update
 from seedslib.filters.base import Filter
 from seedslib.filters.covariance import CovarianceFilter
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 
 LOST_PART = 1e-3
 """Part of a variance that rounding must not take."""
 
 
-def recorded(filter: Any, parameters: bool = False) -> Step:
+def recorded(filter: Any, parameters: bool = False) -> Program:
     """The program of one measurement of a filter.
 
     Parameters

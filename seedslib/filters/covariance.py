@@ -17,7 +17,7 @@ from seedslib.base.conditioning import update
 from seedslib.base.linalg import lower_triangle, solve_psd, symmetric, without_rounding
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates, Filter, first_step, stays
-from seedslib.filters.step import Step
+from seedslib.filters.program import Program
 from seedslib.linearization.moments import Linearization, Matrices, Moments, as_linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.kinds import AnySystem, as_system, in_steps
@@ -263,8 +263,8 @@ class CovarianceFilter(Filter):
             return [np.full(np.shape(part), np.nan) for part in parts]
         return parts
 
-    def program(self, **options: Any) -> Step:
-        """See `Filter.program`; the first state must have a distribution, the maps formulas."""
+    def program(self, **options: Any) -> Program:
+        """See `Filter.program`; the maps must have formulas."""
         from seedslib.filters.kernels import (
             correct,
             lower_of,
@@ -275,7 +275,7 @@ class CovarianceFilter(Filter):
         )
 
         self._require_formulas()
-        step, system, rule, n = Step(self, **options), self.system, self.linearization, self.n
+        step, system, rule, n = Program(self, **options), self.system, self.linearization, self.n
         step.initial = {"mean": system.mean0, "cov": system.cov0}
         by_points, t = isinstance(rule, PointRule), step.timed(again=True)
         moving = step.array("moving", (n * (n + 3) // 2,))
@@ -311,12 +311,8 @@ class CovarianceFilter(Filter):
         return step
 
     def _require_formulas(self) -> None:
-        """Refuse a first state without a distribution, and maps and rules without formulas."""
+        """Refuse maps and rules without formulas."""
         system, rule = self.system, self.linearization
-        if getattr(system, "diffuse", ()):
-            raise ValueError(
-                "system: wanted a first state with a distribution to write in C, got a diffuse one"
-            )
         if not (hasattr(rule, "formulas") or isinstance(rule, PointRule | Matrices)):
             raise TypeError(
                 f"linearization: wanted formulas or a rule with points to write in C, got {rule!r}"

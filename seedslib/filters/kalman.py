@@ -12,6 +12,7 @@ from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
+from seedslib.filters.program import Program
 from seedslib.linearization.moments import Matrices
 from seedslib.models.linear import LinearSystem
 
@@ -161,6 +162,14 @@ class KalmanFilter(CovarianceFilter):
         if np.isnan(cov).any():  # known by rounding only
             return now
         return FilterState(now.time, mean, cov, now.loglik, now.interval)
+
+    def program(self, **options: Any) -> Program:
+        """See `Filter.program`; the first state must have a distribution."""
+        if self._diffuse:
+            raise ValueError(
+                "system: wanted a first state with a distribution to write in C, got a diffuse one"
+            )
+        return super().program(**options)
 
     def expected(self, state: Any, p: Values) -> Any:
         """Moments of the measurement that the filter expects, given what is unknown."""

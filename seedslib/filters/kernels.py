@@ -14,7 +14,7 @@ from seedslib.base.circle import around
 from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI, WIDE
 from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
 from seedslib.base.values import Values
-from seedslib.filters.step import Step, any_of
+from seedslib.filters.program import Program, any_of
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
@@ -231,7 +231,7 @@ def moment_rates(
 
 
 def correct(
-    step: Step,
+    step: Program,
     mean: np.ndarray,
     cov: np.ndarray,
     moments: Any,

@@ -14,12 +14,6 @@ from seedslib.tape.floats import as_function
 if TYPE_CHECKING:
     from seedslib.filters.base import Estimates, Filter, Record
 
-MOST_VALUES = 10_000
-"""Named values of a program; with more of them matrices of NumPy are as fast."""
-
-MOST_NUMBERS = 200_000
-"""Numbers in its tables, which are lists."""
-
 
 class Single:
     """The program of a filter as a function on floats, recorded when it is first wanted.
@@ -30,18 +24,17 @@ class Single:
     that has no program.
     """
 
-    def __init__(self) -> None:
-        self._asked = self.possible = False
+    possible: bool | None = None
 
     def of(self, filter: Filter) -> bool:
         """Whether there is a program for the filter."""
-        if self._asked:
+        if self.possible is not None:
             return self.possible
-        limits = {"limit": MOST_VALUES, "most_numbers": MOST_NUMBERS}
         try:
-            step = filter.program(parameters=True, defers=True, **limits)
-        except (TypeError, ValueError):  # no formulas, or too many
-            self._asked = True
+            with np.errstate(all="ignore"):
+                step = filter.program(parameters=True, floats=True)
+        except (ArithmeticError, AttributeError, TypeError, ValueError):  # no formulas, or too many
+            self.possible = False
             return False
         self._function = as_function(step)
         self._fields, size = {}, 0
@@ -55,7 +48,7 @@ class Single:
         self._inputs, self._parameters = (
             [known.index(p) for p in part] for part in (step.inputs, step.parameters)
         )
-        self._asked = self.possible = True
+        self.possible = True
         return True
 
     def _given(self, before: Any, p: Any) -> list[float]:

@@ -337,12 +337,12 @@ class Discretised:
     def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrix and noise covariance of a step of this length."""
         step = float(lengths_alike(step))
-        found = self._known.get(step)
-        if found is None:
+        pair = self._known.get(step)
+        if pair is None:
             if len(self._known) >= STORED:
                 self._known.clear()
-            found = self._known[step] = stepped(self.drift, self.diffusion, step)
-        return found
+            pair = self._known[step] = stepped(self.drift, self.diffusion, step)
+        return pair
 
 
 class SteppedMatrix:

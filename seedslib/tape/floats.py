@@ -9,11 +9,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import numpy as np
 
-from seedslib.tape.tape import Array, Load, Loop, Number, Scalar, Store, Tape, When, walk
+from seedslib.tape.tape import Array, Loop, Number, Scalar, Tape, When
 from seedslib.tape.writer import Writer
 
 NAMES = {name: value for name, value in vars(math).items() if not name.startswith("_")}
@@ -69,7 +69,8 @@ def as_function(tape: Tape) -> Callable[[tuple[float, ...], list[float]], tuple[
     """A recorded program as ``function(state, given) -> state``.
 
     The state and what is given are the numbers of the arrays that are owned so, one array after
-    the other in the order in which they were made. A refusal gives its code.
+    the other in the order in which they were made; all their places are known. A refusal gives its
+    code.
 
     Examples
     --------
@@ -85,7 +86,8 @@ def as_function(tape: Tape) -> Callable[[tuple[float, ...], list[float]], tuple[
     lines = ["def function(state, given):"]
     lines += [f"    {', '.join(state)}, = state", f"    {', '.join(given)}, = given"]
     body = writer.body(block)
-    lines += [f"    {writer.place(*place)} = 0.0" for place in _zero_at_first(block)]
+    plain = [a for a in arrays if not a.indexed]
+    lines += [f"    {' = '.join([*writer.variables(plain, 'local'), '_'])} = 0.0"]
     lines += [
         f"    {a.name} = {_zeros(a.shape)}" for a in arrays if a.owner == "local" and a.indexed
     ]
@@ -101,18 +103,3 @@ def _zeros(shape: tuple[int, ...]) -> str:
     for size in reversed(shape):
         text = f"[{text} for _ in range({size})]"
     return text
-
-
-def _zero_at_first(block: list[Any]) -> list[tuple[Array, tuple[Number, ...]]]:
-    """Places of local memory that a program may read before it stores something there."""
-    places: dict[Any, bool] = {}
-    for statement in block:
-        for one in walk([statement]):
-            if isinstance(one, Load | Store) and one.array.owner == "local":
-                index = one.operands[: len(one.array.shape)]
-                if not one.array.indexed:
-                    at = one.array.name, tuple(map(int, index))
-                    places.setdefault(
-                        at, (one is not statement or isinstance(one, Load), one.array)
-                    )
-    return [(array, index) for (_, index), (wanted, array) in places.items() if wanted]

@@ -15,6 +15,7 @@ from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
+from numpy.lib.mixins import NDArrayOperatorsMixin
 
 Number: TypeAlias = "Scalar | float"
 
@@ -61,11 +62,10 @@ LARGEST_POWER = 40
 """Whole powers up to this one are written as products."""
 
 
-class Scalar:
+class Scalar(NDArrayOperatorsMixin):
     """A number of a program: the result of an operation, with the name that holds it.
 
-    Operators and functions of NumPy are recorded; so are ``&``, ``|`` and ``~`` of truths. The
-    operators go round NumPy's, which take three times as long.
+    Operators and functions of NumPy are recorded; so are ``&``, ``|`` and ``~`` of truths.
 
     Attributes
     ----------
@@ -82,15 +82,6 @@ class Scalar:
 
     def __repr__(self) -> str:
         return self.name
-
-    def __neg__(self) -> Any:
-        return self.tape.node("neg", self)
-
-    def __invert__(self) -> Any:
-        return self.tape.node("!", self)
-
-    def __abs__(self) -> Any:
-        return self.tape.node("fabs", self)
 
     def __bool__(self) -> bool:
         raise TypeError(
@@ -120,30 +111,6 @@ class Scalar:
         for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
             result = choose(condition, choice, result)
         return result
-
-
-def _operator(ufunc: np.ufunc, turned: bool = False) -> Callable[[Scalar, Any], Any]:
-    """What an operator of two operands does; `turned` is that of the second one."""
-    operation, composed = OPERATIONS.get(ufunc.__name__), COMPOSED.get(ufunc.__name__)
-
-    def apply(self: Scalar, other: Any) -> Any:
-        if isinstance(other, np.ndarray):
-            return ufunc(other, self) if turned else ufunc(self, other)
-        other = other if type(other) is Scalar else float(other)
-        pair = (other, self) if turned else (self, other)
-        return composed(*pair) if composed else self.tape.node(operation, *pair)
-
-    return apply
-
-
-_BOTH = {"add": np.add, "sub": np.subtract, "mul": np.multiply, "truediv": np.divide}
-_BOTH |= {"pow": np.power, "and": np.bitwise_and, "or": np.bitwise_or}
-_COMPARED = {"lt": np.less, "le": np.less_equal, "gt": np.greater, "ge": np.greater_equal}
-_COMPARED |= {"eq": np.equal, "ne": np.not_equal}
-for _name, _ufunc in (_BOTH | _COMPARED).items():
-    setattr(Scalar, f"__{_name}__", _operator(_ufunc))
-for _name, _ufunc in _BOTH.items():
-    setattr(Scalar, f"__r{_name}__", _operator(_ufunc, True))
 
 
 def _power(base: Any, power: Any) -> Any:

@@ -106,7 +106,7 @@ class Writer:
             for one in block
             if not isinstance(one, Loop)
             for x in one.operands
-            if type(x) is Scalar
+            if type(x) is Scalar and x.name in self.once
         }
         for one in block:
             if isinstance(one, Let | Load):
@@ -116,7 +116,7 @@ class Writer:
                     else self.load(one.array, one.operands)
                 )
                 fixed = isinstance(one, Let) or one.array.owner in {"argument", "table"}
-                if fixed and one.result.name in self.once & own and len(text) <= self.longest:
+                if fixed and one.result.name in own and len(text) <= self.longest:
                     self.inlined[one.result.name] = text
                     if isinstance(one, Let) and one.operation in self.shapes:
                         self.compound.add(one.result.name)

@@ -3,6 +3,8 @@
 import logging
 import os
 import stat
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import sympy as sp
 
 from seedslib import zoo
 from seedslib.base import Axis, Input, Nodes, Parameter, interpolate, update
+from seedslib.base.progress import followed
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.evaluation import fit
@@ -144,6 +147,19 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
         told = work()
     assert "all 3 steps" in caplog.records[-1].getMessage()
     np.testing.assert_array_equal(quiet.predicted.rms, told.predicted.rms)
+
+
+def test_long_work_has_a_bar_in_a_terminal_where_tqdm_is(monkeypatch):
+    bars = []
+    fake = SimpleNamespace(tqdm=lambda steps, what, **options: bars.append(what) or steps)
+    monkeypatch.setitem(sys.modules, "tqdm", fake)
+    assert list(followed(range(3), "work")) == [0, 1, 2]
+    assert not bars
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
+    assert list(followed(range(3), "work")) == [0, 1, 2]
+    assert bars == ["work"]
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    assert list(followed(range(3), "work")) == [0, 1, 2]
 
 
 Q = Parameter("q", 0.1, positive=True)

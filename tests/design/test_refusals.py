@@ -123,7 +123,6 @@ REFUSALS = [
     (lambda: grid(y=[(-8, 8, 9)] * 2), ValueError, "y"),
     (lambda: grid(times=[0.0, 0.0]), ValueError, "times"),
     (lambda: grid(nodes=-1), ValueError, "nodes"),
-    (lambda: grid(probabilities=True), ValueError, "probabilities"),
     (
         lambda: affine_synthesis(FLIP, Memory(1), None, TIMES, x=(-3.5, 3.5, 31)),
         TypeError,
@@ -139,7 +138,6 @@ REFUSALS = [
     (lambda: tables(memory=Memory(1, log_odds=True)), ValueError, "memory"),
     (lambda: tables(memory=large_order(4), z=(-2, 2, 99)), ValueError, "memory"),
     (lambda: tables(y=(-8, 8)), TypeError, "y"),
-    (lambda: tables(probabilities=True), ValueError, "probabilities"),
     (
         lambda: binned_synthesis(zoo.van_der_pol(), Memory(1), [0, 1], paths=10, seed=1),
         ValueError,

@@ -156,20 +156,19 @@ def twins(dependent):
     def shows(i):
         return lambda t, x, w: 0.2 * x**2 + i + w
 
-    def pair(value, share):
-        return [
-            StochasticMap.from_functions(
-                1, 1, value, Noise(1), weight=lambda t, x, v, s=s: s(t, x[0], v[0])
-            )
-            for s in (lambda *a: 1 - share(*a), share)
-        ]
+    def map_of(value):
+        return StochasticMap.from_functions(1, 1, value, Noise(1))
+
+    def pair(share):
+        return [lambda t, x, v: 1 - share(t, x[0], v[0]), lambda t, x, v: share(t, x[0], v[0])]
 
     slopes, initial = [(0.9, 0.5), (0.5, 1.0)], [(0.5, [0], [[1]]), (0.5, [1], [[1]])]
     plain = SwitchingSystem.from_maps(
-        [pair(moves(a, b), leaves) for a, b in slopes],
-        [pair(shows(i), tells(i)) for i in (0, 1)],
+        [map_of(moves(a, b)) for a, b in slopes],
+        [pair(leaves)] * 2,
+        [map_of(shows(i)) for i in (0, 1)],
         initial,
-        indicator=True,
+        indicator=[pair(tells(i)) for i in (0, 1)],
     )
     leave, told = leaves(t, x, v), [tells(i)(t, x, w) for i in (0, 1)]
     written = SwitchingSystem(

@@ -200,6 +200,20 @@ def test_numbers_of_parameters_share_one_program_which_is_not_pickled(monkeypatc
     near(many.cov[..., 1], twin.run(times, y).cov)
 
 
+class Doubting(KalmanFilter):
+    """It takes half of what the filter takes from a measurement."""
+
+    def update(self, state, y, p, indicator=None):
+        later = super().update(state, y, p)
+        return later._replace(mean=(state.mean + later.mean) / 2)
+
+
+def test_a_filter_with_steps_of_its_own_takes_them():
+    filter, y = Doubting(LinearSystem(1, 1, 1, 1, 0, 1)), np.ones((2, 1))
+    assert filter.run([0.0, 1.0], y).mean[0, 0] == pytest.approx(0.25)
+    assert filter.step(filter.initial(), 0.0, [1.0]).mean[0] == pytest.approx(0.25)
+
+
 def test_large_filters_and_those_without_formulas_stay_on_arrays():
     n = 30
     rng, y = np.random.default_rng(0), np.ones((3, 2))

@@ -9,12 +9,12 @@ import numpy as np
 
 from seedslib.base.clock import ROUNDING, SAME
 from seedslib.designed.memory import Memory
-from seedslib.filters.step import Step, any_of
+from seedslib.filters.program import Program, any_of
 from seedslib.tape.tape import Array, Scalar, choose, isnan
 
 
-class DesignedStep(Step):
-    """A `Step` at the times of a design: the state counts them.
+class DesignedProgram(Program):
+    """A `Program` at the times of a design: the state counts them.
 
     Where parameters are arguments it is given the time too, and refuses one that is not its next.
     """

@@ -21,8 +21,8 @@ from seedslib.designed.predictors import (
     monomial_recipe,
     range_roots,
 )
-from seedslib.designed.step import DesignedStep
-from seedslib.filters.step import any_of
+from seedslib.designed.program import DesignedProgram
+from seedslib.filters.program import any_of
 from seedslib.tape.tape import Scalar, choose, isnan
 
 
@@ -36,7 +36,7 @@ def widened(values: np.ndarray, columns: Any, size: int) -> np.ndarray:
 # Finite order
 
 
-def finite_order(step: DesignedStep) -> None:
+def finite_order(step: DesignedProgram) -> None:
     """Record a `FiniteOrderFilter`: forecast from the memory, correction, memory.
 
     Raises
@@ -99,7 +99,7 @@ def _fits(filter: Any) -> list[tuple[np.ndarray, Any]]:
     return [(places(filter.memory, *sizes, k + 1), fit) for k, fit in enumerate(filter.fits)]
 
 
-def _affine(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _affine(step: DesignedProgram, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by an affine fit."""
     fits = _fits(step.filter)
     gain = step.table("gain", [widened(fit.gain, used, len(u)) for used, fit in fits])
@@ -108,7 +108,7 @@ def _affine(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray,
     return gain[row] @ u + offset[row], cov[row]
 
 
-def _polynomial(step: DesignedStep, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _polynomial(step: DesignedProgram, row: Scalar, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Mean and covariance of the forecast by polynomials in the standardised memory."""
     fits, size = _fits(step.filter), len(u)
     degrees = fits[0][1].mean_degree, fits[0][1].cov_degree
@@ -162,7 +162,7 @@ def _monomials(size: int, degree: int) -> list[tuple[int, ...]]:
 
 
 def _bounded_below(
-    step: DesignedStep, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
+    step: DesignedProgram, cov: np.ndarray, root: np.ndarray, inverse_root: np.ndarray
 ) -> np.ndarray:
     """See `seedslib.designed.predictors.bounded_below`; eigenvalues by rotations of Jacobi."""
     n = step.n
@@ -189,7 +189,7 @@ def _bounded_below(
     return scaled @ scaled.T
 
 
-def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
+def _moved(step: DesignedProgram, k: Scalar, z: np.ndarray) -> np.ndarray:
     """The estimate after Euler's steps of the continuous forecast up to measurement k."""
     from seedslib.filters.kernels import map_moments
 
@@ -225,7 +225,7 @@ def _moved(step: DesignedStep, k: Scalar, z: np.ndarray) -> np.ndarray:
 # Tables
 
 
-def table(step: DesignedStep) -> None:
+def table(step: DesignedProgram) -> None:
     """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up."""
     filter, memory = step.filter, step.filter.memory
     k, _ = step.begin()
@@ -248,8 +248,7 @@ def table(step: DesignedStep) -> None:
     cases = [("output", ~some_missing, [*first, *step.y], [row.update for row in filter.steps])]
     if not memory.measurements:
         cases.append(("forecast", some_missing, first, [row.forecast for row in filter.steps]))
-    prob_count = step.modes if filter.steps[0].update.prob is not None else 0
-    result = step.array("result", (step.rows + prob_count + (step.modes > 0),))
+    result = step.array("result", (step.rows + (step.modes > 0),))
     for name, condition, known, tables in cases:
         used = [
             [*range(len(known)), *(len(known) + places(memory, *sizes, row))]
@@ -258,20 +257,18 @@ def table(step: DesignedStep) -> None:
         with step.when(condition):
             points = [*known, *remembered]
             result.store(_looked_up(step, name, k, tables, used, points))
-    mean, prob, mode = np.split(result.all, [step.rows, step.rows + prob_count])
+    mean, mode = np.split(result.all, [step.rows])
     step.mean.store(mean)
     step.cov.store(choose(gap, np.nan, step.table("error_cov", filter.covariances)[k]))
     step.loglik.store(np.nan)
     if step.modes:
         step.array("mode", (), "int", "state").store(mode[0])
-    if prob_count:
-        step.array("prob", (prob_count,), owner="state").store(prob)
     step.push(past, mean, step.y, mode[0] if step.modes else None)
     step.end(k)
 
 
 def _looked_up(
-    step: DesignedStep,
+    step: DesignedProgram,
     name: str,
     k: Scalar,
     tables: Sequence[Any],
@@ -311,9 +308,8 @@ def _looked_up(
         index = index + node * stride[j]
         nearest = nearest + choose(shares[-1] > 0.5, stride[j], 0.0)
         offsets = [offset + up for offset in offsets for up in (0.0, stride[j])]
-    rows = [one.estimate if one.prob is None else [*one.estimate, *one.prob] for one in tables]
-    flat = [np.reshape(values, (len(values), -1)).T.ravel() for values in rows]
-    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), len(rows[0])
+    flat = [one.estimate.reshape(step.rows, -1).T.ravel() for one in tables]
+    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), step.rows
     lowest = [(index + offset) * float(width) for offset in offsets]
     corners = [np.array([nodes[at + float(r)] for r in range(width)]) for at in lowest]
     for share in reversed(shares):
@@ -324,7 +320,7 @@ def _looked_up(
     return [*corners[0], step.table(f"{name}_mode", modes, "int")[index + nearest]]
 
 
-def _entry(step: DesignedStep, name: str, values: np.ndarray, k: Scalar) -> Any:
+def _entry(step: DesignedProgram, name: str, values: np.ndarray, k: Scalar) -> Any:
     """Entry k of a table; a constant where all entries are alike."""
     same = (values == values[0]).all()
     return values[0].astype(object) if same else step.table(name, values)[k]

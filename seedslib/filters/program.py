@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,17 @@ MOST_NUMBERS = 2_000_000
 """Numbers in the tables of one program: about 40 megabytes of text."""
 
 
-class Step(Tape):
+MOST_LISTED = 200_000
+"""The same for floats, whose tables are lists."""
+
+MOST_VALUES = 10_000
+"""Named values of a program for floats; with more of them matrices of NumPy are as fast."""
+
+VERBS = {"initial", "predict", "propagate", "correct", "update", "report", "values", "rules"}
+"""What a program stands for: a filter that has its own has to have its own program."""
+
+
+class Program(Tape):
     """The program of one measurement, with what every kind of filter has.
 
     Its arguments are, as far as the filter has them, the ``time``, the measurement ``y``, the
@@ -29,13 +40,15 @@ class Step(Tape):
     filter : Filter
     parameters : bool
         Whether parameters are arguments, or constants with their present values.
-    defers : bool
-        Whether the filter's arrays do what a program cannot: where covariances would have to be
-        repaired the step is refused with the code ``ARRAYS``. Without them the program goes on.
-    limit : int
-        Named values that it may have.
-    most_numbers : int
-        Numbers that its tables may have.
+    floats : bool
+        Whether it runs on Python's floats beside the filter's arrays. They do what it cannot: where
+        covariances would have to be repaired it refuses the step with the code ``ARRAYS``, and a
+        program as long as `MOST_VALUES` is none. Without them it goes on.
+
+    Raises
+    ------
+    TypeError
+        A filter whose steps are not those of the class that has its program.
     """
 
     designed = False
@@ -44,14 +57,16 @@ class Step(Tape):
         self,
         filter: Any,
         parameters: bool = False,
-        defers: bool = False,
-        limit: int = sys.maxsize,
-        most_numbers: int = MOST_NUMBERS,
+        floats: bool = False,
     ) -> None:
-        super().__init__(limit)
-        self.numbers, self.most_numbers = 0, most_numbers
+        super().__init__(MOST_VALUES if floats else sys.maxsize)
+        kinds = type(filter).__mro__
+        first = next(k for k, kind in enumerate(kinds) if "program" in vars(kind))
+        if own := sorted(VERBS.intersection(chain.from_iterable(map(vars, kinds[:first])))):
+            raise TypeError(f"filter: wanted a program for its own {', '.join(own)}, got none")
+        self.numbers, self.most_numbers = 0, MOST_LISTED if floats else MOST_NUMBERS
         self.filter, system = filter, filter.system
-        self.with_parameters, self.defers = parameters, defers
+        self.with_parameters, self.floats = parameters, floats
         self.n, self.m = system.state_size, system.measurement_size
         self.rows = getattr(filter, "components", self.n)
         self.indicators = int(getattr(system, "indicators", 0))
@@ -112,7 +127,7 @@ class Step(Tape):
 
     def defer(self, condition: Scalar) -> None:
         """Leave the step to the filter's arrays where a truth holds, if there are any."""
-        if self.defers:
+        if self.floats:
             self.refuse(condition, "ARRAYS")
 
     def table(self, name: str, values: Any, kind: str = "real") -> Array:
