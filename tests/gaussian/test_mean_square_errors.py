@@ -109,13 +109,13 @@ def test_errors_match_simulation(f):
     value, plugin = (np.array([g(*at) for g in parts]) for at in (state, xhat))
     for i, j in np.ndindex(count, count):
         optimal = np.atleast_2d(found.optimal)[i, j]
-        for products, exact in [
+        for products, wanted in [
             ((value - estimate)[i] * (value - estimate)[j], optimal),
             ((value - plugin)[i] * (value - plugin)[j], np.atleast_2d(found.plugin)[i, j]),
             (variance[i, j], optimal),
         ]:
             doubt = products.std() / np.sqrt(draws)
-            assert abs(products.mean() - exact) < 4.5 * doubt + 1e-12 * abs(exact)
+            assert abs(products.mean() - wanted) < 4.5 * doubt + 1e-12 * abs(wanted)
 
 
 def test_plugin_excess_of_small_errors_is_a_quarter_of_the_squared_curvature():
