@@ -454,8 +454,8 @@ class JointLaw:
     def move(self, start: float, stop: float) -> None:
         """Let the state move while the memory stays: (4.8)."""
         law = self.joint.sum(axis=0)
-        lost = self.chain.loss(float(start), float(stop)) @ law / law.sum()
-        self._note(LOST, float(lost), start)
+        loss = self.chain.loss(float(start), float(stop)) @ law / law.sum()
+        self._note(LOST, float(loss), start)
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
     def _forecast(self, t: float) -> Table:

@@ -355,15 +355,15 @@ class DesignedFilter(Filter):
 
     def state_of(self, parts: dict[str, Any], t: float, before: Any) -> Any:
         """See `Filter.state_of`."""
-        index = self.index_of(parts)
+        index, gap = self.index_of(parts), parts["gap"] > 0.0
         return FilterState(
             index,
             parts["mean"],
-            parts["cov"],
+            nan_where(gap, parts["cov"]),
             self.recalled(parts, index + 1),
-            parts["loglik"],
+            np.nan if before.gap else parts["loglik"],
             before=before._replace(before=None) if before.corrected else None,
-            gap=parts["gap"] > 0.0,
+            gap=gap,
             corrected=True,
         )
 

@@ -55,8 +55,7 @@ def finite_order(step: DesignedProgram) -> None:
     def correction(mean: np.ndarray, cov: np.ndarray, moments: Any) -> None:
         mean, after, loglik, y = correct(step, mean, cov, moments, sensor, step.rows)
         step.mean.store(mean)
-        step.cov.store(choose(gap, np.nan, after))
-        step.loglik.store(choose(gap_before, np.nan, loglik))
+        step.claim(after, loglik, gap_before, gap)
         step.push(past, mean, y)
 
     with step.when(k < 1.0):
@@ -229,7 +228,7 @@ def table(step: DesignedProgram) -> None:
     """Record a `TableFilter`: estimates and modes at a measurement and a memory, looked up."""
     filter, memory = step.filter, step.filter.memory
     k, _ = step.begin()
-    gap = step.gap(k)[1]
+    gaps = step.gap(k)
     missing = isnan(step.y)
     some_missing = any_of(missing)
     step.refuse(some_missing if memory.measurements else some_missing & any_of(~missing), "PARTLY")
@@ -259,8 +258,7 @@ def table(step: DesignedProgram) -> None:
             result.store(_looked_up(step, name, k, tables, used, points))
     mean, mode = np.split(result.all, [step.rows])
     step.mean.store(mean)
-    step.cov.store(choose(gap, np.nan, step.table("error_cov", filter.covariances)[k]))
-    step.loglik.store(np.nan)
+    step.claim(step.table("error_cov", filter.covariances)[k], np.nan, *gaps)
     if step.modes:
         step.array("mode", (), "int", "state").store(mode[0])
     step.push(past, mean, step.y, mode[0] if step.modes else None)

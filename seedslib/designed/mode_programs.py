@@ -132,8 +132,7 @@ def switching(step: Any) -> None:
         step.last_time.store(t)
         step.started.store(1.0)
         return
-    step.cov.store(choose(gap, np.nan, cov))
-    step.loglik.store(choose(gap_before, np.nan, loglik))
+    step.claim(cov, loglik, gap_before, gap)
     _remember(step, past, mean, mode, carried.log_prob, (before, joints))
     step.end(k)
 

@@ -10,7 +10,7 @@ import numpy as np
 from seedslib.base.clock import ROUNDING, SAME
 from seedslib.designed.memory import Memory
 from seedslib.filters.program import Program, any_of
-from seedslib.tape.tape import Array, Scalar, choose, isnan
+from seedslib.tape.tape import Array, Number, Scalar, choose, isnan
 
 
 class DesignedProgram(Program):
@@ -87,6 +87,11 @@ class DesignedProgram(Program):
         after = before | any_of(missing)
         self.gapped.store(choose(after, 1.0, 0.0))
         return before, after
+
+    def claim(self, cov: Any, loglik: Number, gap_before: Scalar, gap: Scalar) -> None:
+        """Store covariance and likelihood, NaN where a gap leaves none; a run does so itself."""
+        self.cov.store(cov if self.floats else choose(gap, np.nan, cov))
+        self.loglik.store(loglik if self.floats else choose(gap_before, np.nan, loglik))
 
     def past(self, estimate: int) -> dict[str, Array]:
         """Arrays of what is remembered, newest first: numbers, estimates before measurements, and

@@ -249,7 +249,7 @@ class SwitchingFilter(DesignedFilter):
             parts["mean"],
             np.intp(parts["mode"]),
             past,
-            parts["loglik"],
+            np.nan if before.gap else parts["loglik"],
             True,
             gap,
             interval,

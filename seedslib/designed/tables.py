@@ -487,9 +487,9 @@ class TableFilter(OutputFilter):
 
     def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
         """See `Filter.estimates_of`; there is no likelihood."""
-        found = super().estimates_of(parts, covariances)
-        modes = None if found.modes is None else found.modes.astype(self._mode_type)
-        return found._replace(loglik=None, modes=modes)
+        result = super().estimates_of(parts, covariances)
+        modes = None if result.modes is None else result.modes.astype(self._mode_type)
+        return result._replace(loglik=None, modes=modes)
 
     @property
     def _mode_type(self) -> Any:

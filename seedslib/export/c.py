@@ -261,7 +261,7 @@ def filled(file: str, marks: dict[str, Any]) -> str:
     """A text of this package with its marks, such as ``@name``, filled in."""
     names = "|".join(sorted(marks, key=len, reverse=True))
     text = files("seedslib.export").joinpath(file).read_text()
-    return re.sub(f"@({names})", lambda found: str(marks[found[1]]), text)
+    return re.sub(f"@({names})", lambda match: str(marks[match[1]]), text)
 
 
 def checked_name(name: object) -> str:

@@ -67,8 +67,8 @@ def compiler() -> list[str] | None:
     """Command of a C compiler: ``CC``, cc, gcc, clang, or the one of the package ziglang."""
     named = os.environ.get("CC", "").split()
     for command in (named, ["cc"], ["gcc"], ["clang"]):
-        if command and (found := shutil.which(command[0])):
-            return [found, *command[1:]]
+        if command and (path := shutil.which(command[0])):
+            return [path, *command[1:]]
     if importlib.util.find_spec("ziglang") is not None:
         return [sys.executable, "-m", "ziglang", "cc"]
     return None
@@ -308,20 +308,20 @@ class CompiledFilter(Filter):
         self._inputs, self._parameters = step.inputs, step.parameters
         self._indicators = step.indicators
         # a step holds the interpreter, which is quicker; whole records let others run
-        held, free = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path))
+        locked, free = ctypes.PyDLL(str(path)), ctypes.CDLL(str(path))
         # without declared arguments, which would cost more than C
-        self._many, self._run = held.api_steps, free.api_run
+        self._many, self._run = locked.api_steps, free.api_run
         whole, pointer = ctypes.c_int64, ctypes.c_void_p
         self._run.argtypes = [*[whole] * 5, *[pointer] * 5, ctypes.c_double, *[pointer] * 6]
-        self._form = _layout(step, held)
+        self._form = _layout(step, locked)
         self._size = self._form.itemsize
         self._first = bytes(self._size)  # nobody has seen it, so that C may write it
-        held.api_init(self._first)
+        locked.api_init(self._first)
         self._shape = (self.system.measurement_size,)
         packs = [struct.Struct(f"{size}d").pack for size in (1, 1 + self._shape[0])]
         alone = not (self._inputs or self._parameters or step.indicators)
         # what a step of one record that is given no more than a time and a measurement needs
-        quick = (held.api_step, self._size, self._form, self._shape, *packs)
+        quick = (locked.api_step, self._size, self._form, self._shape, *packs)
         self._quick = quick if alone else None
 
     def __reduce__(self) -> tuple[Any, ...]:
@@ -479,21 +479,25 @@ class CompiledFilter(Filter):
         carried = isinstance(filter, CovarianceFilter)
         n = self._form["mean"].shape[0]
         sizes = self._sizes(n, carried or covariances)
-        found = Estimates(*(s if s is None else room((count, *s), math.prod(batch)) for s in sizes))
-        found = found._replace(diverged=np.empty(math.prod(batch), dtype=bool))
-        self._fill(found, times, y, indicators, trajectory, workers)
-        found = Estimates(*(p if p is None else p.reshape((*p.shape[:-1], *batch)) for p in found))
-        if found.modes is not None:
-            found = found._replace(modes=found.modes.astype(int))
+        result = Estimates(
+            *(s if s is None else room((count, *s), math.prod(batch)) for s in sizes)
+        )
+        result = result._replace(diverged=np.empty(math.prod(batch), dtype=bool))
+        self._fill(result, times, y, indicators, trajectory, workers)
+        result = Estimates(
+            *(p if p is None else p.reshape((*p.shape[:-1], *batch)) for p in result)
+        )
+        if result.modes is not None:
+            result = result._replace(modes=result.modes.astype(int))
         if carried:
-            known = np.isfinite(found.cov[-1]).all(axis=(0, 1))
-            return found._replace(diverged=found.diverged | ~known)
+            known = np.isfinite(result.cov[-1]).all(axis=(0, 1))
+            return result._replace(diverged=result.diverged | ~known)
         if isinstance(filter, OutputFilter) and covariances:
-            found = found._replace(cov=filter.covariances[[filter.served(k) for k in numbers]])
-        if found.loglik is not None:
-            impossible = (found.loglik == -np.inf).any(axis=0)
-            found = found._replace(diverged=found.diverged | impossible)
-        return with_gaps(found, gaps, times) if designed else found
+            result = result._replace(cov=filter.covariances[[filter.served(k) for k in numbers]])
+        if result.loglik is not None:
+            impossible = (result.loglik == -np.inf).any(axis=0)
+            result = result._replace(diverged=result.diverged | impossible)
+        return with_gaps(result, gaps, times) if designed else result
 
     def _sizes(self, n: int, covariances: bool) -> Estimates:
         """Shapes of what C writes at each time, without batch axes; None for no such thing."""
@@ -505,14 +509,14 @@ class CompiledFilter(Filter):
 
     def _fill(
         self,
-        found: Estimates,
+        result: Estimates,
         times: np.ndarray,
         y: np.ndarray,
         indicators: np.ndarray | None,
         trajectory: InputTrajectory,
         workers: int,
     ) -> None:
-        """Run all records and write what is found."""
+        """Run all records and write their estimates."""
         count, batch, total = len(times), y.shape[2:], math.prod(y.shape[2:])
         inputs, parameters = self._numbers(trajectory.at(0))
         given = [trajectory.values.get(u) for u in self._inputs]
@@ -527,12 +531,12 @@ class CompiledFilter(Filter):
             side_by_side(parameters, (), batch),
         ]
         given = [p if p is None else np.ascontiguousarray(p, dtype=float) for p in (times, *rows)]
-        given_at, found_at = ([_place(p) for p in parts] for parts in (given, found))
-        wide = found.mean.strides[1] // found.mean.itemsize
+        given_at, result_at = ([_place(p) for p in parts] for parts in (given, result))
+        wide = result.mean.strides[1] // result.mean.itemsize
         bound = min(getattr(self.filter, "bound", np.inf), sys.float_info.max)
 
         def work(start, stop, _):
-            code = self._run(start, stop, total, wide, count, *given_at, bound, *found_at)
+            code = self._run(start, stop, total, wide, count, *given_at, bound, *result_at)
             if code:
                 raise ValueError(REFUSALS[CODES[code]])
 

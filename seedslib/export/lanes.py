@@ -143,12 +143,12 @@ class Lanes(C):
 
     def state(self, step: Program) -> str:
         """The state of several records, and its beginning from that of one."""
-        kept = [a for a in step.arrays.values() if a.owner == "state"]
-        kinds = ["vec" if a.name in self.varying else self.types[a.kind] for a in kept]
+        arrays = [a for a in step.arrays.values() if a.owner == "state"]
+        kinds = ["vec" if a.name in self.varying else self.types[a.kind] for a in arrays]
         lines = ["typedef struct {"]
-        lines += [f"    {kind} {a.name}{shape(a)};" for a, kind in zip(kept, kinds, strict=True)]
+        lines += [f"    {kind} {a.name}{shape(a)};" for a, kind in zip(arrays, kinds, strict=True)]
         lines += ["} lanes;", f"static void begin(lanes *s, const {self.name}_state *one)", "{"]
-        for a in kept:
+        for a in arrays:
             own = f"SPREAD({a.name}, {self.types[a.kind]}, {math.prod(a.shape)})"
             lines.append(f"    {own if a.name in self.varying else f'COPY({a.name})'};")
         return "\n".join([*lines, "}"])

@@ -265,21 +265,14 @@ class CovarianceFilter(Filter):
 
     def program(self, **options: Any) -> Program:
         """See `Filter.program`; the maps must have formulas."""
-        from seedslib.filters.kernels import (
-            correct,
-            lower_of,
-            map_moments,
-            moment_rates,
-            settled,
-            unpacked,
-        )
+        from seedslib.filters import kernels
 
         self._require_formulas()
         step, system, rule, n = Program(self, **options), self.system, self.linearization, self.n
         step.initial = {"mean": system.mean0, "cov": system.cov0}
         by_points, t = isinstance(rule, PointRule), step.timed(again=True)
         moving = step.array("moving", (n * (n + 3) // 2,))
-        moving.store([*step.mean.all, *lower_of(step.cov.all)])
+        moving.store([*step.mean.all, *kernels.lower_of(step.cov.all)])
         last_time = step.last_time.all
         later = (step.started.all > 0.0) & (t > last_time)
         span = t - last_time
@@ -291,19 +284,21 @@ class CovarianceFilter(Filter):
             if self.continuous:
                 rates = partial(self._rate, p=p)
                 if by_points:
-                    rates = moment_rates(step, rule, system, p)
+                    rates = kernels.moment_rates(step, rule, system, p)
                 h = span / count
                 with step.loop(count) as i:
                     moved = STEPS[self.integrator](rates, last_time + i * h, list(moving.all), h)
                     moving.store(moved)
             else:
-                given = last_time, *unpacked(moving.all, n), p
-                mean, _, cov = map_moments(step, rule, system.dynamics, *given)
-                moving.store([*mean, *lower_of(cov)])
-        mean, cov = unpacked(moving.all, n)
-        moments = map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
-        mean, after, loglik, _ = correct(step, mean, cov, moments, system.sensor, exact=True)
-        step.cov.store(settled(step, after, cov) if by_points else after)
+                given = last_time, *kernels.unpacked(moving.all, n), p
+                mean, _, cov = kernels.map_moments(step, rule, system.dynamics, *given)
+                moving.store([*mean, *kernels.lower_of(cov)])
+        mean, cov = kernels.unpacked(moving.all, n)
+        moments = kernels.map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
+        mean, after, loglik, _ = kernels.correct(
+            step, mean, cov, moments, system.sensor, exact=True
+        )
+        step.cov.store(kernels.without_rounding(step, after, cov) if by_points else after)
         step.mean.store(mean)
         step.loglik.store(loglik)
         step.last_time.store(t)

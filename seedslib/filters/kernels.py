@@ -109,7 +109,7 @@ def _with_least_variances(tape: Tape, cov: np.ndarray) -> np.ndarray:
     return symmetric(raised.all, n)
 
 
-def settled(tape: Tape, cov: np.ndarray, before: np.ndarray) -> np.ndarray:
+def without_rounding(tape: Tape, cov: np.ndarray, before: np.ndarray) -> np.ndarray:
     """A corrected covariance without what rounding has left of directions known exactly."""
     root = cholesky(tape, cov, np.diagonal(before))
     singular = any_of([r == 0.0 for r in np.diagonal(root)])
@@ -281,7 +281,7 @@ def correct(
     counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
     terms += [_log_product(step, pivots), reduce(add, counted) * LOG_2PI]
     if exact:
-        redundant = [seen & ~sound for seen, sound in zip(observed, regular, strict=True)]
+        redundant = [a & ~b for a, b in zip(observed, regular, strict=True)]
         components = zip(redundant, innovation, y, predicted, variances, strict=True)
         terms.append(_impossible(step, prior, list(components)))
     cov = symmetric(stacked([e for row in lower for e in row]), rows)

@@ -82,9 +82,9 @@ class Program(Tape):
         self.cov = self.array("cov", (self.rows, self.rows), owner="state")
         self.loglik = self.array("loglik", (), owner="state")
         self.y = self.array("y", (self.m,), owner="argument").all
-        held, now = (self._argument(name, self.inputs) for name in ("held", "u"))
+        before, now = (self._argument(name, self.inputs) for name in ("held", "u"))
         arguments = self._argument("p", self.parameters)
-        self._held, self._now = {**held, **arguments}, {**now, **arguments}
+        self._before, self._now = {**before, **arguments}, {**now, **arguments}
         self.indicator = None
         self.refuse(any_of(isinf(self.y)), "INFINITE")
         if self.indicators:
@@ -106,7 +106,7 @@ class Program(Tape):
 
     def since(self, dt: Scalar | float = np.nan) -> Values:
         """Numbers of the model's parameters in the dynamics, over a step of length `dt`."""
-        return self.filter.values(self._held, dt)
+        return self.filter.values(self._before, dt)
 
     def at_time(self) -> Values:
         """Numbers of the model's parameters in the sensor at the time of the measurement."""

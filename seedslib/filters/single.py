@@ -53,8 +53,8 @@ class Single:
 
     def _given(self, before: Any, p: Any) -> list[float]:
         """Inputs since the last time and at this time, and parameters, from their numbers."""
-        held, now = ([part[k] for k in self._inputs] for part in (before, p))
-        given = [*held, *now, *(p[k] for k in self._parameters)]
+        earlier, now = ([part[k] for k in self._inputs] for part in (before, p))
+        given = [*earlier, *now, *(p[k] for k in self._parameters)]
         if any(map(np.ndim, given)):
             raise TypeError("parameters: wanted numbers for one record")
         return [float(number) for number in given]
@@ -102,16 +102,16 @@ class Single:
                 return None
         except (TypeError, ValueError):  # arrays say why
             return None
-        found = self._later(self._flat(filter.numbers_of(state)), given)
-        return None if found is None else filter.state_of(self._parts(found), t, state)
+        later = self._later(self._flat(filter.numbers_of(state)), given)
+        return None if later is None else filter.state_of(self._parts(later), t, state)
 
     def _later(self, numbers: Sequence[float], given: list[float]) -> Sequence[float] | None:
         """Numbers of the next state; None where arrays have to find it."""
         try:
-            found = self._function(numbers, given)
+            later = self._function(numbers, given)
         except (ArithmeticError, ValueError):
             return None
-        return None if type(found) is str else found
+        return None if type(later) is str else later
 
     def run(self, filter: Filter, record: Record) -> dict[str, np.ndarray]:
         """What the states of a record have by name, (K+1, ...)."""
@@ -123,7 +123,7 @@ class Single:
         indicators = record.indicators
         if self._indicators:
             columns.append(indicators := record.indicators.reshape(-1))
-        state, found = filter.initial(), []
+        state, rows = filter.initial(), []
         numbers = self._flat(filter.numbers_of(state))
         for k, given in enumerate(np.column_stack(columns).tolist()):
             later = self._later(numbers, given)
@@ -134,8 +134,8 @@ class Single:
                 state = filter.predict(state, times[k], inputs=record.inputs.at(max(k - 1, 0)))
                 state = filter.correct(state, y[k], *indicator, inputs=record.inputs.at(k))
                 later = self._flat(filter.numbers_of(state) | _results(filter.report(state)))
-            found.append(numbers := later)
-        array = np.array(found)
+            rows.append(numbers := later)
+        array = np.array(rows)
         return {
             name: array[:, part].reshape(len(times), *shape)
             for name, (part, shape) in self._fields.items()
@@ -143,6 +143,6 @@ class Single:
 
 
 def _results(estimates: Estimates) -> dict[str, Any]:
-    """What a program has found in a state, by the names of its arrays."""
+    """What a program finds in a state, by the names of its arrays."""
     mean, cov, prob, loglik, _, mode = estimates
     return {"mean": mean, "cov": cov, "prob": prob, "loglik": loglik, "mode": mode}

@@ -436,7 +436,7 @@ def _place(statement: Load | Store) -> Any:
 
 
 def _alive(block: list[Any], wanted: set[str], loaded: set[Any]) -> list[Any]:
-    kept = []
+    alive = []
     for statement in reversed(block):
         if isinstance(statement, When | Loop):
             inner = _alive(statement.block, wanted, loaded)
@@ -450,6 +450,6 @@ def _alive(block: list[Any], wanted: set[str], loaded: set[Any]) -> list[Any]:
             needed = _place(statement) in loaded
         if not needed:
             continue
-        kept.append(statement)
+        alive.append(statement)
         wanted.update(x.name for x in statement.operands if type(x) is Scalar)
-    return kept[::-1]
+    return alive[::-1]

@@ -70,7 +70,7 @@ def grid(system=FLIP, memory=None, times=TIMES, **axes):
 
 
 def tables(system=FLIP, memory=None, times=TIMES, **options):
-    options = {"paths": 60, "seed": 1, "nodes": 0} | options
+    options = {"paths": 60, "seed": 1, "nodes": 0, "y": (-8, 8, 9), "z": (-2, 2, 9)} | options
     return simulated_synthesis(system, memory or Memory(1), times, **options)
 
 
@@ -132,7 +132,6 @@ REFUSALS = [
     # tables on paths
     (lambda: tables(method="neural"), ValueError, "method"),
     (lambda: tables(CUBIC), ValueError, "method"),
-    (lambda: tables(components=2), ValueError, "components"),
     (lambda: tables(seed=None), TypeError, "seed"),
     (lambda: tables(nodes=-1), ValueError, "nodes"),
     (lambda: tables(memory=Memory(1, log_odds=True)), ValueError, "memory"),
