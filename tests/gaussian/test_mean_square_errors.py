@@ -60,7 +60,7 @@ def components(f):
 
 
 @cache
-def exact(f):
+def derived(f):
     """Errors, conditional variance and estimate of a function, or of several, derived once."""
     f = list(f) if isinstance(f, tuple) else f
     makers = mean_square_errors, posterior_variance_function, expectation_function
@@ -80,7 +80,7 @@ def test_errors_of_a_smooth_function_match_nested_quadrature(f):
     squares = np.einsum("iks,jks,s->ijk", tables, tables, weights) - means[:, None] * means
     optimal = squares @ weights
     plugin = optimal + (gaps * weights) @ gaps.T
-    errors, variance, _ = exact(f)
+    errors, variance, _ = derived(f)
     found = errors(mean, cov, error_cov)
     size = np.abs(plugin).max()
     assert_allclose(np.ravel(found.optimal), optimal.ravel(), rtol=1e-9, atol=1e-10 * size)
@@ -100,7 +100,7 @@ def test_errors_match_simulation(f):
     draws = 50_000
     xhat = mean[:, None] + np.linalg.cholesky(cov - error_cov) @ rng.normal(size=(2, draws))
     state = xhat + np.linalg.cholesky(error_cov) @ rng.normal(size=(2, draws))
-    errors, spread, mean_of = exact(f)
+    errors, spread, mean_of = derived(f)
     found = errors(mean, cov, error_cov)
     estimate, variance = np.atleast_2d(mean_of(xhat, error_cov)), spread(xhat, error_cov)
     count = len(components(f))
@@ -222,7 +222,7 @@ def test_errors_of_both_sides_of_a_plane_at_once():
 
 @pytest.mark.parametrize("f", [sp.Integer(3), *ALL], ids=str)
 def test_errors_of_degenerate_laws(f):
-    errors, variance, estimate = exact(f)
+    errors, variance, estimate = derived(f)
     zero = np.zeros((2, 2))
     for mean in ([0.0, 0.0], [0.3, -0.7]):
         for cov in (np.eye(2), np.ones((2, 2)), np.diag([1.0, 0.0]), zero):
