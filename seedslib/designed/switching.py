@@ -253,6 +253,7 @@ class SwitchingFilter(DesignedFilter):
             True,
             gap,
             interval,
+            before.repaired,
         )
 
     def smoother(self) -> Any:

@@ -138,7 +138,7 @@ def test_noise_that_depends_on_the_state_and_an_indicator_of_time(rule):
 
 
 def test_rules_of_points_mend_probabilities_and_variances():
-    """Negative weights may leave a sum that is not one and a variance below zero."""
+    """Negative weights may leave a sum that is not one and a variance below zero; it is counted."""
     record = np.array([[0.4, -2.0, np.nan]])
     rules = SwitchingRules(system(), GaussHermite(3))
     state = rules.start((3,))._replace(index=0, time=0.0)
@@ -149,10 +149,15 @@ def test_rules_of_points_mend_probabilities_and_variances():
     )
     assert_allclose(found.law.prob, whole.law.prob, rtol=1e-12)
     assert_allclose(found.loglik, whole.loglik, atol=1e-12)
+    assert found.repaired == whole.repaired == 0
     bad, tiny = state.law.cov.copy(), state.law.cov.copy()
     bad[0, 0, 1, 0, 0], tiny[0, 0, 1, 0, 0] = -0.2, 1e-14
     found, wanted = (
-        rules.correct(state._replace(law=state.law._replace(cov=cov)), record, None, None)
+        rules.correct(
+            state._replace(law=state.law._replace(cov=cov), repaired=5), record, None, None
+        )
         for cov in (bad, tiny)
     )
+    assert found.repaired == 6
+    assert wanted.repaired == 5
     assert_allclose(found.mean, wanted.mean, rtol=1e-9)
