@@ -29,7 +29,7 @@ from seedslib.designed import Memory, SwitchingFilter, finite_memory, large_orde
 from seedslib.evaluation import compare
 from seedslib.filters import GridBayesFilter
 from seedslib.linearization import ExactGaussian, Taylor
-from seedslib.models import StochasticMap, SwitchingSystem
+from seedslib.models import SwitchingSystem
 
 TIMES = np.arange(31.0)
 WINDOW = (10, 30)
@@ -65,7 +65,7 @@ def averaged_switching(system, times, paths, seed) -> SwitchingSystem:
     """
     data = system.simulate(times, paths, seed)
     later = range(len(data.times) // 2, len(data.times))
-    moves = []
+    switching = []
     for i, row in enumerate(system.branches):
         total = np.zeros(len(row))
         for k in later:
@@ -73,21 +73,16 @@ def averaged_switching(system, times, paths, seed) -> SwitchingSystem:
             for l, branch in enumerate(row):
                 if branch is not None:
                     total[l] += branch.probability(data.times[k], x).sum()
-        share, maps = total / total.sum(), system.dynamics
-        driven = maps if system.drives == "new" else [maps[i]] * len(maps)
-        moves.append([branch_of(map, w) for map, w in zip(driven, share, strict=True)])
-    readings = [
-        [branch_of(map, 0) if b is None else b.map for b in row]
-        for map, row in zip(system.sensors, system.readings, strict=True)
-    ]
+        switching.append(total / total.sum())
+    shares = [[0 if b is None else b.map.weight_expression for b in row] for row in system.readings]
     return SwitchingSystem.from_maps(
-        moves, readings, system.initial, indicator=system.indicators > 0, drives=system.drives
+        system.dynamics,
+        switching,
+        system.sensors,
+        system.initial,
+        indicator=shares if system.indicators else None,
+        drives=system.drives,
     )
-
-
-def branch_of(map: StochasticMap, weight: float) -> StochasticMap:
-    """A map that applies with a constant probability; 0 stays the integer that means never."""
-    return StochasticMap(map.state, map.expressions, map.noise, float(weight) or 0, time=map.time)
 
 
 def filters(sensor) -> dict:

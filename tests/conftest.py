@@ -15,15 +15,15 @@ from seedslib import zoo
 
 LONGEST = (
     "export/test_export",
-    "bookkit/test_sweeps",
     "extra/test_cluster",
-    "bookkit/test_execution",
-    "gaussian/test_covariance",
-    "linearization/test_exact_gaussian",
+    "bookkit/test_sweeps",
     "linearization/test_branches",
-    "designed/test_switching_lemmas",
     "gaussian/test_expectation",
-    "design/test_availability",
+    "gaussian/test_covariance",
+    "gaussian/test_mean_square_errors",
+    "bookkit/test_execution",
+    "filters/test_filter",
+    "linearization/test_exact_gaussian",
 )
 """Modules that take longest, the longest first; the order of the others does not matter."""
 

@@ -11,6 +11,7 @@ import pytest
 import yaml
 
 import seedslib
+from bookkit import claims
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -52,6 +53,21 @@ def test_names_in_the_glossary_are_names_of_the_library():
     text = (ROOT / "book" / "glossary.md").read_text()
     named = set(re.findall(r"(?<!\})`([A-Za-z_]+)(?:\([^`]*\))?`", text))
     assert named - known == {"mse"}
+
+
+def test_a_verdict_under_one_reading_says_so_wherever_it_is_mentioned():
+    one = {c.id for c in claims.read_ledger(ROOT / claims.LEDGER) if c.readings == "one"}
+    missing, mentioned = [], set()
+    for path in [*ROOT.glob("book/*.md"), ROOT / "README.md"]:
+        for section in re.split(r"\n(?=#+ )", path.read_text()):
+            heading = section.partition("\n")[0]
+            for block in re.split(r"\n(?=[-*] |\*\*|\| |\n)", section):
+                names = one & set(re.findall(r'#([A-Z]{2}-\w+)"', block))
+                mentioned |= names
+                if names and not re.search(r"\bread(s|ing|ings)?\b", heading + block, re.I):
+                    missing.append((path.name, names))
+    assert len(mentioned) > 15
+    assert missing == []
 
 
 def test_the_citation_has_the_version_of_the_project():

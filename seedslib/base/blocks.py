@@ -144,8 +144,8 @@ def drawn(rng: Source, count: int, draw: Callable[..., Any]) -> np.ndarray:
     """
     if not isinstance(rng, Bundle):
         return draw(rng, count)
-    found = [draw(one, part) for one, part in zip(rng.generators, rng.counts, strict=True)]
-    return np.concatenate(found, axis=-1)
+    draws = [draw(one, part) for one, part in zip(rng.generators, rng.counts, strict=True)]
+    return np.concatenate(draws, axis=-1)
 
 
 def normal(rng: Source, size: int, count: int) -> np.ndarray:

@@ -41,7 +41,7 @@ def as_real(
     Raises
     ------
     TypeError
-        `value` is complex, an object array, text, ragged, or masked.
+        `value` is complex, an array of other objects than numbers, text, ragged, or masked.
     ValueError
         Another shape, or an entry that is not allowed.
     """
@@ -51,6 +51,8 @@ def as_real(
         array = np.asarray(value)
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
+    if array.dtype.kind == "O" and all(isinstance(part, int | float) for part in array.flat):
+        array = _as_floats(name, array)
     if array.dtype.kind not in "fiub":
         raise TypeError(f"{name}: wanted real numbers, got {_no_numbers(array)}")
     array = array.astype(float)
@@ -61,6 +63,13 @@ def as_real(
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
     return array
+
+
+def _as_floats(name: str, array: np.ndarray) -> np.ndarray:
+    try:
+        return array.astype(float)
+    except OverflowError:
+        raise ValueError(f"{name}: wanted numbers in the range of float64, got others") from None
 
 
 def _no_numbers(array: np.ndarray) -> str:

@@ -1,4 +1,4 @@
-"""Lazy public names (PEP 562): a room's names are imported when they are first used."""
+"""Lazy public names (PEP 562): a package's names are imported when they are first used."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ BRACKETS = str.maketrans("(),", "   ")
 
 
 def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list[str]], list[str]]:
-    """Give a room its ``__getattr__``, ``__dir__`` and ``__all__``.
+    """Give a package its ``__getattr__``, ``__dir__`` and ``__all__``.
 
     The one list of its names is what its ``__init__`` imports under ``if TYPE_CHECKING:``, in the
     form ``from module import name as name``: type checkers read it there, and so does this
@@ -26,9 +26,9 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
     ImportError
         The source of the package cannot be read.
     """
-    room = sys.modules[package]
+    owner = sys.modules[package]
     try:
-        source = room.__spec__.loader.get_data(room.__file__).decode()
+        source = owner.__spec__.loader.get_data(owner.__file__).decode()
     except OSError as error:
         raise ImportError(f"{package}: its source is wanted, it lists the public names") from error
     block = source.partition("\nif TYPE_CHECKING:\n")[2].partition("\nelse:\n")[0]
@@ -47,10 +47,10 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
             value = import_module(f"{home}.{name}")
         else:
             value = getattr(module, name)
-        setattr(room, name, value)
+        setattr(owner, name, value)
         return value
 
     def __dir__() -> list[str]:
-        return sorted({*vars(room), *homes})
+        return sorted({*vars(owner), *homes})
 
     return __getattr__, __dir__, sorted(homes)

@@ -270,11 +270,11 @@ def without_rounding(cov: np.ndarray, before: np.ndarray) -> np.ndarray:
     return np.where(zero, np.einsum("ij...,kj...->ik...", L, L), cov)
 
 
-def nearest_psd(P: np.ndarray, squares: np.ndarray | None = None) -> np.ndarray:
+def nearest_psd(P: np.ndarray, squares: np.ndarray | None = None) -> tuple[np.ndarray, int]:
     """Nearest covariances without negative eigenvalues, in units of the deviations.
 
-    An eigenvalue below -1e-12 is raised to 1e-12; what rounding leaves between that and zero
-    becomes zero. Semidefinite covariances are returned as they are, and so is what holds a
+    An eigenvalue below -1e-12 is raised to 1e-12 and counts; what rounding leaves between that and
+    zero becomes zero. Semidefinite covariances are returned as they are, and so is what holds a
     NaN.
 
     Parameters
@@ -286,12 +286,14 @@ def nearest_psd(P: np.ndarray, squares: np.ndarray | None = None) -> np.ndarray:
 
     Returns
     -------
-    ndarray, shape (n, n, *batch)
+    P : ndarray, shape (n, n, *batch)
+    count : int
+        Items in which an eigenvalue was raised.
     """
     suspect = ~(variances(cholesky(P)) > 0).all(axis=0)
     suspect &= np.isfinite(P).all(axis=(0, 1))
     if not suspect.any():
-        return P
+        return P, 0
     squares = np.abs(variances(P) if squares is None else squares)
     unit = np.sqrt(squares[:, suspect]).T
     unit = np.where(unit > 0, unit, 1.0)
@@ -302,10 +304,11 @@ def nearest_psd(P: np.ndarray, squares: np.ndarray | None = None) -> np.ndarray:
     values, vectors = np.linalg.eigh(0.5 * (items + np.swapaxes(items, 1, 2)))
     below = values[:, 0] < -ROUNDING * values[:, -1]
     if not below.any():
-        return P
-    raised = np.where(values < -NEGATIVE, NEGATIVE, np.maximum(values, 0.0))
+        return P, 0
+    negative = values < -NEGATIVE
+    raised = np.where(negative, NEGATIVE, np.maximum(values, 0.0))
     rebuilt = (vectors * raised[:, None, :]) @ np.swapaxes(vectors, 1, 2)
     rebuilt = np.where(below[:, None, None], rebuilt, items) * unit
     result = P.copy()
     result[:, :, suspect] = np.moveaxis(rebuilt, 0, -1)
-    return result
+    return result, int(np.count_nonzero(negative.any(axis=1)))

@@ -12,7 +12,7 @@ Kind = TypeVar("Kind")
 
 
 class Pickled:
-    """An object that is pickled without its cached properties, which are found again when used.
+    """An object that is pickled without its cached properties, which are computed again when used.
 
     So what is compiled from formulas need not travel. Functions of the user's are pickled by their
     names: a model with a lambda in it is refused, in pickle's words.
@@ -27,7 +27,7 @@ class Pickled:
         }
 
     def remade(self, **attributes: Any) -> Self:
-        """A copy with other attributes, of which all cached properties are found again."""
+        """A copy with other attributes, of which all cached properties are computed again."""
         other = object.__new__(type(self))
         vars(other).update(self.__getstate__(), **attributes)
         return other

@@ -94,5 +94,5 @@ ELAPSED: Elapsed = Elapsed()
 
 def parameters_of(expressions: Iterable[Any]) -> tuple[Parameter, ...]:
     """The parameters that expressions mention, in the order in which functions take them."""
-    found = set().union(*(e.free_symbols for e in expressions))
-    return in_order(s for s in found if isinstance(s, Parameter))
+    symbols = set().union(*(e.free_symbols for e in expressions))
+    return in_order(s for s in symbols if isinstance(s, Parameter))

@@ -1,12 +1,14 @@
 """How far a long piece of work has come: lines of a log, at most about one a second.
 
-They go to the logger ``seedslib`` at level INFO. Nothing is shown, and nothing done, unless
-somebody listens, as ``logging.basicConfig(level=logging.INFO)`` does.
+They go to the logger ``seedslib`` at level INFO where somebody listens, as
+``logging.basicConfig(level=logging.INFO)`` does. Where nobody does, and tqdm is installed, work of
+more than a second has a bar in a terminal, and nothing elsewhere.
 """
 
 from __future__ import annotations
 
 import logging
+import sys
 import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
@@ -22,7 +24,7 @@ Step = TypeVar("Step")
 
 
 def followed(steps: Any, what: str) -> Any:
-    """The same steps, in a loop whose progress is logged where somebody listens.
+    """The same steps, in a loop whose progress is logged, or a bar in a terminal.
 
     Parameters
     ----------
@@ -30,7 +32,15 @@ def followed(steps: Any, what: str) -> Any:
     what : str
         Of what they are steps.
     """
-    return _followed(steps, what, len(steps)) if LOG.isEnabledFor(logging.INFO) else steps
+    if LOG.isEnabledFor(logging.INFO):
+        return _followed(steps, what, len(steps))
+    if not sys.stderr.isatty():
+        return steps
+    try:
+        from tqdm import tqdm
+    except ImportError:
+        return steps
+    return tqdm(steps, what, leave=False, delay=EVERY)
 
 
 def _followed(steps: Iterable[Step], what: str, count: int) -> Iterator[Step]:

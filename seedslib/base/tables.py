@@ -47,11 +47,15 @@ class Axis:
         if isinstance(given, cls):
             return given
         try:
-            return cls(*given)
-        except (TypeError, ValueError) as error:
-            raise type(error)(
-                f"{name}: wanted an Axis or (low, high, count), got {brief(given)}; {error}"
+            low, high, count = given
+        except (TypeError, ValueError):
+            raise TypeError(
+                f"{name}: wanted an Axis or (low, high, count), got {brief(given)}"
             ) from None
+        try:
+            return cls(low, high, count)
+        except (TypeError, ValueError) as error:
+            raise type(error)(f"{name}: {error}") from None
 
     @cached_property
     def nodes(self) -> np.ndarray:

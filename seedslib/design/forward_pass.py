@@ -33,7 +33,7 @@ from seedslib.designed.predictors import Affine, Continuous, Fit, Polynomial
 from seedslib.linearization.moments import Moments
 from seedslib.models.simulation import ARRIVALS
 
-_estimate = attrgetter("mean")
+_estimate, _memory = attrgetter("mean"), attrgetter("past.vector")
 
 
 class ForwardPass:
@@ -189,7 +189,7 @@ class ForwardPass:
             for number, arrived, chance in patterns(self.measured[k], self.availability):
 
                 def corrected(rules, state, y, arrived=arrived):
-                    return correct(rules, state, only_arrived(arrived, y))
+                    return correct(rules, state, np.where(arrived[:, None], y, np.nan))
 
                 cell = c, number
                 cells[cell] = simulator.finite(corrected, self.rules, state, y, array=_estimate)
@@ -244,15 +244,6 @@ class ForwardPass:
                     stacklevel=outside(),
                 )
         self.scores.append((t, rms, error))
-
-
-def only_arrived(arrived: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Measurements (m, paths), NaN in the components that have not arrived, (m,)."""
-    return y if arrived.all() else np.where(arrived[:, None], y, np.nan)
-
-
-def _memory(state):
-    return state.past.vector
 
 
 def _euler_step(fit, t, h, p):

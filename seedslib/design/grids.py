@@ -35,7 +35,6 @@ def grid_synthesis(
     z: AxesLike | None = None,
     y: AxesLike | None = None,
     nodes: Count = 4,
-    probabilities: bool = False,
 ) -> TableFilter:
     """Optimal filter of finite order by the density recursion of theorem 1.
 
@@ -70,8 +69,6 @@ def grid_synthesis(
     nodes : int
         Number of evenly spaced forecasts inside each interval; a system in discrete time
         has none.
-    probabilities : bool
-        Whether tables of the probabilities of the modes are wanted too.
 
     Returns
     -------
@@ -87,18 +84,16 @@ def grid_synthesis(
     Warns
     -----
     UserWarning
-        Probability at the ends of an axis.
+        Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
     if nodes != 0:
         as_count("nodes", nodes)
     law = JointLaw(system, memory, times, x, z, y)
-    if probabilities and not law.switching:
-        raise ValueError("probabilities: wanted False, the system has no modes")
     nodes = 0 if in_steps(system) else nodes
     steps, changes, node_fits, before = [], [], [], None
     for k, optimal in enumerate(optimal_steps(law, nodes)):
         changes.append(_change(before, optimal))
-        steps.append(_tables(law, k, optimal, probabilities))
+        steps.append(_tables(law, k, optimal))
         node_fits.append(optimal.between)
         before = optimal
     stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
@@ -128,7 +123,6 @@ class Optimal(NamedTuple):
         Of the chain in each cell of the memory.
     means : ndarray, shape (1, Y, cells)
     modes : ndarray of int8, shape (Y, cells), or None
-    prob : ndarray, shape (L, Y, cells), or None
     mass : ndarray, shape (Y, cells)
         Probability of measurement and memory.
     between : tuple of Table
@@ -139,7 +133,6 @@ class Optimal(NamedTuple):
     law: np.ndarray
     means: np.ndarray
     modes: MaybeArray
-    prob: MaybeArray
     mass: np.ndarray
     between: tuple[Table, ...]
 
@@ -174,10 +167,10 @@ def _change(before, now):
     return np.sqrt(square), other
 
 
-def _tables(law, k, optimal, probabilities) -> Step:
+def _tables(law, k, optimal) -> Step:
     """Tables of a step: on the grid, with the indicator missing, with the measurement missing."""
     given, t = optimal.law, law.times[k]
-    output = Output(optimal.means, optimal.modes, optimal.prob)
+    output = Output(optimal.means, optimal.modes)
     axes, values = law.measurement_axes, law.chain.indicators
     labels, memory = (Labels(values + 1),) * bool(values), law.block_axes * optimal.blocks
     if values:
@@ -186,10 +179,10 @@ def _tables(law, k, optimal, probabilities) -> Step:
         missing = likelihood_of(law.chain.log_likelihood(t, without), law.weights[: y.shape[1]])
         more = law.posterior(missing.relative, given)
         output = Output(*(np.concatenate(pair, axis=-2) for pair in zip(output, more, strict=True)))
-    update = Table.of(labels + axes + memory, output, probabilities)
+    update = Table.of(labels + axes + memory, output)
     if law.switching:
         forecast = law.posterior(law.chain.indicator_prob(t), given)
-        return Step(update, Table.of(labels + memory, forecast, probabilities))
+        return Step(update, Table.of(labels + memory, forecast))
     if k == 0:
         return Step(update, prior(law.system, 1))
     return Step(update, Table.of(memory, Output(given @ law.values[0])))
@@ -352,7 +345,7 @@ def grid_risk(
     Warns
     -----
     UserWarning
-        Probability at the ends of an axis.
+        Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
     if filter.memory is None:
         raise ValueError("filter: wanted one with a memory, got one without")

@@ -379,7 +379,7 @@ class JointLaw:
         return likelihood
 
     def posterior(self, relative: np.ndarray, given: np.ndarray) -> Output:
-        """Optimal estimates (1, Y, cells), decided modes (Y, cells) and probabilities.
+        """Optimal estimates (1, Y, cells) and decided modes (Y, cells).
 
         Parameters
         ----------
@@ -393,7 +393,7 @@ class JointLaw:
         if not self.switching:
             return Output(means)
         prob = posterior_modes(given, masses)
-        return Output(means, most_probable(prob).astype(np.int8), prob)
+        return Output(means, most_probable(prob).astype(np.int8))
 
     def take(
         self, k: int, means: np.ndarray, likelihood: Likelihood, modes: MaybeArray = None
@@ -454,8 +454,8 @@ class JointLaw:
     def move(self, start: float, stop: float) -> None:
         """Let the state move while the memory stays: (4.8)."""
         law = self.joint.sum(axis=0)
-        lost = self.chain.loss(float(start), float(stop)) @ law / law.sum()
-        self._note(LOST, float(lost), start)
+        loss = self.chain.loss(float(start), float(stop)) @ law / law.sum()
+        self._note(LOST, float(loss), start)
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
     def _forecast(self, t: float) -> Table:

@@ -150,10 +150,10 @@ def regress(
     explained = cov[:n, n:] @ root
     gain = explained @ root.T
     residual = cov[:n, :n] - explained @ explained.T
-    return AffineFit(gain, mean[:n] - gain @ mean[n:], _semidefinite(residual, cov[:n, :n]))
+    return AffineFit(gain, mean[:n] - gain @ mean[n:], semidefinite(residual, cov[:n, :n]))
 
 
-def _semidefinite(residual, total):
+def semidefinite(residual: np.ndarray, total: np.ndarray) -> np.ndarray:
     """Residual covariance, exactly symmetric, without the negative eigenvalues of rounding."""
     residual = 0.5 * (residual + residual.T)
     # a function of the matrix: the same for every basis of its eigenvectors

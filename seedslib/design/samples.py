@@ -85,7 +85,6 @@ class MemoryPaths:
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
     memory : Memory
     times : array_like, shape (K+1,)
-    components : int, optional
     paths : int
         In each set.
     sets : int
@@ -99,7 +98,6 @@ class MemoryPaths:
     times : ndarray, shape (K+1,)
     stops : tuple of ndarray
         Nodes and end of each interval.
-    components : int
     spare : SeedSequence
         A stream that no path has.
 
@@ -114,7 +112,6 @@ class MemoryPaths:
         system: AnySystem,
         memory: Memory,
         times: ArrayLike,
-        components: int | None,
         paths: Count,
         sets: int,
         nodes: Count,
@@ -127,8 +124,6 @@ class MemoryPaths:
             require_like_blocks(memory, system.indicators)
         elif memory.indicators or memory.log_odds:
             raise ValueError(f"memory: wanted estimates and measurements, got {memory}")
-        n = system.state_size
-        self.components = n if components is None else as_count("components", components, 1, n)
         self.system, self.memory, self.workers = system, memory, workers
         self.times, self._root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.diverged = as_count("paths", paths), 0
@@ -186,7 +181,7 @@ class MemoryPaths:
             sample = self._sample(number)
             output = sample.output(self.system, function)
             if number == (self._k + 1) % len(self.sets):
-                error = sample.states[: self.components] - output.mean
+                error = sample.states - output.mean
                 self._scores.append((float(self.times[self._k]), error**2))
                 self._errors.append(error @ error.T / error.shape[1])
                 if output.mode is not None:
@@ -204,7 +199,7 @@ class MemoryPaths:
         """Note the errors of a forecast, a function of the memory, at a node."""
         sample = self._sample(self._k + 1, t)
         output = forecast(sample.arguments(self.system))
-        self._scores.append((float(t), (sample.states[: self.components] - output.mean) ** 2))
+        self._scores.append((float(t), (sample.states - output.mean) ** 2))
 
     def designed(self, kind: Callable[..., Any], **fields: Any) -> Any:
         """The filter of the functions, with its errors on the paths and on held-out ones."""

@@ -15,12 +15,18 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
-from seedslib.base.linalg import NEGATIVE
 from seedslib.base.progress import followed
 from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
-from seedslib.design.regression import Scatter, combine, inverse_root, root_mean_squares, scatter
+from seedslib.design.regression import (
+    Scatter,
+    combine,
+    inverse_root,
+    root_mean_squares,
+    scatter,
+    semidefinite,
+)
 from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.cells import CellFit, cell_count, cell_number, require_memory
 from seedslib.designed.memory import Memory
@@ -138,12 +144,7 @@ def _cell(weights, moments, basis, n, jitter):
         gain[:, :, i] = half.T @ white[:rank, :, i]
         centre[:, i] = part.mean[n:]
         offset[:, i] = part.mean[:n] - gain[:, :, i] @ part.mean[n:]
-        residual = part.cov[:n, :n] - half.T @ half
-        # a function of the matrix: the same for every basis of its eigenvectors
-        values, vectors = np.linalg.eigh(0.5 * (residual + residual.T))
-        least = NEGATIVE * max(np.trace(part.cov[:n, :n]), 0.0)
-        values = np.where(values < -least, least, np.maximum(values, 0.0))
-        cov[:, :, i] = (vectors * values) @ vectors.T
+        cov[:, :, i] = semidefinite(part.cov[:n, :n] - half.T @ half, part.cov[:n, :n])
         with np.errstate(divide="ignore"):
             log_weight[i] = np.log(weight) - np.log(np.diagonal(lower)).sum()
     return log_weight, centre, white, gain, offset, cov

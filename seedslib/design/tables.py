@@ -21,9 +21,6 @@ from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 LARGEST_TABLE = 1 << 25
 """Entries of a table beyond which a design by tables is refused."""
 
-PILOT = 2000
-"""Paths that the default axes are laid about."""
-
 AT_ONCE = 1 << 16
 """Points at which a function is evaluated together."""
 
@@ -35,13 +32,11 @@ def simulated_synthesis(
     *,
     paths: Count,
     seed: Seed,
+    y: AxesLike,
     z: AxesLike | None = None,
-    y: AxesLike | None = None,
     method: str = "likelihood",
-    components: int | None = None,
     nodes: Count = 4,
     workers: int = 1,
-    probabilities: bool = False,
 ) -> TableFilter:
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
 
@@ -61,20 +56,16 @@ def simulated_synthesis(
     paths : int
         Paths that each function is fitted to.
     seed : int, SeedSequence or Generator
-    z, y : sequence of Axis or (low, high, count), optional
-        Nodes for each component of an estimate and of a measurement; one alone where there is
-        one component. By default laid about simulated paths.
+    y, z : sequence of Axis or (low, high, count)
+        Nodes for each component of a measurement and of an estimate; one alone where there is
+        one component. A memory of measurements alone takes no `z`.
     method : {"likelihood", "histogram"}
         Smooth in the memory only and weight by the known likelihood of y (Rao-Blackwellised), or
         count simulated measurements too (the paper's method).
-    components : int, optional
-        n': the first components of the state are estimated (default all).
     nodes : int
         Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
         Threads of the simulation.
-    probabilities : bool
-        Whether tables of the probabilities of the modes are wanted too.
 
     Returns
     -------
@@ -95,14 +86,11 @@ def simulated_synthesis(
     if method not in METHODS:
         raise ValueError(f"method: wanted one of {', '.join(METHODS)}, got {method!r}")
     as_system("system", system, *KINDS)
-    if probabilities and not switches(system):
-        raise ValueError("probabilities: wanted False, the system has no modes")
     likelihood = method == "likelihood"
     if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    samples = MemoryPaths(system, memory, times, components, paths, 2, nodes, seed, workers)
-    axes_y, axes_z = _axes(samples, y, z)
-    refuse_large(system, memory, axes_y, axes_z)
+    samples = MemoryPaths(system, memory, times, paths, 2, nodes, seed, workers)
+    axes_y, axes_z = _axes(system, memory, system.state_size, y, z)
     steps, node_fits = [], []
     for k, t in enumerate(followed(samples.times, "design of tables")):
         axes, memory_axes = step_axes(system, memory, axes_y, axes_z, k)
@@ -111,7 +99,7 @@ def simulated_synthesis(
             update = _by_likelihood(samples, float(t), sample, axes)
         else:
             update = _by_histogram(samples, sample, axes)
-        forecast = prior(system, samples.components)
+        forecast = prior(system, system.state_size)
         if k or switches(system):
             forecast = _by_histogram(samples, sample, memory_axes, measured=False)
         steps.append(Step(update, forecast))
@@ -122,8 +110,6 @@ def simulated_synthesis(
                 fits.append(_by_histogram(samples, samples.sample(stop), axes))
                 samples.score(stop, fits[-1])
             node_fits.append(tuple(fits))
-    if not probabilities:
-        steps = [Step(*(table._replace(prob=None) for table in step)) for step in steps]
     return samples.designed(
         TableFilter,
         steps=tuple(steps),
@@ -158,19 +144,18 @@ def _points(paths, sample, axes, measured) -> np.ndarray:
 
 
 def _targets(paths, sample) -> np.ndarray:
-    """What is regressed: which mode it is, where there are modes, and the state, (L + n', N)."""
-    states = sample.states[: paths.components]
+    """What is regressed: which mode it is, where there are modes, and the state, (L + n, N)."""
     if sample.modes is None:
-        return states
-    return np.concatenate([sample.modes == np.arange(paths.system.modes)[:, None], states])
+        return sample.states
+    return np.concatenate([sample.modes == np.arange(paths.system.modes)[:, None], sample.states])
 
 
 def _table(paths, axes, values) -> Table:
-    """Table of the regression: probabilities, where there are modes, then estimates."""
+    """Table of the regression, of probabilities, where there are modes, and estimates."""
     if not switches(paths.system):
         return Table(axes, values)
     prob, means = np.split(values, [paths.system.modes])
-    return Table(axes, means, most_probable(prob).astype(np.int8), prob)
+    return Table(axes, means, most_probable(prob).astype(np.int8))
 
 
 def _log_density(system, t, sample, axes) -> Callable[[slice], np.ndarray]:
@@ -202,14 +187,18 @@ def _readings(system) -> list[Any]:
     return [reading for row in system.readings for reading in row]
 
 
-def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) -> None:
-    """Refuse tables that would not fit.
+def _axes(
+    system: AnySystem, memory: Memory, components: int, y: AxesLike, z: AxesLike | None
+) -> tuple[tuple[Axis, ...], tuple[Axis, ...]]:
+    """Axes of measurements and of estimates.
 
     Raises
     ------
-    ValueError
-        Too many entries.
+    TypeError, ValueError
+        Axes that are none; tables with too many entries.
     """
+    axes_y = as_axes("y", y, system.measurement_size)
+    axes_z = as_axes("z", z, components) if memory.estimates or z is not None else ()
     axes = step_axes(system, memory, axes_y, axes_z, memory.depth)[0]
     entries = float(np.prod([float(axis.count) for axis in axes]))
     if entries > LARGEST_TABLE:
@@ -217,28 +206,7 @@ def refuse_large(system: AnySystem, memory: Memory, axes_y: Any, axes_z: Any) ->
             f"memory: tables over {len(axes)} arguments would have {entries:.3g} entries; wanted "
             f"at most {LARGEST_TABLE}: fewer nodes, a shorter memory, or seedslib.extra.learned"
         )
-
-
-def _axes(paths, y, z):
-    """Axes of measurements and estimates, laid about the paths where none are given."""
-    n, m = paths.components, paths.system.measurement_size
-    arguments = m + paths.memory.order(n, m)
-    most = {2: 201, 3: 81}.get(arguments, max(7, int(LARGEST_TABLE ** (0.9 / arguments))))
-    pilot = paths.sets[0]
-    if y is None:
-        measured = pilot.measurements[..., :PILOT].swapaxes(0, 1).reshape(m, -1)
-        y = [_about(row, most) for row in measured]
-    if z is None:
-        states = np.concatenate([pilot.states[float(t)][:n, :PILOT] for t in paths.times], 1)
-        z = [_about(row, most) for row in states]
-    return as_axes("y", y, m), as_axes("z", z, n)
-
-
-def _about(values, count):
-    low, high = values.min(), values.max()
-    # values that are all one leave no scale but their own size, or none at all
-    reach = 0.1 * (high - low) or 1e-9 * max(abs(high), abs(low)) or 1.0
-    return Axis(low - reach, high + reach, count)
+    return axes_y, axes_z
 
 
 def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> TableFilter:
@@ -262,9 +230,7 @@ def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> Tab
     if not isinstance(filter, OutputFilter) or switches(filter.system):
         raise TypeError(f"filter: wanted output functions, got a {type(filter).__name__}")
     system, memory = filter.system, filter.memory
-    axes_y = as_axes("y", y, system.measurement_size)
-    axes_z = as_axes("z", z, filter.components) if memory.estimates or z is not None else ()
-    refuse_large(system, memory, axes_y, axes_z)
+    axes_y, axes_z = _axes(system, memory, filter.components, y, z)
     axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(filter.times))]
     steps = [Step(*map(_sampled, *pair)) for pair in zip(filter.steps, axes, strict=True)]
     node_fits = [

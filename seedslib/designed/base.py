@@ -50,7 +50,6 @@ class FilterState(NamedTuple):
         Log-density of the last measurement as forecast by the filter, where it has one.
     mode : ndarray of int, shape (*batch), or None
         The decided mode, or the likeliest one of a forecast.
-    mode_prob : ndarray, shape (L, *batch), or None
     before : FilterState or None
         The state after the measurement before the last, needed by linear forecasts.
     gap : ndarray of bool, shape (*batch), or False
@@ -67,7 +66,6 @@ class FilterState(NamedTuple):
     past: Past = Past()
     loglik: np.ndarray | float | None = None
     mode: MaybeArray = None
-    mode_prob: MaybeArray = None
     before: Any = None
     gap: np.ndarray | bool = False
     history: np.ndarray | int = 0
@@ -450,7 +448,7 @@ class DesignedFilter(Filter):
     def report(self, state: Any, covariance: bool = True) -> Estimates:
         """What is estimated after a correction."""
         cov = state.cov if covariance else None
-        return Estimates(state.mean, cov, state.mode_prob, state.loglik, modes=state.mode)
+        return Estimates(state.mean, cov, loglik=state.loglik, modes=state.mode)
 
     # Between measurements
 

@@ -123,24 +123,15 @@ class Rules:
         missing = np.isnan(y)
         remembered = np.where(missing, moments.mean, y) if missing.any() else y
         past = self.memory.push(state.past, estimate=estimate, measurement=remembered)
-        return FilterState(
-            state.index,
-            estimate,
-            cov,
-            past,
-            loglik,
-            before=state.before,
-            gap=state.gap,
-            history=state.history,
-            corrected=True,
-        )
+        return state._replace(mean=estimate, cov=cov, past=past, loglik=loglik, corrected=True)
 
+    @np.errstate(over="ignore", invalid="ignore")  # diverged paths show as NaN
     def move(self, fit: AffineFit, t: float, step: float, z: np.ndarray, p: Values) -> np.ndarray:
         """Euler step of the continuous forecast, dZ/dt = E b'(t, X) given Z."""
-        with np.errstate(over="ignore", invalid="ignore"):
-            rates, moved = self.velocity(t, list(fit.mean(z)), fit.cov, p), np.empty_like(z)
-            for k, rate in enumerate(rates[: self.components]):
-                moved[k] = z[k] + rate * step
+        moved = np.empty_like(z)
+        rates = self.velocity(t, list(fit.mean(z)), fit.cov, p)[: self.components]
+        for k, rate in enumerate(rates):
+            moved[k] = z[k] + rate * step
         return moved
 
 
@@ -281,8 +272,8 @@ class FiniteOrderFilter(DesignedFilter):
             u = (interval or self.interval(state, p, with_before=False)).values[-1]
         mean, cov = fit_of(self.fits[self.served(k) - 1], state.history).forecast(u)
         before = state._replace(before=None)
-        return FilterState(
-            k, mean, cov, state.past, 0.0, before=before, gap=state.gap, history=state.history
+        return state._replace(
+            index=k, mean=mean, cov=cov, loglik=0.0, before=before, corrected=False
         )
 
     def update(

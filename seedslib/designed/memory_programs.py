@@ -247,8 +247,7 @@ def table(step: DesignedProgram) -> None:
     cases = [("output", ~some_missing, [*first, *step.y], [row.update for row in filter.steps])]
     if not memory.measurements:
         cases.append(("forecast", some_missing, first, [row.forecast for row in filter.steps]))
-    prob_count = step.modes if filter.steps[0].update.prob is not None else 0
-    result = step.array("result", (step.rows + prob_count + (step.modes > 0),))
+    result = step.array("result", (step.rows + (step.modes > 0),))
     for name, condition, known, tables in cases:
         used = [
             [*range(len(known)), *(len(known) + places(memory, *sizes, row))]
@@ -257,13 +256,11 @@ def table(step: DesignedProgram) -> None:
         with step.when(condition):
             points = [*known, *remembered]
             result.store(_looked_up(step, name, k, tables, used, points))
-    mean, prob, mode = np.split(result.all, [step.rows, step.rows + prob_count])
+    mean, mode = np.split(result.all, [step.rows])
     step.mean.store(mean)
     step.claim(step.table("error_cov", filter.covariances)[k], np.nan, *gaps)
     if step.modes:
         step.array("mode", (), "int", "state").store(mode[0])
-    if prob_count:
-        step.array("prob", (prob_count,), owner="state").store(prob)
     step.push(past, mean, step.y, mode[0] if step.modes else None)
     step.end(k)
 
@@ -309,9 +306,8 @@ def _looked_up(
         index = index + node * stride[j]
         nearest = nearest + choose(shares[-1] > 0.5, stride[j], 0.0)
         offsets = [offset + up for offset in offsets for up in (0.0, stride[j])]
-    rows = [one.estimate if one.prob is None else [*one.estimate, *one.prob] for one in tables]
-    flat = [np.reshape(values, (len(values), -1)).T.ravel() for values in rows]
-    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), len(rows[0])
+    flat = [one.estimate.reshape(step.rows, -1).T.ravel() for one in tables]
+    nodes, width = step.table(f"{name}_values", np.concatenate(flat)), step.rows
     lowest = [(index + offset) * float(width) for offset in offsets]
     corners = [np.array([nodes[at + float(r)] for r in range(width)]) for at in lowest]
     for share in reversed(shares):

@@ -61,6 +61,8 @@ class SwitchingState(NamedTuple):
         Whether something that the design of a filter with a memory expects has been missing.
     interval : float or None
         Length of the first step.
+    repaired : int
+        Covariances whose negative eigenvalues had to be raised so far.
     """
 
     index: int
@@ -73,6 +75,7 @@ class SwitchingState(NamedTuple):
     corrected: bool
     gap: np.ndarray | bool = False
     interval: float | None = None
+    repaired: int = 0
 
 
 class SwitchingRules:
@@ -188,7 +191,7 @@ class SwitchingRules:
             return law
         log_prob, mean, cov = propagate(with_numbers(self.switch, p), t, law)
         cov = cov[:, :, :, 0]
-        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov) if self.guarded else cov)
+        return ModeLaw(log_prob[:, 0], mean[:, :, 0], nearest_psd(cov)[0] if self.guarded else cov)
 
     def sense(self, t: float, law: ModeLaw, indicator: np.ndarray | None, p: Values = ()) -> Sensed:
         """Mode and state given the indicator, and moments of the measurement.
@@ -254,30 +257,41 @@ class SwitchingRules:
         p: Values = (),
     ) -> SwitchingState:
         """State after a measurement y (m, *batch) and an indicator."""
-        forecast = state.law
+        forecast, repaired = state.law, state.repaired
         if self.guarded:
+            cov, count = nearest_psd(forecast.cov)
             scaled = forecast.log_prob - np.log(forecast.prob.sum(axis=(0, 1)))
-            forecast = ModeLaw(scaled, forecast.mean, nearest_psd(forecast.cov))
+            forecast = ModeLaw(scaled, forecast.mean, cov)
+            repaired += count
         sensed = self.sense(state.time, forecast, indicator, p)
         impossible = (sensed.log_prob == -np.inf).all(axis=0)
         if indicator is not None and impossible.any():  # in any mode: as if it were missing
             possible = np.where(impossible, -1, indicator)
             sensed = self.sense(state.time, forecast, possible, p)
         if self.printed:
-            cov = nearest_psd(sensed.moments.cov)
+            cov, count = nearest_psd(sensed.moments.cov)
             sensed = sensed._replace(moments=sensed.moments._replace(cov=cov))
+            repaired += count
         elif self.guarded:
-            sensed = _semidefinite(sensed)
+            sensed, count = _semidefinite(sensed)
+            repaired += count
         law, loglik = weigh(sensed, y, lambda: self._noise(state.time, sensed, p), self.periods)
         if impossible.any():
             loglik = np.where(impossible, -np.inf, loglik)
-        law = law._replace(cov=nearest_psd(law.cov, variances(sensed.cov)))
+        cov, count = nearest_psd(law.cov, variances(sensed.cov))
+        law = law._replace(cov=cov)
         mode, mean = decide(law)
         past = state.past
         if memory is not None:
             past = _pushed(memory, past, mean, mode, y, indicator, law, sensed)
         return state._replace(
-            law=law, mean=mean, mode=mode, past=past, loglik=loglik, corrected=True
+            law=law,
+            mean=mean,
+            mode=mode,
+            past=past,
+            loglik=loglik,
+            repaired=repaired + count,
+            corrected=True,
         )
 
 
@@ -310,13 +324,13 @@ def _pushed(memory, past, mean, mode, y, indicator, law, sensed) -> Past:
 
 
 def _semidefinite(sensed):
-    """The same with joint covariances that are semidefinite."""
+    """The same with joint covariances that are semidefinite, and how many had to be repaired."""
     n, (mean, cross, cov) = len(sensed.cov), sensed.moments
     upper = np.concatenate([sensed.cov, cross], axis=1)
     lower = np.concatenate([np.swapaxes(cross, 0, 1), cov], axis=1)
-    joint = nearest_psd(np.concatenate([upper, lower]))
+    joint, repaired = nearest_psd(np.concatenate([upper, lower]))
     moments = Moments(mean, joint[:n, n:], joint[n:, n:])
-    return sensed._replace(cov=joint[:n, :n], moments=moments)
+    return sensed._replace(cov=joint[:n, :n], moments=moments), repaired
 
 
 def log_odds(log_prob: np.ndarray) -> np.ndarray:

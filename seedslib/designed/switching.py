@@ -67,6 +67,11 @@ class SwitchingFilter(DesignedFilter):
         Arguments that do not fit together.
     NoClosedForm
         The linearization has no formulas for a branch; the message offers one that works.
+
+    Warns
+    -----
+    UserWarning
+        In a step, that the mean of the probability of a switch is out of [0, 1].
     """
 
     node_times = node_fits = ()  # forecasts are for the next measurement only
@@ -248,6 +253,7 @@ class SwitchingFilter(DesignedFilter):
             True,
             gap,
             interval,
+            before.repaired,
         )
 
     def smoother(self) -> Any:

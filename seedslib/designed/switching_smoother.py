@@ -92,7 +92,7 @@ def _back(rules, rows, t, law, later, indicator, p) -> ModeLaw:
             log_prob = np.where(fits | ~possible, log_prob, -np.inf)
         both = [joined(w, log_prob.shape[1:]) for *_, w in pairs]
         mean, cov = (np.stack(parts, axis=-2) for parts in zip(*both, strict=True))
-        cov = nearest_psd(cov) if rules.guarded else cov
+        cov = nearest_psd(cov)[0] if rules.guarded else cov
         sources += [i for i, *_ in pairs]
         one = ModeLaw(*(part[..., l, :] for part in later))
         results.append(_corrected(log_prob, mean, cov, one))

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray
+from seedslib.base.arrays import MaybeArray, align
 from seedslib.base.checks import outside
 from seedslib.base.clock import Clock
 from seedslib.base.tables import Axis, Labels, locate
@@ -35,28 +35,17 @@ class Output(NamedTuple):
     mean : ndarray, shape (n', *batch)
     mode : ndarray of int, shape (*batch), or None
         The decided mode, of a system with modes.
-    prob : ndarray, shape (L, *batch), or None
-        Probabilities of the modes, where they are wanted.
     """
 
     mean: np.ndarray
     mode: MaybeArray = None
-    prob: MaybeArray = None
 
     def on(self, batch: tuple[int, ...]) -> Output:
         """The same on all paths of a batch, of a function that is constant over them."""
         if self.mean.ndim > len(batch):
             return self
-
-        def repeated(part):
-            if part is None:
-                return None
-            shape = np.shape(part)
-            return np.broadcast_to(
-                np.reshape(part, shape + (1,) * len(batch)), shape + batch
-            ).copy()
-
-        return Output(*map(repeated, self))
+        mean = np.tile(align(self.mean, 1, len(batch)), (1, *batch))
+        return Output(mean, None if self.mode is None else np.full(batch, self.mode))
 
 
 OutputFunction = Callable[[Sequence[np.ndarray]], Output]
@@ -64,44 +53,34 @@ OutputFunction = Callable[[Sequence[np.ndarray]], Output]
 
 
 class Table(NamedTuple):
-    """Estimate, and where there are modes the decided one and their probabilities, as tables.
+    """Estimate, and where there are modes the decided one, as tables.
 
-    Estimates and probabilities are multilinear between the nodes and constant beyond the ends of
-    an axis; the decided mode is that of the nearest node.
+    Estimates are multilinear between the nodes and constant beyond the ends of an axis; the
+    decided mode is that of the nearest node.
 
     Attributes
     ----------
     axes : tuple of Axis or Labels
     estimate : ndarray, shape (n', count of each axis...)
     mode : ndarray of int8, shape (count of each axis...), or None
-    prob : ndarray, shape (L, count of each axis...), or None
     """
 
     axes: tuple[Axis | Labels, ...]
     estimate: np.ndarray
     mode: MaybeArray = None
-    prob: MaybeArray = None
 
     @classmethod
-    def of(
-        cls, axes: tuple[Axis | Labels, ...], output: Output, probabilities: bool = False
-    ) -> Table:
+    def of(cls, axes: tuple[Axis | Labels, ...], output: Output) -> Table:
         """From the output for one component at all nodes, in the order of the axes."""
         shape = tuple(axis.count for axis in axes)
-        mean, mode, prob = output
-        return cls(
-            axes,
-            mean.reshape(1, *shape),
-            None if mode is None else mode.reshape(shape),
-            prob.reshape(len(prob), *shape) if probabilities and prob is not None else None,
-        )
+        mode = None if output.mode is None else output.mode.reshape(shape)
+        return cls(axes, output.mean.reshape(1, *shape), mode)
 
     def __call__(self, points: Sequence[np.ndarray]) -> Output:
         """Values at points, one for each axis, of shapes that broadcast to (*batch)."""
         place = locate(self.axes, points)
         mode = None if self.mode is None else place.nearest(self.mode.reshape(-1))
-        prob = None if self.prob is None else place.rows(self.prob)
-        return Output(place.rows(self.estimate), mode, prob)
+        return Output(place.rows(self.estimate), mode)
 
 
 class Step(NamedTuple):
@@ -370,17 +349,15 @@ class OutputFilter(DesignedFilter):
     ) -> FilterState:
         """See `DesignedFilter.predict`."""
         state = super().predict(state, t, inputs=inputs)
-        mean, mode, prob = self._output(state, None, None)
-        return state._replace(mean=mean, mode=mode, mode_prob=prob)
+        mean, mode = self._output(state, None, None)
+        return state._replace(mean=mean, mode=mode)
 
     def propagate(
         self, state: FilterState, t: float, p: Values, interval: Interval | None = None
     ) -> FilterState:
         """The state at the next measurement time, still with the estimate before it."""
         before = state._replace(before=None) if state.corrected else None
-        return FilterState(
-            state.index + 1, state.mean, past=state.past, before=before, gap=state.gap
-        )
+        return state._replace(index=state.index + 1, cov=None, before=before, corrected=False)
 
     def _output(self, state, y, indicator) -> Output:
         """The output of a measurement; y is None where it is missing."""
@@ -407,14 +384,12 @@ class OutputFilter(DesignedFilter):
             output = self._output(state, y, indicator)
         if self.memory.indicators and indicator is not None and (indicator < 0).any():
             raise ValueError("indicator: wanted by the memory, got a missing one")
-        mean, mode, prob = output
+        mean, mode = output
         past = self.memory.push(
             state.past, estimate=mean, measurement=y, mode=mode, indicator=indicator
         )
         cov = self.covariances[self.served(state.index)]
-        return state._replace(
-            mean=mean, cov=cov, mode=mode, mode_prob=prob, past=past, corrected=True
-        )
+        return state._replace(mean=mean, cov=cov, mode=mode, past=past, corrected=True)
 
     def _output_with_gaps(self, state, y, indicator, missing) -> Output:
         """The output where some measurements are missing."""
@@ -451,7 +426,7 @@ class OutputFilter(DesignedFilter):
         """
         if switches(self.system):
             ahead = self.predict(state, t)
-            return Estimates(ahead.mean, mode_prob=ahead.mode_prob, modes=ahead.mode)
+            return Estimates(ahead.mean, modes=ahead.mode)
         return super().forecast(state, t, kind, inputs=inputs)
 
     def taking(self, chosen: list[int]) -> Self:
@@ -508,7 +483,7 @@ class TableFilter(OutputFilter):
         """See `Filter.state_of`."""
         state, mode = super().state_of(parts, t, before), parts.get("mode")
         mode = None if mode is None else self._mode_type(mode)
-        return state._replace(loglik=None, mode=mode, mode_prob=parts.get("prob"))
+        return state._replace(loglik=None, mode=mode)
 
     def estimates_of(self, parts: dict[str, Any], covariances: bool = True) -> Estimates:
         """See `Filter.estimates_of`; there is no likelihood."""

@@ -503,9 +503,7 @@ class CompiledFilter(Filter):
         """Shapes of what C writes at each time, without batch axes; None for no such thing."""
         filter, modes = self.filter, getattr(self.system, "modes", 0)
         if isinstance(filter, OutputFilter):
-            with_prob = filter.steps[0].update.prob is not None
-            prob = (modes,) if with_prob else None
-            return Estimates((n,), mode_prob=prob, modes=() if modes else None)
+            return Estimates((n,), modes=() if modes else None)
         cov = (n, n) if covariances else None
         return Estimates((n,), cov, (modes,) if modes else None, (), None, () if modes else None)
 

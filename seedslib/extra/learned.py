@@ -118,7 +118,6 @@ def learn(
     paths: int,
     seed: int | np.random.SeedSequence | np.random.Generator,
     regressor: Any = None,
-    components: int | None = None,
     draws: int = 1,
     sets: int = 4,
     joint: bool = False,
@@ -145,8 +144,6 @@ def learn(
     regressor : scikit-learn regressor, optional
         Anything with ``fit(X, y)`` and ``predict(X)``; by default gradient boosting of trees
         on histograms, which wants scikit-learn.
-    components : int, optional
-        n': the first components of the state are estimated (default all).
     draws : int
         Measurements simulated for each path to learn from: they cost no more paths.
     sets : int
@@ -176,23 +173,20 @@ def learn(
     if not (hasattr(regressor, "fit") and hasattr(regressor, "predict")):
         raise TypeError(f"regressor: wanted something with fit and predict, got {regressor!r}")
     sets = as_count("sets", sets, 2)
-    samples = MemoryPaths(system, memory, times, components, paths, sets, nodes, seed, workers)
-    components = samples.components
+    samples = MemoryPaths(system, memory, times, paths, sets, nodes, seed, workers)
     sensing, fitting = samples.spare.spawn(2)
     sensing = [np.random.default_rng(s) for s in sensing.spawn(len(samples.times))]
     fitting = np.random.default_rng(fitting)
-    steps, node_fits, forecast = [], [], prior(system, components)
+    steps, node_fits, forecast = [], [], prior(system, system.state_size)
     for k, t in enumerate(followed(samples.times, "learning")):
         sample = samples.sample()
-        update = _output(
-            regressor, system.sensor, t, sample, components, draws, joint, sensing[k], fitting
-        )
+        update = _output(regressor, system.sensor, t, sample, draws, joint, sensing[k], fitting)
         steps.append(Step(update, forecast))
         samples.apply(update)
         if k + 1 < len(samples.times):
             stops, fits = samples.stops[k], []
             for stop in stops:
-                fits.append(_forecast(samples.sample(stop), components))
+                fits.append(_forecast(samples.sample(stop)))
                 if stop != stops[-1]:
                     samples.score(stop, fits[-1])
             *fits, forecast = fits
@@ -211,7 +205,6 @@ def _output(
     sensor: StochasticMap,
     t: float,
     sample: Sample,
-    components: int,
     draws: int,
     joint: bool,
     rng: np.random.Generator,
@@ -224,7 +217,7 @@ def _output(
     centre, deviation = given.mean(axis=1), given.std(axis=1)
     varies = deviation > ABSOLUTE * np.sqrt(centre**2 + deviation**2)
     scale = np.where(varies, 1.0 / np.where(varies, deviation, 1.0), 0.0)
-    given, wanted = (given.T - centre) * scale, np.tile(x[:components], draws).T
+    given, wanted = (given.T - centre) * scale, np.tile(x, draws).T
     models = []
     for target in [wanted] if joint else wanted.T:
         models.append(copy.deepcopy(regressor))
@@ -233,11 +226,11 @@ def _output(
     return LearnedOutput(centre, scale, np.array([given.min(axis=0), given.max(axis=0)]), models)
 
 
-def _forecast(sample: Sample, components: int) -> LearnedForecast:
-    """Cubic forecast of the targets from the memory."""
-    target, u = sample.states[:components], sample.memory
+def _forecast(sample: Sample) -> LearnedForecast:
+    """Cubic forecast of the state from the memory."""
+    x, u = sample.states, sample.memory
     return LearnedForecast(
-        fit_forecast(FORECAST, lambda rows: scatter(rows(target, u)), components, np.zeros(len(u)))
+        fit_forecast(FORECAST, lambda rows: scatter(rows(x, u)), len(x), np.zeros(len(u)))
     )
 
 

@@ -28,17 +28,17 @@ from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import CLOSE, Branch, SwitchingSystem
 
-STORED = 64
-"""Transitions that are stored, of times or of values of inputs."""
+STORED = 64, 1
+"""Transitions that are stored, of times or of values of inputs; of large ones the last."""
 
 MARK_NODES = 32
 """Gauss-Hermite nodes per mark where a jump is not affine in its marks."""
 
 POINTS = 6
-"""Nodes that a narrow law is shared between: its moments up to the fifth are kept."""
+"""Nodes that a narrow distribution is shared between: its moments up to the fifth are kept."""
 
 NARROW = 0.8
-"""Deviation, in steps of the grid, below which a law has no density to speak of on the nodes."""
+"""Deviation, in steps of the grid, below which it has no density to speak of on the nodes."""
 
 SHIFT = 1e-5
 """Relative shift of a state for the derivative of its drift."""
@@ -64,13 +64,11 @@ class GridChain:
         Whether it depends on the length of the step only.
     missed : float
         Initial probability beyond the nodes or between them.
-    stored : int
-        How many matrices are stored, of times or of values of inputs.
-    loses : bool
-        Whether columns of the transition need not sum to one.
 
     Attributes
     ----------
+    loses : bool
+        Whether columns of the transition need not sum to one.
     nodes : ndarray, shape (n, N)
         Of the system's state, the last component fastest.
     values : ndarray, shape (n, S)
@@ -88,15 +86,13 @@ class GridChain:
         *,
         missed: float = 0.0,
         steady: bool = False,
-        stored: int = STORED,
-        loses: bool = False,
     ) -> None:
         switching = isinstance(system, SwitchingSystem)
         self.system: Any = system
         self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
         self.initial: Any = initial
         self.missed: float = missed
-        self.steady, self.stored, self.loses = steady, stored, loses
+        self.steady, self.loses = steady, isinstance(system, DiscreteSystem)
         self.nodes: np.ndarray = mesh(self.axes)
         self.modes: int = system.modes if switching else 1
         self.indicators: int = system.indicators
@@ -128,7 +124,7 @@ class GridChain:
         return tuple(map(float, p))
 
     def transition(self, start: float, stop: float, p: Values | None = None) -> np.ndarray:
-        """Transition matrix P, law(stop) = P law(start), computed once for equal steps.
+        """Transition matrix P, p(stop) = P p(start), computed once for equal steps.
 
         Parameters
         ----------
@@ -161,18 +157,18 @@ class GridChain:
         span = (float(lengths_alike(stop - start)),) if self.steady else (start, stop)
         key = *span, *p
         if key not in self._known:
-            if len(self._known) >= self.stored:
+            if len(self._known) >= STORED[self.loses]:
                 self._known.clear()
             self._known[key] = self._matrix(float(start), float(stop), p)
         return self._known[key]
 
     def move(
-        self, law: np.ndarray, start: float, stop: float, p: Values | None = None
+        self, prob: np.ndarray, start: float, stop: float, p: Values | None = None
     ) -> np.ndarray:
-        """Laws (S, C) at a later time, each a column."""
-        return self.transition(start, stop, p) @ law
+        """Distributions (S, C) at a later time, each a column."""
+        return self.transition(start, stop, p) @ prob
 
-    def law(self, t: float, start: float = 0.0) -> np.ndarray:
+    def distribution(self, t: float, start: float = 0.0) -> np.ndarray:
         """Probabilities at a later time, shape (S,)."""
         return self.initial if t == start else self.transition(start, t) @ self.initial
 
@@ -265,12 +261,12 @@ def _discrete_chain(system: DiscreteSystem, axes: Sequence[Axis | Nodes]) -> Gri
     matrix = partial(_discrete_matrix, system.dynamics, mesh(axes), weights)
     steady = _without(system.dynamics.time, system.dynamics.expressions)
     initial = _discrete_start(system, axes, weights)
-    known = {"missed": abs(1.0 - float(initial.sum())), "steady": steady}
-    return GridChain(system, axes, initial, matrix, **known, stored=1, loses=True)
+    missed = abs(1.0 - float(initial.sum()))
+    return GridChain(system, axes, initial, matrix, missed=missed, steady=steady)
 
 
 def _discrete_start(system: DiscreteSystem, axes: Sequence[Axis | Nodes], weights: np.ndarray):
-    """Masses of a normal law; of a known state at a node, or shared between those about it."""
+    """Masses of the initial state; a known one at a node, or shared between those about it."""
     require_gaussian(system)
     mean, cov = system.mean0, system.cov0
     if not cov.any():
@@ -440,7 +436,7 @@ def _diffusion_start(system: JumpDiffusion, axes: Sequence[Axis]) -> tuple[np.nd
 
 
 def _normal(axes: Sequence[Axis], mean: np.ndarray, cov: np.ndarray) -> tuple[np.ndarray, float]:
-    """Probabilities of the nodes for a normal law, and what is beyond them."""
+    """Probabilities of the nodes for a normal distribution, and what is beyond them."""
     deviation = np.sqrt(cov[0, 0])
     if len(axes) == 1 and deviation < axes[0].step:
         mass = cell_masses(axes[0], mean[:1], deviation[None])[:, 0]
@@ -475,13 +471,13 @@ def require_gaussian(system: Any) -> None:
 
 
 class PlaneChain(GridChain):
-    """Diffusion in the plane, seen through a likelihood, whose law moves on a grid.
+    """Diffusion in the plane, seen through a likelihood, whose density moves on a grid.
 
     The Kolmogorov equation between measurements by splitting: half a substep of the second
     component with the first held, a substep of the first with the second held, and again half a
-    substep of the second. Each is the transition law of a scalar diffusion, Gaussian with the
+    substep of the second. Each is the transition density of a scalar diffusion, Gaussian with the
     exact moments of its linear part, so a component that moves linearly when the other is held
-    moves without error. Narrow laws are shared between six nodes with their moments up to the
+    moves without error. Narrow densities are shared between six nodes with their moments up to the
     fifth kept, hence there is no artificial diffusion, and densities may be slightly negative
     where they are small.
 
@@ -524,16 +520,16 @@ class PlaneChain(GridChain):
         return np.einsum("iwN,jwN->ijN", root, root)
 
     def move(
-        self, law: np.ndarray, start: float, stop: float, p: Values | None = None
+        self, prob: np.ndarray, start: float, stop: float, p: Values | None = None
     ) -> np.ndarray:
-        """Laws (S, C) of the state at a later time, each a column."""
+        """Distributions (S, C) of the state at a later time, each a column."""
         steps, first, half = self._kernels(start, stop, p)
         whole = half @ half
-        grid = law.reshape(*(axis.count for axis in self.axes), -1)
+        grid = prob.reshape(*(axis.count for axis in self.axes), -1)
         for k in range(steps):
             grid = (whole if k else half) @ grid
             grid = (first @ grid.swapaxes(0, 1)).swapaxes(0, 1)
-        return np.maximum((half @ grid).reshape(law.shape), 0.0)
+        return np.maximum((half @ grid).reshape(prob.shape), 0.0)
 
     def back(
         self, values: np.ndarray, start: float, stop: float, p: Values | None = None
@@ -656,7 +652,7 @@ def _bernoulli(product: np.ndarray, diffusion: np.ndarray) -> np.ndarray:
 
 
 def cell_masses(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """Probability (S, N) of each cell for normal laws; a point goes to its two neighbours."""
+    """Normal probability (S, N) of each cell; a point goes to its two neighbours."""
     from scipy.special import ndtr
 
     nodes = axis.nodes
@@ -695,9 +691,9 @@ def _landing(jump: StochasticMap, axis: Axis, t: float, p: Values) -> np.ndarray
 
 
 def shared(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """Masses (nodes, N) of normal laws: the density where it is wide, else kept moments.
+    """Masses (nodes, N) of normal distributions: the density where it is wide, else kept moments.
 
-    What a law has beyond the ends of the axis stays in them.
+    What one has beyond the ends of the axis stays in them.
     """
     nodes, size = axis.nodes, axis.count
     mean = np.clip(mean, axis.low, axis.high)

@@ -114,9 +114,6 @@ def fold(expression: sympy.Expr) -> sympy.Expr:
     return expression.xreplace({p: sympy.Float(v) for p, v in values.items() if not p.is_Rational})
 
 
-_share = partial(sympy.cse, order="none")
-
-
 def as_expressions(name: str, value: object) -> np.ndarray:
     """Array (dtype object) of SymPy expressions from a nested list or a SymPy matrix.
 
@@ -215,7 +212,9 @@ def _lambdified(arguments: tuple, expressions: tuple) -> Callable[..., list[Any]
     printer = _Printer({"fully_qualified_modules": False, "inline": True, "user_functions": {}})
     try:
         folded = [fold(e) for e in expressions]
-        return sympy.lambdify(arguments, folded, MODULES, printer=printer, cse=_share)
+        return sympy.lambdify(
+            arguments, folded, MODULES, printer=printer, cse=partial(sympy.cse, order="none")
+        )
     except (PrintMethodNotImplementedError, ValueError, OverflowError) as error:
         raise ValueError(
             f"expressions: wanted functions with NumPy code, got {error}; "

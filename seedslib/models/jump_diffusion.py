@@ -489,9 +489,9 @@ def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndar
     by_path = np.empty(length * size * min(count, BLOCK))
     for first, child in zip(range(0, steps, length), rng.spawn(chunks), strict=False):
         chunk = by_step[: min(length, steps - first) * size]
-        for generator, here in parts(child, count):
+        for generator, paths in parts(child, count):
             # path by path, so that a path has the same numbers however many follow it
-            columns = chunk[:, here]
+            columns = chunk[:, paths]
             rows = by_path[: columns.size].reshape(columns.shape[::-1])
             generator.standard_normal(out=rows)
             columns[...] = rows.T

@@ -86,7 +86,7 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
     kinds = {base.__name__ for base in type(value).__mro__}
     if getattr(value, "diffuse", ()) and "LinearSystem" not in wanted:
         raise ValueError(
-            f"{name}: wanted a law of the first state, got one of which nothing is known in "
+            f"{name}: wanted a distribution of the first state, got none in "
             f"components {value.diffuse}; see KalmanFilter"
         )
     if kinds & {*wanted} or (not wanted and isinstance(value, System)):
@@ -96,7 +96,7 @@ def as_system(name: str, value: Any, *wanted: str) -> Any:
 
 
 def switches(system: object) -> bool:
-    """Whether the system has modes, and so jumps from one law of motion to another."""
+    """Whether the system has modes, and so jumps from one motion to another."""
     return getattr(system, "modes", 0) > 0
 
 

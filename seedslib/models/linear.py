@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.linalg import expm
 
 from seedslib.base.arrays import align
 from seedslib.base.checks import (
@@ -229,9 +230,10 @@ class LinearSystem(DiscreteSystem):
         cov0: ArrayLike,
         *,
         step: float | None,
+        b: Matrix = None,
         **options: Any,
     ) -> LinearSystem:
-        """The system dX = drift X dt + dW measured at some times, by exact discretisation.
+        """The system dX = (drift X + b) dt + dW measured at some times, by exact discretisation.
 
         Parameters
         ----------
@@ -243,6 +245,8 @@ class LinearSystem(DiscreteSystem):
         step : float, or None
             Time from one measurement to the next; None for times at any distance, each step being
             discretised by itself.
+        b : array_like or callable, shape (n,)
+            Inputs in it are constant from one measurement to the next.
 
         Raises
         ------
@@ -251,17 +255,20 @@ class LinearSystem(DiscreteSystem):
         """
         noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
         drift = as_real("drift", np.atleast_2d(drift), noise.shape)
+        b = None if b is None else _entries("b", b, (len(drift),))
         if step is None:
             steps = Discretised(drift, noise)
             F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)
+            b = None if b is None else HeldOffset(drift, b)
         else:
             F, Q = stepped(drift, noise, as_positive("step", step))
-        return cls(F, Q, H, R, mean0, cov0, **options)
+            b = None if b is None else HeldOffset(drift, b).after(step)
+        return cls(F, Q, H, R, mean0, cov0, b=b, **options)
 
 
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
-    if isinstance(matrix, SteppedMatrix):
+    if isinstance(matrix, SteppedMatrix | HeldOffset):
         return matrix
     if callable(matrix):
         return OfTime(matrix)
@@ -337,12 +344,12 @@ class Discretised:
     def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
         """Transition matrix and noise covariance of a step of this length."""
         step = float(lengths_alike(step))
-        found = self._known.get(step)
-        if found is None:
+        pair = self._known.get(step)
+        if pair is None:
             if len(self._known) >= STORED:
                 self._known.clear()
-            found = self._known[step] = stepped(self.drift, self.diffusion, step)
-        return found
+            pair = self._known[step] = stepped(self.drift, self.diffusion, step)
+        return pair
 
 
 class SteppedMatrix:
@@ -369,3 +376,44 @@ class SteppedMatrix:
         """The matrix as a function (t, p)."""
         place = parameters.index(*self.mentions)
         return lambda t, p: self.steps(p[place])[self.part]
+
+
+class HeldOffset:
+    """What b in dX = (F X + b) dt adds to the state in a step in which it is constant.
+
+    Parameters
+    ----------
+    drift : ndarray, shape (n, n)
+        F.
+    rate : ndarray, Entries or OfTime, shape (n,)
+        b.
+    """
+
+    def __init__(self, drift: np.ndarray, rate: Any) -> None:
+        self.drift, self.rate = drift, rate
+
+    def after(self, step: float) -> Any:
+        """The offset of steps of one length: numbers, expressions or a function of time."""
+        weight = _integral(self.drift, step)
+        if isinstance(self.rate, OfTime):
+            return lambda t: weight @ self.rate.function(t)
+        return weight @ getattr(self.rate, "expressions", self.rate)
+
+    @property
+    def mentions(self) -> tuple[Any, ...]:
+        """What b mentions, and the elapsed time."""
+        from seedslib.base.parameters import ELAPSED
+
+        return (*getattr(self.rate, "mentions", ()), ELAPSED)
+
+    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
+        """The offset as a function (t, p)."""
+        place, rate = parameters.index(self.mentions[-1]), self.rate
+        value = rate.compiled(parameters) if hasattr(rate, "compiled") else lambda t, p: rate
+        return lambda t, p: np.tensordot(_integral(self.drift, p[place]), value(t, p), 1)
+
+
+def _integral(drift: np.ndarray, step: float) -> np.ndarray:
+    """The integral of exp(F s) over a step."""
+    n = len(drift)
+    return expm(step * np.block([[drift, np.eye(n)], [np.zeros((n, 2 * n))]]))[:n, n:]

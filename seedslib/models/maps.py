@@ -204,15 +204,21 @@ class StochasticMap(Pickled):
         """The same map in a system with these parameters, all of which its functions take."""
         return self if parameters == self.parameters else self.remade(parameters=parameters)
 
-    def whole(self) -> StochasticMap:
-        """The map without its weight: what it does where it applies."""
-        if not self.weighted:
-            return self
-        if not self.symbolic:
-            return self.remade(_functions=self._functions._replace(weight=None))
-        from sympy import S
+    def with_weight(self, weight: Any) -> StochasticMap:
+        """The same map as a branch that is taken with another probability; 1 for always.
 
-        return self.remade(weight_expression=S.One)
+        Parameters
+        ----------
+        weight : SymPy expression, number, or callable
+            A callable, ``weight(t, x, v, *parameters) -> (*batch)``, of a map of array functions.
+        """
+        if self.symbolic:
+            options = {"time": self.time, "period": dict(self.period)}
+            made = StochasticMap(self.state, self.expressions, self.noise, weight, **options)
+            return made.taking(self.parameters) if weight == 1 else made
+        if not callable(weight):
+            weight = None if weight == 1 else partial(_constant, float(weight))
+        return self.remade(_functions=self._functions._replace(weight=weight))
 
     def _compiled(self, arguments: Sequence[Any], expressions: Any) -> Callable[..., Any]:
         """Code of expressions in the time, the arguments and the parameters."""
@@ -407,6 +413,11 @@ class Functions(NamedTuple):
     cov: Callable[..., Any] | None
     log_density: Callable[..., Any] | None
     parameters: tuple[Any, ...]
+
+
+def _constant(weight: float, t: float, x: np.ndarray, v: np.ndarray, *p: Any) -> np.ndarray:
+    """A probability that depends on nothing."""
+    return np.full(np.shape(x)[1:], weight)
 
 
 def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -> Any:

@@ -77,7 +77,7 @@ class Noise:
         return self.symbols == other.symbols and self.alike(other)
 
     def alike(self, other: Noise) -> bool:
-        """Whether the law is the same, whatever the components are called."""
+        """Whether the distribution is the same, whatever the components are called."""
         return (
             (self.size, self.sample, self.log_density)
             == (other.size, other.sample, other.log_density)
@@ -90,7 +90,7 @@ class Noise:
 
     @property
     def gaussian(self) -> bool:
-        """Whether the law is the Gaussian one."""
+        """Whether the distribution is the Gaussian one."""
         return self.sample is None
 
     def draw(self, rng: np.random.Generator, count: int) -> np.ndarray:
@@ -103,7 +103,7 @@ class Noise:
         return as_real("noise.sample", self.sample(rng, count), (self.size, count))
 
     def rule(self, order: int) -> tuple[np.ndarray, np.ndarray]:
-        """Gauss-Hermite product rule of the Gaussian law: points (size, S), weights (S,)."""
+        """Gauss-Hermite product rule of the Gaussian noise: points (size, S), weights (S,)."""
         nodes, weights = rule_of_rank(self.size, order)
         return self.mean[:, None] + self.root @ nodes, weights
 
@@ -152,8 +152,8 @@ class Noise:
         from sympy import Matrix
 
         others = tuple(expression.free_symbols - set(self.symbols))
-        law = self.mean.tolist(), Matrix(self.cov.tolist())
-        return real_part(mean_expression(expression, self.symbols, *law, parameters=others))
+        moments = self.mean.tolist(), Matrix(self.cov.tolist())
+        return real_part(mean_expression(expression, self.symbols, *moments, parameters=others))
 
     def _quadratic_mean(self, polynomial):
         moments = np.ones(()), self.mean, self.cov + np.outer(self.mean, self.mean)

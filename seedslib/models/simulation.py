@@ -137,7 +137,7 @@ def simulate(
         With ``initial_sample(rng, count)``, ``advance(x, start, stop, rng, p, **options)``,
         ``sensor.sample(t, x, rng, p)`` and ``values(inputs, dt)``, which gives the numbers p.
     times : array_like, shape (K+1,)
-        Output times; the first is the time of the initial law.
+        Output times; the first is the time of the initial distribution.
     paths : int
     seed : int, SeedSequence or Generator
     measured : array_like, optional

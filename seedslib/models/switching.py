@@ -12,7 +12,14 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import Source, drawn, normal
-from seedslib.base.checks import as_count, as_covariance, as_real, as_whole, brief
+from seedslib.base.checks import (
+    as_count,
+    as_covariance,
+    as_real,
+    as_whole,
+    brief,
+    require_shape,
+)
 from seedslib.base.clock import when
 from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
@@ -34,7 +41,7 @@ class Branch(Pickled):
     map : StochasticMap
         With its weight.
     noise_free : bool
-        Whether a weight given as an array function is known not to look at the noise.
+        Whether a weight of array functions is known not to depend on the noise.
 
     Attributes
     ----------
@@ -45,7 +52,7 @@ class Branch(Pickled):
     def __init__(self, map: StochasticMap, noise_free: bool = False) -> None:
         self.map: StochasticMap = map
         self.noise_free: bool = noise_free
-        self.whole: StochasticMap = map.whole()
+        self.whole: StochasticMap = map.with_weight(1) if map.weighted else map
 
     @cached_property
     def switch_only(self) -> Branch:
@@ -162,10 +169,9 @@ class Branch(Pickled):
 
 def branch_table(
     name: str,
-    table: Sequence,
-    noise: Noise,
+    maps: Sequence[Sequence[StochasticMap]],
+    weights: Sequence[Sequence[Any]],
     x: np.ndarray,
-    v: np.ndarray,
     p: Values,
     new: bool = False,
 ) -> tuple[tuple[Branch | None, ...], ...]:
@@ -175,43 +181,43 @@ def branch_table(
     ----------
     name : str
         Of the probabilities, for messages.
-    table : sequence of sequence of StochasticMap, shape (L, L) or (L, M)
-    noise : Noise
-        That of all maps.
-    x, v : ndarray, shapes (n, N) and (noise size, N)
-        States and noises where the maps are looked at.
+    maps : sequence of sequence of StochasticMap, shape (L, L) or (L, M)
+        With their weights.
+    weights : sequence of sequence of expressions, numbers or callables, likewise
+    x : ndarray, shape (n, N)
+        States where the probabilities are looked at, with noises.
     p : tuple
         Numbers of the parameters there.
     new : bool
-        Whether the maps of a column have one value, those of the new mode, and not those of a row.
+        Whether the new mode drives the step, so that no probability may depend on the noise.
 
     Raises
     ------
     ValueError
-        No probabilities, or maps that differ where they must not.
+        No probabilities, or some that depend on the noise where they must not.
     """
-    size, branches = table[0][0].size, []
-    for i, row in enumerate(table):
-        for l, other in enumerate(row):
-            if not other.noise.alike(noise):
-                raise ValueError(f"{name}: wanted maps with one noise, got another in mode {i}")
-            if other.size != size:
-                raise ValueError(f"{name}: wanted maps of {size} values in mode {i}")
-            mode, first = (l, table[0][l]) if new else (i, row[0])
-            values = other.value(0.0, x, v, p), first.value(0.0, x, v, p)
-            if not np.allclose(*values, rtol=CLOSE, equal_nan=True):
-                raise ValueError(f"{name}: wanted maps of one value in mode {mode}, got several")
-            if new and _noisy(other, x, v, p):
-                raise ValueError(
-                    f"{name} of mode {i}: wanted probabilities without the noise, which comes "
-                    "after the switch where the new mode drives the step"
-                )
+    branches = []
+    v = maps[0][0].noise.draw(np.random.default_rng(1), x.shape[1])
+    for i, row in enumerate(maps):
+        if new and any(_noisy(map, x, v, p) for map in row):
+            raise ValueError(
+                f"{name} of mode {i}: wanted probabilities without the noise, which comes "
+                "after the switch where the new mode drives the step"
+            )
         weight = np.stack([np.broadcast_to(m.weight(0.0, x, v, p), x.shape[1:]) for m in row])
         want_probabilities(f"{name} of mode {i}", weight)
-        never = [m.symbolic and m.weight_expression.is_zero for m in row]
-        pairs = zip(row, never, strict=True)
-        branches.append(tuple(None if none else Branch(m, new) for m, none in pairs))
+        pairs = zip(row, weights[i], strict=True)
+        branches.append(
+            tuple(None if _is_zero(w) else Branch(m, new or not callable(w)) for m, w in pairs)
+        )
     return tuple(branches)
+
+
+def _is_zero(weight: Any) -> bool:
+    """Whether a branch is never taken, however zero is written."""
+    return bool(
+        weight.is_zero if hasattr(weight, "is_zero") else np.isscalar(weight) and not weight
+    )
 
 
 def want_probabilities(name: str, weights: ArrayLike) -> None:
@@ -242,19 +248,19 @@ def _calm(map, t, x, v, *p):
     return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))), p)
 
 
-def map_rows(name: str, table: object) -> tuple[tuple[StochasticMap, ...], ...]:
-    """Rows of maps, as tuples."""
-    try:
-        rows = tuple(tuple(row) for row in table)
-    except TypeError:
-        rows = ()
-    if not rows or not all(rows) or any(not isinstance(m, StochasticMap) for r in rows for m in r):
-        raise TypeError(f"{name}: wanted rows of StochasticMap, one row for each mode")
-    return rows
+def _as_maps(name: str, maps: Sequence[StochasticMap]) -> tuple[StochasticMap, ...]:
+    """Maps of all modes, which have one state, one size and one noise."""
+    for map in maps:
+        if not isinstance(map, StochasticMap):
+            raise TypeError(f"{name}: wanted a StochasticMap of each mode, got {map!r}")
+        sizes, first = (map.state_size, map.size), maps[0]
+        if sizes != (first.state_size, first.size) or not map.noise.alike(first.noise):
+            raise ValueError(f"{name}: wanted maps of one state, one size and one noise")
+    return tuple(maps)
 
 
 class InitialMode(NamedTuple):
-    """Initial law of one mode: its probability, and the Gaussian law of the state in it."""
+    """Start in one mode: its probability, mean and covariance of the Gaussian state in it."""
 
     probability: float
     mean: np.ndarray
@@ -291,7 +297,7 @@ class SwitchingSystem(Parametrized, Pickled):
     sensor_noise : Noise
         W.
     initial : sequence of (probability, mean, cov), length L
-        Law of the mode at the start, and Gaussian law of the state in each.
+        Of each mode at the start, and of the Gaussian state in it.
     indicator : nested sequence of SymPy expressions, shape (L, M), optional
         B_ij; each row sums to one. None where there is no indicator.
     parameters : mapping, optional
@@ -322,9 +328,9 @@ class SwitchingSystem(Parametrized, Pickled):
     TypeError, ValueError
         Shapes that do not fit, unknown symbols, covariances that are not semidefinite,
         probabilities outside of [0, 1] or that do not sum to one (looked at on points about the
-        initial law, where they depend on the state, and again wherever paths, particles and nodes
-        of a grid go; a filter of Gaussian distributions warns of their means); those of a switch
-        that depend on the noise where the new mode drives the step.
+        initial distribution, where they depend on the state, and again wherever paths, particles
+        and nodes of a grid go; a filter of Gaussian distributions warns of their means); those of
+        a switch that depend on the noise where the new mode drives the step.
     """
 
     state: Any
@@ -334,6 +340,9 @@ class SwitchingSystem(Parametrized, Pickled):
     measurement_size: int
     noise: Noise
     sensor_noise: Noise
+    drives: str
+    dynamics: tuple[StochasticMap, ...]
+    sensors: tuple[StochasticMap, ...]
 
     def __init__(
         self,
@@ -366,111 +375,102 @@ class SwitchingSystem(Parametrized, Pickled):
             allowed = {self.time, *self.state, *source.symbols}
             return known_expressions(name, value, shape, values, allowed)
 
-        n = len(self.state)
-        moves = expressions("dynamics", dynamics, (None, n), noise)
+        moves = expressions("dynamics", dynamics, (None, len(self.state)), noise)
         modes = len(moves)
-        leave = expressions("switching", switching, (modes, modes), noise)
-        shows = expressions("sensor", sensor, (modes, None), sensor_noise)
-        weights = [[1]] * modes if indicator is None else indicator
-        weights = expressions("indicator", weights, (modes, None), sensor_noise)
-
-        def table(values, weights, source, period=None):
-            made = partial(StochasticMap, self.state, time=self.time, period=period)
-            return [
-                [made(row, source, w) for w in weight]
-                for row, weight in zip(values, weights, strict=True)
-            ]
-
-        moves, readings = (
-            table(moves, leave.T if drives == "new" else leave, noise),
-            table(shows, weights, sensor_noise, period),
-        )
-        if drives == "new":  # those of one value are a column: the moves to a mode
-            moves = list(zip(*moves, strict=True))
-        self._set_up(moves, readings, initial, indicator is not None, drives)
+        switching = expressions("switching", switching, (modes, modes), noise)
+        measured = expressions("sensor", sensor, (modes, None), sensor_noise)
+        if indicator is not None:
+            indicator = expressions("indicator", indicator, (modes, None), sensor_noise)
+        made = partial(StochasticMap, self.state, time=self.time)
+        moves = [made(row, noise) for row in moves]
+        sensors = [made(row, sensor_noise, period=period) for row in measured]
+        self._complete(moves, switching, sensors, initial, indicator, drives)
         warn_of_angles(self.sensors[0])
 
     @classmethod
     def from_maps(
         cls,
-        moves: Any,
-        readings: Any,
+        dynamics: Sequence[StochasticMap],
+        switching: Any,
+        sensors: Sequence[StochasticMap],
         initial: Any,
         *,
-        indicator: bool = False,
+        indicator: Any = None,
         drives: str = "old",
     ) -> SwitchingSystem:
-        """Make a system of maps with probabilities, such as those of array functions.
+        """Make a system of maps, such as those of array functions.
 
         Parameters
         ----------
-        moves : nested sequence of StochasticMap, shape (L, L)
-            Maps with the weights of the switches from mode i to mode l; those of a row have the
-            same value, or those of a column where the new mode drives the step.
-        readings : nested sequence of StochasticMap, shape (L, M)
-            Measurement of mode i, each with the weight of value j of the indicator.
+        dynamics, sensors : sequence of StochasticMap, length L
+            The move and the measurement of each mode.
+        switching : nested sequence, shape (L, L)
+            Probabilities of the switches from mode i to mode l: numbers, SymPy expressions, or
+            functions like the values of the maps.
         initial : as in the class
-        indicator : bool
-            Whether the indicator is observed.
+        indicator : nested sequence, shape (L, M), optional
+            Probabilities of the values of the indicator, likewise.
         drives : {"old", "new"}
 
         Raises
         ------
         TypeError, ValueError
-            As the class; no rows of maps, maps of a mode with several values, or maps with several
-            noises.
+            As the class; maps of several sizes or noises.
         """
-        moves, readings = map_rows("moves", moves), map_rows("readings", readings)
-        if not isinstance(indicator, bool | np.bool_):
-            raise TypeError(
-                f"indicator: wanted True where it is observed or False, got {indicator!r}"
-            )
+        dynamics, sensors = _as_maps("dynamics", dynamics), _as_maps("sensors", sensors)
         self = object.__new__(cls)
-        self.state = moves[0][0].state
-        self.time = moves[0][0].time
-        self._set_up(moves, readings, initial, bool(indicator), drives)
+        self.state, self.time = dynamics[0].state, dynamics[0].time
+        self._complete(dynamics, switching, sensors, initial, indicator, drives)
         return self
 
-    def _set_up(
-        self, moves: Sequence, readings: Sequence, initial: Sequence, indicator: bool, drives: str
+    def _complete(
+        self,
+        dynamics: Sequence[StochasticMap],
+        switching: Any,
+        sensors: Sequence[StochasticMap],
+        initial: Any,
+        indicator: Any,
+        drives: str,
     ) -> None:
         if drives not in ("old", "new"):
             raise ValueError(f"drives: wanted 'old' or 'new', got {drives!r}")
-        self.drives: str = drives
-        self.modes, values = len(moves), len(readings[0])
-        self.indicators: int = values if indicator else 0
-        if len(readings) != self.modes or any(len(row) != values for row in readings):
-            raise ValueError(f"sensor: wanted one row for each of {self.modes} modes")
-        if any(len(row) != self.modes for row in moves):
-            raise ValueError(f"switching: wanted {self.modes} next modes in each row")
-        if not indicator and values != 1:
-            raise ValueError("indicator: wanted one column of readings where it is not observed")
-        self.noise, self.sensor_noise = moves[0][0].noise, readings[0][0].noise
-        self.state_size, self.measurement_size = moves[0][0].state_size, readings[0][0].size
-        for name, table in (("dynamics", moves), ("sensor", readings)):
-            for each in (m for row in table for m in row):
-                if each.state_size != self.state_size:
-                    raise ValueError(f"{name}: wanted maps of {self.state_size} components")
+        n, modes = dynamics[0].state_size, len(dynamics)
+        self.drives, self.modes, self.state_size = drives, modes, n
+        self.measurement_size = sensors[0].size
+        if len(sensors) != modes or not dynamics[0].size == n == sensors[0].state_size:
+            raise ValueError(f"sensors: wanted {modes} maps of the state, of {n} components")
+        self.noise, self.sensor_noise = dynamics[0].noise, sensors[0].noise
+        switching = np.array(switching, dtype=object)
+        require_shape("switching", switching, (modes, modes))
+        shares = np.array([[1]] * modes if indicator is None else indicator, dtype=object)
+        require_shape("indicator", shares, (modes, None))
+        self.indicators: int = 0 if indicator is None else shares.shape[1]
         self.initial: tuple[InitialMode, ...] = self._initial_modes(initial)
         probability, means, covs = map(np.array, zip(*self.initial, strict=True))
         self.mean0: np.ndarray = probability @ means
         deviations = means - self.mean0
         self.cov0: np.ndarray = np.einsum("l,li,lj->ij", probability, deviations, deviations)
         self.cov0 += np.einsum("l,lij->ij", probability, covs)
-        maps = [m for table in (moves, readings) for row in table for m in row]
-        self.parameters = in_order(p for m in maps for p in m.mentions)
+        new = drives == "new"
+        moves = [
+            [dynamics[l if new else i].with_weight(switching[i, l]) for l in range(modes)]
+            for i in range(modes)
+        ]
+        readings = [
+            [sensor.with_weight(share) for share in row]
+            for sensor, row in zip(sensors, shares, strict=True)
+        ]
+        tables = moves, readings, [dynamics], [sensors]
+        mentions = [[p for row in table for m in row for p in m.mentions] for table in tables]
+        require_no_step("sensor", mentions[1])
+        self.parameters = in_order(p for part in mentions for p in part)
         self.numbers: Mapping[Any, Any] = {}
-        require_no_step("sensor", [p for row in readings for m in row for p in m.mentions])
-        moves, readings = (
-            [[m.taking(self.parameters) for m in row] for row in table]
-            for table in (moves, readings)
+        moves, readings, (self.dynamics,), (self.sensors,) = (
+            [tuple(m.taking(self.parameters) for m in row) for row in table] for table in tables
         )
-        new, p = drives == "new", self.nominal_values()
-        self.branches: Any = branch_table("switching", moves, *self._probe(self.noise), p, new)
-        self.readings: Any = branch_table("indicator", readings, *self._probe(self.sensor_noise), p)
-        moved = moves[0] if new else [row[0] for row in moves]
-        self.dynamics: tuple[StochasticMap, ...] = tuple(map.whole() for map in moved)
-        self.sensors: tuple[StochasticMap, ...] = tuple(row[0].whole() for row in readings)
+        x, p = self._probe(), self.nominal_values()
+        self.branches: Any = branch_table("switching", moves, switching, x, p, new)
+        self.readings: Any = branch_table("indicator", readings, shares, x, p)
 
     def _initial_modes(self, initial: Sequence) -> tuple[InitialMode, ...]:
         initial = list(initial)
@@ -490,12 +490,11 @@ class SwitchingSystem(Parametrized, Pickled):
         want_probabilities("initial", np.array([part.probability for part in modes]))
         return tuple(modes)
 
-    def _probe(self, noise: Noise) -> tuple[Noise, np.ndarray, np.ndarray]:
-        """The noise, and states and noises about the initial law, (n, 64), (noise size, 64)."""
-        rng = np.random.default_rng(0)
-        spread = np.sqrt(np.diagonal(self.cov0)) + 1e-3
-        x = self.mean0[:, None] + 2.0 * spread[:, None] * rng.standard_normal((self.state_size, 64))
-        return noise, x, noise.draw(rng, 64)
+    def _probe(self) -> np.ndarray:
+        """States about the initial distribution, (n, 64)."""
+        draws = np.random.default_rng(0).standard_normal((self.state_size, 64))
+        deviation = np.sqrt(np.diagonal(self.cov0)) + 1e-3
+        return self.mean0[:, None] + 2.0 * deviation[:, None] * draws
 
     @property
     def symbolic(self) -> bool:
@@ -538,7 +537,7 @@ class SwitchingSystem(Parametrized, Pickled):
         ------
         TypeError, ValueError
             As there; modes of a system whose switching depends on the noise, which would have
-            another law.
+            another distribution.
         """
         if modes is not None:
             if any(b is not None and b.depends_on_noise for row in self.branches for b in row):
@@ -607,8 +606,8 @@ class Hybrid(Parametrized):
         noise = normal(moving, self.system.state_size, count)
         x = np.empty((self.state_size, count))
         for i, (mean, root) in enumerate(self.initial_laws):
-            here = mode == i
-            x[:-1, here] = mean[:, None] + lower_times(root, noise[:, here])
+            mask = mode == i
+            x[:-1, mask] = mean[:, None] + lower_times(root, noise[:, mask])
         x[-1] = mode
         return x
 
@@ -633,19 +632,19 @@ class Hybrid(Parametrized):
         choice = drawn(choosing, flat.shape[1], Generator.random)
         moved = np.empty_like(flat)
         for i, row in enumerate(self.system.branches):
-            here = flat[-1] == i
-            old, noise, own = flat[:-1, here], v[:, here], of_paths(p, x.shape[1:], here)
+            mask = flat[-1] == i
+            old, noise, own = flat[:-1, mask], v[:, mask], of_paths(p, x.shape[1:], mask)
             if old_drives:
-                moved[:-1, here] = self.system.dynamics[i].value(start, old, noise, own)
+                moved[:-1, mask] = self.system.dynamics[i].value(start, old, noise, own)
             if modes is None:
-                moved[-1, here] = _branch("switching", row, start, old, noise, own, choice[here])
+                moved[-1, mask] = _branch("switching", row, start, old, noise, own, choice[mask])
         if modes is not None:
             moved[-1] = modes.ravel()
         if not old_drives:
             for l, map in enumerate(self.system.dynamics):
-                here = moved[-1] == l
-                own = of_paths(p, x.shape[1:], here)
-                moved[:-1, here] = map.value(start, flat[:-1, here], v[:, here], own)
+                mask = moved[-1] == l
+                own = of_paths(p, x.shape[1:], mask)
+                moved[:-1, mask] = map.value(start, flat[:-1, mask], v[:, mask], own)
         return moved.reshape(x.shape)
 
 
@@ -669,12 +668,12 @@ class HybridSensor:
         y = np.empty((self.size, flat.shape[1]))
         choice = drawn(choosing, flat.shape[1], Generator.random) if system.indicators else None
         for i, row in enumerate(system.readings):
-            here = flat[-1] == i
-            state, noise = flat[:-1, here], w[:, here]
-            own = of_paths(p, x.shape[1:], here)
-            y[: system.measurement_size, here] = system.sensors[i].value(t, state, noise, own)
+            mask = flat[-1] == i
+            state, noise = flat[:-1, mask], w[:, mask]
+            own = of_paths(p, x.shape[1:], mask)
+            y[: system.measurement_size, mask] = system.sensors[i].value(t, state, noise, own)
             if system.indicators:
-                y[-1, here] = _branch("indicator", row, t, state, noise, own, choice[here])
+                y[-1, mask] = _branch("indicator", row, t, state, noise, own, choice[mask])
         return y.reshape(self.size, *x.shape[1:])
 
     def log_density(self, t: float, y: np.ndarray, x: np.ndarray, p: Values = ()) -> np.ndarray:

@@ -162,25 +162,29 @@ def test_negative_eigenvalues_are_raised_in_units_of_the_deviations():
     items = [in_units(turned(v, k)) for k, v in enumerate(values)]
     cov = np.stack(items, axis=-1)
     kept = cov.copy()
-    found = nearest_psd(cov, np.stack([UNITS**2] * 2, axis=-1))
+    found, count = nearest_psd(cov, np.stack([UNITS**2] * 2, axis=-1))
     np.testing.assert_array_equal(cov, kept)
+    assert count == 1
     np.testing.assert_array_equal(found[..., 1], items[1])
     wanted = in_units(turned([0.7, 1.6, RAISED, 2.0], 0))
     np.testing.assert_allclose(in_units(found[..., 0] - wanted, 1 / UNITS), 0.0, atol=1e-14)
     # by its own deviations, which are others
     own = np.sqrt(np.abs(np.diag(items[0])))
-    found = nearest_psd(cov)
+    found, count = nearest_psd(cov)
     values, vectors = np.linalg.eigh(in_units(items[0], 1 / own))
     wanted = vectors * np.where(values < -RAISED, RAISED, values) @ vectors.T
     np.testing.assert_allclose(in_units(found[..., 0], 1 / own), wanted, atol=1e-14)
+    assert count == 1
 
 
 def test_an_eigenvalue_of_rounding_becomes_zero_and_a_fault_the_least_one():
     values = np.array([[[-4 * RAISED, np.nextafter(-4 * RAISED, -1.0), 0.0, 3.0]]])
-    found = nearest_psd(values, np.full((1, 4), 4.0))
+    found, count = nearest_psd(values, np.full((1, 4), 4.0))
+    assert count == 1
     np.testing.assert_allclose(found[0, 0], [0.0, 4 * RAISED, 0.0, 3.0], rtol=1e-15)
     for least, raised in ((-0.5, False), (-5.0, True)):
-        found = nearest_psd(turned(np.array([1.4, least * RAISED, 0.6]), 3), np.ones(3))
+        found, count = nearest_psd(turned(np.array([1.4, least * RAISED, 0.6]), 3), np.ones(3))
+        assert count == raised
         assert abs(np.linalg.eigvalsh(found)[0] - RAISED * raised) < 1e-15
 
 
@@ -189,17 +193,20 @@ def test_a_bad_pivot_may_come_late_and_a_zero_row_is_none(n):
     for j in range(n):
         cov = correlations(n, n, n)
         cov[j, j] -= 1.0 / np.linalg.inv(cov)[j, j] + 0.3
-        found = nearest_psd(cov)
+        found, count = nearest_psd(cov)
+        assert count == 1
         unit = np.sqrt(np.abs(np.diag(cov)))
         assert np.linalg.eigvalsh(in_units(found, 1 / unit))[0] > 0
         nothing = correlations(n, n, n)
         nothing[j] = nothing[:, j] = 0.0
-        found = nearest_psd(nothing)
+        found, count = nearest_psd(nothing)
         assert found is nothing
+        assert count == 0
     for j, i in ((0, 1), (0, 2), (1, 2), (2, 0)):  # a zero variance that covaries is a fault
         cov = np.eye(3)
         cov[j, j], cov[i, j], cov[j, i] = 0.0, 0.5, 0.5
-        found = nearest_psd(cov)
+        found, count = nearest_psd(cov)
+        assert count == 1
         values, vectors = np.linalg.eigh(cov)
         want = vectors * np.where(values < 0, RAISED, values) @ vectors.T
         np.testing.assert_allclose(found, want, atol=1e-14)

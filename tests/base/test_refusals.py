@@ -3,6 +3,8 @@
 import logging
 import os
 import stat
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +12,7 @@ import sympy as sp
 
 from seedslib import zoo
 from seedslib.base import Axis, Input, Nodes, Parameter, interpolate, update
+from seedslib.base.progress import followed
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.evaluation import fit
@@ -146,6 +149,19 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
     np.testing.assert_array_equal(quiet.predicted.rms, told.predicted.rms)
 
 
+def test_long_work_has_a_bar_in_a_terminal_where_tqdm_is(monkeypatch):
+    bars = []
+    fake = SimpleNamespace(tqdm=lambda steps, what, **options: bars.append(what) or steps)
+    monkeypatch.setitem(sys.modules, "tqdm", fake)
+    assert list(followed(range(3), "work")) == [0, 1, 2]
+    assert not bars
+    monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
+    assert list(followed(range(3), "work")) == [0, 1, 2]
+    assert bars == ["work"]
+    monkeypatch.setitem(sys.modules, "tqdm", None)
+    assert list(followed(range(3), "work")) == [0, 1, 2]
+
+
 Q = Parameter("q", 0.1, positive=True)
 LEVEL = LinearSystem(1, Q, 1, 1, 0, 1)
 MANY = np.arange(101.0)
@@ -165,6 +181,7 @@ SENTENCES = [
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=True), r"diffuse: .* got True; .* range\(1\)"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse="all"), r"diffuse: .* got 'all'; .* range"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, Q), r"cov0: wanted real numbers, got formulas of q; fit"),
+    (lambda: LinearSystem(10**400, 1, 1, 1, 0, 1), r"F: wanted numbers in the range of float64"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, None), r"cov0: wanted real numbers, got None"),
     (lambda: Noise([V], cov=[[Q * K]]), r"cov: wanted real numbers, got formulas of k, q"),
     (lambda: moved([X + DT * V], [X]), r"dynamics: .* got dt; .* ELAPSED"),
@@ -191,3 +208,11 @@ SENTENCES = [
 def test_a_natural_wrong_call_is_answered_by_what_was_got_and_what_is_wanted(call, sentence):
     with pytest.raises((TypeError, ValueError), match=f"^{sentence}"):
         call()
+
+
+def test_arrays_of_objects_that_are_numbers_are_numbers():
+    """As they come where some matrices of a model have formulas and others do not."""
+    matrix = np.zeros((2, 2), dtype=object)
+    matrix[0, 0] = 0.5
+    system = LinearSystem(matrix, np.eye(2), np.eye(2), np.eye(2), [0, 0], np.eye(2))
+    np.testing.assert_array_equal(system.dynamics.slope_at(0.0, ()), [[0.5, 0.0], [0.0, 0.0]])

@@ -232,7 +232,7 @@ def test_a_design_warns_once_of_each_axis_with_the_worst_figure(flip):
     messages = [str(one.message) for one in caught]
     assert sorted(text[:2] for text in messages) == ["x:", "z:"]
     chain = grid_chain(flip, (-1.5, 1.5, 71))
-    shares = [chain.missed, *(chain.law(t)[[0, -1]].max() for t in TIMES)]
+    shares = [chain.missed, *(chain.distribution(t)[[0, -1]].max() for t in TIMES)]
     (text,) = [text for text in messages if text.startswith("x:")]
     assert f"probability {max(shares):.2g} in an outermost cell, or beyond it" in text
 

@@ -70,7 +70,7 @@ def grid(system=FLIP, memory=None, times=TIMES, **axes):
 
 
 def tables(system=FLIP, memory=None, times=TIMES, **options):
-    options = {"paths": 60, "seed": 1, "nodes": 0} | options
+    options = {"paths": 60, "seed": 1, "nodes": 0, "y": (-8, 8, 9), "z": (-2, 2, 9)} | options
     return simulated_synthesis(system, memory or Memory(1), times, **options)
 
 
@@ -123,7 +123,6 @@ REFUSALS = [
     (lambda: grid(y=[(-8, 8, 9)] * 2), ValueError, "y"),
     (lambda: grid(times=[0.0, 0.0]), ValueError, "times"),
     (lambda: grid(nodes=-1), ValueError, "nodes"),
-    (lambda: grid(probabilities=True), ValueError, "probabilities"),
     (
         lambda: affine_synthesis(FLIP, Memory(1), None, TIMES, x=(-3.5, 3.5, 31)),
         TypeError,
@@ -133,13 +132,11 @@ REFUSALS = [
     # tables on paths
     (lambda: tables(method="neural"), ValueError, "method"),
     (lambda: tables(CUBIC), ValueError, "method"),
-    (lambda: tables(components=2), ValueError, "components"),
     (lambda: tables(seed=None), TypeError, "seed"),
     (lambda: tables(nodes=-1), ValueError, "nodes"),
     (lambda: tables(memory=Memory(1, log_odds=True)), ValueError, "memory"),
     (lambda: tables(memory=large_order(4), z=(-2, 2, 99)), ValueError, "memory"),
     (lambda: tables(y=(-8, 8)), TypeError, "y"),
-    (lambda: tables(probabilities=True), ValueError, "probabilities"),
     (
         lambda: binned_synthesis(zoo.van_der_pol(), Memory(1), [0, 1], paths=10, seed=1),
         ValueError,

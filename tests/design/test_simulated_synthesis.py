@@ -65,9 +65,7 @@ def test_indicators_bring_designs_near_the_optimum_of_their_memory(memory, metho
     system, times = zoo.dependent_switching(), np.arange(3)
     axes = {"z": (-4, 4, 33), "y": (-7, 11, 49)}
     best = optimal_risk(system, memory, times, x=(-6, 6, 49), **axes)
-    made = simulated_synthesis(
-        system, memory, times, paths=6000, seed=3, method=method, probabilities=True, **axes
-    )
+    made = simulated_synthesis(system, memory, times, paths=6000, seed=3, method=method, **axes)
     data = system.simulate(times, 10_000, 4)
     found = made.run(times, data.measurements, indicators=data.indicators)
     square = (found.mean - data.states)[:, 0] ** 2
@@ -77,7 +75,6 @@ def test_indicators_bring_designs_near_the_optimum_of_their_memory(memory, metho
     assert (square.mean(axis=1) > best.mse - error).all()
     wrong = (found.modes != data.modes).mean(axis=1)
     assert (np.abs(wrong - best.mode_error) < 0.012 + 4 * np.sqrt(wrong / 10_000)).all()
-    np.testing.assert_allclose(found.mode_prob.sum(axis=1), 1.0)
     if not memory.indicators:
         # a missing indicator: worse than seen, better than nothing known
         unseen = np.full((1, 10_000), -1)
@@ -113,28 +110,13 @@ def test_functions_are_fitted_and_tried_on_sets_of_paths_in_turn(flip, method):
     np.testing.assert_allclose(made.covariances[:, 0, 0], rms**2, rtol=1e-12)
 
 
-def test_two_components_two_measurements_and_default_axes():
-    """Unlike components, time, a late start: axes reach a tenth of the range beyond the paths."""
+def test_two_components_and_two_measurements():
+    """Unlike components, time, a late start: two steps are a regression on both measurements."""
     times = [3.0, 4.0]
     moves = StochasticMap([x, q], [x + q / 2 + v, q - x / 3 + w], Noise((v, w)))
     sensor = StochasticMap([x, q], [x + r * (t - 2.5), 5 * q + s], Noise((r, s)))
     system = DiscreteSystem(moves, sensor, [1.0, -2.0], [[1.0, 0.2], [0.2, 2.0]])
     z, y = [(-7, 8, 11), (-9, 6, 11)], [(-7, 9, 21), (-45, 30, 61)]
-    made = simulated_synthesis(
-        system, Memory(1), times, paths=2000, seed=3, z=z, method="histogram"
-    )
-    other = simulated_synthesis(
-        system, Memory(1), times, paths=2000, seed=3, components=1, y=y, method="histogram"
-    )
-    data = system.simulate(times, 2000, np.random.SeedSequence(3).spawn(3)[0])
-    parts = [*data.measurements.swapaxes(0, 1), data.states[:, 0]]
-    axes = [*made.steps[1].update.axes[:2], other.steps[1].update.axes[2]]
-    for axis, part, count in zip(axes, parts, (49, 49, 81), strict=True):
-        reach = 0.1 * np.ptp(part)
-        np.testing.assert_allclose([axis.low, axis.high], [part.min() - reach, part.max() + reach])
-        assert axis.count == count
-    assert (made.order, other.order) == (2, 1)
-    # two steps of a linear system are a regression on both measurements
     made = simulated_synthesis(system, Memory(1), times, paths=2000, seed=3, z=z, y=y)
     fresh = system.simulate(times, 4000, 9)
     known = np.concatenate([*fresh.measurements, np.ones((1, 4000))])
@@ -148,7 +130,16 @@ def test_two_components_two_measurements_and_default_axes():
 def test_diverged_paths_are_left_out_and_counted():
     system = JumpDiffusion((x,), [x**9 - x], [[1]], [x + v], Noise((v,)), [0], [[0.3]], step=0.05)
     with pytest.warns(UserWarning, match="paths"):
-        made = simulated_synthesis(system, large_order(1), [0.0, 0.5], paths=2000, seed=1, nodes=0)
+        made = simulated_synthesis(
+            system,
+            large_order(1),
+            [0.0, 0.5],
+            paths=2000,
+            seed=1,
+            nodes=0,
+            y=(-6, 6, 41),
+            z=(-3, 3, 41),
+        )
     assert 0 < made.design.diverged < 2000
     assert made.design.paths == 4000
     assert np.isfinite(made.steps[1].update.estimate).all()

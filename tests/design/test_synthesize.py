@@ -248,11 +248,8 @@ def test_discrete_reference_system_is_designed_to_its_kalman_filter():
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
-def test_nodes_are_even_or_as_given(oscillator):
+def test_nodes_are_even(oscillator):
     options = {"paths": 300, "seed": 1, "step": 0.1}
-    given = [[0.1, 0.45], [], [1.2]]
-    made = synthesize(oscillator, Memory(1), Taylor(), [0, 0.5, 1, 1.5], nodes=given, **options)
-    np.testing.assert_allclose(made.predicted.times, [0, 0.1, 0.45, 0.5, 1, 1.2, 1.5])
     made = synthesize(oscillator, Memory(1), Taylor(), [0.5, 1.5], nodes=4, **options)
     np.testing.assert_allclose(made.predicted.times, 0.5 + 0.2 * np.arange(6))
 

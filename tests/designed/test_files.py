@@ -92,9 +92,7 @@ KINDS = {
     "modes": lambda: modes(Memory(2, 1, 1, True)),
     "modes in turn": lambda: replace(modes(Memory(1)), cycle=1),
     "table": lambda: tables(zoo.flip_process(), Memory(1), nodes=1),
-    "table of modes": lambda: tables(
-        zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True
-    ),
+    "table of modes": lambda: tables(zoo.dependent_switching(), Memory(1, 0, 1)),
     "table from paths": lambda: simulated_synthesis(
         zoo.flip_process(),
         Memory(1),

@@ -84,7 +84,7 @@ def made():
         affine=affine(),
         modes=modes(),
         table=tables(zoo.flip_process(), nodes=1),
-        mode_table=tables(zoo.dependent_switching(), Memory(1, 0, 1), probabilities=True),
+        mode_table=tables(zoo.dependent_switching(), Memory(1, 0, 1)),
         minimax=minimax(correction=BoundedPolynomial(2)),
     )
 

@@ -5,10 +5,9 @@ import pytest
 import sympy
 from numpy.testing import assert_allclose
 
-from seedslib.design import synthesize
-from seedslib.designed import SwitchingFilter, SwitchingRules, large_order, lemmas
+from seedslib.designed import SwitchingRules, lemmas
 from seedslib.linearization import ExactGaussian, GaussHermite, Taylor
-from seedslib.models import Noise, StochasticMap, SwitchingSystem
+from seedslib.models import Noise, SwitchingSystem
 
 x, y, v, w = sympy.symbols("x y v w", real=True)
 t = sympy.Symbol("t")
@@ -138,74 +137,8 @@ def test_noise_that_depends_on_the_state_and_an_indicator_of_time(rule):
         assert_allclose(after.cov[0, 0, 1], expected[1], rtol=1e-6)
 
 
-def twins(dependent):
-    """The same system as array functions and as formulas; time moves everything."""
-
-    def bend(z):
-        return 1 / (1 + (np if isinstance(z, np.ndarray) else sympy).exp(-z))
-
-    def leaves(t, x, v):
-        return 0.2 + 0.6 * bend(x + 0.2 * t + (v if dependent else 0))
-
-    def tells(i):
-        return lambda t, x, w: 0.1 + 0.5 * i + 0.3 * bend(x)
-
-    def moves(a, b):
-        return lambda t, x, v: a * x + 0.1 * t + b * v
-
-    def shows(i):
-        return lambda t, x, w: 0.2 * x**2 + i + w
-
-    def pair(value, share):
-        return [
-            StochasticMap.from_functions(
-                1, 1, value, Noise(1), weight=lambda t, x, v, s=s: s(t, x[0], v[0])
-            )
-            for s in (lambda *a: 1 - share(*a), share)
-        ]
-
-    slopes, initial = [(0.9, 0.5), (0.5, 1.0)], [(0.5, [0], [[1]]), (0.5, [1], [[1]])]
-    plain = SwitchingSystem.from_maps(
-        [pair(moves(a, b), leaves) for a, b in slopes],
-        [pair(shows(i), tells(i)) for i in (0, 1)],
-        initial,
-        indicator=True,
-    )
-    leave, told = leaves(t, x, v), [tells(i)(t, x, w) for i in (0, 1)]
-    written = SwitchingSystem(
-        (x,),
-        [[moves(a, b)(t, x, v)] for a, b in slopes],
-        Noise((v,)),
-        [[1 - leave, leave]] * 2,
-        [[shows(i)(t, x, w)] for i in (0, 1)],
-        Noise((w,)),
-        initial,
-        indicator=[[1 - p, p] for p in told],
-        time=t,
-    )
-    return plain, written
-
-
-@pytest.mark.parametrize("dependent", [False, True])
-def test_array_functions_are_the_formulas(dependent):
-    """At late times; the forecast is split by the indicator, and a design finds the same."""
-    times, rule = 2.0 + 0.7 * np.arange(4), GaussHermite(5)
-    plain, written = twins(dependent)
-    data = written.simulate(times, 100, 4)
-    found, wanted = (
-        SwitchingFilter(s, rule).run(times, data.measurements, indicators=data.indicators)
-        for s in (plain, written)
-    )
-    assert_allclose(found.mean, wanted.mean, atol=1e-12)
-    assert_allclose(found.loglik, wanted.loglik, atol=1e-11)
-    one, two = (
-        synthesize(s, large_order(1), rule, times, paths=1500, seed=2) for s in (plain, written)
-    )
-    assert_allclose(one.fits[-1].gain, two.fits[-1].gain, atol=1e-9)
-
-
 def test_rules_of_points_mend_probabilities_and_variances():
-    """Negative weights may leave a sum that is not one and a variance below zero."""
+    """Negative weights may leave a sum that is not one and a variance below zero; it is counted."""
     record = np.array([[0.4, -2.0, np.nan]])
     rules = SwitchingRules(system(), GaussHermite(3))
     state = rules.start((3,))._replace(index=0, time=0.0)
@@ -216,10 +149,15 @@ def test_rules_of_points_mend_probabilities_and_variances():
     )
     assert_allclose(found.law.prob, whole.law.prob, rtol=1e-12)
     assert_allclose(found.loglik, whole.loglik, atol=1e-12)
+    assert found.repaired == whole.repaired == 0
     bad, tiny = state.law.cov.copy(), state.law.cov.copy()
     bad[0, 0, 1, 0, 0], tiny[0, 0, 1, 0, 0] = -0.2, 1e-14
     found, wanted = (
-        rules.correct(state._replace(law=state.law._replace(cov=cov)), record, None, None)
+        rules.correct(
+            state._replace(law=state.law._replace(cov=cov), repaired=5), record, None, None
+        )
         for cov in (bad, tiny)
     )
+    assert found.repaired == 6
+    assert wanted.repaired == 5
     assert_allclose(found.mean, wanted.mean, rtol=1e-9)

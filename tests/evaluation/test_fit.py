@@ -1,5 +1,6 @@
 """Fits against dense Gaussian likelihoods, the Nile, and their own coverage."""
 
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -161,6 +162,14 @@ def test_a_filter_on_a_grid_is_made_for_every_value():
     assert max(loglik(0.9 * best), loglik(1.1 * best)) < found.loglik
     bend = (loglik(best + 0.01) - 2 * loglik(best) + loglik(best - 0.01)) / 1e-4
     assert found.errors[0] == pytest.approx(1 / np.sqrt(-bend), rel=1e-2)
+
+
+def test_a_line_of_each_step_goes_to_who_listens(caplog):
+    with caplog.at_level(logging.INFO, logger="seedslib"):
+        found = fit(KalmanFilter(LinearSystem(1, Q, 1, R, 1000, 1e5)), YEARS, NILE[:, None], [Q])
+    lines = [record.getMessage() for record in caplog.records]
+    assert lines[0].startswith("fit: step 0, log-likelihood")
+    assert f"{found.loglik:.6f}" in lines[-1]
 
 
 def test_steps_that_meet_no_number_are_shortened():

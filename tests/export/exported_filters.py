@@ -226,7 +226,7 @@ FILTERS = {
     "modes and log-odds": (design, new, Memory(2, 0, 2, log_odds=True), Taylor(), {}),
     "modes of measurements": (design, unmarked, finite_memory(2), Taylor(), {"paths": 2000}),
     "stationary modes": (design, old, large_order(2), Taylor(), LASTING_MODES),
-    "table of modes": (mode_tables, zoo.scalar_switching, large_order(1), {"probabilities": True}),
+    "table of modes": (mode_tables, zoo.scalar_switching, large_order(1), {}),
     "table with indicator": (mode_tables, zoo.manoeuvring_target, large_order(1), {}),
     "table of indicators": (mode_tables, zoo.manoeuvring_target, Memory(1, 0, 1), {}),
 }

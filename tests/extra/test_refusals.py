@@ -32,7 +32,6 @@ OTHERS = [
     (lambda: learned(3), TypeError, "regressor"),
     (lambda: learned(draws=0), ValueError, "draws"),
     (lambda: learned(sets=1), ValueError, "sets"),
-    (lambda: learned(components=3), ValueError, "components"),
     (lambda: learned(seed=1.5), TypeError, "seed"),
     (lambda: learned(memory=Memory(1, indicators=1)), ValueError, "memory"),
     (

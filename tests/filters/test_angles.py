@@ -89,12 +89,12 @@ def test_filters_of_modes_with_angles_equal_those_of_a_turned_world():
 
     def filters(turn, period):
         noise = Noise((w[0],))
-        see = [[StochasticMap([a], [a + turn + w[0] / 10], noise, period=period)]] * 2
+        see = [StochasticMap([a], [a + turn + w[0] / 10], noise, period=period)] * 2
         moves = [
-            [StochasticMap([a], [a + drift + v[0] / 10], Noise((v[0],)), odd) for odd in odds]
-            for drift, odds in ((0.05, (0.9, 0.1)), (-0.05, (0.1, 0.9)))
+            StochasticMap([a], [a + drift + v[0] / 10], Noise((v[0],))) for drift in (0.05, -0.05)
         ]
-        system = SwitchingSystem.from_maps(moves, see, [(0.5, [3.1], [[0.1]])] * 2)
+        switching, start = [[0.9, 0.1], [0.1, 0.9]], [(0.5, [3.1], [[0.1]])] * 2
+        system = SwitchingSystem.from_maps(moves, switching, see, start)
         yield KnownModeFilter(system)
         yield RaoBlackwellFilter(system, 30)
         yield GridBayesFilter(system, (1.0, 5.0, 81))

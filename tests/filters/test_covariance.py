@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 import sympy
-from scipy.integrate import solve_ivp
 
 from oracles.linear import Linear, Regression, constant, discretised, kalman, moment_rates, moments
 from seedslib.filters import (
@@ -16,7 +15,6 @@ from seedslib.filters import (
     extended_kalman,
     unscented_kalman,
 )
-from seedslib.gaussian import NoClosedForm
 from seedslib.linearization import Cubature, ExactGaussian, GaussHermite, Taylor, Unscented
 from seedslib.models import (
     DiscreteSystem,
@@ -34,7 +32,6 @@ from systems import (
     continuous_system,
     growth,
     linear_numbers,
-    oscillator,
     record,
 )
 
@@ -118,43 +115,6 @@ def test_runge_kutta_is_of_order_four():
         for h in (0.1, 0.05)
     ]
     assert np.log2(errors[0] / errors[1]) == pytest.approx(4, abs=0.4)
-
-
-@pytest.mark.parametrize(("make", "exact"), [(extended_kalman, 0.0), (assumed_density, 1.0)])
-def test_cubic_drift_equals_its_moment_equations(make, exact):
-    """dX = (-t X³ + sin t) dt + t X dW: means over N(m, P), or the first-order ones."""
-    system = JumpDiffusion(
-        (x,), [-t * x**3 + sympy.sin(t)], [[t * x]], [x + v], Noise((v,)), [1.0], [[0.4]]
-    )
-
-    def rate(t, moments):
-        m, p = moments
-        drift = -t * (m**3 + 3 * m * exact * p) + np.sin(t)
-        return [drift, -6 * t * (m**2 + exact * p) * p + t**2 * (m**2 + exact * p)]
-
-    want = solve_ivp(rate, (0.2, 1.2), [1.0, 0.4], rtol=1e-11, atol=1e-13).y[:, -1]
-    filter = make(system, step=0.01)
-    for batch in ((), (3,)):
-        state = filter.predict(filter.predict(filter.initial(batch), 0.2), 1.2)
-        np.testing.assert_allclose(state.mean[0], want[0], rtol=1e-8)
-        np.testing.assert_allclose(state.cov[0, 0], want[1], rtol=1e-8)
-
-
-def test_array_functions_equal_formulas():
-    made = JumpDiffusion.from_functions(
-        lambda t, x: np.stack([x[1], (1 - x[0] ** 2) * x[1] - x[0]]),
-        lambda t, x: np.stack([0 * x[0], 0.5 + 0 * x[0]])[:, None],
-        StochasticMap.from_functions(2, 1, lambda t, x, v: x[:1] + v, Noise(1, cov=[[0.2]])),
-        [1.0, 0.0],
-        np.diag([0.3, 0.2]),
-    )
-    system, times = oscillator(), np.array([0.5, 0.8, 1.4])
-    y = system.simulate(times, 4, 1).measurements
-    rule = GaussHermite(4)
-    one, two = (CovarianceFilter(s, rule, step=0.05).run(times, y) for s in (made, system))
-    close(one, two, 1e-9)
-    with pytest.raises(NoClosedForm):
-        extended_kalman(made)
 
 
 def test_threads_and_blocks_give_equal_bits():

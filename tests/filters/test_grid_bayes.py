@@ -248,7 +248,7 @@ def test_probability_that_leaves_the_nodes_is_dropped_and_warned_about():
     assert estimates.mean[1, 0] == pytest.approx(0.0, abs=1e-12)
     variance = 0.25 * (1 - 4 * norm.pdf(2.0) / inside)
     assert estimates.cov[1, 0, 0] == pytest.approx(variance, rel=1e-6)
-    one = SwitchingSystem.from_maps([[still]], [[sensor]], [(1, [0], [[0]])])
+    one = SwitchingSystem.from_maps([still], [[1]], [sensor], [(1, [0], [[0]])])
     filter = GridBayesFilter(one, (-1.0, 1.0, 401))
     with pytest.warns(UserWarning, match=r"^x: "):
         estimates = filter.run([0, 1], missing)

@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-import sympy as sp
 from numpy.testing import assert_allclose
 
 from oracles.gaussian import hermite_mean, random_law
-from seedslib.gaussian import forms, mean_square_errors
+from seedslib.gaussian import forms
 
 
 def form(M, x):
@@ -39,14 +38,3 @@ def test_means_of_forms_match_quadrature_in_batches(n):
         assert_allclose(of_row, exact, rtol=1e-11, atol=1e-11)
     shared = forms.quartic_mean(A, B, means, covs[..., 0])
     assert shared[0] == pytest.approx(forms.quartic_mean(A, B, means, covs)[0], rel=1e-12)
-
-
-def test_errors_of_forms_without_and_with_all_information():
-    A = np.array([[1.0, 2.0], [0.0, 3.0]])
-    mean, zero = np.array([0.4, -1.0]), np.zeros((2, 2))
-    state = sp.symbols("x:2")
-    errors = mean_square_errors((sp.Matrix([state]) * sp.Matrix(A) * sp.Matrix(state))[0], state)
-    for cov in (np.eye(2), np.ones((2, 2)), zero, np.diag([2.0, 0.0])):
-        assert errors(mean, cov, zero) == (0.0, 0.0)
-        variance = forms.quartic_mean(A, A, mean, cov) - forms.quadratic_mean(A, mean, cov) ** 2
-        assert_allclose(errors(mean, cov, cov).optimal, variance, atol=1e-12)

@@ -32,19 +32,6 @@ def assert_moments(found, exact, about):
         np.testing.assert_allclose(part, value, rtol=1e-12, atol=1e-12)
 
 
-def test_one_restricted_component_of_three_against_quadrature():
-    mean, cov = law(3, 0)
-    about = np.array([0.3, -1.0, 2.0])
-    sigma = np.sqrt(np.diag(cov))
-    axes = [rule(40, -0.5, 1.5)] + [
-        rule(90, mean[i] - 9 * sigma[i], mean[i] + 9 * sigma[i]) for i in (1, 2)
-    ]
-    points = np.stack(np.meshgrid(*(a[0] for a in axes), indexing="ij")).reshape(3, -1)
-    weights = np.einsum("i,j,k->ijk", *(a[1] for a in axes)).ravel()
-    found = lift(interval(mean[0], cov[0, 0], -0.5, 1.5), mean, cov)
-    assert_moments(found, integrals(points, weights, mean, cov, about), about)
-
-
 def test_two_restricted_components_of_three_against_quadrature():
     """A triangle: the rest of the prism is one long axis."""
     mean, cov = law(3, 1)

@@ -1,5 +1,7 @@
 """Exact errors of the optimal and the plug-in estimate, and the conditional variance."""
 
+from functools import cache
+
 import numpy as np
 import pytest
 import sympy as sp
@@ -21,13 +23,13 @@ SMOOTH = [
     x**2,
     x * y**2 - y,
     (x - 2 * y) ** 4,
-    [x, x * y, y**2],
+    (x, x * y, y**2),
     sp.sin(x),
     x * sp.cos(y) + sp.exp(x / 4),
     sp.exp(-(x**2)),
     sp.cos(x * y / 2),
     y * sp.exp(-(x**2) / 2 + x * y / 4 - y**2),
-    [sp.sin(x), sp.cos(y), x * y],
+    (sp.sin(x), sp.cos(y), x * y),
 ]
 SWITCHED = [
     abs(x - 0.3),
@@ -36,7 +38,7 @@ SWITCHED = [
     x * abs(y - x),
     sp.Max(x + y, 0) ** 2,
     sp.Piecewise((x**2, x > 1), (y, True)),
-    [abs(x), x, sp.Heaviside(x) * y],
+    (abs(x), x, sp.Heaviside(x) * y),
 ]
 NORMS = [
     sp.sqrt(x**2 + y**2),
@@ -54,7 +56,15 @@ def random_case(rng, n, share=0.4, scale=1.0):
 
 
 def components(f):
-    return f if isinstance(f, list) else [f]
+    return list(f) if isinstance(f, tuple) else [f]
+
+
+@cache
+def derived(f):
+    """Errors, conditional variance and estimate of a function, or of several, derived once."""
+    f = list(f) if isinstance(f, tuple) else f
+    makers = mean_square_errors, posterior_variance_function, expectation_function
+    return tuple(make(f, [x, y]) for make in makers)
 
 
 @pytest.mark.parametrize("f", SMOOTH, ids=str)
@@ -70,13 +80,16 @@ def test_errors_of_a_smooth_function_match_nested_quadrature(f):
     squares = np.einsum("iks,jks,s->ijk", tables, tables, weights) - means[:, None] * means
     optimal = squares @ weights
     plugin = optimal + (gaps * weights) @ gaps.T
-    found = mean_square_errors(f, [x, y])(mean, cov, error_cov)
+    errors, variance, _ = derived(f)
+    found = errors(mean, cov, error_cov)
     size = np.abs(plugin).max()
     assert_allclose(np.ravel(found.optimal), optimal.ravel(), rtol=1e-9, atol=1e-10 * size)
     assert_allclose(np.ravel(found.plugin), plugin.ravel(), rtol=1e-9, atol=1e-10 * size)
-    variance = posterior_variance_function(f, [x, y])(xhat, error_cov)
     assert_allclose(
-        variance.reshape(squares.shape), squares, rtol=1e-7, atol=1e-9 * np.abs(squares).max()
+        variance(xhat, error_cov).reshape(squares.shape),
+        squares,
+        rtol=1e-7,
+        atol=1e-9 * np.abs(squares).max(),
     )
 
 
@@ -87,22 +100,22 @@ def test_errors_match_simulation(f):
     draws = 50_000
     xhat = mean[:, None] + np.linalg.cholesky(cov - error_cov) @ rng.normal(size=(2, draws))
     state = xhat + np.linalg.cholesky(error_cov) @ rng.normal(size=(2, draws))
-    found = mean_square_errors(f, [x, y])(mean, cov, error_cov)
-    estimate = np.atleast_2d(expectation_function(f, [x, y])(xhat, error_cov))
-    variance = posterior_variance_function(f, [x, y])(xhat, error_cov)
+    errors, spread, mean_of = derived(f)
+    found = errors(mean, cov, error_cov)
+    estimate, variance = np.atleast_2d(mean_of(xhat, error_cov)), spread(xhat, error_cov)
     count = len(components(f))
     variance = variance.reshape(count, count, draws)
     parts = [sp.lambdify((x, y), g) for g in components(f)]
     value, plugin = (np.array([g(*at) for g in parts]) for at in (state, xhat))
     for i, j in np.ndindex(count, count):
         optimal = np.atleast_2d(found.optimal)[i, j]
-        for products, exact in [
+        for products, wanted in [
             ((value - estimate)[i] * (value - estimate)[j], optimal),
             ((value - plugin)[i] * (value - plugin)[j], np.atleast_2d(found.plugin)[i, j]),
             (variance[i, j], optimal),
         ]:
             doubt = products.std() / np.sqrt(draws)
-            assert abs(products.mean() - exact) < 4.5 * doubt + 1e-12 * abs(exact)
+            assert abs(products.mean() - wanted) < 4.5 * doubt + 1e-12 * abs(wanted)
 
 
 def test_plugin_excess_of_small_errors_is_a_quarter_of_the_squared_curvature():
@@ -209,9 +222,7 @@ def test_errors_of_both_sides_of_a_plane_at_once():
 
 @pytest.mark.parametrize("f", [sp.Integer(3), *ALL], ids=str)
 def test_errors_of_degenerate_laws(f):
-    errors = mean_square_errors(f, [x, y])
-    variance = posterior_variance_function(f, [x, y])
-    estimate = expectation_function(f, [x, y])
+    errors, variance, estimate = derived(f)
     zero = np.zeros((2, 2))
     for mean in ([0.0, 0.0], [0.3, -0.7]):
         for cov in (np.eye(2), np.ones((2, 2)), np.diag([1.0, 0.0]), zero):

@@ -44,8 +44,8 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
     chain = grid_chain(flow(drift, spread, 0.7, 0.2, step=0.02, **jumps), (-8.0, 8.0, 321))
     start, stop = 1.5, 2.3
     law, nodes = chain.transition(start, stop) @ chain.initial, chain.values[0]
-    np.testing.assert_allclose(chain.law(stop, start), law, rtol=1e-14)
-    np.testing.assert_allclose(chain.law(start, start), chain.initial)
+    np.testing.assert_allclose(chain.distribution(stop, start), law, rtol=1e-14)
+    np.testing.assert_allclose(chain.distribution(start, start), chain.initial)
     shown = np.array([[0.4, -1.0]])
     found = chain.log_likelihood(stop, shown)
     np.testing.assert_allclose(found, norm.logpdf(shown.T, nodes, 1.0), rtol=1e-12)
@@ -68,21 +68,21 @@ def test_moments_of_a_feller_chain_whose_rates_depend_on_time():
 
 def test_jumps_without_diffusion_are_counted():
     """Jumps of one with intensity 2, of a known start; a frozen state of intensity x^2."""
-    law = grid_chain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).law(0.6)
+    law = grid_chain(flow(0, 0, 0.0, 0.0, intensity=2, jump=[1]), (0.0, 20.0, 81)).distribution(0.6)
     expected = [np.exp(-1.2) * 1.2**k / np.prod(np.arange(1.0, k + 1)) for k in range(8)]
     assert law[::4][:8] == pytest.approx(expected, abs=1e-12)
     chain = grid_chain(flow(0, 0, 0.0, 1.0, intensity=x**2, jump=[40 - x]), (-6.0, 40.0, 921))
-    assert chain.law(0.5)[chain.values[0] < 20].sum() == pytest.approx(2.0**-0.5, abs=1e-4)
+    assert chain.distribution(0.5)[chain.values[0] < 20].sum() == pytest.approx(2.0**-0.5, abs=1e-4)
     drifting = grid_chain(flow(1, 0, 1.0, 0.01), (0.0, 4.0, 401))
-    assert (drifting.law(1.0) >= 0).all()
-    assert drifting.law(1.0) @ drifting.values[0] == pytest.approx(2.0, abs=1e-9)
+    assert (drifting.distribution(1.0) >= 0).all()
+    assert drifting.distribution(1.0) @ drifting.values[0] == pytest.approx(2.0, abs=1e-9)
 
 
 def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
     """z^2 - 1 has mean 0 and second moment 2."""
     system = flow(0, sympy.Rational(1, 2), intensity=3, jump=[z**2 - 1], marks=Noise((z,)))
     chain = grid_chain(system, (-20.0, 40.0, 301))
-    law, nodes = chain.law(0.5), chain.values[0]
+    law, nodes = chain.distribution(0.5), chain.values[0]
     assert law @ nodes == pytest.approx(0.0, abs=1e-6)
     assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
 

@@ -49,30 +49,6 @@ def test_noise_with_a_sampler_knows_its_first_two_moments_only():
         bad.draw(np.random.default_rng(0), 5)
 
 
-@pytest.mark.parametrize(
-    "expression",
-    [
-        v**2 * x + v * w + 3,
-        sympy.exp(v) * x + v**4,
-        sympy.sin(v + x) * w,
-        sympy.exp(-((v - x) ** 2) / 2),
-        x + 2,
-    ],
-    ids=str,
-)
-def test_expectation_equals_quadrature(expression):
-    noise = Noise((v, w), mean=MEAN, cov=COV)
-    got = sympy.lambdify(x, noise.expectation(expression))(0.7)
-    nodes, weights = np.polynomial.hermite_e.hermegauss(60)
-    weights = weights / weights.sum()
-    points = MEAN[:, None, None] + np.einsum(
-        "ij,jkl->ikl", np.linalg.cholesky(COV), np.array(np.meshgrid(nodes, nodes))
-    )
-    values = sympy.lambdify((x, v, w), expression, "numpy")(0.7, *points)
-    values = np.broadcast_to(values, points.shape[1:])
-    np.testing.assert_allclose(complex(got), weights @ values @ weights, rtol=1e-12, atol=1e-14)
-
-
 def test_noises_are_equal_where_names_and_laws_are():
     noise = Noise((v, w), cov=COV)
     same = Noise([v, w], [0.0, -0.0], COV.tolist())

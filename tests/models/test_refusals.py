@@ -78,8 +78,8 @@ def modes(**changes):
     return SwitchingSystem(**given | changes)
 
 
-def of_maps(moves=((MOVE,),), readings=((SHOWN,),), **options):
-    return SwitchingSystem.from_maps(moves, readings, [(1, [0], [[1]])], **options)
+def of_maps(moves=(MOVE,), switching=((1,),), sensors=(SHOWN,), **options):
+    return SwitchingSystem.from_maps(moves, switching, sensors, [(1, [0], [[1]])], **options)
 
 
 def starts(*probabilities, cov=1):
@@ -151,10 +151,11 @@ ROWS = [
     (lambda: modes(**starts(0.5, 0.5, cov=-1)), ValueError, r"initial\[0\] cov"),
     (lambda: modes(sensor=[[x + w]]), ValueError, "sensor"),
     (lambda: modes(drives="both"), ValueError, "drives"),
-    (lambda: of_maps([[None]]), TypeError, "moves"),
-    (lambda: of_maps(readings=3), TypeError, "readings"),
-    (lambda: of_maps(indicator=None), TypeError, "indicator"),
-    (lambda: of_maps([[MOVE]] * 2), ValueError, "sensor"),
+    (lambda: of_maps([None]), TypeError, "dynamics"),
+    (lambda: of_maps([MOVE, SHOWN.with_weight(1), map_of((x, y))]), ValueError, "dynamics"),
+    (lambda: of_maps([MOVE] * 2), ValueError, "sensors"),
+    (lambda: of_maps(switching=[[0.5, 0.5]]), ValueError, "switching"),
+    (lambda: of_maps(indicator=[[0.5, 0.4]]), ValueError, "indicator of mode 0"),
     (lambda: simulated(times=[0.0, 0.0]), ValueError, "times"),
     (lambda: simulated(paths=0), ValueError, "paths"),
     (lambda: simulated(seed=None), TypeError, "seed"),

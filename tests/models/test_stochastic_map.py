@@ -115,8 +115,8 @@ def test_array_functions_are_given_parameters_after_their_own_arguments():
         log_density=lambda t, y, x, a: -0.5 * ((y - x)[0] / a) ** 2 - np.log(a),
         weight=lambda t, x, v, a: np.exp(-a * x[0] ** 2),
     )
-    assert every.whole().parameters == (rate,)
-    assert not every.whole().weighted
+    assert every.with_weight(1).parameters == (rate,)
+    assert not every.with_weight(1).weighted
     at = np.array([[0.5]])
     assert every.conditional_moments(0.0, at, (2.0,))[1].item() == 4.0
     assert every.log_density(0.0, at + 1, at, (2.0,)) == pytest.approx(-0.125 - np.log(2))
@@ -162,7 +162,7 @@ def test_a_weight_that_looks_at_the_noise_tilts_the_moments():
     np.testing.assert_allclose(weight, [share.sum()], rtol=1e-12)
     np.testing.assert_allclose(mean[0], [first], rtol=1e-12)
     np.testing.assert_allclose(cov[0, 0], [share @ (value - first) ** 2 / share.sum()], rtol=1e-12)
-    whole = branch.whole()
+    whole = branch.with_weight(1)
     np.testing.assert_allclose(whole.conditional_moments(0, np.array([[0.7]]))[1].ravel(), 4.0)
 
 
