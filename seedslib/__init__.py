@@ -1,16 +1,17 @@
 """Finite-dimensional optimal nonlinear filtering.
 
 An observation system, what is remembered of the past, and how means are taken: together they
-make a filter. The library is a core in layers, each of which uses only layers before it,
+make a filter. ``DESIGN.md`` beside this file says on one page how the parts fit together. The
+library is a core in layers, each of which uses only layers before it,
 
 ``base``, ``tape``, ``gaussian``, ``models``, ``linearization``, ``filters``, ``designed``,
 ``design``, ``evaluation``, ``zoo``, ``commands``,
 
-and one wing for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
+and one package for each subject, which uses only the core: ``two_step``, ``delay``, ``piecewise``,
 ``pareto``, ``riemann`` (``zoo`` has their systems too). ``export`` writes filters in C and
 JavaScript, ``extra`` is what wants another package; nothing uses them. A public name has one
-address, its room:
-``from seedslib.models import Noise``. What a room may import stands in its opening lines.
+address, its package: ``from seedslib.models import Noise``. What a package may import stands in
+its opening lines.
 """
 
 from seedslib.base.lazy import lazy_names

@@ -124,12 +124,12 @@ def read_record(path: str, system: Any, options: argparse.Namespace) -> Record:
         import pandas
 
     table = pandas.read_csv(path, sep=options.sep, index_col=0)
-    told: dict[str, Any] = {}
+    keywords: dict[str, Any] = {}
     try:
         if inputs := inputs_of(system):
-            told["inputs"] = {u: table.pop(str(u)).to_numpy(float) for u in inputs}
+            keywords["inputs"] = {u: table.pop(str(u)).to_numpy(float) for u in inputs}
         if getattr(system, "indicators", 0):
-            told["indicators"] = table.pop("indicator").fillna(-1).to_numpy(int)
+            keywords["indicators"] = table.pop("indicator").fillna(-1).to_numpy(int)
         y = table[options.columns or list(table)].to_numpy(float)
         if pandas.api.types.is_numeric_dtype(table.index):
             times = table.index.to_numpy(float)
@@ -142,7 +142,7 @@ def read_record(path: str, system: Any, options: argparse.Namespace) -> Record:
         raise ValueError(f"{path}: wanted a column, {error}, got {list(table)}") from None
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    return Record(table.index, times, y, told)
+    return Record(table.index, times, y, keywords)
 
 
 def run_design(options: argparse.Namespace) -> int:

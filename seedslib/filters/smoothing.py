@@ -13,7 +13,6 @@ from seedslib.base.conditioning import kalman_gain
 from seedslib.base.linalg import symmetrized
 from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
-from seedslib.filters.kalman import marginalized
 
 
 def smooth(
@@ -194,7 +193,7 @@ class RauchTungStriebel(Smoother):
         columns, cov, last = smoothed
         mean, effect, n = columns[:, 0], columns[:, 1:], len(columns)
         if effect.shape[1]:
-            return Estimates(*marginalized(mean, cov, effect, last, self.filter.scale))
+            return self.filter.report(last._replace(mean=mean, cov=cov, effect=effect))
         return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
 
 

@@ -1,4 +1,4 @@
-"""Wing: piecewise-linear systems and their filter.
+"""Piecewise-linear systems and their filter.
 
 It uses the core; of the library only the falling body of the `zoo` uses it.
 
