@@ -174,7 +174,7 @@ def library_contents() -> dict[str, bytes]:
     contents: dict[str, bytes] = {}
     for package, folder in PACKAGES.items():
         for path in sorted(folder.rglob("*")):
-            if path.is_file() and path.suffix != ".pyc":
+            if path.is_file() and path.suffix not in {".pyc", ".md"}:
                 own = path.relative_to(folder).with_suffix("").parts
                 parts = own if path.suffix == ".py" else (*own[:-1], "__init__")
                 name = ".".join((package, *parts))
