@@ -119,5 +119,7 @@ def test_cells_from_moments_are_conditional_normal_laws():
     assert np.exp(alone.forecast(np.array(0), np.zeros(2)).log_prob).tolist() == [1.0, 0.0]
     # a covariance that is none is refused
     bad = np.array([[1.0, 1.5], [1.5, 1.0]])[..., None, None]
-    with pytest.raises(ValueError, match="^moments: wanted a residual covariance that is positive"):
+    with pytest.raises(
+        ValueError, match=r"^moments: wanted a residual covariance that is positive"
+    ):
         cells_from_moments(np.ones((1, 1)), np.zeros((2, 1, 1)), bad, 1)
