@@ -115,7 +115,7 @@ class SwitchingFilter(DesignedFilter):
         numbers = memory.order(n, self.system.measurement_size, self.system.modes)
         return numbers + memory.estimates + memory.indicators
 
-    # Program by step
+    # Step by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> SwitchingState:
         """State before any measurement; the filter draws nothing from `seed`."""

@@ -585,7 +585,7 @@ class Filter(Pickled):
         TypeError, ValueError
             As `predict` and `correct`.
         """
-        if mode is None and self._single.of(self):
+        if mode is None:
             later = self._single.step(self, state, t, y, indicator, inputs)
             if later is not None:
                 return later

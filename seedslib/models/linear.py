@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -257,18 +257,18 @@ class LinearSystem(DiscreteSystem):
         drift = as_real("drift", np.atleast_2d(drift), noise.shape)
         b = None if b is None else _entries("b", b, (len(drift),))
         if step is None:
-            steps = Discretised(drift, noise)
+            steps = Discretised(drift, noise, b is not None)
             F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)
-            b = None if b is None else HeldOffset(drift, b)
+            b = None if b is None else SteppedOffset(steps, b)
         else:
             F, Q = stepped(drift, noise, as_positive("step", step))
-            b = None if b is None else HeldOffset(drift, b).after(step)
+            b = None if b is None else _weighted(_integral(drift, step), b)
         return cls(F, Q, H, R, mean0, cov0, b=b, **options)
 
 
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
-    if isinstance(matrix, SteppedMatrix | HeldOffset):
+    if isinstance(matrix, SteppedMatrix):
         return matrix
     if callable(matrix):
         return OfTime(matrix)
@@ -329,27 +329,32 @@ class OfTime:
 
 
 class Discretised:
-    """Exact discretisation of dX = F X dt + dW, once for steps of one length but for rounding.
+    """Exact discretisation of dX = (F X + b) dt + dW, once for each length of a step.
 
     Parameters
     ----------
     drift, diffusion : ndarray, shape (n, n)
         F, and the covariance of W per unit of time.
+    offset : bool
+        Whether there is a b.
     """
 
-    def __init__(self, drift: np.ndarray, diffusion: np.ndarray) -> None:
-        self.drift, self.diffusion = drift, diffusion
-        self._known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    def __init__(self, drift: np.ndarray, diffusion: np.ndarray, offset: bool) -> None:
+        self.drift, self.diffusion, self.offset = drift, diffusion, offset
+        self._known: dict[float, tuple[np.ndarray, ...]] = {}
 
-    def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrix and noise covariance of a step of this length."""
+    def __call__(self, step: float) -> tuple[np.ndarray, ...]:
+        """Transition matrix, noise covariance and, with b, the integral of exp(F s) of a step."""
         step = float(lengths_alike(step))
-        pair = self._known.get(step)
-        if pair is None:
+        parts = self._known.get(step)
+        if parts is None:
             if len(self._known) >= STORED:
                 self._known.clear()
-            pair = self._known[step] = stepped(self.drift, self.diffusion, step)
-        return pair
+            parts = stepped(self.drift, self.diffusion, step)
+            if self.offset:
+                parts = (*parts, _integral(self.drift, step))
+            self._known[step] = parts
+        return parts
 
 
 class SteppedMatrix:
@@ -359,7 +364,7 @@ class SteppedMatrix:
     ----------
     steps : Discretised
     part : int
-        0 for the transition, 1 for the noise.
+        0 for the transition, 1 for the noise, 2 for the integral.
     """
 
     def __init__(self, steps: Discretised, part: int) -> None:
@@ -374,43 +379,47 @@ class SteppedMatrix:
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The matrix as a function (t, p)."""
-        place = parameters.index(*self.mentions)
+        place = parameters.index(self.mentions[-1])
         return lambda t, p: self.steps(p[place])[self.part]
 
 
-class HeldOffset:
-    """What b in dX = (F X + b) dt adds to the state in a step in which it is constant.
+class SteppedOffset(SteppedMatrix):
+    """What b adds to the state in a step in which it is constant.
 
     Parameters
     ----------
-    drift : ndarray, shape (n, n)
-        F.
+    steps : Discretised
     rate : ndarray, Entries or OfTime, shape (n,)
         b.
     """
 
-    def __init__(self, drift: np.ndarray, rate: Any) -> None:
-        self.drift, self.rate = drift, rate
-
-    def after(self, step: float) -> Any:
-        """The offset of steps of one length: numbers, expressions or a function of time."""
-        weight = _integral(self.drift, step)
-        if isinstance(self.rate, OfTime):
-            return lambda t: weight @ self.rate.function(t)
-        return weight @ getattr(self.rate, "expressions", self.rate)
+    def __init__(self, steps: Discretised, rate: Any) -> None:
+        super().__init__(steps, 2)
+        self.rate = rate
 
     @property
     def mentions(self) -> tuple[Any, ...]:
         """What b mentions, and the elapsed time."""
-        from seedslib.base.parameters import ELAPSED
-
-        return (*getattr(self.rate, "mentions", ()), ELAPSED)
+        return (*getattr(self.rate, "mentions", ()), *super().mentions)
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The offset as a function (t, p)."""
-        place, rate = parameters.index(self.mentions[-1]), self.rate
-        value = rate.compiled(parameters) if hasattr(rate, "compiled") else lambda t, p: rate
-        return lambda t, p: np.tensordot(_integral(self.drift, p[place]), value(t, p), 1)
+        weight, rate = super().compiled(parameters), self.rate
+        if isinstance(rate, np.ndarray):
+            return lambda t, p: weight(t, p) @ rate
+        value = rate.compiled(parameters)
+        return lambda t, p: np.tensordot(weight(t, p), value(t, p), 1)
+
+
+def _weighted(weight: np.ndarray, rate: Any) -> Any:
+    """The offset of steps of one length: numbers, expressions or a function of time."""
+    if isinstance(rate, OfTime):
+        return partial(_weighted_at, weight, rate.function)
+    return weight @ getattr(rate, "expressions", rate)
+
+
+def _weighted_at(weight: np.ndarray, function: Callable[[float], Any], t: float) -> np.ndarray:
+    return weight @ function(t)
 
 
 def _integral(drift: np.ndarray, step: float) -> np.ndarray:

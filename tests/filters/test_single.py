@@ -200,6 +200,15 @@ def test_numbers_of_parameters_share_one_program_which_is_not_pickled(monkeypatc
     near(many.cov[..., 1], twin.run(times, y).cov)
 
 
+def test_steps_of_many_records_record_nothing(monkeypatch):
+    filter = extended_kalman(pendulum())
+    monkeypatch.setattr(
+        type(filter), "program", lambda *args, **options: pytest.fail("a batch recorded a program")
+    )
+    state = filter.step(filter.initial((3,)), 0.0, np.zeros((filter.system.sensor.size, 3)))
+    assert np.isfinite(state.mean).all()
+
+
 class Doubting(KalmanFilter):
     """It takes half of what the filter takes from a measurement."""
 
