@@ -140,7 +140,7 @@ def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[
 
     The covariance is common to all paths, (n, n).
     """
-    if not (system.symbolic and hasattr(linearization, "formulas")):
+    if not hasattr(linearization, "formulas"):
         moments = linearization.moments(system.drift_map, spread=False)
         return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components

@@ -61,10 +61,6 @@ def flow(state=(x,), drift=None, diffusion=((1,),), sensor=None, **options):
     return JumpDiffusion(state, drift, diffusion, sensor or [state[0] + v], Noise((v,)), **given)
 
 
-def array_flow(drift):
-    return JumpDiffusion.from_functions(drift, lambda t, x: np.ones((1, 1, 3)), SHOWN, [0], [[1]])
-
-
 def modes(**changes):
     given = {
         "state": (x,),
@@ -140,7 +136,6 @@ ROWS = [
     (lambda: flow(step=0), ValueError, "step"),
     (lambda: flow(parameters={x: 5}), ValueError, "state, parameters"),
     (lambda: flow(time=x), ValueError, "state, time"),
-    (lambda: array_flow(lambda t, x: x[0]), ValueError, "drift"),
     (lambda: flow().advance(np.ones((1, 2)), 1, 1, np.random.default_rng(0)), ValueError, "stop"),
     (lambda: modes(switching=[[0.9, 0.2], [0.3, 0.7]]), ValueError, "switching of mode 0"),
     (lambda: modes(switching=[[1 - x**2, x**2], [0, 1]]), ValueError, "switching of mode 0"),
@@ -152,6 +147,7 @@ ROWS = [
     (lambda: modes(sensor=[[x + w]]), ValueError, "sensor"),
     (lambda: modes(drives="both"), ValueError, "drives"),
     (lambda: of_maps([None]), TypeError, "dynamics"),
+    (lambda: of_maps([functions()] * 2), TypeError, "dynamics"),
     (lambda: of_maps([MOVE, SHOWN.with_weight(1), map_of((x, y))]), ValueError, "dynamics"),
     (lambda: of_maps([MOVE] * 2), ValueError, "sensors"),
     (lambda: of_maps(switching=[[0.5, 0.5]]), ValueError, "switching"),
