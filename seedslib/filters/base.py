@@ -276,7 +276,10 @@ def walk(
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **first)
+    start, own = filter, record.inputs.constant
+    if own and getattr(filter.system, "first", None) is not None:  # a first state of each record
+        start = filter.bind(own)
+    state = start.initial(record.y.shape[2:], seed, **first)
     for k, t in enumerate(record.times):
         mode = () if record.modes is None else (record.modes[k],)
         indicator = () if record.indicators is None else (record.indicators[k],)
