@@ -19,6 +19,9 @@ from seedslib.models import (
     StochasticMap,
     SwitchingSystem,
     grid_chain,
+    level,
+    regression,
+    season,
     van_loan,
 )
 from seedslib.two_step import LinearDiffusion
@@ -135,6 +138,10 @@ ROWS = [
     (lambda: continuous(q * sympy.Symbol("t")), ValueError, "drift"),
     (lambda: continuous(q * ELAPSED), ValueError, "drift"),
     (lambda: linear(d=x), ValueError, "d"),
+    (lambda: level(1) + linear(), TypeError, r"\+"),
+    (lambda: season(1, 0.1), ValueError, "period"),
+    (lambda: regression(), ValueError, "inputs"),
+    (lambda: level(s), ValueError, "Q"),
     (lambda: continuous(step=0.0), ValueError, "step"),
     (lambda: continuous([[1, 0]]), ValueError, "drift"),
     (lambda: van_loan([[-1.0]], [[-1.0]], 0.5), ValueError, "diffusion"),
