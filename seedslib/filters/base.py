@@ -610,6 +610,21 @@ class Filter(Pickled):
         later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
 
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m, *batch) and covariance of the measurement at the time of a prediction.
+
+        See `seedslib.filters.forecast_measurements`.
+
+        Raises
+        ------
+        TypeError
+            The filter does not say.
+        """
+        raise TypeError(
+            "filter: wanted one that carries means and covariances (KalmanFilter, extended_kalman "
+            f"and other covariance filters, SwitchingFilter), got {type(self).__name__}"
+        )
+
     def smoother(self) -> Any:
         """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.
 

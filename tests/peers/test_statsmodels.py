@@ -13,7 +13,7 @@ from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
 from peers.models import linear, system
 from seedslib.base import Input, Parameter
 from seedslib.evaluation import fit
-from seedslib.filters import KalmanFilter, smooth
+from seedslib.filters import KalmanFilter, forecast_measurements, smooth
 from seedslib.models import LinearSystem, level, regression, season, trend
 
 CLIMBED = "a maximum is found by steps, and curvatures by differences"
@@ -127,8 +127,12 @@ def test_exact_diffuse_start_with_gaps(season_of, values, held):
     model = tsa.UnobservedComponents(
         y, "local linear trend", seasonal=season_of, use_exact_diffuse=True
     )
-    theirs = model.smooth(values).filter_results
-    found = filter.run(times, y[:, None])
+    results = model.smooth(values)
+    theirs, found = results.filter_results, filter.run(times, y[:, None])
+    ahead = forecast_measurements(filter, np.arange(46.0), np.append(y, [np.nan] * 6)[:, None])
+    low, high = results.get_forecast(6).conf_int(alpha=0.2).T
+    pairs = zip(ahead.interval(0.8)[:, 40:, 0], (low, high), strict=True)
+    held("statsmodels", "UnobservedComponents, intervals of forecasts", *pairs)
     known = int(np.isfinite(found.cov).all(axis=(1, 2)).argmax())
     assert known == theirs.nobs_diffuse - 1 >= n
     what = f"UnobservedComponents, trend{' and season' if season_of else ''}, exact diffuse, gaps"
