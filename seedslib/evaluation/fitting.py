@@ -140,9 +140,8 @@ def fit(
     filter : Filter, or callable
         One that gives a log-likelihood, of a model whose formulas mention the parameters; or a
         function of their numbers, as `bind` takes them, that makes it, where a filter cannot have
-        a number for each record (a chain on a grid) or a parameter cannot stand in a formula (the
-        moments of the first state, `LinearSystem.from_continuous`). That is called for every
-        value, without a batch.
+        a number for each record (a chain on a grid) or a parameter cannot stand in a formula.
+        That is called for every value, without a batch.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m) or (K+1, m, series)
         Of one record, or of many with the same parameters.

@@ -276,7 +276,10 @@ def walk(
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **first)
+    start, own = filter, record.inputs.constant
+    if own and getattr(filter.system, "first", None) is not None:  # a first state of each record
+        start = filter.bind(own)
+    state = start.initial(record.y.shape[2:], seed, **first)
     for k, t in enumerate(record.times):
         mode = () if record.modes is None else (record.modes[k],)
         indicator = () if record.indicators is None else (record.indicators[k],)
@@ -606,6 +609,21 @@ class Filter(Pickled):
         modes = () if mode is None else (mode,)
         later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
+
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m, *batch) and covariance of the measurement at the time of a prediction.
+
+        See `seedslib.filters.forecast_measurements`.
+
+        Raises
+        ------
+        TypeError
+            The filter does not say.
+        """
+        raise TypeError(
+            "filter: wanted one that carries means and covariances (KalmanFilter, extended_kalman "
+            f"and other covariance filters, SwitchingFilter), got {type(self).__name__}"
+        )
 
     def smoother(self) -> Any:
         """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.

@@ -14,18 +14,19 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_real, outside
+from seedslib.base.checks import as_positive, outside
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
-from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
+from seedslib.base.values import Values, in_order, of_paths, require_no_step
+from seedslib.models.first_state import Started
 from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise, named_noise
+from seedslib.models.noise import named_noise
 from seedslib.models.simulation import Simulation, simulate
 
 Rate = Callable[..., np.ndarray]
 
 
-class JumpDiffusion(Parametrized, Pickled):
+class JumpDiffusion(Started, Pickled):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -137,14 +138,12 @@ class JumpDiffusion(Parametrized, Pickled):
         self.wiener_size = self.diffusion_expressions.shape[1]
         self.state_size, self.measurement_size = n, self.sensor.size
         maps = [map for map in (self.sensor, self.jump) if map is not None]
-        self.parameters = in_order([*parameters_of(rates), *(p for m in maps for p in m.mentions)])
+        named = [*parameters_of(rates), *self._start(mean0, cov0, initial, n)]
+        self.parameters = in_order([*named, *(p for map in maps for p in map.mentions)])
         require_no_step("system", self.parameters)
         self.numbers: Mapping[Any, Any] = {}
         self.sensor = self.sensor.taking(self.parameters)
         self.jump = self.jump and self.jump.taking(self.parameters)
-        self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
-        self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
-        self.prior: Noise = Noise(n, self.mean0, self.cov0, initial)
         self.step: float = as_positive("step", step)
 
     def drift(self, t: float, x: np.ndarray, p: Values | None = None) -> np.ndarray:
@@ -227,10 +226,6 @@ class JumpDiffusion(Parametrized, Pickled):
         if scheme not in SCHEMES:
             raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
         return self._heun if scheme == "heun" else self._euler
-
-    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
-        """Draws of the initial state, shape (n, count)."""
-        return self.prior.draw(rng, count)
 
     def advance(
         self,
