@@ -20,12 +20,10 @@ from seedslib.linearization.moments import Moments
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap, SwitchingSystem
 from seedslib.two_step import LinearDiffusion, TwoStepEstimator
 
-LOWER = np.tril_indices(2)
-
 
 def polygon(mean, cov, vertices):
     found = gaussian.polygon(mean, cov, vertices)
-    return {"mass": found.mass, "mean": found.mean, "covariance": found.cov[LOWER]}
+    return {"mass": found.mass, "mean": found.mean, "covariance": found.cov[np.tril_indices(2)]}
 
 
 def bivariate_normal_cdf(h, k, rho):
