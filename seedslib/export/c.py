@@ -223,6 +223,11 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     >>> "oscillator_step" in text
     True
     """
+    if path in ("float", "double"):
+        raise ValueError(
+            f"path: wanted a path such as filter.h, got {path!r}; the type of numbers is the "
+            f"typedef {name}_real of the header"
+        )
     text = header(recorded(filter), checked_name(name))
     if path is not None:
         write_whole(path, text.encode("ascii"))
@@ -246,7 +251,7 @@ def header(step: Program, name: str) -> str:
     halves = filled("halves.h", {**names, "INPUTS": inputs[0], "PASSED": inputs[1]})
     after = {"name": name, "SIGNATURE": signature(step, writer, "after", "dt")}
     passed = ["s", "s->started ? s->t + dt : 0.0", *arguments(step)[1:]]
-    timed = "time" in arguments(step) and not step.parameters
+    timed = {"t", "started", "time"} <= step.arrays.keys() and not step.parameters
     marks = {
         **names,
         "AFTER": filled("after.h", {**after, "PASSED": ", ".join(passed)}) if timed else "",
