@@ -13,7 +13,7 @@ from scipy.special import ndtri
 
 from seedslib.base.checks import brief
 from seedslib.base.parameters import Parameter
-from seedslib.base.progress import LOG
+from seedslib.base.progress import LOG, followed
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Filter
 
@@ -268,7 +268,7 @@ class _Likelihood:
         value, slopes, curvature = here
         curvature = -np.eye(len(along)) if curvature is None else curvature
         gained = [value]
-        for number in range(STEPS):
+        for number in followed(range(STEPS), "fit", lines=False):
             LOG.info("fit: step %d, log-likelihood %.6f at %s", number, value, self.values(u))
             step = uphill(slopes, curvature, radius)
             expected = slopes @ step + 0.5 * step @ curvature @ step

@@ -357,6 +357,15 @@ def clean(batch: tuple[int, ...]) -> dict[str, np.ndarray]:
     return {"loglik": np.zeros(batch), "diverged": np.zeros(batch, dtype=bool)}
 
 
+ELSEWHERE = {
+    "filter": "run(times, measurements)",
+    "smooth": "seedslib.filters.smooth(filter, times, measurements)",
+    "fit": "seedslib.evaluation.fit(filter, times, measurements, free)",
+    "simulate": "filter.system.simulate(times, paths, seed)",
+}
+"""What other libraries have as verbs of a filter, and where it is here."""
+
+
 class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
@@ -386,6 +395,13 @@ class Filter(Pickled):
     takes: ClassVar[tuple[str, ...]] = ()
     records: int = BLOCK
     alone: bool = False
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            where = ELSEWHERE.get(name)
+            hint = f"; wanted {where}" if where else ""
+            raise AttributeError(f"{name}: {type(self).__name__} has no such attribute{hint}")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r})"

@@ -92,15 +92,15 @@ class Started(Parametrized):
 
     def _start(self, mean0: Any, cov0: Any, initial: Any, n: int) -> tuple[Any, ...]:
         """Set the first state; the parameters that its moments mention."""
-        mean0 = np.array(mean0, dtype=object, ndmin=1)
-        cov0 = np.array(cov0, dtype=object, ndmin=2)
-        if not any(hasattr(entry, "free_symbols") for entry in (*mean0.flat, *cov0.flat)):
-            mean, cov = as_real("mean0", mean0, (n,)), as_covariance("cov0", cov0, n)
+        mean, cov = np.array(mean0, dtype=object, ndmin=1), np.array(cov0, dtype=object, ndmin=2)
+        if not any(hasattr(entry, "free_symbols") for entry in (*mean.flat, *cov.flat)):
+            mean = as_real("mean0", np.atleast_1d(as_real("mean0", mean0)), (n,))
+            cov = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
             vars(self).update(mean0=mean, cov0=cov, prior=Noise(n, mean, cov, initial))
             return ()
         if initial is not None:
             raise ValueError("initial: wanted none beside moments with parameters, got one")
-        vars(self)["first"] = FormulasOfMoments(mean0, cov0, n)
+        vars(self)["first"] = FormulasOfMoments(mean, cov, n)
         self._set_moments()
         return self.first.mentions
 
