@@ -49,12 +49,14 @@ def as_real(
         raise TypeError(f"{name}: wanted NaN for missing numbers, got a masked array")
     try:
         array = np.asarray(value)
+        if array.dtype.kind == "O" and all(isinstance(part, int | float) for part in array.flat):
+            array = array.astype(float)
     except ValueError as error:
         raise TypeError(f"{name}: wanted an array of real numbers, got a ragged list") from error
-    if array.dtype.kind == "O" and all(isinstance(part, int | float) for part in array.flat):
-        array = _as_floats(name, array)
+    except OverflowError:
+        raise ValueError(f"{name}: wanted numbers in the range of float64, got others") from None
     if array.dtype.kind not in "fiub":
-        raise TypeError(f"{name}: wanted real numbers, got {_no_numbers(array)}")
+        raise TypeError(f"{name}: wanted real numbers, got {brief(value)}")
     array = array.astype(float)
     if shape is not None:
         require_shape(name, array, shape)
@@ -63,26 +65,6 @@ def as_real(
         where = tuple(int(i) for i in np.argwhere(bad)[0])
         raise ValueError(f"{name}: wanted finite numbers, got {array[where]} at index {where}")
     return array
-
-
-def _as_floats(name: str, array: np.ndarray) -> np.ndarray:
-    try:
-        return array.astype(float)
-    except OverflowError:
-        raise ValueError(f"{name}: wanted numbers in the range of float64, got others") from None
-
-
-def _no_numbers(array: np.ndarray) -> str:
-    """What an array of something else is, and what may have been meant."""
-    if array.dtype.kind in "mM":
-        hint = "take time since the first in a unit: (t - t[0]) / np.timedelta64(1, 's')"
-        return f"an array of dtype {array.dtype}; {hint}"
-    if array.dtype.kind != "O":
-        return f"an array of dtype {array.dtype}"
-    symbols = {str(s) for part in array.flat for s in getattr(part, "free_symbols", ())}
-    if symbols:
-        return f"formulas of {', '.join(sorted(symbols))}; fit takes a function of their numbers"
-    return brief(array.tolist())
 
 
 def brief(value: object) -> str:

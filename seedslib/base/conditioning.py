@@ -92,8 +92,7 @@ def update(
 
     Notes
     -----
-    Batch axes come last, broadcast against each other and may be absent. Arrays of SymPy
-    expressions (dtype object) go through the same elimination.
+    Batch axes come last, broadcast against each other and may be absent.
     A component of y that the ones before it determine, up to 1e-13 of its variance, is left out:
     the likelihood is the density of the others (-inf where impossible). Items in which a variance
     given the components before falls below -1e-9 of itself, or with a NaN but in `y`, become NaN.
@@ -102,9 +101,6 @@ def update(
     cov = None if cov is None else np.asarray(cov)
     if len(y) != len(expected):
         raise ValueError(f"y: wanted shape ({len(expected)}, *batch), got {y.shape}")
-    if object in (mean.dtype, y.dtype, expected.dtype, cross.dtype, innovation_cov.dtype):
-        return _update_symbols(mean, cov, y - expected, cross, innovation_cov)
-
     gain_batch = batch_shape(cross.shape[2:], innovation_cov.shape[2:])
     batch = batch_shape(mean.shape[1:], y.shape[1:], expected.shape[1:], gain_batch)
     cov_batch = () if cov is None else batch_shape(cov.shape[2:], gain_batch)
@@ -138,7 +134,7 @@ def update(
     new_mean = np.empty((len(mean), *full))
     for k, component in enumerate(lists[0]):
         new_mean[k] = component
-    new_cov = None if cov is None else _filled(lists[1], cov_full, float)
+    new_cov = None if cov is None else _filled(lists[1], cov_full)
 
     terms.append(_log_product(pivots, depth))
     count = len(pivots) - missing
@@ -196,17 +192,6 @@ def gaussian_logpdf(
     return update(np.empty(0), None, y, moments, periods=periods)[2]
 
 
-def _update_symbols(mean, cov, innovation, cross, innovation_cov):
-    import sympy
-
-    given = mean, cov, innovation, cross, innovation_cov
-    lists = [None if part is None else part.tolist() for part in given]
-    squares, pivots = eliminate(*lists, lambda pivot, variance: (1 / pivot, pivot))
-    logs = [sympy.log(2 * sympy.pi * pivot) for pivot in pivots]
-    cov = None if cov is None else _filled(lists[1], (), object)
-    return np.array(lists[0], dtype=object), cov, -sum(squares + logs) / 2
-
-
 def _components(array: np.ndarray, depth: int) -> list:
     """Components of a vector or a matrix with `depth` batch axes.
 
@@ -217,9 +202,9 @@ def _components(array: np.ndarray, depth: int) -> list:
     return list(array) if array.ndim == 1 + depth else [list(row) for row in array]
 
 
-def _filled(lower: list[list[Any]], batch: tuple[int, ...], dtype: type) -> np.ndarray:
+def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
     """Symmetric array of the component lists on and below the diagonal."""
-    full = np.empty((len(lower), len(lower), *batch), dtype=dtype)
+    full = np.empty((len(lower), len(lower), *batch))
     for k, row in enumerate(lower):
         for q in range(k + 1):
             full[k, q] = full[q, k] = row[q]

@@ -1,18 +1,16 @@
 """How far a long piece of work has come: lines of a log, at most about one a second.
 
-They go to the logger ``seedslib`` at level INFO where somebody listens, as
-``logging.basicConfig(level=logging.INFO)`` does. Where nobody does, and tqdm is installed, work of
-more than a second has a bar in a terminal, and nothing elsewhere.
+They go to the logger ``seedslib`` at level INFO, which is heard after
+``logging.basicConfig(level=logging.INFO)``.
 """
 
 from __future__ import annotations
 
 import logging
-import sys
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager
-from typing import Any, TypeVar
+from typing import TypeVar
 
 LOG = logging.getLogger("seedslib")
 LOG.addHandler(logging.NullHandler())
@@ -23,8 +21,8 @@ EVERY = 1.0
 Step = TypeVar("Step")
 
 
-def followed(steps: Any, what: str) -> Any:
-    """The same steps, in a loop whose progress is logged, or a bar in a terminal.
+def followed(steps: Collection[Step], what: str) -> Iterator[Step]:
+    """The same steps, in a loop whose progress is logged.
 
     Parameters
     ----------
@@ -32,19 +30,8 @@ def followed(steps: Any, what: str) -> Any:
     what : str
         Of what they are steps.
     """
-    if LOG.isEnabledFor(logging.INFO):
-        return _followed(steps, what, len(steps))
-    if not sys.stderr.isatty():
-        return steps
-    try:
-        from tqdm import tqdm
-    except ImportError:
-        return steps
-    return tqdm(steps, what, leave=False, delay=EVERY)
-
-
-def _followed(steps: Iterable[Step], what: str, count: int) -> Iterator[Step]:
-    begin = logged = time.monotonic()
+    count, begin = len(steps), time.monotonic()
+    logged = begin
     for done, step in enumerate(steps, 1):
         yield step
         now = time.monotonic()

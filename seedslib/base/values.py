@@ -102,14 +102,9 @@ class Parametrized:
             raise TypeError(
                 f"values: wanted a mapping of Parameter to numbers, got {brief(values)}"
             )
-        if unknown := named.keys() - own.keys():
-            raise ValueError(f"{min(unknown)}: {wanted}, got another name")
-        given = {**values, **{own[name]: value for name, value in named.items()}}
-        for p in given.keys() - own.values():
-            got = f"the key {p!r}; names are given as {next(iter(own), 'q')}=..."
-            if hasattr(p, "role"):
-                got = "another of that name" if str(p) in own else "another name"
-            raise ValueError(f"{p}: {wanted}, got {got}")
+        given = {**values, **{own.get(name, name): value for name, value in named.items()}}
+        if other := given.keys() - own.values():
+            raise ValueError(f"{min(map(str, other))}: {wanted}, got another key")
         numbers = {p: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()}
         return changed(self, numbers={**self.numbers, **numbers})
 

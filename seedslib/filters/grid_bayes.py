@@ -17,10 +17,6 @@ from seedslib.filters.weights import logarithm, most_probable, normalised, relat
 from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_system, switches
 
-FAINT = -460.0
-"""Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
-
-
 LOSS = 1e-6
 """Probability that leaves the nodes in a step, or that they are too coarse for, worth a warning."""
 
@@ -118,28 +114,11 @@ class GridBayesFilter(Filter):
         weight, highest, _ = relative(state.log_prob, 0)
         joint = (weight[:, None] * state.node_prob).reshape(len(transition), -1)
         log_prob, node_prob = _split((transition @ joint).reshape(shape))
-        faint = log_prob < FAINT
         log_prob += highest
-        for l in np.flatnonzero(faint.any(axis=tuple(range(1, faint.ndim)))):
-            mask = faint[l]
-            log_prob[l, mask], node_prob[l][:, mask] = self._into_mode(
-                l, transition, state.log_prob[:, mask], state.node_prob[:, :, mask]
-            )
         with np.errstate(invalid="ignore"):  # nothing was left before
             self._warn_of_loss(self.chain.loss(state.time, t, p) @ joint / joint.sum(axis=0))
         parts = {"log_prob": log_prob, "node_prob": node_prob}
         return state._replace(**parts, **self._estimate(**parts))
-
-    def _into_mode(
-        self, l: int, transition: np.ndarray, log_prob: np.ndarray, node_prob: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
-        """Logarithm of the probability of mode l, and the state in it, relative to itself."""
-        modes, count = self._modes, self._count
-        rows = transition[l * count : (l + 1) * count].reshape(count, modes, count)
-        masses, parts = _split(np.stack([rows[:, i] @ node_prob[i] for i in range(modes)]))
-        share, highest, empty = relative(log_prob + masses, 0)
-        total, mixed = _split((share[:, None] * parts).sum(axis=0)[None])
-        return np.where(empty, 0.0, highest) + total[0], mixed[0]
 
     def update(
         self, state: GridState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None

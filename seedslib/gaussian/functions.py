@@ -155,15 +155,13 @@ def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
         return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
 
-def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> FunctionMoments:
-    """Mean and variance of ``|x - origin|`` for x ~ N(mean, var).
+def abs_moments(mean: ArrayLike, var: ArrayLike) -> FunctionMoments:
+    """Mean and variance of ``|x|`` for x ~ N(mean, var).
 
     Parameters
     ----------
     mean, var : array_like
         Any shapes that broadcast; the variance may be zero.
-    origin : float
-        Where the modulus vanishes.
 
     Returns
     -------
@@ -175,7 +173,7 @@ def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> Functio
     TypeError, ValueError
         Not real, not finite, or a negative variance.
     """
-    distance = np.abs(as_real("mean", mean) - as_real("origin", origin))
+    distance = np.abs(as_real("mean", mean))
     var = variance_argument("var", var)
     root = np.sqrt(var)
     scaled = ratio(distance, root)
@@ -206,10 +204,8 @@ def _scalar_arguments(
     return mean, var, np.minimum(error_var, var)
 
 
-def abs_errors(
-    mean: ArrayLike, var: ArrayLike, error_var: ArrayLike, origin: float = 0.0
-) -> MeanSquareErrors:
-    """Exact mean-square errors of the estimates of ``|θ - origin|`` (example 4).
+def abs_errors(mean: ArrayLike, var: ArrayLike, error_var: ArrayLike) -> MeanSquareErrors:
+    """Exact mean-square errors of the estimates of ``|θ|`` (example 4).
 
     The paper simulates them. They are one-dimensional means of smooth functions of the estimate,
     and are integrated on either side of the kink to a relative error of about 1e-14.
@@ -220,8 +216,6 @@ def abs_errors(
         Unconditional mean and variance of θ.
     error_var : array_like
         Variance of the error of its estimate, at most `var`.
-    origin : float
-        Where the modulus vanishes.
 
     Returns
     -------
@@ -233,7 +227,7 @@ def abs_errors(
         Not real, not finite, a negative variance, or an error variance above the variance.
     """
     mean, var, error_var = _scalar_arguments(mean, var, error_var)
-    mean, deviation = np.abs(mean - as_real("origin", origin)), np.sqrt(var - error_var)
+    mean, deviation = np.abs(mean), np.sqrt(var - error_var)
     z, weight = split_rule(mean, deviation, np.sqrt(error_var))
     estimate = mean + deviation * z
     modulus, variance = abs_moments(estimate, error_var)

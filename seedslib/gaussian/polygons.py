@@ -63,8 +63,8 @@ def polygon(
     mean, cov : array_like, shapes (2, ...) and (2, 2, ...)
         Batch axes come last and broadcast among all arguments.
     vertices : array_like, shape (V, 2, ...)
-        In order, in either orientation; repeated ones are padding (see `pad_regions`). Where the
-        boundary touches itself, what an even number of edges separates from infinity is outside.
+        In order, in either orientation; repeated ones are padding (see `pad_regions`). The
+        boundary may touch but not cross itself: what an even number of edges separates from infinity is outside.
     rays : array_like, shape (2, 2, ...), optional
         Makes the region unbounded: directions from the first and from the last vertex to infinity.
         The boundary comes in along the first ray and goes out along the second one; the region
@@ -80,8 +80,7 @@ def polygon(
     Raises
     ------
     TypeError, ValueError
-        Not real, not finite, shapes that do not fit, no covariance; a polygon without area, or
-        one whose boundary crosses itself where there is mass.
+        Not real, not finite, shapes that do not fit, no covariance; a polygon without area.
 
     Examples
     --------
@@ -176,7 +175,6 @@ def _moments(
     if unbounded.any():
         ends = _far_points((vertices - mean) / unit, rays / unit, unbounded)
         vertices = np.concatenate([vertices, np.where(unbounded, mean + unit * ends, vertices[-1])])
-    _refuse_crossings(*np.moveaxis((vertices - mean) / unit, 1, 0))
     product = np.where(a * c > 0, a * c, 1.0)
     determinant = np.where(a * c > 0, difference_of_products(a, c, b, b) / product, 0.0)
     plane = determinant > SINGULAR
@@ -276,17 +274,6 @@ def _far_points(away: np.ndarray, rays: np.ndarray, unbounded: np.ndarray) -> np
     arc = 2.0 * radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
     ends = (away[-1] + radius * outward)[None], (away[0] + radius * inward)[None]
     return np.concatenate([ends[0], arc, ends[1]])
-
-
-def _refuse_crossings(x: np.ndarray, y: np.ndarray) -> None:
-    """Polygons (V, B) of which two edges cross in their interiors."""
-    nx, ny = np.roll(x, -1, axis=0), np.roll(y, -1, axis=0)
-    terms = [(nx - x)[:, None] * (y - y[:, None]), (ny - y)[:, None] * (x - x[:, None])]
-    area = terms[0] - terms[1]  # of edge i and vertex j; its sign is the side
-    area[np.abs(area) <= 8.0 * ROUNDING * (np.abs(terms[0]) + np.abs(terms[1]))] = 0.0
-    opposite = np.sign(area) * np.sign(np.roll(area, -1, axis=1)) < 0.0
-    if (opposite & np.swapaxes(opposite, 0, 1)).any():
-        raise ValueError("vertices: wanted a polygon whose boundary does not cross itself")
 
 
 def _nearest(x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -31,9 +31,6 @@ from seedslib.models.switching import CLOSE, Branch, SwitchingSystem
 STORED = 64, 1
 """Transitions that are stored, of times or of values of inputs; of large ones the last."""
 
-MARK_NODES = 32
-"""Gauss-Hermite nodes per mark where a jump is not affine in its marks."""
-
 POINTS = 6
 """Nodes that a narrow distribution is shared between: its moments up to the fifth are kept."""
 
@@ -586,7 +583,7 @@ def generator(
     Raises
     ------
     ValueError
-        A negative intensity, marks that are not Gaussian.
+        A negative intensity, jumps that are not affine in Gaussian marks.
     """
     p = system.values() if p is None else p
     nodes, h = axis.nodes, axis.step
@@ -675,17 +672,10 @@ def _split(axis: Axis, values: np.ndarray) -> np.ndarray:
 def _landing(jump: StochasticMap, axis: Axis, t: float, p: Values) -> np.ndarray:
     """Probability of each cell (rows) after a jump from each node (columns)."""
     x = axis.nodes[None]
-    if not jump.noise.gaussian:
-        raise ValueError("jump: wanted Gaussian marks for a grid, got others")
-    if jump.has_log_density:
-        mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x, p))
-        return cell_masses(axis, x[0] + mean, deviation)
-    marks, weights = jump.noise.rule(MARK_NODES)
-    landing = np.zeros((axis.count, axis.count))
-    for mark, weight in zip(marks.T, weights, strict=True):
-        kick = jump.value(t, x, np.broadcast_to(mark[:, None], (len(mark), axis.count)), p)
-        landing += weight * _split(axis, x[0] + kick[0])
-    return landing
+    if not jump.gaussian_density:
+        raise ValueError("jump: wanted jumps affine in Gaussian marks for a grid, got others")
+    mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x, p))
+    return cell_masses(axis, x[0] + mean, deviation)
 
 
 def shared(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:

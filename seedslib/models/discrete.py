@@ -13,7 +13,7 @@ from seedslib.base.blocks import Source
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, require_no_step
-from seedslib.models.maps import StochasticMap, warn_of_angles
+from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -66,7 +66,6 @@ class DiscreteSystem(Parametrized, Pickled):
         prior = Noise(n, mean0, cov0, self.initial)
         vars(self).update(state_size=n, mean0=mean0, cov0=cov0, prior=prior)
         require_no_step("sensor", self.sensor.mentions)
-        warn_of_angles(self.sensor)
         parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions))
         dynamics, sensor = (map.taking(parameters) for map in (self.dynamics, self.sensor))
         vars(self).update(parameters=parameters, numbers={}, dynamics=dynamics, sensor=sensor)

@@ -18,7 +18,7 @@ from seedslib.base.checks import as_covariance, as_positive, as_real, outside
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
-from seedslib.models.maps import StochasticMap, warn_of_angles
+from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -132,7 +132,6 @@ class JumpDiffusion(Parametrized, Pickled):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
         self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
-        warn_of_angles(self.sensor)
         rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
         self.wiener_size = self.diffusion_expressions.shape[1]
         self.state_size, self.measurement_size = n, self.sensor.size

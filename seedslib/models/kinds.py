@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import MISSING, dataclass, fields
 from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
-from seedslib.base.checks import as_count, as_times, is_whole, outside
+from seedslib.base.checks import as_count, as_times, is_whole
 from seedslib.base.clock import when
 from seedslib.base.values import Parametrized, Values
 
@@ -59,9 +58,6 @@ KINDS = ("JumpDiffusion", "DiscreteSystem", "SwitchingSystem")
 
 UNEVEN = 1e-6
 """Steps of a system in discrete time may differ by this part of them."""
-
-FEW = 12
-"""Whole units of time in a step of which several steps may be meant."""
 
 
 def as_system(name: str, value: Any, *wanted: str) -> Any:
@@ -124,23 +120,10 @@ def as_grid(name: str, value: object, system: object) -> np.ndarray:
     TypeError, ValueError
         As `as_times`; `ValueError` also for unequal steps of a system in discrete time, whose
         map moves it by one step however long the gap is: it does not mention the elapsed time.
-
-    Warns
-    -----
-    UserWarning
-        Steps of a few whole units, in which it may be meant to move several times.
     """
     times = as_times(name, value)
     if len(times) > 1 and in_even_steps(system):
-        steps = np.diff(times)
-        require_even(name, steps, times)
-        if 2.0 <= steps[0] <= FEW and steps[0].is_integer():
-            warnings.warn(
-                f"{name}: steps of {steps[0]:g} count as one step each, for the dynamics do not "
-                "mention the elapsed time ELAPSED; every time wants to be there, with NaN where "
-                "nothing was measured",
-                stacklevel=outside(),
-            )
+        require_even(name, np.diff(times), times)
     return times
 
 

@@ -7,7 +7,6 @@ its log-density where that has a closed form.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from typing import Any, NamedTuple
@@ -15,29 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.blocks import Source
-from seedslib.base.checks import outside
 from seedslib.base.circle import Periods, as_periods, wrapped
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order
 from seedslib.models.noise import Noise, named_noise
-
-
-def warn_of_angles(sensor: StochasticMap) -> None:
-    """Warn of components of a sensor that are angles in the plane, without a period."""
-    if not sensor.symbolic:
-        return
-    import sympy
-
-    for k, expression in enumerate(sensor.expressions):
-        terms = sympy.Add.make_args(expression)
-        factors = (factor for term in terms for factor in sympy.Mul.make_args(term))
-        if k not in dict(sensor.period) and any(isinstance(f, sympy.atan2) for f in factors):
-            warnings.warn(
-                f"sensor: wanted the period of component {k}, an angle (atan2), got none, so it "
-                f"jumps where it comes round; period={{{k}: 2*pi}} says that it does",
-                stacklevel=outside(),
-            )
 
 
 class Conditional(NamedTuple):
@@ -378,8 +359,7 @@ class StochasticMap(Pickled):
         Raises
         ------
         ValueError
-            There is no closed form: the noise enters nonlinearly or has no density. A part of a
-            measurement is missing and the given log-density cannot do without it.
+            There is no closed form: the noise enters nonlinearly or has no density.
         """
         if not self.has_log_density:
             raise ValueError(
@@ -390,7 +370,10 @@ class StochasticMap(Pickled):
             mean, cov, _ = self.conditional
             return gaussian_logpdf(y, mean(t, x, p), cov(t, x, p), self.period)
         given = self._by_noise if self.symbolic else self._given(self._functions.log_density)
-        return with_missing(given, t, y, x, p)
+        with np.errstate(invalid="ignore"):
+            density = given(t, y, x, p)
+        missing = np.isnan(y).all(axis=0)
+        return np.where(missing, 0.0, density) if missing.any() else density
 
     def _by_noise(self, t: float, y: np.ndarray, x: np.ndarray, p: Values) -> np.ndarray:
         """Log-density of y from that of the noise, by the change of variables."""
@@ -414,34 +397,3 @@ def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -
     """Value of a function that takes some of the numbers p, its last argument, one by one."""
     *others, p = given
     return function(*others, *(p[k] for k in places))
-
-
-def with_missing(
-    log_density: Callable[..., Any], t: float, y: np.ndarray, x: np.ndarray, p: Values
-) -> np.ndarray:
-    """The given log-density; zero where the whole measurement is missing (NaN), log 1.
-
-    Parameters
-    ----------
-    log_density : callable
-        ``log_density(t, y, x, p) -> (*batch)``.
-    t : float
-    y, x : ndarray, shapes (m, *batch) and (n, *batch)
-
-    Raises
-    ------
-    ValueError
-        A part of a measurement is missing, and the function gives no number at any state.
-    """
-    y, gaps = np.asarray(y, dtype=float), np.isnan(y)
-    if not gaps.any():
-        return log_density(t, y, x, p)
-    with np.errstate(invalid="ignore"):
-        density = np.where(gaps.all(axis=0), 0.0, log_density(t, y, x, p))
-    partly = np.broadcast_to(gaps.any(axis=0) & ~gaps.all(axis=0), density.shape)
-    if partly.any() and np.isnan(density[partly]).all():
-        raise ValueError(
-            "log_density: wanted numbers where a part of the measurement is missing (NaN), got "
-            "NaN; it must integrate over that part, or the measurement be missing as a whole"
-        )
-    return density

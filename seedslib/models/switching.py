@@ -25,7 +25,7 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, warn_of_angles
+from seedslib.models.maps import StochasticMap
 from seedslib.models.noise import Noise, lower_times, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
@@ -342,7 +342,6 @@ class SwitchingSystem(Parametrized, Pickled):
         moves = [made(row, noise) for row in moves]
         sensors = [made(row, sensor_noise, period=period) for row in measured]
         self._complete(moves, switching, sensors, initial, indicator, drives)
-        warn_of_angles(self.sensors[0])
 
     @classmethod
     def from_maps(

@@ -2,9 +2,6 @@
 
 import logging
 import os
-import stat
-import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +9,6 @@ import sympy as sp
 
 from seedslib import zoo
 from seedslib.base import Axis, Input, Nodes, Parameter, interpolate, update
-from seedslib.base.progress import followed
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
 from seedslib.evaluation import fit
@@ -109,29 +105,25 @@ def test_no_string_is_run(use, tmp_path):
 
 
 def test_a_file_is_replaced_as_a_whole_or_not_at_all(tmp_path, monkeypatch):
-    """What fails on the way leaves the old design; a link stays one, and so do permissions."""
+    """What fails on the way leaves the old design, and nothing beside it."""
     designs = [
         synthesize(LINEAR, Memory(k), Taylor(), range(3), exact_moments=True, nodes=0)
         for k in (1, 2)
     ]
-    path, link = tmp_path / "f.npz", tmp_path / "link.npz"
+    path = tmp_path / "f.npz"
     save(designs[0], path)
-    path.chmod(0o604)
-    link.symlink_to(path.name)
     old = path.read_bytes()
 
     def full(*_):
         raise OSError(28, "No space left on device")
 
     with monkeypatch.context() as disk:
-        disk.setattr(os, "fsync", full)
+        disk.setattr(os, "replace", full)
         with pytest.raises(OSError, match="No space left"):
             save(designs[1], path)
     assert path.read_bytes() == old
-    assert sorted(os.listdir(tmp_path)) == ["f.npz", "link.npz"]
-    save(designs[1], link)
-    assert link.is_symlink()
-    assert stat.S_IMODE(path.stat().st_mode) == 0o604
+    assert sorted(os.listdir(tmp_path)) == ["f.npz"]
+    save(designs[1], path)
     assert load(path, LINEAR).order == designs[1].order
     with pytest.raises(FileNotFoundError):
         save(designs[0], tmp_path / "none" / "f.npz")
@@ -147,19 +139,6 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
         told = work()
     assert "all 3 steps" in caplog.records[-1].getMessage()
     np.testing.assert_array_equal(quiet.predicted.rms, told.predicted.rms)
-
-
-def test_long_work_has_a_bar_in_a_terminal_where_tqdm_is(monkeypatch):
-    bars = []
-    fake = SimpleNamespace(tqdm=lambda steps, what, **options: bars.append(what) or steps)
-    monkeypatch.setitem(sys.modules, "tqdm", fake)
-    assert list(followed(range(3), "work")) == [0, 1, 2]
-    assert not bars
-    monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
-    assert list(followed(range(3), "work")) == [0, 1, 2]
-    assert bars == ["work"]
-    monkeypatch.setitem(sys.modules, "tqdm", None)
-    assert list(followed(range(3), "work")) == [0, 1, 2]
 
 
 Q = Parameter("q", 0.1, positive=True)
@@ -180,10 +159,10 @@ SENTENCES = [
     (lambda: flow(period={0: "2 pi"}), r"period\[0\]: wanted a number, got '2 pi'"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=True), r"diffuse: .* got True; .* range\(1\)"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse="all"), r"diffuse: .* got 'all'; .* range"),
-    (lambda: LinearSystem(1, 1, 1, 1, 0, Q), r"cov0: wanted real numbers, got formulas of q; fit"),
+    (lambda: LinearSystem(1, 1, 1, 1, 0, Q), r"cov0: wanted real numbers, got q$"),
     (lambda: LinearSystem(10**400, 1, 1, 1, 0, 1), r"F: wanted numbers in the range of float64"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, None), r"cov0: wanted real numbers, got None"),
-    (lambda: Noise([V], cov=[[Q * K]]), r"cov: wanted real numbers, got formulas of k, q"),
+    (lambda: Noise([V], cov=[[Q * K]]), r"cov: wanted real numbers, got \[\["),
     (lambda: moved([X + DT * V], [X]), r"dynamics: .* got dt; .* ELAPSED"),
     (lambda: moved([X + V], [X, X]), r"dynamics: wanted rows of one length, got rows of 1, 2"),
     (lambda: fit(LEVEL, MANY, MANY[:, None], [Q]), r"filter: .* KalmanFilter.* got LinearSystem"),

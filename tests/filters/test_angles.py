@@ -1,7 +1,5 @@
 """Angles across the cut of the circle: as if there were none."""
 
-import warnings
-
 import numpy as np
 import pytest
 import sympy as sp
@@ -18,7 +16,6 @@ from seedslib.filters import (
 )
 from seedslib.models import (
     DiscreteSystem,
-    JumpDiffusion,
     Noise,
     StochasticMap,
     SwitchingSystem,
@@ -108,31 +105,3 @@ def test_filters_of_modes_with_angles_equal_those_of_a_turned_world():
         two = away.run(np.arange(6.0), y - 3.0, **options)
         np.testing.assert_allclose(one.mean, two.mean, atol=1e-9)
         np.testing.assert_allclose(one.loglik, two.loglik, atol=1e-9)
-
-
-def test_an_angle_in_the_plane_without_a_period_is_warned_of_once():
-    """In systems of each kind, when they are made; not inside of a sine, and not with a period."""
-    bearing = [sp.sqrt(a**2 + rate**2) + w[0], 180 / sp.pi * sp.atan2(rate, a) + w[1]]
-    noise, sensor_noise, still = Noise(v), Noise(w), [a + v[0], rate + v[1]]
-    start = [0, 0], np.eye(2)
-
-    def discrete(shown, **options):
-        sensor = StochasticMap((a, rate), shown, sensor_noise, **options)
-        return DiscreteSystem(StochasticMap((a, rate), still, noise), sensor, *start)
-
-    def flow(shown, **options):
-        return JumpDiffusion((a, rate), [0, 0], np.eye(2), shown, sensor_noise, *start, **options)
-
-    def modes(shown, **options):
-        known = [still] * 2, noise, [[0.9, 0.1]] * 2, [shown] * 2, sensor_noise
-        return SwitchingSystem((a, rate), *known, [(0.5, *start)] * 2, **options)
-
-    for make in (discrete, flow, modes):
-        with pytest.warns(UserWarning, match="sensor: wanted the period of component 1") as caught:
-            make(bearing)
-        assert len(caught) == 1
-        assert caught[0].filename == __file__
-        with warnings.catch_warnings():
-            warnings.simplefilter("error")
-            make(bearing, period={1: 360.0}).bind({})
-            make([bearing[0], sp.sin(sp.atan2(rate, a)) + w[1]])

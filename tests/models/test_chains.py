@@ -78,15 +78,6 @@ def test_jumps_without_diffusion_are_counted():
     assert drifting.distribution(1.0) @ drifting.values[0] == pytest.approx(2.0, abs=1e-9)
 
 
-def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
-    """z^2 - 1 has mean 0 and second moment 2."""
-    system = flow(0, sympy.Rational(1, 2), intensity=3, jump=[z**2 - 1], marks=Noise((z,)))
-    chain = grid_chain(system, (-20.0, 40.0, 301))
-    law, nodes = chain.distribution(0.5), chain.values[0]
-    assert law @ nodes == pytest.approx(0.0, abs=1e-6)
-    assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
-
-
 def test_rates_that_change_late():
     """dX = dW until time 1, then dX = dt + dW."""
     chain = grid_chain(flow(sympy.Heaviside(t - 1), 1, step=0.05), (-7.0, 9.0, 161))

@@ -170,6 +170,7 @@ ROWS = [
     (lambda: feller(sensor=[x * v**2]), ValueError, "sensor"),
     (lambda: feller(intensity=x, jump=[1]), ValueError, "intensity"),
     (lambda: feller(intensity=1, jump=[w], marks=Noise((w,), sample=sampled)), ValueError, "jump"),
+    (lambda: feller(intensity=1, jump=[w**2], marks=Noise((w,))), ValueError, "jump"),
     (lambda: grid_chain(flow(initial=sampled), AXIS).initial, ValueError, "system"),
     (lambda: grid_chain(flow(), AXIS).transition(1, 1), ValueError, "stop"),
     (lambda: grid_chain(steps(sensor=BOUNDED), AXIS), ValueError, "sensor"),

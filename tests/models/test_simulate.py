@@ -1,14 +1,10 @@
 """Simulation: what the numbers depend on, and which measurements are read and arrive."""
 
-import warnings
-
 import numpy as np
 import pytest
 import sympy
 
 from seedslib import zoo
-from seedslib.base import ELAPSED
-from seedslib.filters import extended_kalman
 from seedslib.models import DiscreteSystem, Noise, StochasticMap, SwitchingSystem, inputs_of
 from systems import INPUTS, TIMES, discrete_system
 
@@ -159,18 +155,3 @@ def test_paths_that_explode_show_it_without_a_warning():
     run = zoo.van_der_pol().simulate([0.0, 60.0], 50, 1, step=1.5)
     assert not np.isfinite(run.states[1]).all()
     assert np.isfinite(run.states[0]).all()
-
-
-def test_whole_steps_of_several_units_are_warned_of_where_each_counts_as_one():
-    """Not fractions, and not where the dynamics mention the time that has passed."""
-    with pytest.warns(UserWarning, match="times: steps of 2 count as one step each"):
-        data = pair().simulate([0, 2, 4], 1, 1)
-    with pytest.warns(UserWarning, match="times: steps of 12 count"):
-        extended_kalman(pair()).run([0, 12], data.measurements[:2])
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        np.testing.assert_array_equal(pair().simulate([0, 2.5, 5], 1, 1).states, data.states)
-        assert ELAPSED in discrete_system().parameters
-        inputs = {u: np.zeros(3) for u in inputs_of(discrete_system())}
-        discrete_system().simulate([0, 2, 4], 1, 1, inputs=inputs)
-        zoo.van_der_pol().simulate([0, 2, 4], 1, 1)
