@@ -64,7 +64,8 @@ def polygon(
         Batch axes come last and broadcast among all arguments.
     vertices : array_like, shape (V, 2, ...)
         In order, in either orientation; repeated ones are padding (see `pad_regions`). The
-        boundary may touch but not cross itself: what an even number of edges separates from infinity is outside.
+        boundary may touch but not cross itself: what an even number of edges separates from
+        infinity is outside.
     rays : array_like, shape (2, 2, ...), optional
         Makes the region unbounded: directions from the first and from the last vertex to infinity.
         The boundary comes in along the first ray and goes out along the second one; the region

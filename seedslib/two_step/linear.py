@@ -19,7 +19,7 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_times
 from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.filters.base import Estimates
-from seedslib.models.propagation import balanced, bounded, distinct_steps, halvings, stepped
+from seedslib.models.propagation import bounded, distinct_steps, halvings, stepped
 
 
 class LinearMoments(NamedTuple):
@@ -219,21 +219,18 @@ class LinearDiffusion:
             There is none: the sensor does not see an unstable mode, or no noise reaches one that
             is not damped.
         """
-        unit, drift, information, diffusion = balanced(self.drift, self.information, self.diffusion)
-        whitened = np.linalg.solve(np.linalg.cholesky(self.sensor_intensity), self.sensor) * unit
+        given = self.drift.T, self.sensor.T, self.diffusion, self.sensor_intensity
         try:
-            cov = solve_continuous_are(
-                drift.T, whitened.T, diffusion, np.eye(len(whitened)), balanced=False
-            )
+            cov = solve_continuous_are(*given)
         except LinAlgError:
-            cov = np.zeros_like(drift)
-        rates = np.linalg.eigvals(drift - cov @ information).real
+            cov = np.zeros_like(self.drift)
+        rates = np.linalg.eigvals(self.drift - cov @ self.information).real
         if rates.max() >= -UNDAMPED * np.abs(rates).max():
             raise ValueError(
                 "system: wanted every mode that is not damped observed by the sensor and driven by "
                 "noise, for a steady error covariance"
             )
-        return symmetrized(cov) * unit[:, None] * unit
+        return symmetrized(cov)
 
     def steady_moments(self) -> LinearMoments:
         """Steady mean (zero), prior covariance and error covariance, arrays (1, ...).
@@ -249,8 +246,7 @@ class LinearDiffusion:
                 "drift: wanted eigenvalues with negative real parts (Hurwitz) for a steady "
                 f"covariance of the state, got a real part of {rates.max():.4g}"
             )
-        unit, drift, _, diffusion = balanced(self.drift, self.information, self.diffusion)
-        cov = symmetrized(solve_continuous_lyapunov(drift, -diffusion)) * unit[:, None] * unit
+        cov = symmetrized(solve_continuous_lyapunov(self.drift, -self.diffusion))
         error_cov = self.steady_error_cov()
         return LinearMoments(np.zeros((1, len(cov))), cov[None], error_cov[None])
 
@@ -387,7 +383,6 @@ class _RiccatiStep(NamedTuple):
         cls, drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray, step: float
     ) -> _RiccatiStep:
         """The step of a system, from the exponential over a part of it and doublings."""
-        unit, drift, information, diffusion = balanced(drift, information, diffusion)
         matrix, n = np.block([[-drift.T, information], [diffusion, drift]]), len(drift)
         rate = np.abs(np.linalg.eigvals(matrix).real).max()
         doublings = halvings(np.linalg.norm(matrix, 1) * step)
@@ -410,15 +405,7 @@ class _RiccatiStep(NamedTuple):
             information = symmetrized(information + move.T @ inward)
             noise = symmetrized(noise + ahead.T @ noise @ move.T)
             move = ahead.T @ move
-        column = unit[:, None]
-        return cls(
-            move * (column / unit),
-            noise * column * unit,
-            information / column / unit,
-            forward * column * unit,
-            backward / column * unit,
-            rate,
-        )
+        return cls(move, noise, information, forward, backward, rate)
 
     def at(self, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Transition of the estimate, its gain on u, and the next error covariance."""
