@@ -29,6 +29,8 @@ from seedslib.models.kinds import (
 if TYPE_CHECKING:
     from typing import Self
 
+    import pandas
+
 State = TypeVar("State", bound=Any)
 
 
@@ -86,56 +88,35 @@ class Estimates(NamedTuple):
             return np.diagonal(self.cov)
         return align(np.einsum("kii...->ki...", self.cov), 2, self.mean.ndim - 2)
 
-    def to_dataframe(self, times: Any, names: Any = None) -> Any:
-        """A pandas table, a row for each time and record; pandas must be installed.
+    def to_dataframe(self, times: ArrayLike) -> pandas.DataFrame:
+        """A pandas table of a single record; pandas must be installed.
 
         Parameters
         ----------
         times : array_like, shape (K+1,)
-        names : sequence of str, optional
-            Of the components; ``x1, x2, ...`` by default.
 
         Returns
         -------
         pandas.DataFrame
-            Indexed by time, and by record where there are many, with the mean and the deviation
-            of each component, the probability of each mode, the mode and the log-likelihood,
-            where the filter gives them.
+            Indexed by time, with the mean and the deviation of each component, the probability of
+            each mode, the mode and the log-likelihood, where the filter gives them.
 
         Raises
         ------
         ImportError
             pandas is not installed.
-        ValueError
-            Another number of times or names.
         """
         with optional("tables"):
             import pandas
 
-        (count, n), times = self.mean.shape[:2], np.asarray(times)
-        names = [f"x{k + 1}" for k in range(n)] if names is None else list(names)
-        for label, value, wanted in (("times", times, count), ("names", names, n)):
-            if len(value) != wanted:
-                raise ValueError(f"{label}: wanted {wanted}, got {len(value)}")
-        shape = (count, *self.mean.shape[2:])
-
-        def rows(part: np.ndarray) -> np.ndarray:
-            return np.broadcast_to(part, shape).reshape(-1)
-
-        index = pandas.Index(times, name="t")
-        if len(shape) > 1:
-            records = range(int(np.prod(shape[1:])))
-            index = pandas.MultiIndex.from_product([times, records], names=["t", "record"])
-        columns = {name: rows(self.mean[:, k]) for k, name in enumerate(names)}
+        columns = {f"x{k + 1}": row for k, row in enumerate(self.mean.T)}
         if self.cov is not None:
-            deviations = np.sqrt(self._variances())
-            columns |= {f"{name}_sd": rows(deviations[:, k]) for k, name in enumerate(names)}
+            columns |= {f"x{k + 1}_sd": row for k, row in enumerate(np.sqrt(self._variances()).T)}
         if self.mode_prob is not None:
-            modes = range(self.mode_prob.shape[1])
-            columns |= {f"mode{i}": rows(self.mode_prob[:, i]) for i in modes}
+            columns |= {f"mode{i}": row for i, row in enumerate(self.mode_prob.T)}
         more = {"mode": self.modes, "loglik": self.loglik}
-        columns |= {name: rows(part) for name, part in more.items() if part is not None}
-        return pandas.DataFrame(columns, index=index)
+        columns |= {name: part for name, part in more.items() if part is not None}
+        return pandas.DataFrame(columns, index=pandas.Index(times, name="t"))
 
 
 def as_record(measurements: object, count: int, size: int) -> np.ndarray:

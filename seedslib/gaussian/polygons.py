@@ -135,14 +135,9 @@ def pad_regions(regions: Sequence[ArrayLike]) -> np.ndarray:
     Raises
     ------
     TypeError, ValueError
-        No region at all, or one that is not a table of finite vertices.
+        A region that is not a table of finite vertices.
     """
-    tables = [as_real(f"regions[{i}]", region, (None, None)) for i, region in enumerate(regions)]
-    for i, table in enumerate(tables):
-        if table.shape[0] < 1 or table.shape[1] != 2:
-            raise ValueError(f"regions[{i}]: wanted shape (V, 2), got {table.shape}")
-    if not tables:
-        raise ValueError("regions: wanted at least one region, got none")
+    tables = [as_real(f"regions[{i}]", region, (None, 2)) for i, region in enumerate(regions)]
     longest = max(map(len, tables))
     padded = [np.pad(t, ((0, longest - len(t)), (0, 0)), mode="edge") for t in tables]
     return np.stack(padded, axis=-1)

@@ -350,7 +350,7 @@ def _leaving(
     p: Values,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Probabilities (branches, N, N) of the branches of a map and the next node, and the loss."""
-    if len(x) == 1:
+    if len(x) == 1 and map.noise.gaussian:
         mean, deviation = (part[0] for part in mean_and_deviation(map, t, x, p))
         if (deviation < axes[0].step).any():
             if any(b is not None and b.depends_on_noise for b in row):
@@ -360,11 +360,8 @@ def _leaving(
                 )
             masses = cell_masses(axes[0], mean, deviation)
             parts = [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
-            loss = _rounded(axes[0], mean, deviation)
-            if not map.noise.gaussian:  # cells take its variance alone
-                density = np.exp(map.log_density(t, x[:, :, None], x[:, None, :], p))
-                loss = np.maximum(loss, np.abs(1.0 - axes[0].weights @ density))
-            return np.stack(parts), loss
+            # cells keep all of the probability, and widen it by a twelfth of a square of the step
+            return np.stack(parts), ((mean < axes[0].low) | (mean > axes[0].high)).astype(float)
     logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
     for log, branch in zip(logs, row, strict=True):
         if branch is not None:
@@ -382,21 +379,6 @@ def _weights(axes: Sequence[Axis | Nodes]) -> np.ndarray:
     for axis in axes:
         weights = np.outer(weights, axis.weights).ravel()
     return weights
-
-
-def _rounded(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
-    """What `cell_masses` loses: (N,) probabilities beyond the ends, and for too wide cells.
-
-    The latter is the error of the trapezoid rule for the density, from which on a rounding to
-    cells shows; a point of no deviation keeps its mean.
-    """
-    from scipy.special import ndtr
-
-    wide = np.where(deviation > 0, deviation, 1e-300)
-    with np.errstate(over="ignore"):
-        beyond = ndtr((axis.low - mean) / wide) + ndtr((mean - axis.high) / wide)
-    coarse = 2.0 * np.exp(-2.0 * (np.pi * deviation / axis.step) ** 2)
-    return np.minimum(1.0, beyond + np.where(deviation > 0, coarse, 0.0))
 
 
 def _feller_chain(system: JumpDiffusion, axes: Sequence[Axis]) -> GridChain:

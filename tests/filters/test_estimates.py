@@ -44,29 +44,22 @@ def test_intervals_are_gaussian_ones(estimates):
     np.testing.assert_allclose(one.interval(0.9), estimates.interval(0.9)[:, 3, :, 0])
 
 
-def test_table_of_many_records(estimates):
-    table = estimates.to_dataframe(TIMES, NAMES)
-    assert list(table.columns) == [*NAMES, *(f"{name}_sd" for name in NAMES), "loglik"]
-    row = table.loc[(TIMES[4], 1)]
-    assert row["speed"] == estimates.mean[4, 1, 1]
-    assert row["bias_sd"] == pytest.approx(np.sqrt(estimates.cov[4, 2, 2, 1]))
-    assert table["loglik"].sum() == pytest.approx(estimates.loglik.sum())
-    table = common(estimates).to_dataframe(TIMES)
-    deviation = np.sqrt(estimates.cov[4, 2, 2, 0])
-    assert table.loc[(TIMES[4], 1), "x3_sd"] == pytest.approx(deviation)
-
-
 def test_table_of_one_record_is_indexed_by_time(estimates):
     table = Estimates(estimates.mean[..., 0]).to_dataframe(TIMES)
     assert table.index.name == "t"
     assert list(table.columns) == ["x1", "x2", "x3"]
     assert table.loc[TIMES[3], "x2"] == estimates.mean[3, 1, 0]
+    parts = (None if part is None else part[..., 1] for part in estimates)
+    table = Estimates(*parts).to_dataframe(TIMES)
+    assert list(table.columns) == ["x1", "x2", "x3", "x1_sd", "x2_sd", "x3_sd", "loglik"]
+    assert table.loc[TIMES[4], "x3_sd"] == pytest.approx(np.sqrt(estimates.cov[4, 2, 2, 1]))
+    assert table["loglik"].sum() == pytest.approx(estimates.loglik[:, 1].sum())
 
 
 def test_tables_show_modes():
-    y = np.repeat(record(linear_numbers())[1][..., None], 2, axis=-1)
-    filter, shown = RaoBlackwellFilter(switching_system(), 20), np.zeros((7, 2), int)
+    y = record(linear_numbers())[1]
+    filter, shown = RaoBlackwellFilter(switching_system(), 20), np.zeros(7, int)
     estimates = filter.run(TIMES, y, indicators=shown, inputs=INPUTS)
     table = estimates.to_dataframe(TIMES)
-    assert table.loc[(TIMES[4], 1), "mode"] == estimates.modes[4, 1]
-    assert table.loc[(TIMES[4], 1), "mode2"] == estimates.mode_prob[4, 2, 1]
+    assert table.loc[TIMES[4], "mode"] == estimates.modes[4]
+    assert table.loc[TIMES[4], "mode2"] == estimates.mode_prob[4, 2]

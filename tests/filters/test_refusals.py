@@ -152,8 +152,6 @@ ROWS = [
     (lambda: ESTIMATES.interval(95), ValueError, "level"),
     (lambda: ESTIMATES.interval(0.0), ValueError, "level"),
     (lambda: Estimates(np.zeros((3, 1))).interval(), ValueError, "interval"),
-    (lambda: ESTIMATES.to_dataframe([0, 1, 2]), ValueError, "times"),
-    (lambda: ESTIMATES.to_dataframe([0, 1], ["a", "b"]), ValueError, "names"),
 ]
 
 
