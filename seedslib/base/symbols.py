@@ -149,23 +149,12 @@ def named_model(
         A name that is no symbol, a value that is no expression, or one symbol with two meanings;
         `noises` are the symbols of each noise, by role.
     """
-    state, values = as_symbols("state", state), parameter_values(parameters)
+    state, values = as_symbols("state", state), {} if parameters is None else dict(parameters)
+    as_symbols("parameters", values.keys())
+    values = {s: as_expression(f"parameters[{s}]", value) for s, value in values.items()}
     time = sympy.Symbol("t") if time is None else time
     require_distinct(state=state, **noises, time=(time,), parameters=values)
     return state, time, values
-
-
-def parameter_values(values: Mapping[Any, Any] | None) -> dict[Any, Any]:
-    """Values of parameters as expressions by symbol; None means none.
-
-    Raises
-    ------
-    TypeError
-        A key that is no symbol, or a value that is no expression.
-    """
-    table = {} if values is None else dict(values)
-    as_symbols("parameters", table.keys())
-    return {s: as_expression(f"parameters[{s}]", value) for s, value in table.items()}
 
 
 def real_part(expression: sympy.Expr) -> sympy.Expr:

@@ -178,7 +178,10 @@ class LinearSystem(DiscreteSystem):
         d: Matrix = None,
         diffuse: tuple[int, ...] = (),
     ) -> None:
-        n = np.array(mean0, dtype=object, ndmin=1).shape[0]
+        start = np.array(mean0, dtype=object, ndmin=1)
+        if not any(hasattr(entry, "free_symbols") for entry in start.flat):
+            start = np.atleast_1d(as_real("mean0", mean0))
+        n = len(start)
         known = next((M for M in (R, H) if not callable(M)), None)
         m = len(np.atleast_2d(R(0.0) if known is None else np.array(known, dtype=object)))
         b, d = np.zeros(n) if b is None else b, np.zeros(m) if d is None else d

@@ -35,11 +35,12 @@ def equal_states(found, wanted):
         assert found == wanted
     elif isinstance(wanted, tuple):
         assert len(found) == len(wanted)
-        for k, (part, other) in enumerate(zip(found, wanted, strict=True)):
-            if other is not None and getattr(wanted, "_fields", ())[k : k + 1] == ("loglik",):
-                near(part + 1.0, other + 1.0)  # the logarithm of a likelihood of 1 is rounding
-            elif isinstance(other, np.ndarray | float | np.generic):
+        for part, other in zip(found, wanted, strict=True):
+            if isinstance(other, np.ndarray) and other.ndim:
                 near(part, other)
+            elif isinstance(other, np.ndarray | float | np.generic):
+                # a time, or a log-likelihood: a sum of numbers of order one, which may vanish
+                near([part, 1.0], [other, 1.0])
             else:
                 equal_states(part, other)
 
@@ -131,13 +132,6 @@ def test_what_floats_cannot_do_arrays_do(name):
     for found, wanted in zip(alone, batch, strict=True):
         if wanted is not None:
             np.testing.assert_allclose(found, wanted.reshape(found.shape), rtol=1e-11, atol=1e-13)
-
-
-def test_what_is_impossible_is_so_on_floats():
-    filter, y = extended_kalman(exact()), np.array([0.7, 0.2])
-    before = filter.step(filter.initial(), 0.0, y)
-    assert np.isfinite(filter.step(before, 0.0, y).loglik)
-    assert filter.step(before, 0.0, [0.7, 0.201]).loglik == -np.inf
 
 
 @pytest.mark.parametrize(
