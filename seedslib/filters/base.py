@@ -617,8 +617,7 @@ class Filter(Pickled):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
-            f"{type(self).__name__}"
+            f"filters, GridBayesFilter), got {type(self).__name__}"
         )
 
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
