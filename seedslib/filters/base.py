@@ -421,10 +421,9 @@ class Filter(Pickled):
         TypeError, ValueError
             A kind of filter that has none; a part of the filter without formulas.
         """
-        tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
         raise TypeError(
             "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-            f"CovarianceFilter, got {type(self).__name__}" + tables * hasattr(self, "tabulated")
+            f"CovarianceFilter, got {type(self).__name__}"
         )
 
     def steps_alone(self, state: Any, t: float) -> bool:

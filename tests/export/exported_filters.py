@@ -150,15 +150,15 @@ def design(system, memory, rule, *, lasting=None, **options):
     return found
 
 
-def tables(system, memory, *, steps=4, lasting=None, nodes=2):
+def tables(system, memory, *, steps=4, lasting=None):
     axes = {"x": (-3.5, 3.5, 61), "z": (-2.5, 2.5, 9), "y": (-8, 8, 25)}
-    found = grid_synthesis(system, memory, 0.25 * np.arange(steps), nodes=nodes, **axes)
+    found = grid_synthesis(system, memory, 0.25 * np.arange(steps), **axes)
     return found if lasting is None else stationary(found, paths=50, **lasting)
 
 
 def mode_tables(system, memory, **options):
     axes = {"y": (-12, 12, 9), "z": [(-8, 8, 7)] * system.state_size}
-    options = {"paths": 2000, "seed": 1, "nodes": 0, **options, **axes}
+    options = {"paths": 2000, "seed": 1, **options, **axes}
     return simulated_synthesis(system, memory, np.arange(6.0), **options)
 
 

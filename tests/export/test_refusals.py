@@ -55,7 +55,7 @@ def design(times=range(3), memory=None, system=None, **options):
 def learned():
     """A filter whose functions are trees."""
     tree = DecisionTreeRegressor(max_depth=2)
-    return learn(growth(), Memory(1), range(2), paths=60, seed=1, nodes=0, regressor=tree)
+    return learn(growth(), Memory(1), range(2), paths=60, seed=1, regressor=tree)
 
 
 EKF = extended_kalman(growth())
