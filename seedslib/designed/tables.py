@@ -326,11 +326,6 @@ class OutputFilter(DesignedFilter):
 
     # Step by step
 
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """See `DesignedFilter.evaluated`: the functions take measurement and memory alone."""
-        return frozenset()
-
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
         """State before any measurement; the filter draws nothing from `seed`."""
         return FilterState(-1, np.full((self.components, *batch), np.nan))

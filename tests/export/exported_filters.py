@@ -43,7 +43,6 @@ a, b, t = sympy.symbols("a b t", real=True)
 v, w = sympy.symbols("v1:3", real=True), sympy.symbols("w1:3", real=True)
 z = sympy.Symbol("z", real=True)
 FORCE, BIAS = Input("force"), Input("bias")
-PUSHED = {FORCE: systems.INPUTS[systems.U]}
 NOISE = Noise(v, [0.1, -0.2], [[0.1, 0.03], [0.03, 0.2]])
 COV = [[0.5, 0.1], [0.1, 0.8]]
 SENSOR_NOISE = Noise(w, [0.2, -0.1], [[0.2, 0.05], [0.05, 0.1]])
@@ -208,7 +207,6 @@ FILTERS = {
     "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS),
     "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
     "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
-    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
     "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
     "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),
@@ -276,8 +274,6 @@ def case(name):
     if name.endswith("inputs"):
         told = systems.INPUTS if "Kalman" in name else (FORCE, BIAS)
         inputs = {p: rng.normal(size=(len(times), PATHS)) for p in told}
-    if name == "affine, inputs":  # those of the design
-        inputs = {p: np.tile(x[:, None], PATHS) for p, x in PUSHED.items()}
     data = system.simulate(times, PATHS, 3, **({"inputs": inputs} if inputs else {}))
     y, indicators = data.measurements.copy(), data.indicators
     whole = memory is not None and "table" in name
