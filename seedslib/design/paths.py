@@ -165,16 +165,16 @@ class PathSimulator:
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def advance(self, start: float, stop: float, inputs: Mapping[Any, Any] | None = None) -> None:
+    def advance(self, start: float, stop: float) -> None:
         """Move all paths to a later time."""
-        options, p = self.options, self.system.values(inputs, stop - start)
+        options, p = self.options, self.system.values(dt=stop - start)
         self._go(
             lambda system, rng, x: system.advance(x, start, stop, rng, p, **options), self.states
         )
 
-    def measure(self, t: float, inputs: Mapping[Any, Any] | None = None) -> list[Any]:
+    def measure(self, t: float) -> list[Any]:
         """Measurements, (m, paths) for each bundle; once at a stop."""
-        p = self.system.values(inputs)
+        p = self.system.values()
 
         def sampled(system, streams, counts, x):
             return system.sensor.sample(t, x, _generator(streams, counts), p)

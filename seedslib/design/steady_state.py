@@ -13,7 +13,6 @@ from seedslib.design.samples import prediction_of
 from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.base import DesignedFilter
 from seedslib.filters.base import Estimates
-from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
 
 SURE = 4.0
@@ -64,7 +63,7 @@ def stationary(
     Raises
     ------
     TypeError, ValueError
-        No designed filter, one that was loaded without its model, arguments that do not fit; a
+        No designed filter, arguments that do not fit; a
         design that has not converged, or a filter that does not keep its error: the message has the
         numbers.
     """
@@ -72,8 +71,6 @@ def stationary(
         raise TypeError(f"filter: wanted a filter with a design, got {filter!r}")
     if filter.availability is not None:
         raise ValueError("filter: wanted one without an availability, whose classes have an end")
-    if isinstance(filter.system, UnknownModel):
-        raise ValueError("filter: wanted one with its model, got one that was loaded without")
     tolerance = as_positive("tolerance", tolerance, infinite=True)
     last, depth = len(filter.times) - 1, max(1, filter.memory.depth)
     cycle, paths = as_count("cycle", cycle), as_count("paths", paths, 2)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from seedslib.filters.base import (
     stacked,
     with_divergence,
 )
-from seedslib.models.kinds import inputs_of, switches
+from seedslib.models.kinds import switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -241,21 +240,6 @@ class DesignedFilter(Filter):
                 )
 
     # Step by step
-
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """Inputs in the maps that a step evaluates; the others are in the design's own numbers."""
-        return inputs_of(self.system)
-
-    @cached_property
-    def _unused(self) -> dict[Any, float]:
-        return dict.fromkeys(inputs_of(self.system) - self.evaluated, np.nan)
-
-    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
-        """Numbers of the parameters; inputs that no step evaluates may be missing."""
-        if self._unused:
-            inputs = {**self._unused, **(inputs or {})}
-        return super().values(inputs, dt)
 
     def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
         """The forecast for the next measurement, at t; `interval` is the one before, if known."""
@@ -591,8 +575,7 @@ class DesignedFilter(Filter):
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         inputs : mapping of Input to array_like, shape (J+1,) or (J+1, *batch), optional
-            Values of the inputs that the model mentions. Those of the design are wanted: its
-            forecasts have them in their numbers.
+            Values of the inputs that the model mentions, of a filter without a design.
         covariances : bool
             Whether `cov` is wanted.
         workers : int

@@ -440,10 +440,9 @@ class Filter(Pickled):
         TypeError, ValueError
             A kind of filter that has none; a part of the filter without formulas.
         """
-        tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
         raise TypeError(
             "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-            f"CovarianceFilter, got {type(self).__name__}" + tables * hasattr(self, "tabulated")
+            f"CovarianceFilter, got {type(self).__name__}"
         )
 
     def steps_alone(self, state: Any, t: float) -> bool:
@@ -651,8 +650,7 @@ class Filter(Pickled):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
-            f"{type(self).__name__}"
+            f"filters, GridBayesFilter), got {type(self).__name__}"
         )
 
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:

@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import align
 from seedslib.base.checks import outside
 from seedslib.base.tables import Axis, Grid, Nodes, as_grids
 from seedslib.base.values import Values
@@ -229,9 +229,7 @@ class GridSmoother(Smoother):
         joint = np.exp(state.log_prob)[:, None] * state.node_prob
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """See `Smoother.back`."""
         now = self.last(state)
         predicted = link @ now

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.conditioning import kalman_gain
 from seedslib.base.linalg import symmetrized
@@ -32,15 +32,12 @@ def smooth(
     systems; otherwise it is the smoother of the filter's linearization: of `extended_kalman` the
     extended, of `unscented_kalman` the unscented one, and so on.
 
-    A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian moments in each
-    mode; what that neglects stands in `seedslib.designed.switching_smoother`. A
-    `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
+    A `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters
     ----------
     filter : Filter
-        A covariance filter of continuous dynamics and jumps or of discrete ones, or one of those
-        named above.
+        A covariance filter of continuous dynamics and jumps or of discrete ones, or one on a grid.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m, *batch)
         NaN marks a missing component.
@@ -82,9 +79,8 @@ def smooth(
 
         def back(k: int, later: Any) -> Any:
             """The smoothed state at time k from that at the next."""
-            indicator = () if record.indicators is None else (record.indicators[k + 1],)
             p = filter.values(record.inputs.at(k), times[k + 1] - times[k])
-            return smoother.back(states[k], later, links[k + 1], p, *indicator)
+            return smoother.back(states[k], later, links[k + 1], p)
 
         smoothed: list[Any] = []  # from the last time to the first
         for k in range(last, -1, -1):
@@ -128,9 +124,7 @@ class Smoother:
         """Smoothed state at the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """Smoothed state at the time of a state, from that at the next time.
 
         Parameters
@@ -143,8 +137,6 @@ class Smoother:
             From `forecast` of the step between them.
         p : tuple
             Numbers of the parameters in that step.
-        indicator : ndarray of int, optional
-            At the next time.
         """
         raise NotImplementedError
 
@@ -181,9 +173,7 @@ class RauchTungStriebel(Smoother):
         """See `Smoother.last`."""
         return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """See `Smoother.back`."""
         cov = align(state.cov, 2, state.mean.ndim - 1)
         return *rts_step(_columns(state), cov, *link, *later[:2]), later[2]
