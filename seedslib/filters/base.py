@@ -456,6 +456,10 @@ class Filter(Pickled):
         """
         raise NotImplementedError
 
+    def carries(self, state: Any) -> bool:
+        """Whether the program can go on from a state of one record."""
+        return True
+
     def numbers_of(self, state: Any) -> dict[str, Any]:
         """The arrays of the program's state, by their names; zero where they lack or are None."""
         raise NotImplementedError
