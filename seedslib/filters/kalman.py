@@ -252,7 +252,8 @@ def marginalized(
         its covariances are NaN.
     """
     inverse, depth = posterior.inverse(), effect.ndim - 2
-    mean = mean + np.einsum("nq...,q...->n...", effect, posterior.estimate())
+    estimate = np.einsum("pq...,q...->p...", inverse, posterior.score)
+    mean = mean + np.einsum("nq...,q...->n...", effect, estimate)
     cov = align(cov, 2, depth) + np.einsum("np...,pq...,kq...->nk...", effect, inverse, effect)
     determined = np.einsum("pk...,kq...->pq...", inverse, posterior.information)
     rest = effect - np.einsum("np...,pq...->nq...", effect, determined)

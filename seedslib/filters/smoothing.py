@@ -197,7 +197,7 @@ class RauchTungStriebel(Smoother):
         """
         filter = self.filter
         alone = record.y.ndim == 2 and not filter.continuous and filter._single.of(filter)
-        if not (alone and _timeless(filter.system.dynamics)):
+        if not (alone and filter.system.dynamics.timeless):
             return super().forward(record)
         states: list[Any] = []
         links: list[Any] = []
@@ -243,13 +243,6 @@ class RauchTungStriebel(Smoother):
         if effect.shape[1]:
             return self.filter.report(last._replace(mean=mean, cov=cov, effect=effect))
         return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
-
-
-def _timeless(map: Any) -> bool:
-    """Whether a map is known to be the same at all times."""
-    if map.expressions is None:
-        return getattr(map, "timeless", False)
-    return all(map.time not in part.free_symbols for part in map.expressions)
 
 
 def _unsettled(state: Any, settled: Any, mean: np.ndarray, cov: np.ndarray) -> tuple[Any, ...]:

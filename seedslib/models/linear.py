@@ -90,7 +90,7 @@ class LinearMap(StochasticMap):
 
     @property
     def timeless(self) -> bool:
-        """Whether A, S and b are formulas of parameters, inputs and the elapsed time only."""
+        """See `StochasticMap.timeless`."""
         return all(
             isinstance(M, np.ndarray) or (isinstance(M, Entries) and not M.timed)
             for M in self._matrices
