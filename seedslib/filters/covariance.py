@@ -345,6 +345,10 @@ class CovarianceFilter(Filter):
 
         return RauchTungStriebel(self)
 
+    def settled(self, state: Any) -> Any:
+        """A state with unknown numbers integrated out, if it has any that can be."""
+        return state
+
     def for_smoothing(self) -> CovarianceFilter:
         """The filter whose states `smooth` goes back through."""
         return self

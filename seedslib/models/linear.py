@@ -80,11 +80,36 @@ class LinearMap(StochasticMap):
             M if isinstance(M, np.ndarray) else M.compiled(self.parameters) for M in self._matrices
         ]
 
+    @cached_property
+    def _last(self) -> list[Any]:
+        """Of A, S and b the places in p that they depend on, the last numbers, and the values."""
+        places = [
+            [self.parameters.index(p) for p in getattr(M, "mentions", ())] for M in self._matrices
+        ]
+        return [(part, (), None) for part in places]
+
+    @property
+    def timeless(self) -> bool:
+        """See `StochasticMap.timeless`."""
+        return all(
+            isinstance(M, np.ndarray) or (isinstance(M, Entries) and not M.timed)
+            for M in self._matrices
+        )
+
     def _matrix(self, k: int, t: float, p: Values, shape: tuple[int, ...]) -> np.ndarray:
         matrix = self._at[k]
-        if callable(matrix):
-            return as_real(("slope", "cov", "offset")[k], matrix(t, p), (*shape, ...))
-        return matrix
+        if not callable(matrix):
+            return matrix
+        places, known, value = self._last[k]
+        given = (*(p[i] for i in places), t if getattr(self._matrices[k], "timed", True) else None)
+        if len(given) == len(known) and all(map(_same, given, known)):
+            return value
+        name = ("slope", "cov", "offset")[k]
+        value = as_real(name, matrix(t, p), (*shape, ...))
+        if k == 1 and value.ndim == 2:
+            value = as_covariance(name, value)
+        self._last[k] = places, given, value
+        return value
 
     def slope_at(self, t: float, p: Values = ()) -> np.ndarray:
         """A at a time, shape (m, n); with axes of paths where parameters have them."""
@@ -92,10 +117,7 @@ class LinearMap(StochasticMap):
 
     def cov_at(self, t: float, p: Values = ()) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
-        cov = self._matrix(1, t, p, (self.size, self.size))
-        if cov.ndim > 2 or cov is self._at[1]:
-            return cov
-        return as_covariance("cov", cov)
+        return self._matrix(1, t, p, (self.size, self.size))
 
     def offset_at(self, t: float, p: Values = ()) -> np.ndarray:
         """Offset b at a time, shape (m,); with axes of paths where inputs have them."""
@@ -272,6 +294,12 @@ class LinearSystem(DiscreteSystem):
         return cls(F, Q, H, R, mean0, cov0, b=b, **options)
 
 
+def _same(one: Any, two: Any) -> bool:
+    """Whether two numbers are equal, or are one array."""
+    numbers = isinstance(one, float | int) and isinstance(two, float | int)
+    return one is two or (numbers and one == two)
+
+
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
     if isinstance(matrix, SteppedMatrix):
@@ -312,6 +340,7 @@ class Entries:
         self.time: Any = sympy.Symbol("t")
         self.expressions: np.ndarray = known_expressions(name, entries, shape, {}, {self.time})
         self.mentions: tuple[Any, ...] = parameters_of(self.expressions.flat)
+        self.timed: bool = any(self.time in entry.free_symbols for entry in self.expressions.flat)
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The matrix as a function (t, p)."""
@@ -351,10 +380,7 @@ class Discretised:
         from seedslib.base.parameters import ELAPSED
 
         for name, M in (("drift", drift), ("diffusion", diffusion)):
-            symbols = {
-                s for e in getattr(M, "expressions", np.empty(0)).flat for s in e.free_symbols
-            }
-            if isinstance(M, OfTime) or getattr(M, "time", None) in symbols:
+            if isinstance(M, OfTime) or getattr(M, "timed", False):
                 raise ValueError(f"{name}: wanted constants and parameters, got a function of time")
             require_no_step(name, getattr(M, "mentions", ()))
         self.drift, self.diffusion, self.rate, self.step = drift, diffusion, rate, step

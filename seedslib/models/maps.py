@@ -348,6 +348,11 @@ class StochasticMap(Pickled):
         return not self.period and self.solved_noise is not None
 
     @property
+    def timeless(self) -> bool:
+        """Whether it is known to be the same at all times: it has formulas, without the time."""
+        return self.symbolic and all(self.time not in y.free_symbols for y in self.expressions)
+
+    @property
     def gaussian_density(self) -> bool:
         """Whether that density is the Gaussian one of the conditional moments."""
         return self.symbolic and self.has_log_density and self.noise.gaussian

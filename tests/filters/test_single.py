@@ -219,7 +219,7 @@ def test_a_filter_with_steps_of_its_own_takes_them():
     assert filter.step(filter.initial(), 0.0, [1.0]).mean[0] == pytest.approx(0.25)
 
 
-def test_large_filters_and_those_without_formulas_stay_on_arrays():
+def test_large_filters_stay_on_arrays_and_what_is_unknown_until_it_is_determined():
     n = 30
     rng, y = np.random.default_rng(0), np.ones((3, 2))
     H = rng.normal(size=(2, n))
@@ -232,7 +232,7 @@ def test_large_filters_and_those_without_formulas_stay_on_arrays():
         )
     )
     for filter in (large, unknown):
-        assert not uses_floats(filter)
+        assert uses_floats(filter) == (filter is unknown)
         near(
             filter.run(np.arange(3.0), y).mean,
             filter.run(np.arange(3.0), y[..., None]).mean[..., 0],
