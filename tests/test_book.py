@@ -32,6 +32,33 @@ def test_links_of_the_readme_lead_somewhere_and_its_picture_is_that_of_a_noteboo
     assert set(pictures) <= shown, "copy the notebook's figure to book/_static"
 
 
+PAPERS = {
+    "Choi, Song, Shin": {"two-step"},
+    "Kolessa": {"piecewise"},
+    "Babello": {"delay"},
+    "Rudenko: large-order filter for jump-diffusions": {"jump-diffusion"},
+    "Rudenko: large-order filter for switching systems": {"switching"},
+    "surviving pages": {"compromise", "riemann"},
+}
+
+
+def test_verdicts_in_the_readme_are_those_of_the_ledger():
+    text, ledger = (ROOT / "README.md").read_text(), claims.read_ledger(ROOT / claims.LEDGER)
+    for row, papers in PAPERS.items():
+        (numbers,) = re.findall(rf"^\| {re.escape(row)}.*?\|(( \d+ \|){{4}})$", text, re.M)
+        verdicts = [c.verdict for c in ledger if c.paper in papers and c.origin != "ours"]
+        wanted = [verdicts.count(v) for v in ("reproduced", "corrected", "refuted", "open")]
+        assert [int(n) for n in numbers[0].split("|")[:4]] == wanted, row
+
+
+def test_filters_that_the_readme_names_are_in_the_library():
+    table = (ROOT / "README.md").read_text().partition("| your problem |")[2].partition("\n\n")[0]
+    names = re.findall(r"`(\w+)\.(\w+)`", table)
+    assert len(names) > 6
+    for package, name in names:
+        assert name in importlib.import_module(f"seedslib.{package}").__all__
+
+
 def test_the_contents_name_every_page_and_notebook_once():
     toc = (ROOT / "_toc.yml").read_text()
     files = [*re.findall(r"file: (\S+)", toc), yaml.safe_load(toc)["root"]]

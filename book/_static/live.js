@@ -1,107 +1,158 @@
-// What can be moved in the book: sliders, charts, and the sentence below them. Nothing is loaded.
+// Pictures that can be dragged. A picture is a function of its data that gives `view(W)`: SVG as text,
+// handles, and texts; so it can be drawn without a page as well. Nothing is loaded.
 "use strict";
-const live = ((paths) => {
-  const KINDS = {
-    filters(data, given) {
-      const o = { ...data.options }, key = [];
-      data.sliders.forEach((s, i) => {
-        o[s.name] = s.values[given[i]];
-        if (s.modules) key.push(given[i]);
-      });
-      const drawn = paths.simulate(data, o, data.paths, paths.source(given.seed ?? 1)), t = data.times;
-      const found = data.filters.map((f) => paths.score(data, [f.key, ...key].join("@"), drawn));
-      const n = data.size, i = data.parts[0], one = found[0].first, told = drawn.y[0].length / t.length;
-      const mean = t.map((_, k) => one.mean[k * n + i]);
-      const two = t.map((_, k) => 2 * Math.sqrt(one.cov[(k * n + i) * n + i]));
-      const sure = two.every(Number.isFinite); // a gap that the design knows nothing of: no errors
-      const charts = [
-        chart({ x: t, ylabel: "root-mean-square error", xlabel: data.xlabel, zero: true,
-          curves: found.map((f, j) => ({ label: data.filters[j].label, y: f.at })) }),
-        chart({ x: t, ylabel: data.state, xlabel: `${data.xlabel}, the first path`,
-          band: sure && { low: mean.map((m, k) => m - two[k]), high: mean.map((m, k) => m + two[k]) },
-          curves: [{ label: data.filters[0].label + (sure ? ", ±2 deviations" : ""), y: mean },
-            { label: "the truth", y: drawn.x[0].map((x) => x[i]) }],
-          dots: data.shown === undefined ? [] : t.map((s, k) => [s, drawn.y[0][k * told + data.shown]]) }),
-      ];
-      const said = found.map((f, j) => `${data.filters[j].label} ${f.rms.toFixed(3)} ± ${f.error.toFixed(3)}`);
-      return { charts, said: `Error over ${data.paths} new paths: ${said.join("; ")}.`, found, drawn };
-    },
+globalThis.live ??= (() => {
+  const pictures = {}, NS = "http://www.w3.org/2000/svg";
+
+  // --- words and shapes ---------------------------------------------------------------------------
+  const num = (v, d = 2) => (v < 0 && Math.abs(v) >= 0.5 * 10 ** -d ? "−" : "") + Math.abs(v).toFixed(d);
+  const clamp = (v, a, b) => Math.min(Math.max(v, a), b);
+  const path = (points) => "M" + points.map(([a, b]) => `${a.toFixed(1)} ${b.toFixed(1)}`).join("L");
+  const line = (kind, d) => `<path class="${kind}" d="${d}"/>`;
+  const text = (x, y, words, anchor = "start", kind = "q") =>
+    `<text class="${kind}" x="${x.toFixed(1)}" y="${y.toFixed(1)}" text-anchor="${anchor}">${words}</text>`;
+  const marks = { // one shape a filter, so that colour is not needed to tell them apart
+    disc: (a, b, r) => `M${(a - r).toFixed(1)} ${b.toFixed(1)}a${r} ${r} 0 1 0 ${2 * r} 0a${r} ${r} 0 1 0 ${-2 * r} 0`,
+    square: (a, b, r) => `M${(a - r).toFixed(1)} ${(b - r).toFixed(1)}h${2 * r}v${2 * r}h${-2 * r}z`,
+    wedge: (a, b, r) => `M${a.toFixed(1)} ${(b - 1.2 * r).toFixed(1)}l${1.15 * r} ${2 * r}h${-2.3 * r}z`,
   };
+  const choose = (kind, options, now) => options.map(([key, words]) =>
+    `<button type="button" data-${kind}="${key}" aria-pressed="${key === now}">${words}</button>`).join("");
 
-  const show = (x) => Math.abs(x) >= 1000 ? x.toFixed(0) : String(Number(x.toPrecision(3)));
-
-  // Curves as SVG text, so that it can be drawn without a page as well.
-  function chart({ x, curves, band, dots = [], xlabel, ylabel, zero }) {
-    const W = 520, H = 270, L = 60, R = 18, B = 46;
-    let row = 0, place = L;
-    const keys = curves.map(({ label }) => { // names above the curves, in as many rows as needed
-      const wide = 46 + 7.8 * label.length;
-      if (place > L && place + wide > W) { row += 1; place = L; }
-      place += wide;
-      return [place - wide, 14 + 18 * row];
-    });
-    const T = 34 + 18 * row, seen = dots.filter((d) => Number.isFinite(d[1]));
-    const all = [...curves.flatMap((c) => c.y), ...seen.map((d) => d[1]), ...(band ? [...band.low, ...band.high] : []), ...(zero ? [0] : [])];
-    const ok = all.filter(Number.isFinite), [x0, x1] = [Math.min(...x), Math.max(...x)], [y0, y1] = [Math.min(...ok), Math.max(...ok)];
-    const px = (v) => (L + (v - x0) / (x1 - x0 || 1) * (W - L - R)).toFixed(1);
-    const py = (v) => (H - B - (v - y0) / (y1 - y0 || 1) * (H - T - B)).toFixed(1);
-    const line = (y) => y.map((v, i) => `${i ? "L" : "M"}${px(x[i])} ${py(v)}`).join("");
-    const out = [`<svg viewBox="0 0 ${W} ${H}" aria-hidden="true">`];
-    for (const v of ticks(y0, y1)) out.push(`<path class="rule" d="M${L} ${py(v)}H${W - R}"/>`,
-      `<text x="${L - 7}" y="${py(v)}" dy="4" text-anchor="end">${show(v)}</text>`);
-    for (const v of ticks(x0, x1)) out.push(
-      `<text x="${px(v)}" y="${H - B + 18}" text-anchor="middle">${show(v)}</text>`);
-    if (band) out.push(`<path class="band" d="${line(band.high)}${x.map((v, i) => `L${px(v)} ${py(band.low[i])}`).reverse().join("")}Z"/>`);
-    for (const d of seen) out.push(`<circle class="dot" cx="${px(d[0])}" cy="${py(d[1])}" r="3"/>`);
-    curves.forEach((c, j) => {
-      out.push(`<path class="curve c${j}" d="${line(c.y)}"/>`);
-      const [at, high] = keys[j];
-      out.push(`<path class="curve c${j}" d="M${at} ${high}h26"/>`, `<text x="${at + 32}" y="${high + 4}">${c.label}</text>`);
-    });
-    out.push(`<text x="${(L + W - R) / 2}" y="${H - 8}" text-anchor="middle">${xlabel}</text>`,
-      `<text transform="translate(14 ${(T + H - B) / 2}) rotate(-90)" text-anchor="middle">${ylabel}</text></svg>`);
-    return out.join("");
+  // --- numbers ------------------------------------------------------------------------------------
+  function floats(code) { // numbers of four bytes, as text of base 64
+    const bytes = Uint8Array.from(atob(code), (c) => c.charCodeAt(0)), view = new DataView(bytes.buffer);
+    return Float64Array.from({ length: bytes.length / 4 }, (_, i) => view.getFloat32(4 * i, true));
   }
-  function ticks(low, high) {
-    const rough = (high - low) / 5 || 1, ten = 10 ** Math.floor(Math.log10(rough));
-    const step = ten * [1, 2, 5, 10].find((m) => m * ten >= rough), found = [];
-    for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k++) found.push(k * step);
-    return found;
+  // A module of seedslib.export.to_js from its text: a page from a folder can not import a file.
+  const filter = (module) => new Function(`${module.replace(/^export /gm, "")}\nreturn { init, run, step };`)();
+  function erf(x) { // a series near zero, a continued fraction farther out
+    const a = Math.abs(x);
+    if (a > 6) return Math.sign(x);
+    if (a < 2.5) {
+      let term = x, sum = x;
+      for (let k = 1; Math.abs(term) > 1e-17 * Math.abs(sum); k++) sum += (term *= -x * x / k) / (2 * k + 1);
+      return 2 / Math.sqrt(Math.PI) * sum;
+    }
+    let c = 0;
+    for (let k = 60; k > 0; k--) c = k / 2 / (a + c);
+    return Math.sign(x) * (1 - Math.exp(-a * a) / Math.sqrt(Math.PI) / (a + c));
+  }
+  function bisect(f, a, b) { // where f changes its sign between a and b
+    const side = f(a) > 0;
+    for (let k = 0; k < 40; k++) f((a + b) / 2) > 0 === side ? a = (a + b) / 2 : b = (a + b) / 2;
+    return (a + b) / 2;
   }
 
-  // Bind a figure: its sliders, its button for new paths, its charts and the sentence below.
+  // --- the hand -----------------------------------------------------------------------------------
+  const whole = ({ W, H, svg }, inner = "", more = 'role="img"') =>
+    `<svg xmlns="${NS}" viewBox="0 0 ${W} ${H}" ${more}><g>${svg}</g>${inner}</svg>`;
+  const dot = '<circle class="hit" r="20"/><circle class="halo" r="11"/><circle class="disc" r="6.5"/>';
+  // A still picture, for readers without scripts.
+  function still(picture, W, label) {
+    const view = picture.view(W), seen = view.handles.map(({ at, kind = "" }) =>
+      `<circle class="disc ${kind}" cx="${at[0].toFixed(1)}" cy="${at[1].toFixed(1)}" r="5.5"/>`);
+    return { svg: whole(view, seen.join(""), `role="img" aria-label="${label}"`), words: view.words };
+  }
+
   function attach(figure) {
-    const data = JSON.parse(figure.querySelector("script").textContent);
-    const inputs = [...figure.querySelectorAll("input")];
-    let seed = 1;
-    const update = () => {
-      const begin = performance.now(), given = inputs.map((input) => Number(input.value));
-      inputs.forEach((input, i) => {
-        const word = show(data.sliders[i].values[given[i]]);
-        input.setAttribute("aria-valuetext", word);
-        input.parentNode.querySelector("output").textContent = word;
+    const data = figure.querySelector('script[type="application/json"]');
+    const picture = pictures[figure.id.slice(5)](JSON.parse(data?.textContent ?? "{}"));
+    const stage = figure.querySelector(".live-stage"), find = (kind) => [...figure.querySelectorAll(kind)];
+    let view, handles = [], svg, W = 0, playing = 0;
+    figure.classList.add("live-on");
+    find("button").forEach((b) => { b.disabled = false; });
+
+    function draw(begin = performance.now()) {
+      view = picture.view(W);
+      if (!svg || handles.length !== view.handles.length) build();
+      svg.setAttribute("viewBox", `0 0 ${W} ${view.H}`);
+      svg.firstChild.innerHTML = view.svg;
+      view.handles.forEach((h, i) => {
+        const set = { transform: `translate(${h.at[0].toFixed(1)} ${h.at[1].toFixed(1)})`, class: `handle ${h.kind ?? ""}`,
+          "aria-label": h.label, "aria-valuemin": h.min, "aria-valuemax": h.max, "aria-valuenow": +h.now.toFixed(3),
+          "aria-valuetext": h.text, tabindex: view.focus === undefined || view.focus === i ? 0 : -1 };
+        for (const key in set) handles[i].setAttribute(key, set[key]);
       });
-      const found = KINDS[data.kind](data, Object.assign(given, { seed }));
-      figure.querySelector(".live-charts").innerHTML = found.charts.join("");
-      figure.querySelector(".live-said").textContent = found.said;
-      figure.dataset.took = (performance.now() - begin).toFixed(1);
-    };
-    inputs.forEach((input) => { input.disabled = false; input.addEventListener("input", update); });
-    figure.querySelector("button")?.addEventListener("click", () => { seed += 1; update(); });
-    // The first picture is there already: all filters are tried in idle moments, to answer at once.
-    const idle = window.requestIdleCallback ?? setTimeout;
-    const tries = (data.sliders.find((s) => s.modules) ?? { values: [0] }).values.length;
-    const warm = (k) => {
-      if (k < 2 * tries) idle(() => {
-        KINDS[data.kind](data, inputs.map((input, i) =>
-          data.sliders[i].modules ? k % tries : Number(input.value)));
-        warm(k + 1);
+      for (const out of find("[data-out]")) {
+        const words = view.words[out.dataset.out];
+        if (out.innerHTML !== words) out.innerHTML = words;
+      }
+      for (const b of find("[data-guess], [data-set]"))
+        b.setAttribute("aria-pressed", String(view.pressed.includes(b.dataset.guess ?? b.dataset.set)));
+      figure.dataset.took = (performance.now() - begin).toFixed(2);
+    }
+    function build() {
+      stage.innerHTML = whole({ W, H: view.H, svg: "" }, "", `role="group" aria-label="${stage.dataset.label}"`);
+      svg = stage.firstChild;
+      handles = view.handles.map((_, i) => {
+        const g = document.createElementNS(NS, "g");
+        g.setAttribute("role", "slider");
+        g.innerHTML = dot;
+        g.addEventListener("pointerdown", grab);
+        g.addEventListener("touchstart", (e) => e.preventDefault(), { passive: false }); // a drag is no scroll
+        g.addEventListener("keydown", (e) => key(e, i));
+        g.addEventListener("focus", () => { if (picture.select && view.focus !== i) { picture.select(i); draw(); } });
+        svg.append(g);
+        return g;
       });
-    };
-    warm(0);
+    }
+    function grab(event) {
+      if (event.button) return;
+      event.preventDefault();
+      stop();
+      const box = svg.getBoundingClientRect(), scale = W / box.width;
+      const away = (h) => Math.hypot((event.clientX - box.left) * scale - h.at[0], (event.clientY - box.top) * scale - h.at[1]);
+      const near = view.handles.map(away), i = near.indexOf(Math.min(...near)), g = handles[i], [x, y] = view.handles[i].at;
+      g.focus({ preventScroll: true });
+      event.currentTarget.setPointerCapture(event.pointerId);
+      // by how far the hand has gone, so that nothing that moves the picture moves the handle
+      const drag = (e) => {
+        const begin = performance.now();
+        view.handles[i].to(x + (e.clientX - event.clientX) * scale, y + (e.clientY - event.clientY) * scale);
+        draw(begin);
+      };
+      const owner = event.currentTarget, ends = ["pointerup", "pointercancel"];
+      const end = () => { owner.removeEventListener("pointermove", drag); ends.forEach((name) => owner.removeEventListener(name, end)); };
+      owner.addEventListener("pointermove", drag);
+      ends.forEach((name) => owner.addEventListener(name, end));
+    }
+    function key(event, i) {
+      const by = { ArrowRight: [1, 0], ArrowLeft: [-1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1], PageUp: [0, 5], PageDown: [0, -5] }[event.key];
+      if (!by || event.altKey || event.ctrlKey || event.metaKey) return;
+      event.preventDefault();
+      stop();
+      const begin = performance.now(), next = view.handles[i].by(...by);
+      if (handles[next]) handles[next].focus();
+      draw(begin);
+    }
+    const stop = () => { cancelAnimationFrame(playing); };
+    function play(moves) { // moves(s), s from 0 to 1
+      const begin = performance.now(), length = matchMedia("(prefers-reduced-motion: reduce)").matches ? 1 : moves.length_ms;
+      const tick = (now) => {
+        const s = clamp((now - begin) / length, 0, 1);
+        moves.at(s);
+        draw();
+        if (s < 1) playing = requestAnimationFrame(tick);
+      };
+      playing = requestAnimationFrame(tick);
+    }
+    figure.addEventListener("click", (event) => {
+      const b = event.target.closest("button");
+      if (!b) return;
+      stop();
+      const { guess, set, act } = b.dataset;
+      if (guess) picture.guess(guess);
+      else if (set) picture.set(set);
+      else { const moves = picture.acts[act](); if (moves) return play(moves); }
+      draw();
+    });
+    new ResizeObserver(() => {
+      const wide = Math.max(280, Math.floor(stage.clientWidth));
+      if (wide !== W) { W = wide; draw(); }
+    }).observe(stage);
+    figure.picture = picture;
   }
-  if (typeof document !== "undefined") document.addEventListener("DOMContentLoaded", () =>
-    document.querySelectorAll("figure.live").forEach(attach));
-  return { KINDS };
-})(typeof require === "function" ? require("./live_filters.js").paths : paths);
-if (typeof exports === "object") exports.live = live;
+  return { pictures, num, clamp, path, line, text, marks, choose, floats, filter, erf, bisect, still, attach };
+})();
+if (typeof module === "object") module.exports = globalThis.live;

@@ -40,7 +40,7 @@ PROOFS = {
     "fractions": "exact arithmetic, in a cell that is shown",
     "enclosure": "balls or intervals of arithmetic that hold the exact value, in a cell that is shown",
     "words": "a proof or the paper's own words, on the page; numbers only try it",
-    "numbers": "two routes that agree in floating point, where no closed form exists",
+    "numbers": "two routes that agree in floating point",
 }
 LEDGER = "book/claims.yml"
 

@@ -104,8 +104,6 @@ class _Linear:
 
         from seedslib.models.codegen import compile_array
 
-        if not system.symbolic:
-            raise ValueError("exact_moments: wanted a symbolic system, got array functions")
         velocity, intensity = system.moment_expressions
         mean, cov, _ = system.sensor.conditional_expressions
         origin, state = dict.fromkeys(system.state, 0), set(system.state)

@@ -140,7 +140,7 @@ def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[
 
     The covariance is common to all paths, (n, n).
     """
-    if not (system.symbolic and hasattr(linearization, "formulas")):
+    if not hasattr(linearization, "formulas"):
         moments = linearization.moments(system.drift_map, spread=False)
         return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components
@@ -251,7 +251,7 @@ class FiniteOrderFilter(DesignedFilter):
         """Dimension of the memory when it is full: l n' for the large-order filter."""
         return self.memory.order(self.components, self.system.sensor.size)
 
-    # Program by step
+    # Step by step
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
         """State before any measurement; the filter draws nothing from `seed`."""

@@ -170,8 +170,6 @@ def model_text(system: AnySystem) -> dict[str, str]:
             name: _lines(map.expressions) if map.symbolic else "array functions"
             for name, map in maps.items()
         }
-    if not system.symbolic:
-        return {"model": "array functions"}
     if switches(system):
         tables = {"switching": system.branches, "readings": system.readings}
         return {name: str([list(map(_branch, row)) for row in t]) for name, t in tables.items()}

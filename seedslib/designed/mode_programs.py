@@ -146,8 +146,6 @@ def _check(filter: Any) -> None:
         )
     if filter.rules.printed:
         raise ValueError("normalisation: wanted 'consistent' for C, got 'printed'")
-    if not system.symbolic:
-        raise ValueError("system: wanted symbolic expressions to write in C, got array functions")
     if filter.memory is None:
         return
     if not fits or not all(isinstance(fit, CellFit) for fit in fits):

@@ -276,7 +276,10 @@ def walk(
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **first)
+    start, own = filter, record.inputs.constant
+    if own and getattr(filter.system, "first", None) is not None:  # a first state of each record
+        start = filter.bind(own)
+    state = start.initial(record.y.shape[2:], seed, **first)
     for k, t in enumerate(record.times):
         mode = () if record.modes is None else (record.modes[k],)
         indicator = () if record.indicators is None else (record.indicators[k],)
@@ -354,6 +357,15 @@ def clean(batch: tuple[int, ...]) -> dict[str, np.ndarray]:
     return {"loglik": np.zeros(batch), "diverged": np.zeros(batch, dtype=bool)}
 
 
+ELSEWHERE = {
+    "filter": "run(times, measurements)",
+    "smooth": "seedslib.filters.smooth(filter, times, measurements)",
+    "fit": "seedslib.evaluation.fit(filter, times, measurements, free)",
+    "simulate": "filter.system.simulate(times, paths, seed)",
+}
+"""What other libraries have as verbs of a filter, and where it is here."""
+
+
 class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
@@ -383,6 +395,13 @@ class Filter(Pickled):
     takes: ClassVar[tuple[str, ...]] = ()
     records: int = BLOCK
     alone: bool = False
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            where = ELSEWHERE.get(name)
+            hint = f"; wanted {where}" if where else ""
+            raise AttributeError(f"{name}: {type(self).__name__} has no such attribute{hint}")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r})"
@@ -585,7 +604,7 @@ class Filter(Pickled):
         TypeError, ValueError
             As `predict` and `correct`.
         """
-        if mode is None and self._single.of(self):
+        if mode is None:
             later = self._single.step(self, state, t, y, indicator, inputs)
             if later is not None:
                 return later
@@ -606,6 +625,21 @@ class Filter(Pickled):
         modes = () if mode is None else (mode,)
         later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
+
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m, *batch) and covariance of the measurement at the time of a prediction.
+
+        See `seedslib.filters.forecast_measurements`.
+
+        Raises
+        ------
+        TypeError
+            The filter does not say.
+        """
+        raise TypeError(
+            "filter: wanted one that carries means and covariances (KalmanFilter, extended_kalman "
+            f"and other covariance filters, SwitchingFilter), got {type(self).__name__}"
+        )
 
     def smoother(self) -> Any:
         """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.

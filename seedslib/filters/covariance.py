@@ -369,6 +369,11 @@ class CovarianceFilter(Filter):
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
             return Moments(*self._sensor.moments(state.time, state.mean, state.cov, p))
 
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """See `Filter.predictive`."""
+        moments = self.expected(state, p)
+        return moments.mean, moments.cov
+
     def report(self, state: FilterState) -> Estimates:
         """Mean and covariance; a path diverges where its mean is beyond the bound."""
         beyond = None

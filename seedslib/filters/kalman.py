@@ -175,6 +175,20 @@ class KalmanFilter(CovarianceFilter):
         """Moments of the measurement that the filter expects, given what is unknown."""
         return super().expected(FilterState(*state[:5]), p)
 
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """See `Filter.predictive`; infinite variances where something unknown is measured."""
+        mean, cov = super().predictive(state, p)
+        if not isinstance(state, DiffuseState):
+            return mean, cov
+        sensor = self.system.sensor.slope_at(state.time, p)
+        effect = np.einsum("ij...,jq...->iq...", sensor, state.effect)
+        return marginalized(mean, cov, effect, state, self._measured_scale(sensor))
+
+    def _measured_scale(self, sensor: np.ndarray) -> np.ndarray:
+        """Units of the measurement in those of the unknown numbers, (m, q); one for none."""
+        scale = np.einsum("ij...,jq->iq...", np.abs(sensor), self.scale)
+        return np.where(scale > 0, scale, 1.0)
+
     def report(self, state: Any) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
         if isinstance(state, DiffuseState):

@@ -90,6 +90,8 @@ class Single:
         """The state after a measurement; None where arrays have to do it."""
         try:
             t, y = float(t), np.asarray(y, dtype=float)
+            if y.ndim != 1 or not self.of(filter):  # batches must not record a program
+                return None
             if y.shape != self._shape or not filter.steps_alone(state, t):
                 return None
             given = [t, *y.tolist()] if self._timed else y.tolist()

@@ -21,6 +21,11 @@ if TYPE_CHECKING:
     from seedslib.models.maps import StochasticMap as StochasticMap
     from seedslib.models.noise import Noise as Noise
     from seedslib.models.propagation import van_loan as van_loan
+    from seedslib.models.structural import Structural as Structural
+    from seedslib.models.structural import level as level
+    from seedslib.models.structural import regression as regression
+    from seedslib.models.structural import season as season
+    from seedslib.models.structural import trend as trend
     from seedslib.models.switching import SwitchingSystem as SwitchingSystem
 else:
     __getattr__, __dir__, __all__ = lazy_names(__name__)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -22,7 +22,7 @@ from seedslib.base.checks import (
 from seedslib.base.clock import lengths_alike
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
-from seedslib.base.values import Values, in_order
+from seedslib.base.values import Values, in_order, require_no_step
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import Conditional, Functions, StochasticMap
 from seedslib.models.noise import Noise, tidy
@@ -150,7 +150,7 @@ class LinearSystem(DiscreteSystem):
     H, R : array_like or callable, shapes (m, n) and (m, m)
         Likewise, at the time of the measurement.
     mean0, cov0 : array_like, shapes (n,) and (n, n)
-        Moments of the state at the first time.
+        Moments of the state at the first time; entries may be expressions in parameters.
     b, d : array_like or callable, shapes (n,) and (m,)
         What is added to the state and to the measurement, like F and H; zero by default. Controls
         u are inputs in it: ``b=B @ [u1, u2]`` with `seedslib.base.Input`.
@@ -178,8 +178,7 @@ class LinearSystem(DiscreteSystem):
         d: Matrix = None,
         diffuse: tuple[int, ...] = (),
     ) -> None:
-        mean0 = np.atleast_1d(as_real("mean0", mean0))
-        n = len(mean0)
+        n = np.array(mean0, dtype=object, ndmin=1).shape[0]
         known = next((M for M in (R, H) if not callable(M)), None)
         m = len(np.atleast_2d(R(0.0) if known is None else np.array(known, dtype=object)))
         b, d = np.zeros(n) if b is None else b, np.zeros(m) if d is None else d
@@ -199,10 +198,9 @@ class LinearSystem(DiscreteSystem):
                     f"{brief(diffuse)}; all of them are range({n})"
                 )
         diffuse = components
-        cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", cov0)), n)
-        if np.any(cov0[list(diffuse)] != 0.0):
-            raise ValueError("cov0: wanted zeros in the rows of diffuse components")
         super().__init__(LinearMap(F, Q, b, (n, n)), LinearMap(H, R, d, (m, n)), mean0, cov0)
+        if np.any(self.cov0[list(diffuse)] != 0.0):
+            raise ValueError("cov0: wanted zeros in the rows of diffuse components")
         vars(self)["diffuse"] = diffuse
 
     def initial_sample(self, rng: Any, count: int) -> np.ndarray:
@@ -222,8 +220,8 @@ class LinearSystem(DiscreteSystem):
     @classmethod
     def from_continuous(
         cls,
-        drift: ArrayLike,
-        diffusion: ArrayLike,
+        drift: Matrix,
+        diffusion: Matrix,
         H: Matrix,
         R: Matrix,
         mean0: ArrayLike,
@@ -239,7 +237,7 @@ class LinearSystem(DiscreteSystem):
         ----------
         drift : array_like, shape (n, n)
         diffusion : array_like, shape (n, n)
-            Covariance of W per unit of time.
+            Covariance of W per unit of time. Entries of both may be expressions in parameters.
         H, R, mean0, cov0, **options
             As for the class.
         step : float, or None
@@ -253,22 +251,27 @@ class LinearSystem(DiscreteSystem):
         TypeError, ValueError
             As the class; a step that is not positive.
         """
-        noise = as_covariance("diffusion", np.atleast_2d(as_real("diffusion", diffusion)))
-        drift = as_real("drift", np.atleast_2d(drift), noise.shape)
-        b = None if b is None else _entries("b", b, (len(drift),))
-        if step is None:
-            steps = Discretised(drift, noise)
+        n = np.array(diffusion, dtype=object, ndmin=2).shape[0]
+        noise = _entries("diffusion", diffusion, (n, n))
+        drift = _entries("drift", drift, (n, n))
+        b = None if b is None else _entries("b", b, (n,))
+        if isinstance(noise, np.ndarray):
+            as_covariance("diffusion", noise)
+        if step is not None:
+            step = as_positive("step", step)
+        if step is None or isinstance(drift, Entries) or isinstance(noise, Entries):
+            steps = Discretised(drift, noise, b, step)
             F, Q = SteppedMatrix(steps, 0), SteppedMatrix(steps, 1)
-            b = None if b is None else HeldOffset(drift, b)
+            b = None if b is None else SteppedMatrix(steps, 2)
         else:
-            F, Q = stepped(drift, noise, as_positive("step", step))
-            b = None if b is None else HeldOffset(drift, b).after(step)
+            F, Q = stepped(drift, noise, step)
+            b = None if b is None else _weighted(_integral(drift, step), b)
         return cls(F, Q, H, R, mean0, cov0, b=b, **options)
 
 
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
-    if isinstance(matrix, SteppedMatrix | HeldOffset):
+    if isinstance(matrix, SteppedMatrix):
         return matrix
     if callable(matrix):
         return OfTime(matrix)
@@ -329,37 +332,72 @@ class OfTime:
 
 
 class Discretised:
-    """Exact discretisation of dX = F X dt + dW, once for steps of one length but for rounding.
+    """Exact discretisation of dX = (F X + b) dt + dW, once for all steps of one length.
 
     Parameters
     ----------
-    drift, diffusion : ndarray, shape (n, n)
+    drift, diffusion : ndarray or Entries, shape (n, n)
         F, and the covariance of W per unit of time.
+    rate : ndarray, Entries, OfTime or None, shape (n,)
+        b, constant in a step.
+    step : float or None
+        Length of all steps; None for the elapsed time.
     """
 
-    def __init__(self, drift: np.ndarray, diffusion: np.ndarray) -> None:
-        self.drift, self.diffusion = drift, diffusion
-        self._known: dict[float, tuple[np.ndarray, np.ndarray]] = {}
+    def __init__(self, drift: Any, diffusion: Any, rate: Any, step: float | None) -> None:
+        from seedslib.base.parameters import ELAPSED
 
-    def __call__(self, step: float) -> tuple[np.ndarray, np.ndarray]:
-        """Transition matrix and noise covariance of a step of this length."""
-        step = float(lengths_alike(step))
-        pair = self._known.get(step)
-        if pair is None:
+        for name, M in (("drift", drift), ("diffusion", diffusion)):
+            symbols = {
+                s for e in getattr(M, "expressions", np.empty(0)).flat for s in e.free_symbols
+            }
+            if isinstance(M, OfTime) or getattr(M, "time", None) in symbols:
+                raise ValueError(f"{name}: wanted constants and parameters, got a function of time")
+            require_no_step(name, getattr(M, "mentions", ()))
+        self.drift, self.diffusion, self.rate, self.step = drift, diffusion, rate, step
+        elapsed = (ELAPSED,) if step is None else ()
+        own = (*getattr(drift, "mentions", ()), *getattr(diffusion, "mentions", ()))
+        self.own: tuple[Any, ...] = in_order((*own, *elapsed))
+        self._known: dict[Any, tuple[np.ndarray, ...]] = {}
+
+    def parts(self, given: tuple[Any, ...]) -> tuple[np.ndarray, ...]:
+        """Transition, noise, and the integral of the transition, with axes (*batch) of numbers."""
+        if self.step is None:
+            given = (*given[:-1], float(lengths_alike(given[-1])))
+        key = tuple(np.asarray(number).tobytes() for number in given)
+        known = self._known.get(key)
+        if known is None:
             if len(self._known) >= STORED:
                 self._known.clear()
-            pair = self._known[step] = stepped(self.drift, self.diffusion, step)
-        return pair
+            known = self._known[key] = self._found(given)
+        return known
+
+    def _found(self, given: tuple[Any, ...]) -> tuple[np.ndarray, ...]:
+        batch = np.broadcast_shapes(*map(np.shape, given))
+        step = given[-1] if self.step is None else self.step
+        n = len(getattr(self.drift, "expressions", self.drift))
+        F, Q = (
+            align(np.asarray(_compiled(M, self.own)(0.0, given), dtype=float), 2, len(batch))
+            for M in (self.drift, self.diffusion)
+        )
+        F, Q = (np.broadcast_to(M, (n, n, *batch)).reshape(n, n, -1) for M in (F, Q))
+        each = [self._one(F[..., k], Q[..., k], step) for k in range(F.shape[-1])]
+        parts = zip(*each, strict=True)
+        return tuple(np.stack(part, axis=-1).reshape(n, n, *batch) for part in parts)
+
+    def _one(self, drift: np.ndarray, diffusion: np.ndarray, step: float) -> tuple[np.ndarray, ...]:
+        parts = stepped(drift, diffusion, step)
+        return parts if self.rate is None else (*parts, _integral(drift, step))
 
 
 class SteppedMatrix:
-    """One of the matrices of `Discretised`, for the time that has elapsed in a step.
+    """A matrix of `Discretised`.
 
     Parameters
     ----------
     steps : Discretised
     part : int
-        0 for the transition, 1 for the noise.
+        0 for the transition, 1 for the noise, 2 for the offset.
     """
 
     def __init__(self, steps: Discretised, part: int) -> None:
@@ -367,50 +405,41 @@ class SteppedMatrix:
 
     @property
     def mentions(self) -> tuple[Any, ...]:
-        """The elapsed time."""
-        from seedslib.base.parameters import ELAPSED
-
-        return (ELAPSED,)
+        """Parameters, and of the offset the inputs in the rate."""
+        rate = getattr(self.steps.rate, "mentions", ()) if self.part == 2 else ()
+        return in_order((*self.steps.own, *rate))
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The matrix as a function (t, p)."""
-        place = parameters.index(*self.mentions)
-        return lambda t, p: self.steps(p[place])[self.part]
+        steps, part = self.steps, self.part
+        places = [parameters.index(q) for q in steps.own]
+        rate = _compiled(steps.rate, parameters) if part == 2 else None
+
+        def matrix(t: float, p: Values) -> np.ndarray:
+            value = steps.parts(tuple(p[k] for k in places))[part]
+            if rate is None:
+                return value
+            b = np.asarray(rate(t, p), dtype=float)
+            depth = max(value.ndim - 2, b.ndim - 1)
+            return np.einsum("ij...,j...->i...", align(value, 2, depth), align(b, 1, depth))
+
+        return matrix
 
 
-class HeldOffset:
-    """What b in dX = (F X + b) dt adds to the state in a step in which it is constant.
+def _compiled(matrix: Any, parameters: tuple[Any, ...]) -> Callable[..., Any]:
+    """A matrix of numbers, of expressions or of the time as a function (t, p)."""
+    return matrix.compiled(parameters) if hasattr(matrix, "compiled") else lambda t, p: matrix
 
-    Parameters
-    ----------
-    drift : ndarray, shape (n, n)
-        F.
-    rate : ndarray, Entries or OfTime, shape (n,)
-        b.
-    """
 
-    def __init__(self, drift: np.ndarray, rate: Any) -> None:
-        self.drift, self.rate = drift, rate
+def _weighted(weight: np.ndarray, rate: Any) -> Any:
+    """The offset of steps of one length: numbers, expressions or a function of time."""
+    if isinstance(rate, OfTime):
+        return partial(_weighted_at, weight, rate.function)
+    return weight @ getattr(rate, "expressions", rate)
 
-    def after(self, step: float) -> Any:
-        """The offset of steps of one length: numbers, expressions or a function of time."""
-        weight = _integral(self.drift, step)
-        if isinstance(self.rate, OfTime):
-            return lambda t: weight @ self.rate.function(t)
-        return weight @ getattr(self.rate, "expressions", self.rate)
 
-    @property
-    def mentions(self) -> tuple[Any, ...]:
-        """What b mentions, and the elapsed time."""
-        from seedslib.base.parameters import ELAPSED
-
-        return (*getattr(self.rate, "mentions", ()), ELAPSED)
-
-    def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
-        """The offset as a function (t, p)."""
-        place, rate = parameters.index(self.mentions[-1]), self.rate
-        value = rate.compiled(parameters) if hasattr(rate, "compiled") else lambda t, p: rate
-        return lambda t, p: np.tensordot(_integral(self.drift, p[place]), value(t, p), 1)
+def _weighted_at(weight: np.ndarray, function: Callable[[float], Any], t: float) -> np.ndarray:
+    return weight @ function(t)
 
 
 def _integral(drift: np.ndarray, step: float) -> np.ndarray:

@@ -205,20 +205,15 @@ class StochasticMap(Pickled):
         return self if parameters == self.parameters else self.remade(parameters=parameters)
 
     def with_weight(self, weight: Any) -> StochasticMap:
-        """The same map as a branch that is taken with another probability; 1 for always.
+        """The same map of formulas as a branch of another probability; 1 for always.
 
         Parameters
         ----------
-        weight : SymPy expression, number, or callable
-            A callable, ``weight(t, x, v, *parameters) -> (*batch)``, of a map of array functions.
+        weight : SymPy expression or number
         """
-        if self.symbolic:
-            options = {"time": self.time, "period": dict(self.period)}
-            made = StochasticMap(self.state, self.expressions, self.noise, weight, **options)
-            return made.taking(self.parameters) if weight == 1 else made
-        if not callable(weight):
-            weight = None if weight == 1 else partial(_constant, float(weight))
-        return self.remade(_functions=self._functions._replace(weight=weight))
+        options = {"time": self.time, "period": dict(self.period)}
+        made = StochasticMap(self.state, self.expressions, self.noise, weight, **options)
+        return made.taking(self.parameters) if weight == 1 else made
 
     def _compiled(self, arguments: Sequence[Any], expressions: Any) -> Callable[..., Any]:
         """Code of expressions in the time, the arguments and the parameters."""
@@ -413,11 +408,6 @@ class Functions(NamedTuple):
     cov: Callable[..., Any] | None
     log_density: Callable[..., Any] | None
     parameters: tuple[Any, ...]
-
-
-def _constant(weight: float, t: float, x: np.ndarray, v: np.ndarray, *p: Any) -> np.ndarray:
-    """A probability that depends on nothing."""
-    return np.full(np.shape(x)[1:], weight)
 
 
 def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -> Any:

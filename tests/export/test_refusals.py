@@ -64,6 +64,7 @@ TOLD = {"system": cart("bearing", inputs=True), "inputs": {FORCE: np.zeros(7), B
 EXPORTS = [
     (lambda: to_c(growth()), TypeError, "filter"),
     (lambda: to_c(EKF, name="2nd"), ValueError, "name"),
+    (lambda: to_c(EKF, "float"), ValueError, "path"),
     (lambda: to_c(EKF, name=3), TypeError, "name"),
     (lambda: to_c(CovarianceFilter(growth(), Own())), TypeError, "linearization"),
     (lambda: to_c(SwitchingFilter(shrinking(), Cubature())), TypeError, "linearization"),

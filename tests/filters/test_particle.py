@@ -196,11 +196,11 @@ def test_estimates_of_angles_are_mean_directions():
     sensor = StochasticMap((a, b, c), [a + w], Noise((w,)))
     filter = ParticleFilter(DiscreteSystem(dynamics, sensor, [0, 0, 0], np.eye(3)), 5)
     rng = np.random.default_rng(8)
-    x = 0.5 * rng.standard_normal((3, 5, 2)) + np.array([0.3, 3.4, -7.2])[:, None, None]
-    weight = rng.random((5, 2))
+    x = 0.5 * rng.standard_normal((3, 5, 50)) + np.array([0.3, 3.4, -7.2])[:, None, None]
+    weight = rng.random((5, 50))
     weight /= weight.sum(axis=0)
     mean, cov, prob = filter.estimate(x, weight)
-    turned = x + np.array([0.0, 7.0, -10.0])[:, None, None] * rng.integers(-2, 3, (3, 5, 2))
+    turned = x + np.array([0.0, 7.0, -10.0])[:, None, None] * rng.integers(-2, 3, (3, 5, 50))
     again = filter.estimate(turned, weight)
     np.testing.assert_allclose(again[0], mean, atol=1e-12)
     np.testing.assert_allclose(again[1], cov, atol=1e-12)

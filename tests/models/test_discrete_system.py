@@ -12,6 +12,7 @@ from oracles.linear import Regression
 from seedslib.base import ELAPSED, Input
 from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
+from seedslib.models.linear import _integral
 from seedslib.models.propagation import stepped
 from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
 
@@ -104,10 +105,28 @@ def test_steps_of_one_length_but_for_rounding_are_discretised_once(monkeypatch):
         made.append(arguments[-1])
         return stepped(*arguments)
 
+    def counted_integral(*arguments):
+        made.append(arguments[-1])
+        return _integral(*arguments)
+
     monkeypatch.setattr("seedslib.models.linear.stepped", counted)
-    system = LinearSystem.from_continuous(-0.5, 1, 1, 1, 0, 1, step=None)
+    monkeypatch.setattr("seedslib.models.linear._integral", counted_integral)
+    system = LinearSystem.from_continuous(-0.5, 1, 1, 1, 0, 1, step=None, b=[0.3])
     KalmanFilter(system).run(np.cumsum(lengths), np.zeros((300, 1)))
-    assert sorted(made) == pytest.approx([0.1, 0.2, 0.7], rel=1e-11)
+    assert sorted(made) == pytest.approx([0.1, 0.1, 0.2, 0.2, 0.7, 0.7], rel=1e-11)
+
+
+def growing(t):
+    return np.array([t])
+
+
+def test_an_offset_of_time_is_that_of_the_start_of_a_step():
+    weight = (1 - np.exp(-0.5 * 2.0)) / 0.5
+    for step in (2.0, None):
+        system = LinearSystem.from_continuous(-0.5, 1, 1, 1, 0, 1, step=step, b=growing)
+        for one in (system, pickle.loads(pickle.dumps(system))):
+            mean, _ = one.dynamics.conditional_moments(3.0, np.zeros((1, 1)), one.values(None, 2.0))
+            assert mean[0, 0] == pytest.approx(3.0 * weight, rel=1e-12)
 
 
 def test_unequal_steps_are_for_maps_that_see_them():
