@@ -31,6 +31,15 @@ BOOK = Path(__file__).resolve().parents[1]
 WIDTHS = {"wide": 680, "narrow": 330}
 NODES, RUNS, TIMES = (-3.5, 3.5, 121), (88, 7, 21, 46, 3), 0.25 * np.arange(25)
 
+WINDOWS = (2, 4, 8, 12, 25, 50, 100)
+BODY = (
+    "It is far off, and it is sure. The prior makes so near a body unlikely, the first angles hardly "
+    "contradict it, and the filter replaces the curve by one tangent at the wrong range. Its variance "
+    "shrinks with each measurement, whatever the measurement says. With a tangent in each window, the "
+    "windows that explain the angles keep their weight. Now drag the body to 50 km: the last "
+    "window is wide, and there the filter claims too small an error; more windows help, not entirely."
+)
+
 _HEAD = '<link rel="stylesheet" href="../_static/live.css">\n<script src="../_static/live.js"></script>\n'
 _DRAW = """
 const live = require(process.argv[1]), { name, script, data, label, widths } = JSON.parse(require('fs').readFileSync(0, 'utf8'));
@@ -57,7 +66,13 @@ def fragment(name: str, data: Mapping[str, Any]) -> str:
     """A picture as HTML with its data; without scripts a still picture stays."""
     text = (BOOK / "live" / f"{name}.src.html").read_text(encoding="utf-8")
     label = re.search(r'data-label="(.*?)"', text)[1]
-    given = {"name": name, "script": script_of(text), "data": data, "label": label, "widths": WIDTHS}
+    given = {
+        "name": name,
+        "script": script_of(text),
+        "data": data,
+        "label": label,
+        "widths": WIDTHS,
+    }
     command = ["node", "-e", _DRAW, str(BOOK / "_static" / "live.js")]
     done = subprocess.run(
         command, input=json.dumps(given), capture_output=True, text=True, check=True
@@ -115,6 +130,32 @@ def flip_filters() -> dict[str, Any]:
     }
 
 
+def body() -> dict[str, Any]:
+    """The falling body: tangents of the windows, the extended filter, noise of the sensor."""
+    system = zoo.falling_body()
+    windows = {count: zoo.falling_body(count) for count in WINDOWS}
+    return {
+        "times": list(range(11)),
+        "prior": [system.mean0[0], system.cov0[0, 0] ** 0.5, 0.1, system.cov0[1, 1] ** 0.5],
+        "sensor_noise": 1e-3,
+        "windows": {count: _tangents(made) for count, made in windows.items()},
+        "ekf": to_js(extended_kalman(system.discrete())),
+        "noise": np.random.default_rng(1).standard_normal((6, 10)).round(4).tolist(),
+        "answer": BODY,
+    }
+
+
+def _tangents(system: Any) -> dict[str, list[float]]:
+    """Inner edges of the windows, and their tangents where the body falls by one unit."""
+    tangent, fall = system.dynamics_at(0.0), 0.5 / 100
+    shift, slope = tangent.offset[1, :, 0] / fall, tangent.matrix[1, 0, :, 0] / fall
+    return {
+        "edges": system.regions.edges[1:-1].tolist(),
+        "shift": shift.tolist(),
+        "slope": slope.tolist(),
+    }
+
+
 def _run(system: Any, fine: np.ndarray, seed: int) -> dict[str, list[float]]:
     """A run of the library: states every 0.05 s, readings every 0.25 s."""
     made = system.simulate(fine, paths=1, seed=seed, measured=np.arange(fine.size) % 10 == 0)
@@ -127,4 +168,4 @@ def _packed(values: np.ndarray) -> str:
     return base64.b64encode(np.ascontiguousarray(values, dtype="<f4").tobytes()).decode()
 
 
-PICTURES: dict[str, Callable[[], dict[str, Any]]] = {"flip": flip, "square": dict}
+PICTURES: dict[str, Callable[[], dict[str, Any]]] = {"flip": flip, "square": dict, "body": body}
