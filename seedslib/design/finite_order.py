@@ -21,7 +21,7 @@ from seedslib.base.clock import step_count
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
-from seedslib.design.paths import Executor, PathSimulator, executor, require_range
+from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import coefficients_of
 from seedslib.designed.accuracy import Design
 from seedslib.designed.finite_order import FiniteOrderFilter, Rules
@@ -193,7 +193,6 @@ def synthesize(
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
     as_linearization(linearization)
-    require_range(system)
     if switches(system):
         from seedslib.design.switching import synthesize_switching
 

@@ -20,24 +20,6 @@ from seedslib.models.kinds import AnySystem
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
 
-REACH = 6.0
-"""How many deviations of the first state have to be below it."""
-
-
-def require_range(system: AnySystem) -> None:
-    """Refuse a first distribution of which paths would be left out as too far.
-
-    Raises
-    ------
-    ValueError
-        It reaches beyond 1e100.
-    """
-    reach = np.abs(system.mean0) + REACH * np.sqrt(np.diagonal(system.cov0))
-    if not (reach < LARGEST).all():
-        raise ValueError(
-            f"mean0, cov0: wanted units of the state below {LARGEST:g}, got {reach.max():.3g}"
-        )
-
 
 class Executor:
     """Map over the bundles of a design. This one works here; another may work elsewhere.

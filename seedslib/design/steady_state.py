@@ -9,8 +9,6 @@ import numpy as np
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
-from seedslib.design.samples import prediction_of
-from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.base import DesignedFilter
 from seedslib.filters.base import Estimates
 from seedslib.models.simulation import Simulation
@@ -112,7 +110,6 @@ def stationary(
                 f"since the schedule goes on in turn, got {transient}"
             )
         estimates = _run(endless, data)
-        endless = replace(endless, held_out=_held_out(endless, estimates, data))
     square = _errors(estimates, data) ** 2
     growth = square[last + 1 :].mean(axis=0) - square[end].mean(axis=0)
     growth /= 2.0 * scale[:, None] ** 2
@@ -139,11 +136,3 @@ def _run(filter: DesignedFilter, data: Simulation) -> Estimates:
 
 def _errors(estimates: Estimates, data: Simulation) -> np.ndarray:
     return estimates.mean - data.states[:, : estimates.mean.shape[1]]
-
-
-def _held_out(filter: DesignedFilter, estimates: Estimates, data: Simulation) -> Accuracy:
-    """Accuracy at the filter's own times."""
-    squares = _errors(estimates, data) ** 2
-    wrong = () if data.modes is None else (estimates.modes != data.modes)[: len(filter.times)]
-    accuracy = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
-    return accuracy._replace(times=filter.times, paths=data.states.shape[2])

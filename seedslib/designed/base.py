@@ -177,9 +177,9 @@ class DesignedFilter(Filter):
         """The filter of some steps of the design, by their numbers, which are then the only ones.
 
         Each comes as long after the one before it as it did in the design. What was predicted of
-        the steps is kept, as if the steps between had been there; nothing was held out.
+        the whole design is left out.
         """
-        times, tolerance = np.asarray(self.times), self.clock.tolerance
+        times = np.asarray(self.times)
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
         changed: dict[str, Any] = {}
         for name, first in self.per_step.items():
@@ -188,17 +188,12 @@ class DesignedFilter(Filter):
             changed[name] = part[rows] if of_rows else tuple(part[k] for k in rows)
         if self.measured is not None:
             changed["measured"] = self.measured[chosen]
-        if self.predicted is not None:
-            old = self.predicted.times
-            leads_to = np.searchsorted(times, old - tolerance)
-            rows, by = np.flatnonzero(np.isin(leads_to, chosen)), np.zeros(len(times))
-            by[chosen] = shift
-            changed["predicted"] = self.predicted.of(rows, old[rows] + by[leads_to[rows]])
         if self.node_times:
             intervals = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
             changed["node_times"] = tuple(self.node_times[k] + by for k, by in intervals)
             changed["node_fits"] = tuple(self.node_fits[k] for k, _ in intervals)
-        return replace(self, times=times[chosen] + shift, held_out=None, cycle=0, **changed)
+        changed |= {"times": times[chosen] + shift, "predicted": None, "held_out": None}
+        return replace(self, cycle=0, **changed)
 
     def check(self) -> None:
         """Make the times an array; refuse steps that do not fit them.
@@ -522,9 +517,7 @@ class DesignedFilter(Filter):
         wanted = np.array(clock.times)
         wanted = wanted[wanted <= times[-1] + clock.tolerance]
         if not clock.same(times[0], clock.times[0]):
-            raise ValueError(
-                f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}"
-            )
+            raise ValueError(f"times: wanted {when(clock.times[0])} first, got {when(times[0])}")
         if times[-1] > self.horizon + clock.tolerance:
             raise ValueError(
                 f"times: wanted at most {when(self.horizon)}, where the design ends, got "
