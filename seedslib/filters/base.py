@@ -719,8 +719,11 @@ class Filter(Pickled):
         alone = not batch and self._single.of(self)
 
         def work(record: Record, stream: Any) -> Estimates:
-            if not batch and (whole := self.at_once(record)) is not None:
-                return with_divergence(whole)
+            one = record.y[0, 0].size == 1
+            if one and (whole := self.at_once(record)) is not None:
+                axes = record.y.shape[2:]
+                parts = (None if p is None else np.reshape(p, (*np.shape(p), *axes)) for p in whole)
+                return with_divergence(Estimates(*parts))
             if alone:
                 return with_divergence(self.estimates_of(self._single.run(self, record)))
             reports = (self.report(state) for state in walk(self, record, stream))

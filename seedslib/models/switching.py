@@ -240,6 +240,9 @@ class SwitchingSystem(Parametrized, Pickled):
     which the state stands still, and a move of each mode without a switch; the noise comes after
     the switch, so the probabilities cannot depend on it.
 
+    The elapsed time `seedslib.base.ELAPSED` may stand in dynamics and in probabilities: then steps
+    may be of any length, as with ``1 - exp(-rate * ELAPSED)`` for a switch of constant rate.
+
     Parameters
     ----------
     state : sequence of SymPy symbols, length n
