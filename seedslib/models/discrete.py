@@ -13,8 +13,7 @@ from seedslib.base.blocks import Source
 from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, require_no_step
-from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise, StochasticMap
 from seedslib.models.simulation import Simulation, simulate
 
 

@@ -18,8 +18,7 @@ from seedslib.base.checks import as_covariance, as_positive, as_real, outside
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
-from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import Noise, named_noise
+from seedslib.models.maps import Noise, StochasticMap, named_noise
 from seedslib.models.simulation import Simulation, simulate
 
 Rate = Callable[..., np.ndarray]
@@ -107,8 +106,7 @@ class JumpDiffusion(Parametrized, Pickled):
         time: Any = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
-        from seedslib.base.parameters import parameters_of
-        from seedslib.base.symbols import named_model
+        from seedslib.base.symbols import named_model, parameters_of
         from seedslib.models.codegen import known_expressions
 
         noise, marks = named_noise("noise", noise), named_noise("marks", marks)
