@@ -14,7 +14,7 @@ from seedslib.designed.memory import Past
 from seedslib.designed.predictors import AffineFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.jump_diffusion import JumpDiffusion
-from seedslib.models.propagation import integrated, stepped
+from seedslib.models.linear import integrated, stepped
 
 
 def linear_design(

@@ -137,7 +137,7 @@ def switching(step: Any) -> None:
 
 
 def _check(filter: Any) -> None:
-    system, fits = filter.system, filter.fits
+    fits = filter.fits
     if not isinstance(filter.linearization, Formulas):
         raise TypeError(
             "linearization: wanted formulas, Taylor or ExactGaussian, to write modes in C, got "

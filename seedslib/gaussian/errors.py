@@ -34,14 +34,20 @@ from seedslib.gaussian.hermite import (
     plugin_excess,
     polynomial_expansion,
 )
-from seedslib.gaussian.kernels import HalfSpace, half_space_means, inner_product, times
-from seedslib.gaussian.means import Compiled, FunctionClass, compile_terms, expectation_function
-from seedslib.gaussian.polynomial import (
+from seedslib.gaussian.means import (
     Coefficients,
+    Compiled,
+    FunctionClass,
+    HalfSpace,
     Index,
+    compile_terms,
+    expectation_function,
+    half_space_means,
+    inner_product,
     monomial_means,
     polynomial_value,
     taylor_coefficients,
+    times,
 )
 from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
 

@@ -19,8 +19,7 @@ from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order, of_paths, require_no_step
 from seedslib.models.first_state import Started
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import named_noise
+from seedslib.models.maps import StochasticMap, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 Rate = Callable[..., np.ndarray]
@@ -108,8 +107,7 @@ class JumpDiffusion(Started, Pickled):
         time: Any = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
-        from seedslib.base.parameters import parameters_of
-        from seedslib.base.symbols import named_model
+        from seedslib.base.symbols import named_model, parameters_of
         from seedslib.models.codegen import known_expressions
 
         noise, marks = named_noise("noise", noise), named_noise("marks", marks)

@@ -47,7 +47,7 @@ class System(Protocol):
 
 
 if TYPE_CHECKING:
-    from seedslib.base.parameters import Input
+    from seedslib.base.symbols import Input
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.switching import SwitchingSystem

@@ -25,8 +25,7 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise, lower_times, named_noise
+from seedslib.models.maps import Noise, StochasticMap, lower_times, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 CLOSE = 1e-9
