@@ -254,9 +254,8 @@ def synthesize(
     paths = as_count("paths", paths)
     check_paths(paths, coefficients_of(predictor, memory.order(components, system.sensor.size)))
     root = as_seed_sequence(seed)
-    stops = len(times) + sum(map(len, grid))
     with executor(workers) as each:
-        simulator = PathSimulator(system, paths, root, stops, each, options)
+        simulator = PathSimulator(system, paths, root, each, options)
         forward = ForwardPass(simulator, rules, predictor, mask, availability)
         parts = forward.design(times, grid)
         design = Design(paths, BLOCK, *seed_record(root), simulator.warn_of_diverged())

@@ -22,7 +22,7 @@ from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths import PathSimulator
-from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
+from seedslib.design.regression import DOMINATED, fit_forecast, root_mean_squares
 from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.arrivals import ClassFits
 from seedslib.designed.base import FilterState
@@ -200,9 +200,8 @@ class ForwardPass:
                 drawn = partial(_drawn, shares(members, prob))
                 states = [simulator.executor(drawn, uniform, *states)]
             self.states += states
-        informed = self.one_class and self.measured[: k + 1].any()
         estimates = (simulator.executor(_estimate, state) for state in self.states)
-        self._score(t, *estimates, informed=informed)
+        self._score(t, *estimates)
 
     def _sizes(self, k):
         """Magnitudes of the components of U_k; measurements are compared with themselves."""
@@ -210,7 +209,7 @@ class ForwardPass:
         total = self.memory.dimension(k, self.components, self.measured.shape[1])
         return np.concatenate([estimates, np.zeros(total - len(estimates))])
 
-    def _score(self, t, *estimates, informed=False):
+    def _score(self, t, *estimates):
         """Note the error of the estimates of the classes, and how large state and estimate are."""
         n, prob = self.components, self.histories.prob
 
@@ -220,25 +219,17 @@ class ForwardPass:
                 square *= prob[0]
                 for chance, other in zip(prob[1:], others, strict=True):
                     square += chance * (x[:n] - other) ** 2
-            return np.concatenate([square, x[:n] ** 2, x[:n], z])
+            return np.concatenate([square, x[:n] ** 2])
 
         moments = self.simulator.gather(rows, *estimates)
-        rms, error, deviation = root_mean_squares(moments, n)
-        self.size = np.sqrt(moments.mean[n : 2 * n])
+        rms, error, _ = root_mean_squares(moments, n)
+        self.size = np.sqrt(moments.mean[n:])
         if np.any(error > DOMINATED * rms):
             warnings.warn(
                 f"paths: the errors at time {when(t)} rest on very few paths ({rms.max():.3g} ± "
                 f"{error.max():.3g}); some of them diverge",
                 stacklevel=outside(),
             )
-        if informed:
-            moving = deviation[2 * n : 3 * n] > ABSOLUTE * self.size
-            for i in np.flatnonzero(moving & (deviation[3 * n :] <= ABSOLUTE * self.size)):
-                warnings.warn(
-                    f"memory: the estimate of component {i} at time {when(t)} is the same on all "
-                    "paths; it carries no information",
-                    stacklevel=outside(),
-                )
         self.scores.append((t, rms, error))
 
 

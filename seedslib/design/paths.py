@@ -95,8 +95,6 @@ class PathSimulator:
     system : JumpDiffusion
     paths : int
     root : SeedSequence
-    stops : int
-        Number of times to stop at, the first included.
     executor : Executor
         Map over bundles.
     options : mapping
@@ -118,14 +116,13 @@ class PathSimulator:
         system: AnySystem,
         paths: int,
         root: np.random.SeedSequence,
-        stops: int,
         executor: Executor,
         options: Mapping[str, Any],
     ) -> None:
         self.system, self.executor, self.options = system, executor, options
         self.n: int = system.state_size
         self.counts: list[Any] = bundles(paths)
-        self.stops, self.stop = stops, -1
+        self.stop = -1
         self.states, self.alive = [], []
         self._roots = [root.spawn(len(counts)) for counts in self.counts]
         self._shared = executor.share(system)
@@ -206,8 +203,6 @@ class PathSimulator:
     def _go(self, work, *lists):
         """States at the next stop, without the paths that have just left the range of numbers."""
         self.stop += 1
-        if self.stop >= self.stops:
-            raise ValueError(f"stops: wanted at most the {self.stops} that were announced")
 
         def moved(system, streams, counts, *parts):
             return work(system, _generator(streams, counts), *parts)

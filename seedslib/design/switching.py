@@ -210,7 +210,7 @@ def synthesize_switching(
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
     with executor(workers) as each:
-        simulator = PathSimulator(system.hybrid, paths, root, len(times), each, {})
+        simulator = PathSimulator(system.hybrid, paths, root, each, {})
         forward = SwitchingPass(simulator, system, memory, rules)
         forward.design(times)
         pooled, pairs = forward.pooled, forward.pairs

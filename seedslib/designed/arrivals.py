@@ -49,11 +49,6 @@ class ClassFits(NamedTuple):
         """Mean of the forecast covariances of the classes, (n, n)."""
         return np.tensordot(self.prob, self.fits.cov, 1)
 
-    @property
-    def dimension(self) -> int:
-        """How many numbers they forecast from."""
-        return self.one(0).dimension
-
 
 class FitsOfPaths(NamedTuple):
     """The forecast for paths whose classes, (*batch), are known."""

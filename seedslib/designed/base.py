@@ -206,6 +206,9 @@ class DesignedFilter(Filter):
         steps = len(self.times)
         if not (is_whole(self.cycle) and 0 <= self.cycle < steps):
             raise ValueError(f"cycle: wanted 0 to {steps - 1} of the steps, got {self.cycle!r}")
+        for name, first in self.per_step.items():
+            if len(getattr(self, name)) != steps - first:
+                raise ValueError(f"{name}: wanted {steps - first}, got {len(getattr(self, name))}")
         mask = self.schedule.mask
         if self.measured is not None and self.measured.shape != mask.shape:
             raise ValueError(f"measured: wanted a mask of shape {mask.shape}")
@@ -214,25 +217,6 @@ class DesignedFilter(Filter):
             raise ValueError(
                 f"node_times, node_fits: wanted {steps - 1} intervals, got {intervals} and {fits}"
             )
-
-    def check_fits(self, n: int, m: int) -> None:
-        """Refuse forecasts from another memory, by the sizes of an estimate and a measurement.
-
-        Raises
-        ------
-        ValueError
-        """
-        modes = getattr(self.system, "modes", 1)
-        if len(self.fits) != len(self.times) - 1:
-            raise ValueError(f"fits: wanted {len(self.times) - 1}, got {len(self.fits)}")
-        for k, fit in enumerate(self.fits):
-            wanted = self.memory.dimension(k, n, m, modes)
-            # a forecast of one's own need not have a dimension
-            if (dimension := getattr(fit, "dimension", wanted)) != wanted:
-                raise ValueError(
-                    f"fits[{k}]: wanted forecasts from {wanted} numbers, for the memory "
-                    f"{self.memory}, got {dimension}"
-                )
 
     # Step by step
 

@@ -69,11 +69,6 @@ class CellFit(NamedTuple):
                     component += factor * part
         return ModeLaw(score, mean, np.broadcast_to(cov, (*cov.shape[:2], *score.shape)))
 
-    @property
-    def dimension(self) -> int:
-        """How many numbers it forecasts from."""
-        return len(self.centre)
-
     @staticmethod
     def _of_cell(array, cell, z):
         if array.shape[-1] == 1:

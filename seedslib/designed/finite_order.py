@@ -224,7 +224,6 @@ class FiniteOrderFilter(DesignedFilter):
         require_kind("between", self.between)
         self.check()
         as_count("components", self.components, 1, len(self.start.mean))
-        self.check_fits(self.components, len(self.start.moments.mean))
         if self.cycle and self.availability is not None:
             raise ValueError("cycle: wanted 0 with an availability")
         vars(self).update(clock=Clock(self.times))

@@ -89,11 +89,6 @@ class AffineFit(NamedTuple):
         """Forecast (n, *batch) and its covariance (n, n)."""
         return self.mean(u), self.cov
 
-    @property
-    def dimension(self) -> int:
-        """How many numbers it forecasts from."""
-        return self.gain.shape[1]
-
 
 def affine(gain: np.ndarray, offset: np.ndarray, u: np.ndarray) -> np.ndarray:
     """Gain times u plus offset for u of shape (d, *batch)."""
@@ -153,11 +148,6 @@ class PolynomialFit(NamedTuple):
         lower = affine(self.cov_gain, self.cov_offset, powers[: self.cov_gain.shape[1]])
         cov = bounded_below(symmetric(lower, len(self.residual)), self.residual)
         return mean, cov.reshape(*cov.shape[:2], *u.shape[1:])
-
-    @property
-    def dimension(self) -> int:
-        """How many numbers it forecasts from."""
-        return len(self.centre)
 
 
 def standardised(u: np.ndarray, centre: np.ndarray, scale: np.ndarray) -> np.ndarray:

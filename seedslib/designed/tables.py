@@ -284,9 +284,7 @@ class OutputFilter(DesignedFilter):
     def check(self) -> None:
         """See `DesignedFilter.check`."""
         super().check()
-        steps, n, m = len(self.times), self.components, self.system.measurement_size
-        if not len(self.steps) == len(self.covariances) == steps:
-            raise ValueError(f"steps, covariances: wanted {steps}, got {len(self.steps)}")
+        n, m = self.components, self.system.measurement_size
         for k, step in enumerate(self.steps):
             axes = step_axes(self.system, self.memory, (None,) * m, (None,) * n, k)
             for table, wanted in zip(step, axes, strict=True):
@@ -396,23 +394,6 @@ class OutputFilter(DesignedFilter):
         points = arguments(self.system, (), None, state.past)
         forecast = self.steps[self.served(state.index + 1)].forecast
         return [forecast(points).on(state.mean.shape[1:]).mean]
-
-    def forecast(
-        self,
-        state: FilterState,
-        t: float,
-        kind: str | None = None,
-        *,
-        inputs: Mapping[Any, Any] | None = None,
-    ) -> Estimates:
-        """Estimate at a time up to the next measurement, see `DesignedFilter.forecast`.
-
-        With modes, of the next measurement time only.
-        """
-        if switches(self.system):
-            ahead = self.predict(state, t)
-            return Estimates(ahead.mean, modes=ahead.mode)
-        return super().forecast(state, t, kind, inputs=inputs)
 
     def taking(self, chosen: list[int]) -> Self:
         """See `DesignedFilter.taking`."""

@@ -278,12 +278,9 @@ def test_errors_that_rest_on_few_paths_are_warned_of():
     assert all(np.isfinite(part).all() for part in numbers(made))
 
 
-def test_few_paths_and_estimates_without_information_are_warned_of(oscillator):
+def test_few_paths_are_warned_of(oscillator):
     for paths, few in ((99, 1), (100, 0)):  # fifty for each of two coefficients
         with warnings.catch_warnings(record=True) as said:
             warnings.simplefilter("always")
             synthesize(oscillator, Memory(1), Taylor(), [0, 0.2], paths=paths, seed=1, step=0.1)
         assert sum(str(one.message).startswith("paths") for one in said) == few
-    blind = JumpDiffusion((x,), [-x], [[1]], [v], Noise((v,)), [0.3], [[0]])
-    with pytest.warns(UserWarning, match="memory"):
-        synthesize(blind, Memory(1), Taylor(), [0, 0.5, 1], paths=1000, seed=1)

@@ -204,7 +204,6 @@ REFUSED = [
     (lambda _: bank(TARGET, Memory(1), times=TIMES), ValueError, "fits"),
     (lambda _: bank(SCALAR, Memory(1, 0, 1), times=TIMES, fits=[1, 2]), ValueError, "memory"),
     (lambda _: bank(STEADY, LOG_ODDS, times=TIMES, fits=[1, 2]), ValueError, "memory"),
-    (lambda m: replace(m.modes, memory=Memory(1)), ValueError, "fits"),
     (lambda _: bank().predict(bank().step(bank().initial(), 1.0, [0.0], 1), 1.0), ValueError, "t"),
     (lambda _: bank().correct(bank().initial(), [0.0], 1), ValueError, "state"),
     (lambda _: bank().predict(bank().predict(bank().initial(), 0.0), 1.0), ValueError, "state"),
