@@ -7,7 +7,7 @@ export JUPYTER_PLATFORM_DIRS := 1
 # Every kernel and test process would compile the library again.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: book test checks lab sweep execute lint style types clean setup
+.PHONY: book test checks lowest lab sweep execute lint style types clean setup
 
 book: setup execute
 	@$(VENV)/bin/jupyter-book build . -n -W --keep-going --quiet
@@ -22,6 +22,14 @@ test: setup style
 
 checks: setup
 	@$(PY) -m pytest -q -n 2 --dist=loadscope --processor=$(PROCESSOR)
+
+# The core with the lowest versions that pyproject.toml declares.
+LOWEST := tests/base tests/models tests/filters/test_kalman.py tests/filters/test_forecasting.py
+lowest:
+	@test -d build/lowest || "$(PYTHON)" -m venv build/lowest
+	@build/lowest/bin/python -m pip install --quiet --disable-pip-version-check -r lowest.txt
+	@PYTHONPATH=.:tests build/lowest/bin/python -m pytest -q -c /dev/null --rootdir=. \
+		--confcutdir=tests --import-mode=importlib $(LOWEST)
 
 lab: setup
 	@$(VENV)/bin/jupyter lab notebooks
