@@ -21,7 +21,6 @@ import yaml
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, PROOFS, VERDICTS, Claim, read_ledger
 from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
 
-
 CONCORDANCE = "book/concordance.yml"
 
 
