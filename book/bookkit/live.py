@@ -57,13 +57,7 @@ def fragment(name: str, data: Mapping[str, Any]) -> str:
     """A picture as HTML with its data; without scripts a still picture stays."""
     text = (BOOK / "live" / f"{name}.src.html").read_text(encoding="utf-8")
     label = re.search(r'data-label="(.*?)"', text)[1]
-    given = {
-        "name": name,
-        "script": script_of(text),
-        "data": data,
-        "label": label,
-        "widths": WIDTHS,
-    }
+    given = {"name": name, "script": script_of(text), "data": data, "label": label, "widths": WIDTHS}
     command = ["node", "-e", _DRAW, str(BOOK / "_static" / "live.js")]
     done = subprocess.run(
         command, input=json.dumps(given), capture_output=True, text=True, check=True
