@@ -38,7 +38,7 @@ VERDICTS = ("refuted", "corrected", "open", "reproduced", "checked")
 PROOFS = {
     "symbols": "identities that SymPy brings to zero, in a cell that is shown",
     "fractions": "exact arithmetic, in a cell that is shown",
-    "enclosure": "balls or intervals of arithmetic that hold the exact value, in a cell that is shown",
+    "enclosure": "balls or intervals that hold the exact value, in a cell that is shown",
     "words": "a proof or the paper's own words, on the page; numbers only try it",
     "numbers": "two routes that agree in floating point",
 }

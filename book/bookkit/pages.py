@@ -21,6 +21,8 @@ import yaml
 from bookkit.claims import LEDGER, ORIGINS, PAPERS, PROOFS, VERDICTS, Claim, read_ledger
 from bookkit.recording import MIME, claim_html, columns, read_notebooks, read_verdicts
 
+CONCORDANCE = "book/concordance.yml"
+
 
 def substitutions(root: Path) -> dict[str, Any]:
     """Every recorded value, the verdicts by paper, and version and date of the project."""
@@ -94,7 +96,21 @@ def claims_page(root: Path) -> str:
                 lines += ["| place | claim | verdict | proved by |", "|---|---|---|---|"]
                 lines += [_row(claim) for claim in own]
                 lines += ["", "```{raw} html", *(_box(claim, recorded) for claim in own), "```"]
+            if chosen is theirs:
+                lines += concordance(root, key)
     return "\n".join(lines) + "\n"
+
+
+def concordance(root: Path, paper: str) -> list[str]:
+    """Lines of a paper's surviving text beside our reading of them, folded, as MyST text."""
+    rows = [r for r in yaml.safe_load((root / CONCORDANCE).read_text()) if r["paper"] == paper]
+    if not rows:
+        return []
+    lines = ["", ":::{dropdown} What the scan has, and how we read it"]
+    for row in rows:
+        named = f" ({', '.join(row['claims'])})" if "claims" in row else ""
+        lines += [f"- {row['place']}{named}: ``{row['line']}``", "", f"  ${row['reading']}$", ""]
+    return [*lines, ":::"]
 
 
 def _row(claim: Claim) -> str:

@@ -124,8 +124,8 @@ def claim(
     corrected : bool, optional
         For a claim that does not hold: whether our corrected statement is true.
     identities : mapping of str to bool, optional
-        Equalities in symbols or fractions, or what intervals enclose, by a few words each. They prove
-        the statement or, where that does not hold, the corrected one.
+        Equalities in symbols or fractions, or what intervals enclose, by a few words each. They
+        prove the statement or, where that does not hold, the corrected one.
     wrong : mapping of str to bool or numbers, optional
         What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that
         name the fault. A condition that is true then is no condition: the box says so, and the

@@ -56,6 +56,15 @@ LEDGER = """- id: TS-X1
 """
 
 
+CONCORDANCE = """\
+- paper: two-step
+  place: 'example 0'
+  line: 'a |> h'
+  reading: 'a + b'
+  claims: [TS-X1]
+"""
+
+
 @pytest.fixture(scope="session")
 def executed_project(tmp_path_factory):
     """The small project with its notebook executed; not to be changed."""
@@ -65,6 +74,7 @@ def executed_project(tmp_path_factory):
     (root / "requirements.lock").write_text("nothing==1.0\n")
     (root / "notebooks" / "tiny.md").write_text(TINY)
     (root / "book" / "claims.yml").write_text(LEDGER)
+    (root / "book" / "concordance.yml").write_text(CONCORDANCE)
     assert execution.execute(root) == {"tiny.md": ""}
     return root
 

@@ -179,6 +179,8 @@ def test_the_page_shows_counts_and_the_boxes_of_the_notebooks(project, spoil):
     assert "The papers make 1 claims: 1 reproduced. 0 more follow from them" in page
     assert "1 findings of our own" in page
     assert "| example 0 | {index}`TS-X1` | reproduced | numbers |" in page
+    assert "- example 0 (TS-X1): ``a |> h``\n\n  $a + b$" in page
+    assert page.count(":::{dropdown}") == 1
     assert page.index("What the papers claim") < page.index("TS-X1</b>") < page.index("TS-X2</b>")
     assert '<a href="../notebooks/tiny.html#TS-X1">tiny</a>' in page
     assert r'terms &lt; 5 of <span class="math">\(a + b\)</span>' in page

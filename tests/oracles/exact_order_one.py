@@ -1,4 +1,4 @@
-"""The exact filter of order one of the scalar switching system, by one recursion on a grid.
+"""Exact filters of the scalar switching system, of order one and with remembered measurements.
 
 Written from [R-SW 3.1, 4.1-4.8] alone, for the references that come from outside of the project.
 The law of the memory (a decided mode and an estimate) and of the object (mode and state) moves
@@ -17,9 +17,9 @@ def bell(away, deviation):
     return np.exp(-0.5 * (away / deviation) ** 2) / (deviation * np.sqrt(2 * np.pi))
 
 
-def errors(sensor, steps, states=121, estimates=161, measurements=301):
-    """Mean squares of the error and probabilities of a wrong mode, at k = 0 to steps - 1."""
-    x, z = np.linspace(-8, 8, states), np.linspace(-6, 6, estimates)
+def model(sensor, states, measurements):
+    """Nodes and their modes' shared values, transition, likelihoods with the step, the start."""
+    x = np.linspace(-8, 8, states)
     y, step = np.linspace(*MEASURED[sensor], measurements, retstep=True)
     leave, back = 0.35 - 0.3 * np.exp(-(x**2) / 8), 0.1 + 0.5 * np.exp(-(x**2) / 2)
     moves = [bell(x - mean[:, None], 0.5) for mean in (x + 1.8 * np.sin(x), 0.6 * x)]
@@ -32,8 +32,20 @@ def errors(sensor, steps, states=121, estimates=161, measurements=301):
     )
     shown = [x / 2 + x**2 / 5] * 2 if sensor == "A2" else [x, 2 + x]
     likely = np.hstack([bell(y[:, None] - mean, NOISE[sensor]) * step for mean in shown])
-    start, both = bell(x, 1.0), np.concatenate([x, x])
-    law, found = np.concatenate([start, start])[None] / (2 * start.sum()), []
+    start = bell(x, 1.0)
+    return (
+        np.concatenate([x, x]),
+        transition,
+        likely,
+        np.concatenate([start, start]) / (2 * start.sum()),
+    )
+
+
+def errors(sensor, steps, states=121, estimates=161, measurements=301):
+    """Mean squares of the error and probabilities of a wrong mode, at k = 0 to steps - 1."""
+    z = np.linspace(-6, 6, estimates)
+    both, transition, likely, start = model(sensor, states, measurements)
+    law, found = start[None], []
     for k in range(steps):
         law = law @ transition if k else law
         ahead, square, right = np.zeros((2 * estimates, 2 * states)), law.sum(axis=0) @ both**2, 0.0
@@ -53,3 +65,25 @@ def errors(sensor, steps, states=121, estimates=161, measurements=301):
         law = ahead[ahead.sum(axis=1) > 1e-14]
         law /= law.sum()
     return np.array(found).T
+
+
+def remembered(sensor, length, k, states=65, measurements=81):
+    """Mean square of the error and share of wrong modes at k, with y_k and `length` before it.
+
+    Nothing is remembered but measurements, so the sums run over all of their nodes; those before
+    do not matter.
+    """
+    both, transition, likely, law = model(sensor, states, measurements)
+    for _ in range(k - length):
+        law = law @ transition
+    laws = law[None]  # joint law of the remembered measurements and of the object
+    square, right = 0.0, 0.0
+    for _ in range(length):
+        laws = (laws[:, None] * likely).reshape(-1, len(law)) @ transition
+    for part in np.array_split(laws, max(1, len(laws) // 100)):
+        joint = part[:, None] * likely
+        mass, first = joint.sum(axis=2), joint @ both
+        mean = np.divide(first, mass, out=np.zeros_like(mass), where=mass > 1e-300)
+        square += (joint @ both**2).sum() - (mean * first).sum()
+        right += joint.reshape(*mass.shape, 2, -1).sum(axis=3).max(axis=2).sum()
+    return square, 1 - right
