@@ -1,4 +1,4 @@
-"""Errors of the four filters of figure 2 under thirteen readings of the Van der Pol oscillator.
+"""Errors of the four filters of figure 2 under fourteen readings of the Van der Pol oscillator.
 
 Run by hand, ``python benchmarks/van_der_pol_readings.py``; writes
 ``benchmarks/van_der_pol_readings.csv`` beside itself: RMS errors of x1 at t = 3 with their standard
@@ -35,7 +35,7 @@ RECIPES = {
 
 def main() -> None:
     rows = []
-    for reading in "ABCDEFGHIJKLM":
+    for reading in "ABCDEFGHIJKLMN":
         system = zoo.van_der_pol(reading)
         filters: dict[str, Filter] = {
             "extended": extended_kalman(system, integrator="euler", bound=50)

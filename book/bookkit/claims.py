@@ -38,7 +38,7 @@ VERDICTS = ("refuted", "corrected", "open", "reproduced", "checked")
 PROOFS = {
     "symbols": "identities that SymPy brings to zero, in a cell that is shown",
     "fractions": "exact arithmetic, in a cell that is shown",
-    "enclosure": "balls of arithmetic that hold the exact value",
+    "enclosure": "balls or intervals of arithmetic that hold the exact value, in a cell that is shown",
     "words": "a proof or the paper's own words, on the page; numbers only try it",
     "numbers": "two routes that agree in floating point",
 }
@@ -219,7 +219,7 @@ def _differences(claim: Claim, entry: dict) -> Iterable[str]:
         yield f"ledger says {claim.verdict}, {claim.notebook} finds {entry['verdict']}"
     if claim.verdict != "open" and not entry.get("wrong"):
         yield f"no planted fault: {claim.notebook} does not say what it would fail with"
-    if (claim.proved in ("symbols", "fractions")) != bool(entry.get("identities")):
+    if (claim.proved in ("symbols", "fractions", "enclosure")) != bool(entry.get("identities")):
         yield f"proved by {claim.proved}, but {claim.notebook} shows other than that"
     for fault in entry.get("missed", []):
         yield f"true as well with this fault: {fault}"

@@ -6,11 +6,13 @@ carries the hash of everything it was made from, so that staleness is a fact of 
 
 from __future__ import annotations
 
+import ast
 import hashlib
 import json
 import os
 from collections.abc import Iterable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from functools import cache
 from pathlib import Path
 
 import jupytext
@@ -169,7 +171,8 @@ def data_files(notebook: Mapping) -> list[str]:
 def library_contents() -> dict[str, bytes]:
     """All modules of the library and of the harness, by name, with what is in their files.
 
-    Other files of a package, such as those that programs in C are written with, belong to it.
+    Comments and docstrings are left out: they change no number. Other files of a package, such as
+    those that programs in C are written with, belong to it.
     """
     contents: dict[str, bytes] = {}
     for package, folder in PACKAGES.items():
@@ -178,8 +181,25 @@ def library_contents() -> dict[str, bytes]:
                 own = path.relative_to(folder).with_suffix("").parts
                 parts = own if path.suffix == ".py" else (*own[:-1], "__init__")
                 name = ".".join((package, *parts))
-                contents[name] = contents.get(name, b"") + path.read_bytes()
+                text = path.read_bytes()
+                part = _program(text) if path.suffix == ".py" else text
+                contents[name] = contents.get(name, b"") + part
     return contents
+
+
+@cache
+def _program(text: bytes) -> bytes:
+    """Hash of a module without its comments and docstrings."""
+    tree = ast.parse(text)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Module | ast.ClassDef | ast.FunctionDef):
+            node.body = [part for part in node.body if not _is_text(part)]
+    return hashlib.sha256(ast.dump(tree).encode()).digest()
+
+
+def _is_text(statement: ast.stmt) -> bool:
+    value = statement.value if isinstance(statement, ast.Expr) else None
+    return isinstance(value, ast.Constant) and isinstance(value.value, str)
 
 
 def library_digest(modules: Iterable[str], contents: Mapping[str, bytes]) -> str:

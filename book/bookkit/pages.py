@@ -73,8 +73,7 @@ def claims_page(root: Path) -> str:
         + "; ".join(f"{n} are *{word}* ({ORIGINS[word]})" for word, n in origins.items())
         + ".",
         "",
-        "The tables say what carries each verdict. A few of the numbers have a closed form that is "
-        "not yet proved in symbols: DK-S1, DK-R4, the part of CB-X2 on a line.",
+        "The tables say what carries each verdict.",
         "",
         "| proved by | what it means | of the papers | ours |",
         "|---|---|---|---|",

@@ -124,7 +124,7 @@ def claim(
     corrected : bool, optional
         For a claim that does not hold: whether our corrected statement is true.
     identities : mapping of str to bool, optional
-        Equalities in symbols or fractions, by a few words each: whether each is exact. They prove
+        Equalities in symbols or fractions, or what intervals enclose, by a few words each. They prove
         the statement or, where that does not hold, the corrected one.
     wrong : mapping of str to bool or numbers, optional
         What `holds` (`corrected`, `computed`) comes to with a fault planted, by a few words that

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.random import Generator
 
 from seedslib.base.checks import as_count, is_whole
+from seedslib.base.progress import followed
 
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
@@ -60,7 +61,13 @@ def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
 
 
 def in_blocks(
-    work: Callable[..., Any], total: int, seed: object, *, workers: int = 1, block: int = BLOCK
+    work: Callable[..., Any],
+    total: int,
+    seed: object,
+    *,
+    workers: int = 1,
+    block: int = BLOCK,
+    what: str | None = None,
 ) -> list[Any]:
     """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
 
@@ -75,6 +82,8 @@ def in_blocks(
         Threads; the results do not depend on it.
     block : int
         Paths in a block.
+    what : str, optional
+        What the work is, where its progress is to be shown.
 
     Returns
     -------
@@ -85,10 +94,15 @@ def in_blocks(
     starts = range(0, max(total, 1), block)  # no paths are one empty block
     streams = as_seed_sequence(seed).spawn(len(starts))
     jobs = [(a, min(a + block, total), s) for a, s in zip(starts, streams, strict=True)]
+
+    def shown(results: Iterable[Any]) -> list[Any]:
+        one = what is None or len(jobs) == 1  # which is over when there is something to show
+        return list(results if one else followed(results, what, len(jobs)))
+
     if workers == 1 or len(jobs) == 1:
-        return [work(*job) for job in jobs]
+        return shown(work(*job) for job in jobs)
     with ThreadPoolExecutor(workers) as pool:
-        return list(pool.map(lambda job: work(*job), jobs))
+        return shown(pool.map(lambda job: work(*job), jobs))
 
 
 class Bundle:

@@ -23,24 +23,29 @@ EVERY = 1.0
 Step = TypeVar("Step")
 
 
-def followed(steps: Any, what: str) -> Any:
+def followed(steps: Any, what: str, count: int | None = None, lines: bool = True) -> Any:
     """The same steps, in a loop whose progress is logged, or a bar in a terminal.
 
     Parameters
     ----------
-    steps : sized iterable
+    steps : iterable
     what : str
         Of what they are steps.
+    count : int, optional
+        How many; as many as `steps` has by default.
+    lines : bool
+        Whether they are logged; a loop that logs lines of its own wants the bar only.
     """
+    count = len(steps) if count is None else count
     if LOG.isEnabledFor(logging.INFO):
-        return _followed(steps, what, len(steps))
+        return _followed(steps, what, count) if lines else steps
     if not sys.stderr.isatty():
         return steps
     try:
         from tqdm import tqdm
     except ImportError:
         return steps
-    return tqdm(steps, what, leave=False, delay=EVERY)
+    return tqdm(steps, what, count, leave=False, delay=EVERY)
 
 
 def _followed(steps: Iterable[Step], what: str, count: int) -> Iterator[Step]:

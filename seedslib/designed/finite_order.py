@@ -140,7 +140,7 @@ def _mean_velocity(system: AnySystem, linearization: Linearization) -> Callable[
 
     The covariance is common to all paths, (n, n).
     """
-    if not (system.symbolic and hasattr(linearization, "formulas")):
+    if not hasattr(linearization, "formulas"):
         moments = linearization.moments(system.drift_map, spread=False)
         return lambda t, mean, cov, p: list(moments(t, np.stack(mean), cov, p).mean)
     from seedslib.models.codegen import compile_components
@@ -231,13 +231,6 @@ class FiniteOrderFilter(DesignedFilter):
         _ = self.rules  # a linearization without formulas is refused now
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
-
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """See `DesignedFilter.evaluated`."""
-        continuous = isinstance(self.predictor, Continuous)
-        maps = (self.system.sensor, *((self.system.drift_map,) if continuous else ()))
-        return frozenset(p for map in maps for p in map.mentions)
 
     @cached_property
     def rules(self) -> Rules:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from seedslib.base.arrays import MaybeArray
+from seedslib.base.circle import nearest
 from seedslib.base.clock import Clock, when
 from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.values import Values
@@ -23,7 +24,7 @@ from seedslib.designed.program import DesignedProgram
 from seedslib.designed.rules import SwitchingRules, SwitchingState, compiled_rules
 from seedslib.filters.base import Estimates, first_step
 from seedslib.filters.program import Program
-from seedslib.filters.weights import mix, most_probable
+from seedslib.filters.weights import mix, most_probable, normalised
 from seedslib.linearization.moments import Linearization, as_linearization
 from seedslib.models.kinds import as_system
 from seedslib.models.switching import SwitchingSystem
@@ -194,6 +195,16 @@ class SwitchingFilter(DesignedFilter):
         cov = total_covariance(state.law) if covariance else None
         return Estimates(state.mean, cov, state.law.prob, state.loglik, modes=state.mode)
 
+    def predictive(self, state: SwitchingState, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """See `Filter.predictive`: moments of the mixture over modes, whatever the indicator."""
+        batch = self.batch_of(state)
+        unknown = np.full(batch, -1) if self.system.indicators else None
+        sensed = self.rules.sense(state.time, state.law, unknown, p)
+        prob, (mean, _, cov) = np.exp(normalised(sensed.log_prob, 0)[0]), sensed.moments
+        central = np.take_along_axis(mean, most_probable(prob)[None, None], axis=1)
+        mixed = mix(prob, nearest(mean, central, self.rules.periods), cov)
+        return mixed.mean, nan_where(state.gap, mixed.cov)
+
     def forecast(
         self, state: SwitchingState, t: float, *, inputs: Mapping[Any, Any] | None = None
     ) -> Estimates:
@@ -255,14 +266,6 @@ class SwitchingFilter(DesignedFilter):
             interval,
             before.repaired,
         )
-
-    def smoother(self) -> Any:
-        """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""
-        if self.memory is not None:
-            return super().smoother()
-        from seedslib.designed.switching_smoother import SwitchingSmoother
-
-        return SwitchingSmoother(self)
 
     def __repr__(self) -> str:
         carried = "laws of all modes" if self.memory is None else str(self.memory)

@@ -142,7 +142,7 @@ def compare(
         data = system.simulate(times, stop - start, stream, measured=mask, **given, **options)
         return scoring.sums(data, own, stream)
 
-    blocks = in_blocks(work, paths, seed, workers=workers, block=BLOCK)
+    blocks = in_blocks(work, paths, seed, workers=workers, block=BLOCK, what="compare")
     return _comparison(filters, times, paths, int(observed.sum()), reduce(_merged, blocks))
 
 

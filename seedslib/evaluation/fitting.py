@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from seedslib.base.checks import brief
-from seedslib.base.parameters import Parameter
-from seedslib.base.progress import LOG
+from seedslib.base.progress import LOG, followed
+from seedslib.base.symbols import Parameter
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Filter
 
@@ -140,9 +140,8 @@ def fit(
     filter : Filter, or callable
         One that gives a log-likelihood, of a model whose formulas mention the parameters; or a
         function of their numbers, as `bind` takes them, that makes it, where a filter cannot have
-        a number for each record (a chain on a grid) or a parameter cannot stand in a formula (the
-        moments of the first state, `LinearSystem.from_continuous`). That is called for every
-        value, without a batch.
+        a number for each record (a chain on a grid) or a parameter cannot stand in a formula.
+        That is called for every value, without a batch.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m) or (K+1, m, series)
         Of one record, or of many with the same parameters.
@@ -269,7 +268,7 @@ class _Likelihood:
         value, slopes, curvature = here
         curvature = -np.eye(len(along)) if curvature is None else curvature
         gained = [value]
-        for number in range(STEPS):
+        for number in followed(range(STEPS), "fit", lines=False):
             LOG.info("fit: step %d, log-likelihood %.6f at %s", number, value, self.values(u))
             step = uphill(slopes, curvature, radius)
             expected = slopes @ step + 0.5 * step @ curvature @ step

@@ -13,12 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from seedslib.base.atomic import write_whole
-from seedslib.designed.identity import model_text
 from seedslib.designed.tables import TableFilter
 from seedslib.export.programs import recorded
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.program import Program
-from seedslib.models.kinds import switches
 from seedslib.tape.tape import Array, Loop, Number, Scalar, When
 from seedslib.tape.writer import Writer
 
@@ -135,12 +133,13 @@ def tables(step: Program, writer: C) -> list[str]:
     return result
 
 
-def signature(step: Program, writer: C) -> str:
-    """Head of the step in C."""
+def signature(step: Program, writer: C, verb: str = "step", time: str = "time") -> str:
+    """Head of the step in C, or of another verb with the same arguments but for the time."""
     real = f"const {writer.types['real']} *"
     kinds = {"time": "double ", "y": real, "indicator": "int ", "held": real, "u": real, "p": real}
-    given = [f"{writer.name}_state *s", *(kinds[a] + a for a in arguments(step))]
-    head = f"static inline int {writer.name}_step("
+    given = [kinds[a] + (time if a == "time" else a) for a in arguments(step)]
+    given = [f"{writer.name}_state *s", *given]
+    head = f"static inline int {writer.name}_{verb}("
     lines = [head]
     for part in given:
         if len(lines[-1]) + len(part) + 2 > WIDTH:
@@ -165,8 +164,9 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
 
     - for a designed filter ``<name>_step(state *, const real *y)``, one measurement;
     - for one that carries its distribution ``<name>_step(state *, double time, const real *y)``,
-      and, where that is a mean and a covariance, the halves ``<name>_predict(state *, double
-      time)`` and ``<name>_correct(state *, const real *y)``.
+      ``<name>_after(state *, double dt, const real *y)`` for a clock that knows what has passed
+      since the last measurement, and, where that is a mean and a covariance, the halves
+      ``<name>_predict(state *, double time)`` and ``<name>_correct(state *, const real *y)``.
 
     The last arguments are, as far as the model has them, ``int indicator``, and the inputs in the
     order of their names: ``const real *held``, those since the last time, and ``const real *u``,
@@ -175,8 +175,7 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     Parameters
     ----------
     filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
-        With `Taylor`, `ExactGaussian`, or with one mode a rule with points. A learned filter is
-        read off as tables first, by its `tabulated`.
+        With `Taylor`, `ExactGaussian`, or with one mode a rule with points.
     path : path_like, optional
         Where to write the header as well.
     name : str
@@ -221,6 +220,11 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     >>> "oscillator_step" in text
     True
     """
+    if path in ("float", "double"):
+        raise ValueError(
+            f"path: wanted a path such as filter.h, got {path!r}; the type of numbers is the "
+            f"typedef {name}_real of the header"
+        )
     text = header(recorded(filter), checked_name(name))
     if path is not None:
         write_whole(path, text.encode("ascii"))
@@ -242,8 +246,12 @@ def header(step: Program, name: str) -> str:
     names = {"name": name, "NAME": upper}
     inputs = (f", const {name}_real *u", ", u, u") if step.inputs else ("", "")
     halves = filled("halves.h", {**names, "INPUTS": inputs[0], "PASSED": inputs[1]})
+    after = {"name": name, "SIGNATURE": signature(step, writer, "after", "dt")}
+    passed = ["s", "s->started ? s->t + dt : 0.0", *arguments(step)[1:]]
+    timed = {"t", "started", "time"} <= step.arrays.keys() and not step.parameters
     marks = {
         **names,
+        "AFTER": filled("after.h", {**after, "PASSED": ", ".join(passed)}) if timed else "",
         "SIZES": "".join(sizes),
         "TABLES": "\n".join(tables(step, writer)),
         "FIELDS": "\n".join(f"    {writer.types[a.kind]} {a.name}{shape(a)};" for a in state),
@@ -252,9 +260,15 @@ def header(step: Program, name: str) -> str:
         "LINES": "\n".join(lines),
         "HALVES": halves if carries_cov(step) and not step.parameters else "",
     }
-    return about(step, "C").replace("@name", name).replace("@NAME", upper) + filled(
-        "header.h", marks
-    )
+    words = about(step, "C").replace("@STACK", f"{stack(lines):,}")
+    return words.replace("@name", name).replace("@NAME", upper) + filled("header.h", marks)
+
+
+def stack(lines: list[str]) -> int:
+    """Bytes of all named values of a step, in double precision."""
+    names = [re.match(r"\s*(?:const )?\w+ \w+((?:\[\d+\])*) = ", line) for line in lines]
+    sizes = (map(int, re.findall(r"\d+", found[1])) for found in names if found)
+    return 8 * sum(math.prod(size) for size in sizes)
 
 
 def filled(file: str, marks: dict[str, Any]) -> str:
@@ -305,7 +319,7 @@ def about(step: Program, language: str) -> str:
         described = f"Filter that carries mean and covariance: {filter.linearization}"
         if filter.continuous:
             described += f"\n  {filter.integrator}, steps of {filter.integration_step:g}"
-    return comment([described, model_lines(filter.system), *(notes[name] for name in chosen)])
+    return comment([described, *(notes[name] for name in chosen)])
 
 
 def carries_cov(step: Program) -> bool:
@@ -325,14 +339,3 @@ def comment(paragraphs: list[str]) -> str:
     text = "\n".join(f" * {line}".rstrip() for line in lines[:-1])
     text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
     return "/*\n" + text.encode("ascii", "replace").decode() + "\n */\n"
-
-
-def model_lines(system: Any) -> str:
-    """The model in words."""
-    parts = {**model_text(system), "initial mean": system.mean0.tolist()}
-    parts["initial covariance"] = system.cov0.tolist()
-    noise = system.sensor_noise if switches(system) else system.sensor.noise
-    if noise.size:
-        names = noise.size if noise.symbols is None else ", ".join(map(str, noise.symbols))
-        parts["sensor noise"] = f"{names}: mean {noise.mean.tolist()}, cov {noise.cov.tolist()}"
-    return "Model:\n" + "\n".join(f"  {key:18s} {value}" for key, value in parts.items())

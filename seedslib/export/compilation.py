@@ -34,7 +34,7 @@ from seedslib.export.c import arguments, header
 from seedslib.export.lanes import to_lanes
 from seedslib.export.programs import recorded
 from seedslib.filters.base import Estimates, Filter, as_indicators
-from seedslib.filters.covariance import CovarianceFilter
+from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.filters.program import CODES, Program
 
 if TYPE_CHECKING:
@@ -276,6 +276,8 @@ def compiled(filter: Any) -> Any:
     >>> state.mean.shape
     (2,)
     """
+    if getattr(filter.system, "first", None) is not None:
+        raise ValueError("filter: wanted numbers in mean0 and cov0, got formulas of parameters")
     step = recorded(filter, parameters=True)
     path = library(source(step))
     if path is None:
@@ -438,6 +440,11 @@ class CompiledFilter(Filter):
             raise ValueError("state: wanted a state with a time, got None; predict to it first")
         y = self._measured(y, state.batch)
         return self._stepped(state, state.part("t"), y, None, inputs)
+
+    def predictive(self, state: CompiledState, p: Values) -> tuple[ndarray, ndarray]:
+        """See `Filter.predictive`."""
+        self._require_carried("forecast_measurements")
+        return self.filter.predictive(FilterState(state.time, state.mean, state.cov), p)
 
     def _require_carried(self, name: str) -> None:
         if not isinstance(self.filter, CovarianceFilter):

@@ -36,5 +36,5 @@ static inline void @name_init(@name_state *s)
 @LINES
     return @NAME_OK;
 }
-@HALVES
+@AFTER@HALVES
 #endif

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from seedslib.filters.covariance import cubature_kalman as cubature_kalman
     from seedslib.filters.covariance import extended_kalman as extended_kalman
     from seedslib.filters.covariance import unscented_kalman as unscented_kalman
+    from seedslib.filters.forecasting import forecast_measurements as forecast_measurements
     from seedslib.filters.grid_bayes import GridBayesFilter as GridBayesFilter
     from seedslib.filters.kalman import KalmanFilter as KalmanFilter
     from seedslib.filters.known_modes import KnownModeFilter as KnownModeFilter

@@ -276,7 +276,10 @@ def walk(
     """
     predict = filter.predict if predict is None else predict
     first = {} if record.modes is None else {"mode": record.modes[0]}
-    state = filter.initial(record.y.shape[2:], seed, **first)
+    start, own = filter, record.inputs.constant
+    if own and getattr(filter.system, "first", None) is not None:  # a first state of each record
+        start = filter.bind(own)
+    state = start.initial(record.y.shape[2:], seed, **first)
     for k, t in enumerate(record.times):
         mode = () if record.modes is None else (record.modes[k],)
         indicator = () if record.indicators is None else (record.indicators[k],)
@@ -354,6 +357,15 @@ def clean(batch: tuple[int, ...]) -> dict[str, np.ndarray]:
     return {"loglik": np.zeros(batch), "diverged": np.zeros(batch, dtype=bool)}
 
 
+ELSEWHERE = {
+    "filter": "run(times, measurements)",
+    "smooth": "seedslib.filters.smooth(filter, times, measurements)",
+    "fit": "seedslib.evaluation.fit(filter, times, measurements, free)",
+    "simulate": "filter.system.simulate(times, paths, seed)",
+}
+"""What other libraries have as verbs of a filter, and where it is here."""
+
+
 class Filter(Pickled):
     """Estimates of a state from measurements, one after the other.
 
@@ -383,6 +395,13 @@ class Filter(Pickled):
     takes: ClassVar[tuple[str, ...]] = ()
     records: int = BLOCK
     alone: bool = False
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name):
+            where = ELSEWHERE.get(name)
+            hint = f"; wanted {where}" if where else ""
+            raise AttributeError(f"{name}: {type(self).__name__} has no such attribute{hint}")
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r})"
@@ -421,10 +440,9 @@ class Filter(Pickled):
         TypeError, ValueError
             A kind of filter that has none; a part of the filter without formulas.
         """
-        tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
         raise TypeError(
             "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-            f"CovarianceFilter, got {type(self).__name__}" + tables * hasattr(self, "tabulated")
+            f"CovarianceFilter, got {type(self).__name__}"
         )
 
     def steps_alone(self, state: Any, t: float) -> bool:
@@ -436,6 +454,10 @@ class Filter(Pickled):
             A time that `predict` refuses.
         """
         raise NotImplementedError
+
+    def carries(self, state: Any) -> bool:
+        """Whether the program can go on from a state of one record."""
+        return True
 
     def numbers_of(self, state: Any) -> dict[str, Any]:
         """The arrays of the program's state, by their names; zero where they lack or are None."""
@@ -607,6 +629,21 @@ class Filter(Pickled):
         later = self.report(self.predict(state, t, *modes, inputs=inputs))
         return later._replace(loglik=None, diverged=None)
 
+    def predictive(self, state: Any, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """Mean (m, *batch) and covariance of the measurement at the time of a prediction.
+
+        See `seedslib.filters.forecast_measurements`.
+
+        Raises
+        ------
+        TypeError
+            The filter does not say.
+        """
+        raise TypeError(
+            "filter: wanted one that carries means and covariances (KalmanFilter, extended_kalman "
+            f"and other covariance filters, SwitchingFilter), got {type(self).__name__}"
+        )
+
     def smoother(self) -> Any:
         """How `seedslib.filters.smooth` goes back through the states, see `Smoother`.
 
@@ -617,14 +654,17 @@ class Filter(Pickled):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
-            f"{type(self).__name__}"
+            f"filters, GridBayesFilter), got {type(self).__name__}"
         )
 
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Times (K+1,) and measurements (K+1, m, *batch) of a run, checked."""
         times = as_grid("times", times, self.system)
         return times, as_record(measurements, len(times), self.system.measurement_size)
+
+    def at_once(self, record: Record) -> Estimates | None:
+        """Estimates of one record by a way of the filter's own that is quicker, if it has one."""
+        return None
 
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
         """Number of records that are worked on together."""
@@ -679,6 +719,11 @@ class Filter(Pickled):
         alone = not batch and self._single.of(self)
 
         def work(record: Record, stream: Any) -> Estimates:
+            one = record.y[0, 0].size == 1
+            if one and (whole := self.at_once(record)) is not None:
+                axes = record.y.shape[2:]
+                parts = (None if p is None else np.reshape(p, (*np.shape(p), *axes)) for p in whole)
+                return with_divergence(Estimates(*parts))
             if alone:
                 return with_divergence(self.estimates_of(self._single.run(self, record)))
             reports = (self.report(state) for state in walk(self, record, stream))

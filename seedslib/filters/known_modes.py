@@ -158,6 +158,18 @@ class KnownModeFilter(Filter):
                 _put(mean, cov, mask, posterior)
         return state._replace(mean=mean, cov=cov, loglik=loglik)
 
+    def predictive(self, state: KnownModeState, p: Values) -> tuple[np.ndarray, np.ndarray]:
+        """See `Filter.predictive`; of the given modes."""
+        m = self.system.measurement_size
+        mean, cov = (np.empty((*shape, *state.mode.shape)) for shape in ((m,), (m, m)))
+        for i, sensor in enumerate(self._sensors):
+            mask = state.mode == i
+            if mask.any():
+                own = of_paths(p, mask.shape, mask)
+                prior = state.mean[:, mask], state.cov[:, :, mask]
+                _put(mean, cov, mask, sensor.moments(state.time, *prior, own))
+        return mean, cov
+
     def report(self, state: KnownModeState) -> Estimates:
         """Mean and covariance; the mode is the given one, with probability one."""
         certain = np.stack([state.mode == i for i in range(self.system.modes)]).astype(float)

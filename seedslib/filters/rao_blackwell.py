@@ -188,7 +188,7 @@ def require_jump_linear(system: AnySystem) -> None:
         ("sensor", system.sensors, "indicator", system.readings),
     ):
         for i, map in enumerate(maps):
-            if not map.noise.gaussian or not map.symbolic or not _affine(map):
+            if not map.noise.gaussian or not _affine(map):
                 wanted = "formulas affine in state and Gaussian noise"
                 raise ValueError(f"{name}: wanted {wanted}, got another map in mode {i}")
             if not all(b is None or b.constant for b in table[i]):

@@ -306,7 +306,7 @@ def _density(map: StochasticMap, x: np.ndarray, start: float, p: Values) -> np.n
 def _switching_chain(system: SwitchingSystem, axes: Sequence[Axis]) -> GridChain:
     require_densities("dynamics", system.branches)
     maps = [b.map for row in system.branches for b in row if b is not None]
-    steady = all(map.symbolic for map in maps) and _without(
+    steady = _without(
         maps[0].time, [e for m in maps for e in (m.weight_expression, *m.expressions)]
     )
     starts = [(chance, *_normal(axes, mean, cov)) for chance, mean, cov in system.initial]
@@ -403,11 +403,9 @@ def _rounded(axis: Axis, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
 
 
 def _feller_chain(system: JumpDiffusion, axes: Sequence[Axis]) -> GridChain:
-    formulas = []
-    if system.symbolic:
-        formulas = [*system.drift_expressions, *system.diffusion_expressions.flat]
-        formulas += [system.intensity_expression, *(system.jump.expressions if system.jump else ())]
-    steady = system.symbolic and _without(system.time, formulas)
+    formulas = [*system.drift_expressions, *system.diffusion_expressions.flat]
+    formulas += [system.intensity_expression, *(system.jump.expressions if system.jump else ())]
+    steady = _without(system.time, formulas)
     matrix = partial(_feller_matrix, system, axes[0], steady)
     initial, missed = _diffusion_start(system, axes)
     return GridChain(system, axes, initial, matrix, missed=missed, steady=steady)
@@ -679,7 +677,7 @@ def _landing(jump: StochasticMap, axis: Axis, t: float, p: Values) -> np.ndarray
     x = axis.nodes[None]
     if not jump.noise.gaussian:
         raise ValueError("jump: wanted Gaussian marks for a grid, got others")
-    if jump.symbolic and jump.has_log_density:
+    if jump.has_log_density:
         mean, deviation = (part[0] for part in mean_and_deviation(jump, t, x, p))
         return cell_masses(axis, x[0] + mean, deviation)
     marks, weights = jump.noise.rule(MARK_NODES)

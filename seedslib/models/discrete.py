@@ -10,16 +10,15 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.blocks import Source
-from seedslib.base.checks import as_covariance, as_real
 from seedslib.base.objects import Pickled
-from seedslib.base.values import Parametrized, Values, in_order, require_no_step
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise
+from seedslib.base.values import Values, in_order, require_no_step
+from seedslib.models.first_state import Started
+from seedslib.models.maps import Noise, StochasticMap, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class DiscreteSystem(Parametrized, Pickled):
+class DiscreteSystem(Started, Pickled):
     """X_{k+1} = f(t_k, X_k, W_k), Y_k = h(t_k, X_k, V_k).
 
     The dynamics are evaluated at the time they leave, as those of a `SwitchingSystem`, and the
@@ -33,7 +32,8 @@ class DiscreteSystem(Parametrized, Pickled):
     sensor : StochasticMap
     mean0, cov0 : array_like, shapes (n,) and (n, n)
         Moments of the initial distribution, Gaussian unless `initial` is given; numbers will do
-        for one component.
+        for one component. Entries may be SymPy expressions in parameters, as the variance
+        ``q / (1 - phi**2)`` of a stationary process.
     initial : callable, optional
         ``initial(rng, count) -> (n, count)``.
 
@@ -61,13 +61,11 @@ class DiscreteSystem(Parametrized, Pickled):
                 f"{self.dynamics.state_size} and {self.sensor.state_size}"
             )
         self._require_names()
-        mean0 = as_real("mean0", np.atleast_1d(as_real("mean0", self.mean0)), (n,))
-        cov0 = as_covariance("cov0", np.atleast_2d(as_real("cov0", self.cov0)), n)
-        prior = Noise(n, mean0, cov0, self.initial)
-        vars(self).update(state_size=n, mean0=mean0, cov0=cov0, prior=prior)
+        first = self._start(self.mean0, self.cov0, self.initial, n)
+        vars(self)["state_size"] = n
         require_no_step("sensor", self.sensor.mentions)
         warn_of_angles(self.sensor)
-        parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions))
+        parameters = in_order((*self.dynamics.mentions, *self.sensor.mentions, *first))
         dynamics, sensor = (map.taking(parameters) for map in (self.dynamics, self.sensor))
         vars(self).update(parameters=parameters, numbers={}, dynamics=dynamics, sensor=sensor)
 
@@ -84,10 +82,6 @@ class DiscreteSystem(Parametrized, Pickled):
     def measurement_size(self) -> int:
         """Number of measured components."""
         return self.sensor.size
-
-    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
-        """Draws of the initial state, shape (n, count)."""
-        return self.prior.draw(rng, count)
 
     def advance(
         self, x: np.ndarray, start: float, stop: float, rng: Source, p: Values | None = None

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.random import Generator
@@ -14,18 +14,18 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, Source, drawn, parts
-from seedslib.base.checks import as_covariance, as_positive, as_real, outside
+from seedslib.base.checks import as_positive, outside
 from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
-from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
-from seedslib.models.maps import StochasticMap, picked, warn_of_angles
-from seedslib.models.noise import Noise, named_noise
+from seedslib.base.values import Values, in_order, of_paths, require_no_step
+from seedslib.models.first_state import Started
+from seedslib.models.maps import StochasticMap, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 Rate = Callable[..., np.ndarray]
 
 
-class JumpDiffusion(Parametrized, Pickled):
+class JumpDiffusion(Started, Pickled):
     """Itô equation with state-dependent jumps and a sensor that is read at discrete times.
 
     Between jumps dX = a(t, X) dt + B(t, X) dW. Jumps come with intensity mu(t, X) and add
@@ -107,8 +107,7 @@ class JumpDiffusion(Parametrized, Pickled):
         time: Any = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
-        from seedslib.base.parameters import parameters_of
-        from seedslib.base.symbols import named_model
+        from seedslib.base.symbols import named_model, parameters_of
         from seedslib.models.codegen import known_expressions
 
         noise, marks = named_noise("noise", noise), named_noise("marks", marks)
@@ -134,80 +133,16 @@ class JumpDiffusion(Parametrized, Pickled):
         self.sensor: StochasticMap = mapped("sensor", sensor, None, noise, period)
         warn_of_angles(self.sensor)
         rates = *self.drift_expressions, *self.diffusion_expressions.flat, self.intensity_expression
-        self._functions: Functions | None = None
         self.wiener_size = self.diffusion_expressions.shape[1]
-        self._complete(parameters_of(rates), mean0, cov0, initial, step)
-
-    @classmethod
-    def from_functions(
-        cls,
-        drift: Rate,
-        diffusion: Rate,
-        sensor: StochasticMap,
-        mean0: ArrayLike,
-        cov0: ArrayLike,
-        *,
-        intensity: Rate | None = None,
-        jump: StochasticMap | None = None,
-        initial: Any = None,
-        step: float = 0.01,
-        parameters: Sequence[Any] = (),
-    ) -> JumpDiffusion:
-        """Make a system of array functions.
-
-        It takes the sigma-point and quadrature approximations, and the Euler scheme.
-
-        Parameters
-        ----------
-        drift : callable
-            ``drift(t, x) -> (n, *batch)``.
-        diffusion : callable
-            ``diffusion(t, x) -> (n, number of Wiener processes, *batch)``.
-        sensor : StochasticMap
-        intensity : callable, optional
-            ``intensity(t, x) -> (*batch)``.
-        jump : StochasticMap, optional
-            The jump; its conditional moments or Gaussian marks are needed by filters.
-        parameters : sequence of Parameter, optional
-            As `StochasticMap.from_functions`.
-
-        Other parameters are those of the class.
-        """
-        self = object.__new__(cls)
-        self.state = self.time = self.drift_expressions = self.diffusion_expressions = None
-        self.intensity_expression = None
-        if (jump is None) != (intensity is None):
-            raise ValueError("jump, intensity: wanted both or neither, got one")
-        self.sensor, self.jump = sensor, jump
-        self._functions = Functions(drift, diffusion, intensity, tuple(parameters))
-        self._complete(parameters, mean0, cov0, initial, step)
-        n, probe, p = self.state_size, np.tile(self.mean0[:, None], 3), self.nominal_values()
-        as_real("drift", self.drift(0.0, probe, p), (n, 3))
-        self.wiener_size = as_real("diffusion", self.diffusion(0.0, probe, p), (n, -1, 3)).shape[1]
-        as_real("intensity", self.intensity(0.0, probe, p), (3,))
-        return self
-
-    def _complete(self, rates: Any, mean0: Any, cov0: Any, initial: Any, step: float) -> None:
-        """Parameters, those of the `rates` among them, sizes and the initial distribution."""
-        self.state_size, self.measurement_size = self.sensor.state_size, self.sensor.size
-        n = self.state_size
-        if self.jump is not None and (self.jump.state_size, self.jump.size) != (n, n):
-            raise ValueError(f"jump: wanted a map of {n} components to {n}")
+        self.state_size, self.measurement_size = n, self.sensor.size
         maps = [map for map in (self.sensor, self.jump) if map is not None]
-        self.parameters = in_order([*rates, *(p for map in maps for p in map.mentions)])
+        named = [*parameters_of(rates), *self._start(mean0, cov0, initial, n)]
+        self.parameters = in_order([*named, *(p for map in maps for p in map.mentions)])
         require_no_step("system", self.parameters)
         self.numbers: Mapping[Any, Any] = {}
         self.sensor = self.sensor.taking(self.parameters)
         self.jump = self.jump and self.jump.taking(self.parameters)
-        self.mean0: np.ndarray = as_real("mean0", mean0, (n,))
-        self.cov0: np.ndarray = as_covariance("cov0", cov0, n)
-        self.prior: Noise = Noise(n, self.mean0, self.cov0, initial)
         self.step: float = as_positive("step", step)
-
-    @property
-    def symbolic(self) -> bool:
-        """Whether the system was given as SymPy expressions."""
-        return self.drift_expressions is not None
 
     def drift(self, t: float, x: np.ndarray, p: Values | None = None) -> np.ndarray:
         """a(t, x), shape (n, *batch); numbers p are the system's own by default."""
@@ -224,10 +159,6 @@ class JumpDiffusion(Parametrized, Pickled):
     @cached_property
     def _rates(self) -> tuple[Rate, Rate, Rate]:
         """Drift, diffusion and intensity as functions (t, x, p)."""
-        if self._functions is not None:
-            *rates, own = self._functions
-            places = tuple(map(self.parameters.index, own))
-            return tuple(partial(picked, rate or _never, places) for rate in rates)
         from seedslib.models.codegen import compile_array
 
         given = self.time, self.state, self.parameters
@@ -237,8 +168,6 @@ class JumpDiffusion(Parametrized, Pickled):
     @cached_property
     def jumps(self) -> tuple[Callable[..., Any], Callable[..., Any]]:
         """Intensity (t, x, p) and the components of the jump (t, x, z, p); they may be numbers."""
-        if not self.symbolic:
-            return self.intensity, self.jump.value
         from seedslib.models.codegen import compile_components
 
         given, p = (self.time, self.state), self.parameters
@@ -269,14 +198,16 @@ class JumpDiffusion(Parametrized, Pickled):
 
     @cached_property
     def drift_map(self) -> StochasticMap:
-        """Mean velocity b(t, x) as a map without noise; array functions without a closed form."""
-        return rate_map(self, 0, ..., self.state_size)
+        """Mean velocity b(t, x) as a map without noise."""
+        return self._without_noise(self.moment_expressions[0])
 
     @cached_property
     def spread_map(self) -> StochasticMap:
         """Sigma(t, x) on and below the diagonal as a map without noise."""
-        lower = np.tril_indices(self.state_size)
-        return rate_map(self, 1, lower, len(lower[0]))
+        return self._without_noise(self.moment_expressions[1][np.tril_indices(self.state_size)])
+
+    def _without_noise(self, value: np.ndarray) -> StochasticMap:
+        return StochasticMap(self.state, value, time=self.time).taking(self.parameters)
 
     @cached_property
     def _euler(self) -> Callable[..., Any]:
@@ -294,15 +225,7 @@ class JumpDiffusion(Parametrized, Pickled):
         """
         if scheme not in SCHEMES:
             raise ValueError(f"scheme: wanted one of {', '.join(SCHEMES)}, got {scheme!r}")
-        if self.symbolic:
-            return self._heun if scheme == "heun" else self._euler
-        if scheme == "heun":
-            raise ValueError("scheme: heun wants a symbolic system, got array functions")
-        return partial(numeric_increment, self)
-
-    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
-        """Draws of the initial state, shape (n, count)."""
-        return self.prior.draw(rng, count)
+        return self._heun if scheme == "heun" else self._euler
 
     def advance(
         self,
@@ -343,8 +266,7 @@ class JumpDiffusion(Parametrized, Pickled):
         Raises
         ------
         ValueError
-            An intensity that is negative or not a number, an unknown scheme, Heun for array
-            functions, whose derivatives are unknown, an empty interval.
+            An intensity that is negative or not a number, an unknown scheme, an empty interval.
         """
         if not stop > start:
             raise ValueError(f"stop: wanted a time after {when(start)}, got {when(stop)}")
@@ -384,57 +306,6 @@ class JumpDiffusion(Parametrized, Pickled):
         return simulate(self, times, paths, seed, **options)
 
 
-class Functions(NamedTuple):
-    """The array functions that a system was given, and the parameters that each takes last."""
-
-    drift: Rate
-    diffusion: Rate
-    intensity: Rate | None
-    parameters: tuple[Any, ...]
-
-
-def _never(t: float, x: np.ndarray) -> np.ndarray:
-    """Intensity of no jumps."""
-    return np.zeros(np.shape(x)[1:])
-
-
-def numeric_rates(
-    system: JumpDiffusion, t: float, x: np.ndarray, p: Values
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same as arrays (n, *batch) and (n, n, *batch), the jump averaged over its marks."""
-    x = np.asarray(x)
-    velocity, diffusion = system.drift(t, x, p), system.diffusion(t, x, p)
-    spread = np.einsum("ik...,jk...->ij...", diffusion, diffusion)
-    if system.jump is not None:
-        rate = system.intensity(t, x, p)
-        mean, cov = system.jump.conditional_moments(t, x, p)
-        velocity = velocity + rate * mean
-        spread = spread + rate * (cov + mean[:, None] * mean[None, :])
-    return velocity, spread
-
-
-def rate_map(system: JumpDiffusion, part: int, chosen: object, size: int) -> StochasticMap:
-    """Map without noise of b (`part` 0) or Sigma (1): its `chosen` entries, `size` in number.
-
-    The closed form where there is one, array functions otherwise.
-    """
-    if system.symbolic:
-        from seedslib.gaussian.algebra import NoClosedForm
-
-        try:
-            value = system.moment_expressions[part][chosen]
-            made = StochasticMap(system.state, value, time=system.time)
-            return made.taking(system.parameters)
-        except NoClosedForm:
-            pass
-    return StochasticMap.from_functions(
-        system.state_size,
-        size,
-        lambda t, x, v, *p: numeric_rates(system, t, x, p)[part][chosen],
-        parameters=system.parameters,
-    )
-
-
 SCHEMES = ("euler", "heun")
 CHUNK = 16
 """Normal numbers drawn at a time for each path: a block of them stays in the cache."""
@@ -462,20 +333,6 @@ def compiled_increment(system: JumpDiffusion, scheme: str) -> Callable[..., Any]
     z = [sympy.Dummy(f"z{j}") for j in columns]
     moves = [drift[i] * h + root * sum(matrix[i, j] * z[j] for j in columns) for i in rows]
     return compile_components((system.time, h, root, system.state, z, system.parameters), moves)
-
-
-def numeric_increment(
-    system: JumpDiffusion,
-    t: float,
-    h: float,
-    root: float,
-    x: np.ndarray,
-    z: np.ndarray,
-    p: Values,
-) -> np.ndarray:
-    """Euler increment of a system of array functions, shape (n, count)."""
-    noise = np.einsum("ij...,j...->i...", system.diffusion(t, x, p), root * z)
-    return system.drift(t, x, p) * h + noise
 
 
 def _normals(rng: Source, steps: int, size: int, count: int) -> Iterator[np.ndarray]:

@@ -25,8 +25,7 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise, lower_times, named_noise
+from seedslib.models.maps import Noise, StochasticMap, lower_times, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 CLOSE = 1e-9
@@ -39,9 +38,7 @@ class Branch(Pickled):
     Parameters
     ----------
     map : StochasticMap
-        With its weight.
-    noise_free : bool
-        Whether a weight of array functions is known not to depend on the noise.
+        Of formulas, with its weight.
 
     Attributes
     ----------
@@ -49,38 +46,27 @@ class Branch(Pickled):
         With the weight, and without.
     """
 
-    def __init__(self, map: StochasticMap, noise_free: bool = False) -> None:
+    def __init__(self, map: StochasticMap) -> None:
         self.map: StochasticMap = map
-        self.noise_free: bool = noise_free
         self.whole: StochasticMap = map.with_weight(1) if map.weighted else map
 
     @cached_property
     def switch_only(self) -> Branch:
         """The switch alone, the state left where it is; of a probability without noise."""
         map = self.map
-        if map.symbolic:
-            made = StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
-            return Branch(made.taking(map.parameters))
-        weight = partial(_calm, map) if map.weighted else None
-        n = map.state_size
-        made = StochasticMap.from_functions(n, n, _same, weight=weight, parameters=map.parameters)
-        return Branch(made, True)
+        made = StochasticMap(map.state, map.state, None, map.weight_expression, time=map.time)
+        return Branch(made.taking(map.parameters))
 
     @cached_property
     def constant(self) -> bool:
         """Whether the probability depends on neither state nor noise."""
         map = self.map
-        if not map.symbolic:
-            return not map.weighted
         return not map.weight_expression.free_symbols & {*map.state, *map.noise.symbols}
 
     @cached_property
     def depends_on_noise(self) -> bool:
         """Whether the probability mentions the noise of the map: dependent noises."""
-        map = self.map
-        if not map.symbolic:
-            return map.weighted and not self.noise_free
-        return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
+        return bool(self.map.weight_expression.free_symbols & set(self.map.noise.symbols))
 
     @cached_property
     def has_log_density(self) -> bool:
@@ -96,12 +82,8 @@ class Branch(Pickled):
         Raises
         ------
         NoClosedForm
-            The mean over the noise has no closed form, or the map is not symbolic.
+            The mean over the noise has no closed form.
         """
-        if not self.map.symbolic:
-            from seedslib.gaussian.algebra import NoClosedForm
-
-            raise NoClosedForm("probability: array functions have no closed form")
         if not self.depends_on_noise:
             return self.map.weight_expression
         return self.map.noise.expectation(self.map.weight_expression)
@@ -170,7 +152,6 @@ class Branch(Pickled):
 def branch_table(
     name: str,
     maps: Sequence[Sequence[StochasticMap]],
-    weights: Sequence[Sequence[Any]],
     x: np.ndarray,
     p: Values,
     new: bool = False,
@@ -183,7 +164,6 @@ def branch_table(
         Of the probabilities, for messages.
     maps : sequence of sequence of StochasticMap, shape (L, L) or (L, M)
         With their weights.
-    weights : sequence of sequence of expressions, numbers or callables, likewise
     x : ndarray, shape (n, N)
         States where the probabilities are looked at, with noises.
     p : tuple
@@ -199,25 +179,16 @@ def branch_table(
     branches = []
     v = maps[0][0].noise.draw(np.random.default_rng(1), x.shape[1])
     for i, row in enumerate(maps):
-        if new and any(_noisy(map, x, v, p) for map in row):
+        row = [Branch(map) for map in row]
+        if new and any(branch.depends_on_noise for branch in row):
             raise ValueError(
                 f"{name} of mode {i}: wanted probabilities without the noise, which comes "
                 "after the switch where the new mode drives the step"
             )
-        weight = np.stack([np.broadcast_to(m.weight(0.0, x, v, p), x.shape[1:]) for m in row])
-        want_probabilities(f"{name} of mode {i}", weight)
-        pairs = zip(row, weights[i], strict=True)
-        branches.append(
-            tuple(None if _is_zero(w) else Branch(m, new or not callable(w)) for m, w in pairs)
-        )
+        weight = [np.broadcast_to(b.map.weight(0.0, x, v, p), x.shape[1:]) for b in row]
+        want_probabilities(f"{name} of mode {i}", np.stack(weight))
+        branches.append(tuple(None if b.map.weight_expression.is_zero else b for b in row))
     return tuple(branches)
-
-
-def _is_zero(weight: Any) -> bool:
-    """Whether a branch is never taken, however zero is written."""
-    return bool(
-        weight.is_zero if hasattr(weight, "is_zero") else np.isscalar(weight) and not weight
-    )
 
 
 def want_probabilities(name: str, weights: ArrayLike) -> None:
@@ -231,28 +202,13 @@ def want_probabilities(name: str, weights: ArrayLike) -> None:
         raise ValueError(f"{name}: wanted probabilities that sum to 1, got {worst:.10g}")
 
 
-def _noisy(map, x, v, p) -> bool:
-    """Whether the weight of a map depends on the noise: it is looked at with other noises too."""
-    if map.symbolic:
-        return bool(map.weight_expression.free_symbols & set(map.noise.symbols))
-    return not np.array_equal(map.weight(0.0, x, v, p), map.weight(0.0, x, v[:, ::-1], p))
-
-
-def _same(t, x, v, *p):
-    """The state itself."""
-    return x
-
-
-def _calm(map, t, x, v, *p):
-    """Weight of a map that does not look at its noise."""
-    return map.weight(t, x, np.zeros((map.noise.size, *(1,) * (np.ndim(x) - 1))), p)
-
-
 def _as_maps(name: str, maps: Sequence[StochasticMap]) -> tuple[StochasticMap, ...]:
     """Maps of all modes, which have one state, one size and one noise."""
     for map in maps:
         if not isinstance(map, StochasticMap):
             raise TypeError(f"{name}: wanted a StochasticMap of each mode, got {map!r}")
+        if not map.symbolic:
+            raise TypeError(f"{name}: wanted maps of formulas, got array functions")
         sizes, first = (map.state_size, map.size), maps[0]
         if sizes != (first.state_size, first.size) or not map.noise.alike(first.noise):
             raise ValueError(f"{name}: wanted maps of one state, one size and one noise")
@@ -282,6 +238,9 @@ class SwitchingSystem(Parametrized, Pickled):
     probability A_il(t_k, X_k), and then X_{k+1} = a_l(t_k, X_k, V_k). Each step is a switch during
     which the state stands still, and a move of each mode without a switch; the noise comes after
     the switch, so the probabilities cannot depend on it.
+
+    The elapsed time `seedslib.base.ELAPSED` may stand in dynamics and in probabilities: then steps
+    may be of any length, as with ``1 - exp(-rate * ELAPSED)`` for a switch of constant rate.
 
     Parameters
     ----------
@@ -398,15 +357,14 @@ class SwitchingSystem(Parametrized, Pickled):
         indicator: Any = None,
         drives: str = "old",
     ) -> SwitchingSystem:
-        """Make a system of maps, such as those of array functions.
+        """Make a system of maps of formulas.
 
         Parameters
         ----------
         dynamics, sensors : sequence of StochasticMap, length L
             The move and the measurement of each mode.
         switching : nested sequence, shape (L, L)
-            Probabilities of the switches from mode i to mode l: numbers, SymPy expressions, or
-            functions like the values of the maps.
+            Probabilities of the switches from mode i to mode l: numbers or SymPy expressions.
         initial : as in the class
         indicator : nested sequence, shape (L, M), optional
             Probabilities of the values of the indicator, likewise.
@@ -469,8 +427,8 @@ class SwitchingSystem(Parametrized, Pickled):
             [tuple(m.taking(self.parameters) for m in row) for row in table] for table in tables
         )
         x, p = self._probe(), self.nominal_values()
-        self.branches: Any = branch_table("switching", moves, switching, x, p, new)
-        self.readings: Any = branch_table("indicator", readings, shares, x, p)
+        self.branches: Any = branch_table("switching", moves, x, p, new)
+        self.readings: Any = branch_table("indicator", readings, x, p)
 
     def _initial_modes(self, initial: Sequence) -> tuple[InitialMode, ...]:
         initial = list(initial)
@@ -495,11 +453,6 @@ class SwitchingSystem(Parametrized, Pickled):
         draws = np.random.default_rng(0).standard_normal((self.state_size, 64))
         deviation = np.sqrt(np.diagonal(self.cov0)) + 1e-3
         return self.mean0[:, None] + 2.0 * deviation[:, None] * draws
-
-    @property
-    def symbolic(self) -> bool:
-        """Whether the system was given as SymPy expressions."""
-        return self.state is not None
 
     @property
     def initial_probabilities(self) -> np.ndarray:

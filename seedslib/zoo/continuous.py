@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy
 
 from seedslib.models.jump_diffusion import JumpDiffusion
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise
 
 Pair = tuple[float, float]
 
@@ -23,27 +23,33 @@ def van_der_pol(reading: str = "A") -> JumpDiffusion:
         it: "B" noise X2 dW; "C" additive dW; "D" Y1 = X1³ + V1; "E" Y1 = X1 + V1 and
         Y2 = X1² + X2 + V2; "F" restoring force -w X1; "G" 0.15 is a standard deviation; "H"
         variance 0.1 of the sensor noise; "I" w = pi; "J" w = 1.1 pi; "K" linear sensor; "L"
-        w = 1; "M" noise X2 dW with w = 1 and alpha = 0.2.
+        w = 1; "M" noise X2 dW with w = 1 and alpha = 0.2; "N" one measurement,
+        Y = 0.9 X1² + 0.7071 X2 + V1, as in a program of the author's group.
 
     Raises
     ------
     ValueError
         An unknown reading.
     """
-    if reading not in tuple("ABCDEFGHIJKLM"):
-        raise ValueError(f"reading: wanted a letter from A to M, got {reading!r}")
+    if reading not in tuple("ABCDEFGHIJKLMN"):
+        raise ValueError(f"reading: wanted a letter from A to N, got {reading!r}")
     x1, x2, v1, v2, w, alpha, beta = sympy.symbols("x1 x2 v1 v2 w alpha beta")
     frequency = {"I": sympy.pi, "J": 1.1 * sympy.pi, "L": 1, "M": 1}.get(reading, sympy.pi / 10)
     diffusion = {"B": x2, "M": x2, "C": 1}.get(reading, x1)
     first = {"D": x1**3, "E": x1, "K": x1}.get(reading, x1**2)
     second = x1**2 + x2 if reading == "E" else x2
     variance = 0.15**2 if reading == "G" else 0.15
+    sensor, noise = [first + v1, second + v2], Noise((v1, v2))
+    if reading == "H":
+        noise = Noise((v1, v2), cov=[[0.1, 0], [0, 0.1]])
+    if reading == "N":
+        sensor, noise = [0.9 * x1**2 + 0.7071 * x2 + v1], Noise((v1,))
     return JumpDiffusion(
         state=(x1, x2),
         drift=[x2, -(w if reading == "F" else w**2) * x1 + alpha * x2 * (1 - beta * x1**2)],
         diffusion=[[0], [diffusion]],
-        sensor=[first + v1, second + v2],
-        noise=Noise((v1, v2), cov=[[0.1, 0], [0, 0.1]] if reading == "H" else None),
+        sensor=sensor,
+        noise=noise,
         mean0=[2, 0],
         cov0=[[variance, 0], [0, variance]],
         parameters={w: frequency, alpha: sympy.Rational(1, 5) if reading == "M" else 2, beta: 1},

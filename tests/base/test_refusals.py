@@ -15,7 +15,7 @@ from seedslib.base import Axis, Input, Nodes, Parameter, interpolate, update
 from seedslib.base.progress import followed
 from seedslib.design import synthesize
 from seedslib.designed import Memory, load, save
-from seedslib.evaluation import fit
+from seedslib.evaluation import compare, fit
 from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.gaussian import expectation, expectation_function
 from seedslib.linearization import Moments, Taylor
@@ -151,13 +151,17 @@ def test_long_work_is_logged_where_somebody_listens(caplog):
 
 def test_long_work_has_a_bar_in_a_terminal_where_tqdm_is(monkeypatch):
     bars = []
-    fake = SimpleNamespace(tqdm=lambda steps, what, **options: bars.append(what) or steps)
+    fake = SimpleNamespace(tqdm=lambda steps, what, *count, **options: bars.append(what) or steps)
     monkeypatch.setitem(sys.modules, "tqdm", fake)
     assert list(followed(range(3), "work")) == [0, 1, 2]
     assert not bars
     monkeypatch.setattr(sys, "stderr", SimpleNamespace(isatty=lambda: True))
     assert list(followed(range(3), "work")) == [0, 1, 2]
     assert bars == ["work"]
+    for workers in (1, 2):
+        compare({"EKF": extended_kalman(LINEAR)}, LINEAR, [0.0, 1.0], 3000, 0, workers=workers)
+    fit(KalmanFilter(LEVEL), MANY, np.zeros((101, 1)), [Q])
+    assert bars == ["work", "compare", "compare", "fit"]
     monkeypatch.setitem(sys.modules, "tqdm", None)
     assert list(followed(range(3), "work")) == [0, 1, 2]
 
@@ -180,7 +184,6 @@ SENTENCES = [
     (lambda: flow(period={0: "2 pi"}), r"period\[0\]: wanted a number, got '2 pi'"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse=True), r"diffuse: .* got True; .* range\(1\)"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, 0, diffuse="all"), r"diffuse: .* got 'all'; .* range"),
-    (lambda: LinearSystem(1, 1, 1, 1, 0, Q), r"cov0: wanted real numbers, got formulas of q; fit"),
     (lambda: LinearSystem(10**400, 1, 1, 1, 0, 1), r"F: wanted numbers in the range of float64"),
     (lambda: LinearSystem(1, 1, 1, 1, 0, None), r"cov0: wanted real numbers, got None"),
     (lambda: Noise([V], cov=[[Q * K]]), r"cov: wanted real numbers, got formulas of k, q"),

@@ -62,6 +62,19 @@ def test_the_modules_that_were_imported_are_inputs(source):
     assert execution.library_digest(library, contents | {"bookkit.recording": b""}) != before
 
 
+def test_words_of_a_module_are_no_input_and_what_it_does_is(tmp_path, monkeypatch):
+    module = tmp_path / "module.py"
+    monkeypatch.setattr(execution, "PACKAGES", {"package": tmp_path})
+
+    def contents(text):
+        module.write_text(text)
+        return execution.library_contents()
+
+    before = contents('"""Words."""\n\n\ndef f(x):\n    """More."""\n    return 2 * x\n')
+    assert contents("def f(x):\n    return 2 * x  # no word\n") == before
+    assert contents("def f(x):\n    return 3 * x\n") != before
+
+
 def test_files_that_programs_are_written_with_belong_to_their_package():
     contents = execution.library_contents()
     package = Path(seedslib.__file__).parent / "export"

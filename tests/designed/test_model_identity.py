@@ -164,84 +164,53 @@ def test_verdict_does_not_depend_on_the_unit(tmp_path, unit):
             load(tmp_path / "f.npz", discrete(**{"unit": unit} | change))
 
 
-def oscillator(form):
-    """Van der Pol with other names and scaled noises, multiplied out; or as array functions."""
+def oscillator():
+    """Van der Pol with other names and scaled noises, multiplied out."""
     omega = sympy.pi / 10
-    if form == "formulas":
-        return JumpDiffusion(
-            (a, b),
-            [b, 2 * b - 2 * b * a**2 - omega**2 * a],
-            [[0, 0], [a * sympy.Rational(3, 5), -a * sympy.Rational(4, 5)]],
-            [a**2 + v / 2, b + 2 * w],
-            Noise((v, w), cov=[[4, 0], [0, 0.25]]),
-            [2, 0],
-            [[0.15, 0], [0, 0.15]],
-        )
-    sensor = StochasticMap.from_functions(
-        2,
-        2,
-        lambda t, x, v: np.stack([x[0] ** 2 + v[0], x[1] + v[1]]),
-        Noise(2),
-        mean=lambda t, x: np.stack([x[0] ** 2, x[1]]),
-        cov=lambda t, x: np.broadcast_to(
-            np.eye(2).reshape(2, 2, *(1,) * (x.ndim - 1)), (2, 2, *x.shape[1:])
-        ),
-    )
-    return JumpDiffusion.from_functions(
-        lambda t, x: np.stack([x[1], -(float(omega) ** 2) * x[0] + 2 * x[1] * (1 - x[0] ** 2)]),
-        lambda t, x: np.stack([0 * x[0], x[0]])[:, None],
-        sensor,
+    return JumpDiffusion(
+        (a, b),
+        [b, 2 * b - 2 * b * a**2 - omega**2 * a],
+        [[0, 0], [a * sympy.Rational(3, 5), -a * sympy.Rational(4, 5)]],
+        [a**2 + v / 2, b + 2 * w],
+        Noise((v, w), cov=[[4, 0], [0, 0.25]]),
         [2, 0],
-        np.diag([0.15, 0.15]),
+        [[0.15, 0], [0, 0.15]],
     )
 
 
-@pytest.mark.parametrize("form", ["formulas", "functions"])
-def test_same_model_written_otherwise_is_accepted(tmp_path, form):
+def test_same_model_written_otherwise_is_accepted(tmp_path):
     times = np.array([0.0, 0.5, 1.0])
     made = synthesize(zoo.van_der_pol(), Memory(1), Cubature(), times, paths=300, seed=1)
     save(made, tmp_path / "f.npz")
-    found = load(tmp_path / "f.npz", oscillator(form))
+    found = load(tmp_path / "f.npz", oscillator())
     y = zoo.van_der_pol().simulate(times, 5, 2).measurements
     np.testing.assert_allclose(found.run(times, y).mean, made.run(times, y).mean, rtol=1e-9)
     for other, said in (
         (zoo.flip_process(), "2 state components, not 1"),
         (zoo.kicked_duffing(), "it"),
-        (zoo.scalar_switching(), "one without modes"),
+        (zoo.scalar_switching(), "2 state components, not 1"),
     ):
         with pytest.raises(ValueError, match=f"another model.*{said}"):
             load(tmp_path / "f.npz", other)
 
 
-def test_tables_know_the_likelihood_of_their_sensor_and_models_of_modes(tmp_path):
-    """A table has no linearization: the densities of measurements are looked at instead."""
+def test_tables_know_their_model_and_models_of_modes(tmp_path):
     path, axes = tmp_path / "t.npz", {"x": (-8, 8, 41), "z": (-6, 6, 9), "y": (-16, 18, 31)}
     flip = zoo.flip_process()
-    save(grid_synthesis(flip, Memory(1), [0.0, 0.25, 0.5], **axes, nodes=0), path)
+    save(grid_synthesis(flip, Memory(1), [0.0, 0.25, 0.5], **axes), path)
     assert load(path, zoo.flip_process()).order == 1
-    sensor = StochasticMap((a,), [a + v], Noise((v,)))
-    single = JumpDiffusion.from_functions(
-        flip.drift,
-        flip.diffusion,
-        sensor,
-        flip.mean0,
-        flip.cov0,
-        intensity=flip.intensity,
-        jump=flip.jump,
-    )
     for other, said in (
         (zoo.flip_process(flip=1.99), "jump"),
         (zoo.flip_process(rate=(0.2, 0.3)), "intensity"),
-        (single, "likelihood"),
         (zoo.van_der_pol(), "1 state components, not 2"),
-        (zoo.scalar_switching(), "one without modes"),
+        (zoo.scalar_switching(), "only one of them"),
     ):
         with pytest.raises(ValueError, match=f"another model.*{said}"):
             load(path, other)
     save(grid_synthesis(zoo.scalar_switching(), Memory(1), [0, 1], **axes), path)
     with pytest.raises(ValueError, match="another model: its readings"):
         load(path, zoo.scalar_switching("A1L"))
-    with pytest.raises(ValueError, match="another model, one that has modes"):
+    with pytest.raises(ValueError, match="only one of them"):
         load(path, flip)
 
 

@@ -215,15 +215,16 @@ def test_a_likelihood_of_random_numbers_is_called_rough():
     assert "rough in q" in found.message
 
 
-def test_a_parameter_of_the_first_state_is_fitted_by_a_function_that_makes_the_filter():
-    """A stationary start of an autoregression, against its dense likelihood."""
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_parameter_of_the_first_state_is_fitted(whole):
+    """A stationary start of an autoregression, by formulas or a function, and its dense law."""
     phi = Parameter("phi", 0.5)
+    formulas = KalmanFilter(LinearSystem(phi, 1, 1, 0.3, 0, 1 / (1 - phi**2)))
 
-    def made(numbers):
-        return KalmanFilter(
-            LinearSystem(phi, 1, 1, 0.3, 0, 1 / (1 - numbers[phi] ** 2)).bind(numbers)
-        )
+    def one(numbers):
+        return KalmanFilter(LinearSystem(numbers[phi], 1, 1, 0.3, 0, 1 / (1 - numbers[phi] ** 2)))
 
+    made = formulas if whole else one
     times = np.arange(60.0)
     y = LinearSystem(0.8, 1, 1, 0.3, 0, 1 / 0.36).simulate(times, 1, 4).measurements[..., 0]
     found = fit(made, times, y, [phi])
@@ -236,6 +237,36 @@ def test_a_parameter_of_the_first_state_is_fitted_by_a_function_that_makes_the_f
     assert found.converged
     assert found.values[0] == pytest.approx(best.x, rel=1e-5)
     assert found.loglik == pytest.approx(-best.fun, abs=1e-9)
+
+
+@pytest.mark.parametrize("step", [0.7, None])
+def test_rates_of_a_continuous_system_are_fitted(step):
+    """An Ornstein-Uhlenbeck process that reverts to a level, against its dense likelihood."""
+    rate, noise = Parameter("rate", 1.0, positive=True), Parameter("noise", 1.0, positive=True)
+    level = Parameter("level", 0.0)
+    system = LinearSystem.from_continuous(
+        -rate, noise, 1, 0.05, level, noise / (2 * rate), step=step, b=rate * level
+    )
+    rng = np.random.default_rng(5)
+    times = 0.7 * np.arange(80.0) if step else np.cumsum(rng.choice([0.2, 0.5, 1.4], 80))
+    true = system.bind(rate=0.6, noise=0.8, level=2.0)
+    y = true.simulate(times, 1, 7).measurements[..., 0]
+
+    def dense(theta, square, mean):
+        cov = square / (2 * theta) * np.exp(-theta * np.abs(np.subtract.outer(times, times)))
+        return multivariate_normal.logpdf(y[:, 0], np.full(80, mean), cov + 0.05 * np.eye(80))
+
+    found = fit(KalmanFilter(system), times, y, [rate, noise, level])
+    start = [*np.log(found.values[:2]), found.values[2]]
+    best = minimize(lambda u: -dense(*np.exp(u[:2]), u[2]), start, tol=1e-12)
+    assert found.converged
+    assert found.loglik == pytest.approx(-best.fun, abs=1e-8)
+    assert found.values == pytest.approx([*np.exp(best.x[:2]), best.x[2]], rel=1e-4)
+    several = {rate: [0.6, 0.6, -0.3], noise: [0.8, 1.1, 0.8], level: [2.0, 0.0, 1.0]}
+    records = KalmanFilter(system).bind(several).run(times, np.repeat(y[..., None], 3, 2))
+    wanted = dense(0.6, 0.8, 2.0), dense(0.6, 1.1, 0.0)
+    assert records.loglik.sum(axis=0)[:2] == pytest.approx(wanted, abs=1e-8)
+    assert np.isnan(records.loglik[:, 2]).all()  # no covariance, so no likelihood
 
 
 def test_parameters_that_the_data_do_not_tell_apart_are_not_converged():

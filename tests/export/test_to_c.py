@@ -16,7 +16,7 @@ from seedslib.export import compiled, to_c
 from seedslib.filters import extended_kalman, unscented_kalman
 from seedslib.linearization import Taylor
 from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
-from systems import growth, pendulum
+from systems import growth, oscillator, pendulum
 
 a, b, t = sympy.symbols("a b t", real=True)
 v, w = sympy.symbols("v w", real=True)
@@ -89,22 +89,6 @@ def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
         assert np.abs(known.cov[:, 0]).max() < 1e-15
 
 
-def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick):
-    """Two sensors without noise, twice at one time: what they said first is all that can be."""
-    shows = StochasticMap((a, b), [a, b + a / 5], Noise(()))
-    move = StochasticMap((a, b), [a + b / 3 + v, 0.9 * b + w / 2], Noise((v, w)))
-    filter = extended_kalman(DiscreteSystem(move, shows, [0.3, -0.2], [[0.5, 0.1], [0.1, 0.8]]))
-    twin, first = compiled(filter), np.array([0.7, 0.2])
-    before, other_before = (each.step(each.initial(), 0.0, first) for each in (filter, twin))
-    for y, possible in ((first, True), (first + np.array([0.0, 1e-3]), False)):
-        state, other = filter.step(before, 0.0, y), twin.step(other_before, 0.0, y)
-        assert np.isfinite(other.loglik) == np.isfinite(state.loglik) == possible
-        for part in ("mean", "cov", "loglik"):
-            np.testing.assert_allclose(getattr(other, part), getattr(state, part), atol=1e-15)
-        state, other = filter.step(state, 1.0, [0.9, 0.3]), twin.step(other, 1.0, [0.9, 0.3])
-        np.testing.assert_allclose(other.loglik, state.loglik, rtol=1e-13)
-
-
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
 def test_a_known_position_that_is_driven_through_its_velocity_is_followed_in_c(order, quick):
     """In the first stages of a step it covaries with what it has no variance beside."""
@@ -152,6 +136,40 @@ def test_times_stay_exact_where_numbers_are_float(tmp_path):
     wanted = filter.run(times, np.full((20, 1), 0.3)).mean[-1, 0]
     assert t == pytest.approx(times[-1], abs=1e-6)
     assert mean == pytest.approx(wanted, rel=1e-4)
+
+
+AFTER = """
+#include <stdio.h>
+#include "f.h"
+int main(void)
+{
+    f_state s;
+    const double y[1] = { 0.3 };
+    f_init(&s);
+    for (int k = 0; k < 20; k++) if (f_after(&s, 0.01 * k, y)) return 1;
+    printf("%.17g %.17g\\n", s.t, s.mean[0]);
+    return f_after(&s, -0.01, y) != F_TIME;
+}
+"""
+
+
+def test_steps_by_the_time_since_the_last_one_and_the_stack_they_take(tmp_path):
+    filter, times = extended_kalman(oscillator()), np.cumsum(0.01 * np.arange(20))
+    text = to_c(filter, tmp_path / "f.h", name="f")
+    (tmp_path / "f.c").write_text(AFTER)
+    line = [shutil.which("cc"), "-std=c99", "-Wall", "f.c", "-o", "f", "-lm", "-fstack-usage"]
+    taken = {}
+    for level in ("-O0", "-Os"):
+        subprocess.run([*line, level], cwd=tmp_path, check=True)
+        rows = [row.split("\t") for row in next(tmp_path.glob("*.su")).read_text().splitlines()]
+        taken[level] = max(int(size) for _, size, _ in rows)
+    printed = subprocess.run([tmp_path / "f"], capture_output=True, text=True, check=True).stdout
+    t, mean = map(float, printed.split())
+    assert t == pytest.approx(times[-1])
+    assert mean == pytest.approx(filter.run(times, np.full((20, 1), 0.3)).mean[-1, 0], rel=1e-12)
+    said = int(re.search(r"about ([\d,]+) bytes\W+of\W+stack", text)[1].replace(",", ""))
+    assert 0.8 * said < taken["-O0"] < 1.3 * said
+    assert taken["-Os"] < said
 
 
 def test_a_long_record_is_the_same_in_c_and_python(quick):

@@ -87,17 +87,9 @@ def test_a_jump_that_is_not_affine_in_its_mark_is_averaged_over_nodes():
     assert law @ nodes**2 == pytest.approx(0.25 + 0.125 + 3.0, abs=0.03)
 
 
-def test_array_functions_whose_rates_change_late():
+def test_rates_that_change_late():
     """dX = dW until time 1, then dX = dt + dW."""
-    system = JumpDiffusion.from_functions(
-        lambda t, x: np.full(x.shape, float(t >= 1.0)),
-        lambda t, x: np.ones((1, 1, *x.shape[1:])),
-        SHOWN,
-        [0.0],
-        [[0.25]],
-        step=0.05,
-    )
-    chain = grid_chain(system, (-7.0, 9.0, 161))
+    chain = grid_chain(flow(sympy.Heaviside(t - 1), 1, step=0.05), (-7.0, 9.0, 161))
     early = chain.transition(0.0, 1.0) @ chain.initial
     late = chain.transition(1.0, 2.0) @ early
     assert early @ chain.values[0] == pytest.approx(0.0, abs=1e-9)

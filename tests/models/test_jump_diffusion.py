@@ -8,7 +8,7 @@ import sympy
 
 from oracles.linear import moment_rates
 from seedslib.base import Parameter
-from seedslib.models import JumpDiffusion, Noise, StochasticMap
+from seedslib.models import JumpDiffusion, Noise
 from systems import COV0, INPUTS, MEAN0, TIMES, U, continuous_numbers, continuous_system
 
 x, y, v, z = sympy.symbols("x y v z", real=True)
@@ -47,36 +47,6 @@ def euler_moments(model, start, stop, steps, m, second, u):
     return m, second
 
 
-def as_functions(system):
-    """The same system as array functions of the input."""
-    model = continuous_numbers()
-
-    def drift(t, x, u):
-        shift = model.a(t) + np.multiply.outer(u, model.B(t))
-        return np.einsum("ij,j...->i...", model.A(t), x) + shift.T.reshape(2, *np.shape(u), -1)
-
-    def diffusion(t, x, u):
-        return np.broadcast_to(model.G(t).reshape(2, 2, *(1,) * (x.ndim - 1)), (2, *x.shape))
-
-    def jump(t, x, z):
-        return np.einsum("ij,j...->i...", model.C(t), x) + np.multiply.outer(model.k(t), z[0])
-
-    def intensity(t, x, u):
-        return np.full(x.shape[1:], model.mu(t))
-
-    return JumpDiffusion.from_functions(
-        drift,
-        diffusion,
-        system.sensor,
-        MEAN0[:2],
-        COV0[:2, :2],
-        intensity=intensity,
-        jump=StochasticMap.from_functions(2, 2, jump, system.jump.noise),
-        parameters=(U,),
-        step=system.step,
-    )
-
-
 @pytest.mark.filterwarnings("ignore:step. about")
 def test_coarse_steps_have_the_moments_of_eulers_scheme():
     """Everything depends on time, from a late start, with an input and unequal steps."""
@@ -102,26 +72,19 @@ def test_coarse_steps_have_the_moments_of_eulers_scheme():
 
 
 @pytest.mark.filterwarnings("ignore:step. about")
-def test_array_functions_have_the_paths_and_the_rates_of_formulas():
-    system = continuous_system(step=0.05)
-    numeric, inputs = as_functions(system), {U: INPUTS[U][:3]}
-    one, two = (s.simulate(TIMES[:3], 40, 4, inputs=inputs) for s in (system, numeric))
-    np.testing.assert_allclose(one.states, two.states, rtol=1e-10, atol=1e-12)
-    np.testing.assert_allclose(one.measurements, two.measurements, rtol=1e-10, atol=1e-12)
-    at = np.random.default_rng(0).normal(size=(2, 5))
+def test_rates_are_those_of_the_moments():
+    system, at = continuous_system(step=0.05), np.random.default_rng(0).normal(size=(2, 5))
     model, lower = continuous_numbers(), np.tril_indices(2)
     for now in (1.5, 2.3):
         velocity, spread = (
-            [getattr(s, f).value(now, at, np.empty((0, 5)), (0.6,)) for s in (system, numeric)]
-            for f in ("drift_map", "spread_map")
+            part.value(now, at, np.empty((0, 5)), (0.6,))
+            for part in (system.drift_map, system.spread_map)
         )
         np.testing.assert_allclose(system.intensity(now, at, (0.6,)), model.mu(now))
         for k in range(5):
             wanted, square = moment_rates(model, now, at[:, k], np.zeros((2, 2)), 0.6)
-            for found in velocity:
-                np.testing.assert_allclose(found[:, k], wanted, rtol=1e-9)
-            for found in spread:
-                np.testing.assert_allclose(found[:, k], square[lower], rtol=1e-9)
+            np.testing.assert_allclose(velocity[:, k], wanted, rtol=1e-9)
+            np.testing.assert_allclose(spread[:, k], square[lower], rtol=1e-9)
 
 
 # The scheme of Heun
@@ -195,14 +158,6 @@ def test_jumps_of_many_steps_and_a_step_that_is_too_coarse_for_them():
     assert (final == 0).all()
 
 
-def test_a_jump_without_closed_moments_is_averaged_by_nodes():
-    system = scalar(intensity=1, jump=[sympy.sqrt(1 + z**2)], marks=Noise((z,)))
-    got = system.drift_map.value(0, np.zeros((1, 1)), np.empty((0, 1)))
-    nodes, weights = np.polynomial.hermite_e.hermegauss(80)
-    want = np.sqrt(1 + nodes**2) @ weights / weights.sum()
-    assert got[0, 0] == pytest.approx(want, abs=2e-3)
-
-
 @pytest.mark.parametrize("rate", [-1, 1 / (1 - x), sympy.log(x - 2)])
 def test_bad_intensities_are_found_when_they_occur(rate):
     system = scalar(intensity=rate, jump=[1])
@@ -228,20 +183,3 @@ def test_an_initial_law_may_be_sampled_and_parameters_may_be_put_in():
     again = pickle.loads(pickle.dumps(system.bind(q=2.0)))
     assert again.diffusion(0.0, np.ones((1, 1))).item() == 2.0
     assert system.diffusion(0.0, np.ones((1, 1))).item() == 0.5
-
-
-def test_array_functions_without_noise_and_with_a_sampled_start():
-    """dX = -X dt by a step of a thousandth, and the Euler scheme alone."""
-    sensor = StochasticMap((x,), [x + v], Noise((v,)))
-    system = JumpDiffusion.from_functions(
-        lambda t, x: -x,
-        lambda t, x: np.zeros((1, 0, *x.shape[1:])),
-        sensor,
-        [2.0],
-        [[0.0]],
-        step=0.001,
-    )
-    states = system.simulate([0.0, 0.5, 1.0], 3, 1).states[:, 0]
-    np.testing.assert_allclose(states, 2 * np.exp([[0.0], [-0.5], [-1.0]]) * np.ones(3), rtol=1e-3)
-    with pytest.raises(ValueError, match="scheme"):
-        system.simulate([0.0, 1.0], 2, 0, scheme="heun")

@@ -8,6 +8,7 @@ import pytest
 import sympy
 
 from seedslib import zoo
+from seedslib.base import ELAPSED, Input, Parameter
 from seedslib.filters import extended_kalman
 from seedslib.models import (
     DiscreteSystem,
@@ -18,6 +19,9 @@ from seedslib.models import (
     StochasticMap,
     SwitchingSystem,
     grid_chain,
+    level,
+    regression,
+    season,
     van_loan,
 )
 from seedslib.two_step import LinearDiffusion
@@ -28,6 +32,7 @@ MOVE = StochasticMap((x,), [x / 2 + v], Noise((v,)))
 SHOWN = StochasticMap((x,), [x + w], Noise((w,)))
 BOUNDED = StochasticMap((x,), [x * w**2], Noise((w,)))
 COV, AXIS = np.eye(2), (-3, 3, 9)
+q = Parameter("q", 1.0)
 
 
 def sampled(rng, count):
@@ -59,10 +64,6 @@ def flow(state=(x,), drift=None, diffusion=((1,),), sensor=None, **options):
     given = {"mean0": [0.0] * len(state), "cov0": np.eye(len(state))} | options
     drift = [-each for each in state] if drift is None else drift
     return JumpDiffusion(state, drift, diffusion, sensor or [state[0] + v], Noise((v,)), **given)
-
-
-def array_flow(drift):
-    return JumpDiffusion.from_functions(drift, lambda t, x: np.ones((1, 1, 3)), SHOWN, [0], [[1]])
 
 
 def modes(**changes):
@@ -125,7 +126,18 @@ ROWS = [
     (lambda: simulated(linear(cov0=0 * COV, diffuse=(0, 1))), ValueError, "diffuse"),
     (lambda: extended_kalman(linear(cov0=0 * COV, diffuse=(0,))), ValueError, "system"),
     (lambda: linear(b=[1.0]), ValueError, "b"),
+    (lambda: linear(mean0=[s, 0]), ValueError, "mean0"),
+    (lambda: linear(cov0=[[q, 0], [0, Input("u")]]), ValueError, "mean0, cov0"),
+    (lambda: linear(cov0=[[-q, 0], [0, 1]]), ValueError, "cov0"),
+    (lambda: steps(cov0=q, initial=sampled), ValueError, "initial"),
+    (lambda: steps(cov0=q).bind(q=[1, 2]).initial_sample(0, 2), ValueError, "mean0, cov0"),
+    (lambda: continuous(q * sympy.Symbol("t")), ValueError, "drift"),
+    (lambda: continuous(q * ELAPSED), ValueError, "drift"),
     (lambda: linear(d=x), ValueError, "d"),
+    (lambda: level(1) + linear(), TypeError, r"\+"),
+    (lambda: season(1, 0.1), ValueError, "period"),
+    (lambda: regression(), ValueError, "inputs"),
+    (lambda: level(s), ValueError, "Q"),
     (lambda: continuous(step=0.0), ValueError, "step"),
     (lambda: continuous([[1, 0]]), ValueError, "drift"),
     (lambda: van_loan([[-1.0]], [[-1.0]], 0.5), ValueError, "diffusion"),
@@ -140,7 +152,6 @@ ROWS = [
     (lambda: flow(step=0), ValueError, "step"),
     (lambda: flow(parameters={x: 5}), ValueError, "state, parameters"),
     (lambda: flow(time=x), ValueError, "state, time"),
-    (lambda: array_flow(lambda t, x: x[0]), ValueError, "drift"),
     (lambda: flow().advance(np.ones((1, 2)), 1, 1, np.random.default_rng(0)), ValueError, "stop"),
     (lambda: modes(switching=[[0.9, 0.2], [0.3, 0.7]]), ValueError, "switching of mode 0"),
     (lambda: modes(switching=[[1 - x**2, x**2], [0, 1]]), ValueError, "switching of mode 0"),
@@ -152,6 +163,7 @@ ROWS = [
     (lambda: modes(sensor=[[x + w]]), ValueError, "sensor"),
     (lambda: modes(drives="both"), ValueError, "drives"),
     (lambda: of_maps([None]), TypeError, "dynamics"),
+    (lambda: of_maps([functions()] * 2), TypeError, "dynamics"),
     (lambda: of_maps([MOVE, SHOWN.with_weight(1), map_of((x, y))]), ValueError, "dynamics"),
     (lambda: of_maps([MOVE] * 2), ValueError, "sensors"),
     (lambda: of_maps(switching=[[0.5, 0.5]]), ValueError, "switching"),

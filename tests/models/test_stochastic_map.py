@@ -115,8 +115,6 @@ def test_array_functions_are_given_parameters_after_their_own_arguments():
         log_density=lambda t, y, x, a: -0.5 * ((y - x)[0] / a) ** 2 - np.log(a),
         weight=lambda t, x, v, a: np.exp(-a * x[0] ** 2),
     )
-    assert every.with_weight(1).parameters == (rate,)
-    assert not every.with_weight(1).weighted
     at = np.array([[0.5]])
     assert every.conditional_moments(0.0, at, (2.0,))[1].item() == 4.0
     assert every.log_density(0.0, at + 1, at, (2.0,)) == pytest.approx(-0.125 - np.log(2))

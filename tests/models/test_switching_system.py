@@ -15,7 +15,6 @@ from seedslib.filters import GridBayesFilter, ParticleFilter
 from seedslib.linearization import GaussHermite, Taylor, Unscented
 from seedslib.models import (
     Noise,
-    StochasticMap,
     SwitchingSystem,
 )
 from systems import (
@@ -228,33 +227,6 @@ def test_density_of_a_measurement_with_its_indicator():
     drawn = sensor.sample(1.5, many, np.random.default_rng(4), p)
     assert np.abs(drawn[0].mean(axis=0) - middle).max() < 0.07
     assert np.abs((drawn[1] == 0).mean(axis=0) - chance).max() < 0.035
-
-
-@pytest.mark.parametrize("drives", ["old", "new"])
-def test_maps_of_array_functions_make_the_system_of_the_formulas(drives):
-
-    def move(i):
-        def value(t, x, v):
-            return SLOPE[i] * x + i + PUSH[i] * v
-
-        return StochasticMap.from_functions(1, 1, value, Noise((V,)))
-
-    def chance(i, l):
-        return lambda t, x, v: stays(i, x[0]) if i == l else 1 - stays(i, x[0])
-
-    switching = [[chance(i, l) for l in (0, 1)] for i in (0, 1)]
-    sensors = [StochasticMap((X,), [X + W / s], Noise((W,))) for s in (1, 2)]
-    initial = [(0.5, [0], [[1]]), (0.5, [1], [[2]])]
-    model = SwitchingSystem.from_maps(
-        [move(0), move(1)], switching, sensors, initial, drives=drives
-    )
-    one, two = (each.simulate(range(5), 30, 1) for each in (model, system(drives)))
-    np.testing.assert_allclose(one.states, two.states, rtol=1e-13)
-    np.testing.assert_array_equal(one.modes, two.modes)
-    filters = (SwitchingFilter(each, GaussHermite(5)) for each in (model, system(drives)))
-    runs = [filter.run(range(5), two.measurements).mean for filter in filters]
-    if drives == "new":  # the switch is a step of its own, without the noise
-        np.testing.assert_allclose(*runs, rtol=1e-9)
 
 
 def test_a_switch_that_never_happens_has_no_branch_however_zero_is_written():

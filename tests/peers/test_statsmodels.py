@@ -11,10 +11,10 @@ from statsmodels.api import tsa
 from statsmodels.tsa.statespace.kalman_smoother import KalmanSmoother
 
 from peers.models import linear, system
-from seedslib.base import Parameter
+from seedslib.base import Input, Parameter
 from seedslib.evaluation import fit
-from seedslib.filters import KalmanFilter, smooth
-from seedslib.models import LinearSystem
+from seedslib.filters import KalmanFilter, forecast_measurements, smooth
+from seedslib.models import LinearSystem, level, regression, season, trend
 
 CLIMBED = "a maximum is found by steps, and curvatures by differences"
 
@@ -106,44 +106,69 @@ SEASON = np.block(
 
 
 @pytest.mark.parametrize(
-    ("season", "F", "H", "values"),
+    ("season_of", "values"),
     [
-        (None, TREND, [1, 0], (2.0, 0.7, 0.1)),
-        (None, TREND, [1, 0], (0.0, 0.7, 0.1)),
-        (4, SEASON, [1, 0, 1, 0, 0], (2.0, 0.7, 0.1, 0.4)),
-        (4, SEASON, [1, 0, 1, 0, 0], (1e-3, 0.7, 0.1, 0.4)),
-        (4, SEASON, [1, 0, 1, 0, 0], (0.0, 0.7, 0.1, 0.4)),
+        (None, (2.0, 0.7, 0.1)),
+        (None, (0.0, 0.7, 0.1)),
+        (4, (2.0, 0.7, 0.1, 0.4)),
+        (4, (1e-3, 0.7, 0.1, 0.4)),
+        (4, (0.0, 0.7, 0.1, 0.4)),
     ],
 )
-def test_exact_diffuse_start_with_gaps(season, F, H, values, held):
+def test_exact_diffuse_start_with_gaps(season_of, values, held):
     """Two gaps fall in the part where the state is not known yet; the sensor may be exact."""
-    y, n = walk(60), len(F)
+    y, times = walk(60), np.arange(40.0)
     y[[1, 3, 17, 18, 30]] = np.nan
-    r, *q = values
-    made = LinearSystem(
-        F,
-        np.diag([*q, *[0.0] * (n - len(q))]),
-        [H],
-        r,
-        np.zeros(n),
-        np.zeros((n, n)),
-        diffuse=tuple(range(n)),
-    )
-    filter, times = KalmanFilter(made), np.arange(40.0)
+    r, q, s, *w = values
+    made = trend(q, s, noise=r)
+    if season_of:
+        made = made + season(season_of, *w)
+    filter, n = KalmanFilter(made), made.state_size
     model = tsa.UnobservedComponents(
-        y, "local linear trend", seasonal=season, use_exact_diffuse=True
+        y, "local linear trend", seasonal=season_of, use_exact_diffuse=True
     )
-    theirs = model.smooth(values).filter_results
-    found = filter.run(times, y[:, None])
+    results = model.smooth(values)
+    theirs, found = results.filter_results, filter.run(times, y[:, None])
+    ahead = forecast_measurements(filter, np.arange(46.0), np.append(y, [np.nan] * 6)[:, None])
+    low, high = results.get_forecast(6).conf_int(alpha=0.2).T
+    pairs = zip(ahead.interval(0.8)[:, 40:, 0], (low, high), strict=True)
+    held("statsmodels", "UnobservedComponents, intervals of forecasts", *pairs)
     known = int(np.isfinite(found.cov).all(axis=(1, 2)).argmax())
     assert known == theirs.nobs_diffuse - 1 >= n
-    what = f"UnobservedComponents, trend{' and season' if season else ''}, exact diffuse, gaps"
+    what = f"UnobservedComponents, trend{' and season' if season_of else ''}, exact diffuse, gaps"
     held("statsmodels", f"{what}: filter", *filtered_pairs(found, theirs, known))
     held(
         "statsmodels",
         f"{what}: smoother",
         *smoothed_pairs(smooth(filter, times, y[:, None]), theirs),
     )
+
+
+def test_structural_parts_add_up(held):
+    """Level, season and two regressions, whose coefficients are diffuse too; noises add up."""
+    y, times = walk(62), np.arange(40.0)
+    y[[1, 12, 13]] = np.nan
+    known = np.stack([np.sin(1.3 * times), np.cos(0.7 * times)], axis=1)
+    u, v, q, w = Input("u"), Input("v"), Parameter("q", 1.0), Parameter("w", 1.0)
+    parts = season(4, w, noise=0.2).bind(w=0.4) + regression(u, 2 * v)
+    made = level(q, noise=0.3) + parts
+    assert made.components == ("level", "season4", "season4_1", "season4_2", "on u", "on 2*v")
+    model = tsa.UnobservedComponents(
+        y,
+        "local level",
+        seasonal=4,
+        exog=known * [1, 2],
+        mle_regression=False,
+        use_exact_diffuse=True,
+    )
+    theirs, filter = model.smooth([0.5, 0.7, 0.4]).filter_results, KalmanFilter(made.bind(q=0.7))
+    inputs = {u: known[:, 0], v: known[:, 1]}
+    found = filter.run(times, y[:, None], inputs=inputs)
+    late = smooth(filter, times, y[:, None], inputs=inputs)
+    what = "UnobservedComponents, level, season and regression, exact diffuse, gap"
+    known_at = int(np.isfinite(found.cov).all(axis=(1, 2)).argmax())
+    held("statsmodels", f"{what}: filter", *filtered_pairs(found, theirs, known_at))
+    held("statsmodels", f"{what}: smoother", *smoothed_pairs(late, theirs))
 
 
 def arma(steps=150):
