@@ -16,8 +16,6 @@ globalThis.live ??= (() => {
     square: (a, b, r) => `M${(a - r).toFixed(1)} ${(b - r).toFixed(1)}h${2 * r}v${2 * r}h${-2 * r}z`,
     wedge: (a, b, r) => `M${a.toFixed(1)} ${(b - 1.2 * r).toFixed(1)}l${1.15 * r} ${2 * r}h${-2.3 * r}z`,
   };
-  const choose = (kind, options, now) => options.map(([key, words]) =>
-    `<button type="button" data-${kind}="${key}" aria-pressed="${key === now}">${words}</button>`).join("");
 
   // --- numbers ------------------------------------------------------------------------------------
   function floats(code) { // numbers of four bytes, as text of base 64
@@ -156,7 +154,7 @@ globalThis.live ??= (() => {
     }).observe(stage);
     figure.picture = picture;
   }
-  return { pictures, num, clamp, path, line, text, marks, choose, floats, filter, erf, bisect, still, attach };
+  return { pictures, num, clamp, path, line, text, marks, floats, filter, erf, bisect, still, attach };
 })();
 if (typeof module === "object") {
   module.exports = globalThis.live;

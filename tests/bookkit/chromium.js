@@ -1,5 +1,6 @@
 // Headless Chromium through a pipe: node chromium.js PROGRAM, JSON {url, width, height, steps} from stdin.
-// Each step is an expression that the page evaluates or {drag: [[x, y], ...]}; prints the values.
+// Each step is an expression that the page evaluates, or {from, by}: a drag from the place that the
+// expression `from` gives, twenty times by [x, y]. Prints the values of the expressions.
 const { spawn } = require("child_process"), fs = require("fs"), os = require("os"), path = require("path");
 const { url, width, height, steps } = JSON.parse(fs.readFileSync(0, "utf8"));
 const home = fs.mkdtempSync(path.join(os.tmpdir(), "chromium-"));
@@ -29,17 +30,19 @@ const send = (method, params = {}, sessionId) => new Promise((done) => {
   await call("Page.navigate", { url });
   await loaded;
   await new Promise((done) => setTimeout(done, 300));
+  const evaluate = async (expression) => {
+    const { result, exceptionDetails } = await call("Runtime.evaluate", { expression, returnByValue: true });
+    return exceptionDetails ? exceptionDetails.exception.description : result.value;
+  };
   const found = [];
   for (const step of steps) {
-    if (step.drag) {
-      const mouse = (type, [x, y]) => call("Input.dispatchMouseEvent", { type, x, y, button: "left", buttons: 1, clickCount: 1 });
-      await mouse("mousePressed", step.drag[0]);
-      for (const at of step.drag) await mouse("mouseMoved", at);
-      await mouse("mouseReleased", step.drag.at(-1));
-    } else {
-      const { result, exceptionDetails } = await call("Runtime.evaluate", { expression: step, returnByValue: true, awaitPromise: true });
-      found.push(exceptionDetails ? exceptionDetails.exception.description : result.value);
-    }
+    const at = await evaluate(step.from ?? step);
+    if (!step.from) { found.push(at); continue; }
+    const mouse = (type, k) => call("Input.dispatchMouseEvent",
+      { type, x: at[0] + k * step.by[0], y: at[1] + k * step.by[1], button: "left", buttons: 1, clickCount: 1 });
+    await mouse("mousePressed", 0);
+    for (let k = 1; k <= 20; k++) await mouse("mouseMoved", k);
+    await mouse("mouseReleased", 20);
   }
   console.log(JSON.stringify(found));
   const gone = new Promise((done) => browser.on("exit", done));

@@ -3,6 +3,7 @@ var watch = (id, handle) => {
   const figure = document.getElementById(id), seen = { attributes: true, attributeFilter: ["data-took"] };
   figure.scrollIntoView();
   figure.tooks = [];
+  figure.start = +figure.querySelectorAll(".handle")[handle].getAttribute("aria-valuenow");
   new MutationObserver(() => figure.tooks.push(+figure.dataset.took)).observe(figure, seen);
   const box = figure.querySelectorAll(".handle .hit")[handle].getBoundingClientRect();
   return [box.x + box.width / 2, box.y + box.height / 2];
@@ -13,6 +14,6 @@ var read = (id, handle) => {
   const before = now(), key = id === "live-memory" && !before ? "ArrowDown" : "ArrowUp";
   g.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, cancelable: true }));
   const sizes = [...figure.querySelectorAll("svg text")].map((e) => parseFloat(getComputedStyle(e).fontSize));
-  return { tooks: figure.tooks, before, after: now(), words: g.getAttribute("aria-valuetext"), least: Math.min(...sizes),
+  return { tooks: figure.tooks, start: figure.start, before, after: now(), words: g.getAttribute("aria-valuetext"), least: Math.min(...sizes),
     wide: document.documentElement.scrollWidth, ids: all.length, different: new Set(all.map((e) => e.id)).size };
 };
