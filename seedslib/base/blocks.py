@@ -10,12 +10,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
+from typing import TypeVar
 
 import numpy as np
 from numpy.random import Generator
 
 from seedslib.base.checks import as_count, is_whole
+
+Result = TypeVar("Result")
 
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
@@ -60,8 +62,8 @@ def seed_record(root: np.random.SeedSequence) -> tuple[object, tuple[int, ...]]:
 
 
 def in_blocks(
-    work: Callable[..., Any], total: int, seed: object, *, workers: int = 1, block: int = BLOCK
-) -> list[Any]:
+    work: Callable[..., Result], total: int, seed: object, *, workers: int = 1, block: int = BLOCK
+) -> list[Result]:
     """Call ``work(start, stop, stream)`` for every block of paths, on a pool of threads.
 
     Parameters
@@ -116,7 +118,7 @@ Source = Generator | Bundle
 """Where random numbers of paths come from."""
 
 
-def parts(rng: Source, count: int) -> list[Any]:
+def parts(rng: Source, count: int) -> list[tuple[Generator, slice]]:
     """Generators with the paths that each of them is to draw for next, as (generator, slice).
 
     Parameters
@@ -132,7 +134,7 @@ def parts(rng: Source, count: int) -> list[Any]:
     return [(rng, slice(a, min(a + BLOCK, count))) for a in range(0, count, BLOCK)]
 
 
-def drawn(rng: Source, count: int, draw: Callable[..., Any]) -> np.ndarray:
+def drawn(rng: Source, count: int, draw: Callable[[Generator, int], np.ndarray]) -> np.ndarray:
     """Result of ``draw(generator, count)``, shape (..., count), block by block.
 
     Parameters

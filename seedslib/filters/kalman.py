@@ -6,14 +6,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import Seed, align
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
 from seedslib.filters.program import Program
-from seedslib.linearization.moments import Matrices
+from seedslib.linearization.moments import Matrices, Moments
 from seedslib.models.linear import LinearSystem
 
 UNKNOWN = 1e-9
@@ -60,6 +60,9 @@ class DiffuseState(NamedTuple):
         return bool((root > UNKNOWN * np.sqrt(variances(self.information))).all())
 
 
+State = FilterState | DiffuseState
+
+
 class KalmanFilter(CovarianceFilter):
     """Kalman filter of a `LinearSystem`; diffuse components are treated exactly.
 
@@ -97,7 +100,7 @@ class KalmanFilter(CovarianceFilter):
         other._marginalizes = False
         return other
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> State:
         """State before any measurement; see `CovarianceFilter.initial`."""
         state, diffuse = super().initial(batch), self._diffuse
         if not diffuse:
@@ -110,13 +113,13 @@ class KalmanFilter(CovarianceFilter):
         effect[diffuse, range(q)] = 1.0
         return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
 
-    def propagate(self, state: Any, t: float, p: Values) -> Any:
+    def propagate(self, state: State, t: float, p: Values) -> State:
         """See `CovarianceFilter.propagate`; given what is unknown."""
         if isinstance(state, DiffuseState):
             return self.propagate_jointly(state, t, p)[0]
         return super().propagate(state, t, p)
 
-    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
+    def propagate_jointly(self, state: State, t: float, p: Values) -> tuple[State, np.ndarray]:
         """See `CovarianceFilter.propagate_jointly`; both given what is unknown."""
         later, cross = super().propagate_jointly(state, t, p)
         if isinstance(state, DiffuseState):
@@ -125,7 +128,9 @@ class KalmanFilter(CovarianceFilter):
             later = later._replace(effect=effect)
         return later, cross
 
-    def update(self, state: Any, y: np.ndarray, p: Values, indicator: Any = None) -> Any:
+    def update(
+        self, state: State, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
+    ) -> State:
         """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
             return super().update(state, y, p)
@@ -171,11 +176,11 @@ class KalmanFilter(CovarianceFilter):
             )
         return super().program(**options)
 
-    def expected(self, state: Any, p: Values) -> Any:
+    def expected(self, state: State, p: Values) -> Moments:
         """Moments of the measurement that the filter expects, given what is unknown."""
         return super().expected(FilterState(*state[:5]), p)
 
-    def report(self, state: Any) -> Estimates:
+    def report(self, state: State) -> Estimates:
         """Mean and covariance; infinite variances of components that no measurement determines."""
         if isinstance(state, DiffuseState):
             mean, cov = marginalized(state.mean, state.cov, state.effect, state, self.scale)

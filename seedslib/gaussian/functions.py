@@ -155,13 +155,15 @@ def ratio(numerator: ArrayLike, denominator: ArrayLike) -> np.ndarray:
         return np.where(numerator == 0, 0.0, np.divide(numerator, denominator))
 
 
-def abs_moments(mean: ArrayLike, var: ArrayLike) -> FunctionMoments:
-    """Mean and variance of ``|x|`` for x ~ N(mean, var).
+def abs_moments(mean: ArrayLike, var: ArrayLike, origin: float = 0.0) -> FunctionMoments:
+    """Mean and variance of ``|x - origin|`` for x ~ N(mean, var).
 
     Parameters
     ----------
     mean, var : array_like
         Any shapes that broadcast; the variance may be zero.
+    origin : float
+        Where the modulus vanishes.
 
     Returns
     -------
@@ -173,7 +175,7 @@ def abs_moments(mean: ArrayLike, var: ArrayLike) -> FunctionMoments:
     TypeError, ValueError
         Not real, not finite, or a negative variance.
     """
-    distance = np.abs(as_real("mean", mean))
+    distance = np.abs(as_real("mean", mean) - as_real("origin", origin))
     var = variance_argument("var", var)
     root = np.sqrt(var)
     scaled = ratio(distance, root)

@@ -5,17 +5,19 @@ What the exact recursions ask of a model, as a `GridChain` that `grid_chain` mak
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.clock import lengths_alike, step_count, when
 from seedslib.base.linalg import cholesky, variances
 from seedslib.base.tables import (
     Axis,
     AxisLike,
+    Grid,
     Nodes,
     as_axes,
     as_grids,
@@ -25,8 +27,12 @@ from seedslib.base.tables import (
 from seedslib.base.values import Values
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
+from seedslib.models.kinds import AnySystem
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import CLOSE, Branch, SwitchingSystem
+
+if TYPE_CHECKING:
+    import sympy
 
 STORED = 64, 1
 """Transitions that are stored, of times or of values of inputs; of large ones the last."""
@@ -76,9 +82,9 @@ class GridChain:
 
     def __init__(
         self,
-        system: Any,
+        system: AnySystem,
         axes: Sequence[Axis | Nodes],
-        initial: Any,
+        initial: MaybeArray,
         matrix: Callable[[float, float, Values], tuple[np.ndarray, np.ndarray]] | None = None,
         *,
         missed: float = 0.0,
@@ -87,7 +93,7 @@ class GridChain:
         switching = isinstance(system, SwitchingSystem)
         self.system: Any = system
         self.axes: tuple[Axis | Nodes, ...] = tuple(axes)
-        self.initial: Any = initial
+        self.initial: MaybeArray = initial
         self.missed: float = missed
         self.steady, self.loses = steady, isinstance(system, DiscreteSystem)
         self.nodes: np.ndarray = mesh(self.axes)
@@ -95,7 +101,7 @@ class GridChain:
         self.indicators: int = system.indicators
         self.values: np.ndarray = np.tile(self.nodes, self.modes)
         self._matrix = matrix
-        self._known: dict[Any, Any] = {}
+        self._known: dict[tuple[float, ...], tuple] = {}
         self._sensors: Any = system.sensors if switching else (system.sensor,)
         self._readings: Any = system.readings if switching else ((system.sensor,),)
         require_densities("sensor", self._readings)
@@ -212,7 +218,7 @@ class GridChain:
         return float(max(mass[0], mass[-1]))
 
 
-def grid_chain(system: Any, axes: Any) -> GridChain:
+def grid_chain(system: AnySystem, axes: Grid) -> GridChain:
     """A system of one or two state components as a chain on a grid.
 
     Of a `DiscreteSystem` means over the state are quadrature on the nodes, p'(x') = sum of
@@ -425,12 +431,12 @@ def _normal(axes: Sequence[Axis], mean: np.ndarray, cov: np.ndarray) -> tuple[np
     return mass / mass.sum(), abs(1.0 - float(_weights(axes) @ mass) / whole)
 
 
-def _without(time: Any, expressions: Any) -> bool:
+def _without(time: sympy.Symbol, expressions: Iterable[sympy.Expr] | None) -> bool:
     """Whether there are formulas, which do not mention the time."""
     return expressions is not None and not any(e.has(time) for e in expressions)
 
 
-def require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
+def require_densities(name: str, table: Sequence[Sequence[StochasticMap | Branch | None]]) -> None:
     """Refuse maps without a density."""
     if not all(map is None or map.has_log_density for row in table for map in row):
         raise ValueError(
@@ -439,7 +445,7 @@ def require_densities(name: str, table: Sequence[Sequence[Any]]) -> None:
         )
 
 
-def require_gaussian(system: Any) -> None:
+def require_gaussian(system: JumpDiffusion | DiscreteSystem) -> None:
     """Refuse an initial distribution without a density."""
     if not system.prior.gaussian:
         raise ValueError(
@@ -602,7 +608,7 @@ def mean_and_deviation(
     return np.broadcast_to(mean, shape), np.sqrt(square)
 
 
-def require_few(system: Any, most: int = 2) -> None:
+def require_few(system: AnySystem, most: int = 2) -> None:
     """Refuse a system of more state components than a grid can have."""
     if system.state_size > most:
         raise ValueError(

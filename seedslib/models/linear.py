@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -12,6 +12,7 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from seedslib.base.arrays import align
+from seedslib.base.blocks import Source
 from seedslib.base.checks import (
     as_covariance,
     as_positive,
@@ -26,6 +27,9 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.maps import Conditional, Functions, Noise, StochasticMap, tidy
+
+if TYPE_CHECKING:
+    from seedslib.base.symbols import Parameter
 
 RTOL = 1e-11
 ATOL = 1e-14
@@ -340,7 +344,7 @@ class LinearSystem(DiscreteSystem):
         super().__init__(LinearMap(F, Q, b, (n, n)), LinearMap(H, R, d, (m, n)), mean0, cov0)
         vars(self)["diffuse"] = diffuse
 
-    def initial_sample(self, rng: Any, count: int) -> np.ndarray:
+    def initial_sample(self, rng: Source, count: int) -> np.ndarray:
         """Draws of the first state, shape (n, count).
 
         Raises
@@ -440,7 +444,7 @@ class Entries:
 
         self.time: Any = sympy.Symbol("t")
         self.expressions: np.ndarray = known_expressions(name, entries, shape, {}, {self.time})
-        self.mentions: tuple[Any, ...] = parameters_of(self.expressions.flat)
+        self.mentions: tuple[Parameter, ...] = parameters_of(self.expressions.flat)
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The matrix as a function (t, p)."""
@@ -453,7 +457,7 @@ class Entries:
 class OfTime:
     """A matrix that is a function of the time alone."""
 
-    mentions: tuple[Any, ...] = ()
+    mentions: tuple[Parameter, ...] = ()
 
     def __init__(self, function: Callable[[float], Any]) -> None:
         self.function = function
