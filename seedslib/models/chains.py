@@ -366,8 +366,12 @@ def _leaving(
                 )
             masses = cell_masses(axes[0], mean, deviation)
             parts = [masses * (0.0 if b is None else b.probability(t, x, p)) for b in row]
-            # cells keep all of the probability, and widen it by a twelfth of a square of the step
-            return np.stack(parts), ((mean < axes[0].low) | (mean > axes[0].high)).astype(float)
+            outside = (mean < axes[0].low) | (mean > axes[0].high)
+            # the error of the trapezoid rule for the density, from which on a rounding to cells
+            # shows; a point of no deviation keeps its mean
+            coarse = 2.0 * np.exp(-2.0 * (np.pi * deviation / axes[0].step) ** 2)
+            coarse = np.where(deviation > 0, np.minimum(coarse, 1.0), 0.0)
+            return np.stack(parts), np.maximum(outside, coarse)
     logs = np.full((len(row), *(x.shape[1],) * 2), -np.inf)
     for log, branch in zip(logs, row, strict=True):
         if branch is not None:
