@@ -10,13 +10,15 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.random import Generator
 
 from seedslib.base.checks import as_count, is_whole
 from seedslib.base.progress import followed
+
+Result = TypeVar("Result")
 
 BLOCK = 8192
 """Paths in a block: their arrays stay in the processor's cache."""
@@ -130,7 +132,7 @@ Source = Generator | Bundle
 """Where random numbers of paths come from."""
 
 
-def parts(rng: Source, count: int) -> list[Any]:
+def parts(rng: Source, count: int) -> list[tuple[Generator, slice]]:
     """Generators with the paths that each of them is to draw for next, as (generator, slice).
 
     Parameters
@@ -146,7 +148,7 @@ def parts(rng: Source, count: int) -> list[Any]:
     return [(rng, slice(a, min(a + BLOCK, count))) for a in range(0, count, BLOCK)]
 
 
-def drawn(rng: Source, count: int, draw: Callable[..., Any]) -> np.ndarray:
+def drawn(rng: Source, count: int, draw: Callable[[Generator, int], np.ndarray]) -> np.ndarray:
     """Result of ``draw(generator, count)``, shape (..., count), block by block.
 
     Parameters

@@ -77,7 +77,7 @@ class Input(Parameter):
         """One input for each name and set of assumptions."""
         return super().__new__(cls, name, 0.37, **assumptions)
 
-    def __getnewargs_ex__(self) -> Any:
+    def __getnewargs_ex__(self) -> tuple[tuple[str, ...], dict[str, bool]]:
         return (self.name,), super().__getnewargs_ex__()[1]
 
 
@@ -91,7 +91,7 @@ class Elapsed(Input):
         """The one there is, written ``dt``; where a model is only looked at it is 1/1000."""
         return Parameter.__new__(cls, "dt", 1e-3, positive=True)
 
-    def __getnewargs_ex__(self) -> Any:
+    def __getnewargs_ex__(self) -> tuple[tuple[str, ...], dict[str, bool]]:
         return (), {}
 
 
@@ -99,7 +99,7 @@ ELAPSED: Elapsed = Elapsed()
 """Time that passes in a step of a map in discrete time; a sensor has none."""
 
 
-def parameters_of(expressions: Iterable[Any]) -> tuple[Parameter, ...]:
+def parameters_of(expressions: Iterable[sympy.Expr]) -> tuple[Parameter, ...]:
     """The parameters that expressions mention, in the order in which functions take them."""
     symbols = set().union(*(e.free_symbols for e in expressions))
     return in_order(s for s in symbols if isinstance(s, Parameter))
@@ -160,7 +160,7 @@ def as_symbols(name: str, value: object) -> tuple[sympy.Symbol, ...]:
     return symbols
 
 
-def require_distinct(**groups: Sequence[Any] | None) -> None:
+def require_distinct(**groups: Sequence[sympy.Symbol] | None) -> None:
     """Refuse a symbol that would have two meanings in one model.
 
     Parameters
@@ -185,7 +185,7 @@ def require_distinct(**groups: Sequence[Any] | None) -> None:
 
 
 def require_known(
-    name: str, expressions: Iterable[Any], known: Iterable[Any], advice: str = ""
+    name: str, expressions: Iterable[sympy.Expr], known: Iterable[sympy.Symbol], advice: str = ""
 ) -> None:
     """Refuse symbols that a model does not have.
 
@@ -229,7 +229,7 @@ def require_number(name: str, expression: sympy.Expr) -> None:
 
 
 def named_model(
-    state: Any, time: Any, parameters: Mapping[Any, Any] | None, **noises: Sequence[Any]
+    state: Any, time: Any, parameters: Mapping[Any, Any] | None, **noises: Sequence[sympy.Symbol]
 ) -> tuple[Any, ...]:
     """State symbols, symbol of the time (``t`` where None) and values of the parameters.
 

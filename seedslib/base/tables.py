@@ -254,7 +254,7 @@ Grid = NodesLike | Sequence[NodesLike]
 """Nodes of a component, or what makes evenly spaced ones; and those of several components."""
 
 
-def as_axes(name: str, given: Any, size: int) -> tuple[Axis, ...]:
+def as_axes(name: str, given: Grid, size: int) -> tuple[Axis, ...]:
     """Tuple of axes from one or several of them, each an Axis or (low, high, count).
 
     Raises
@@ -269,7 +269,7 @@ def as_axes(name: str, given: Any, size: int) -> tuple[Axis, ...]:
     return axes
 
 
-def as_grids(name: str, given: Any, size: int) -> tuple[Any, ...]:
+def as_grids(name: str, given: Grid, size: int) -> tuple[Any, ...]:
     """As `as_axes`, where nodes need not be evenly spaced."""
     if isinstance(given, Axis | Nodes) or np.ndim(given) == 0 or all(map(np.isscalar, given)):
         given = [given]

@@ -77,9 +77,11 @@ class Parametrized:
     """
 
     parameters: tuple[Parameter, ...] = ()
-    numbers: Mapping[Parameter, Any] = {}
+    numbers: Mapping[Parameter, ArrayLike] = {}
 
-    def bind(self, values: Mapping[Parameter, ArrayLike] | None = None, /, **named: Any) -> Self:
+    def bind(
+        self, values: Mapping[Parameter, ArrayLike] | None = None, /, **named: ArrayLike
+    ) -> Self:
         """The same model with other numbers; nothing is compiled again.
 
         Parameters
@@ -113,7 +115,7 @@ class Parametrized:
         numbers = {p: as_real(str(p), v, nan=True, infinite=True)[()] for p, v in given.items()}
         return changed(self, numbers={**self.numbers, **numbers})
 
-    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = math.nan) -> Values:
+    def values(self, inputs: Inputs | None = None, dt: float = math.nan) -> Values:
         """What p is in a step of length `dt`, with some inputs; a sensor has no such length.
 
         Raises
@@ -144,7 +146,7 @@ def _own_value(p: Parameter, dt: float) -> float:
     return dt if p.role == "elapsed" else p.value
 
 
-def of_paths(p: Values, batch: tuple[int, ...], chosen: Any = slice(None)) -> Values:
+def of_paths(p: Values, batch: tuple[int, ...], chosen: slice | np.ndarray = slice(None)) -> Values:
     """Numbers of some paths of a batch laid in one row, where paths have their own.
 
     Parameters
@@ -176,10 +178,10 @@ class InputTrajectory:
         Parameters that were bound to a number of each path, and so are cut with the batch.
     """
 
-    values: Mapping[Any, np.ndarray] = field(default_factory=dict)
-    constant: Mapping[Any, np.ndarray] = field(default_factory=dict)
+    values: Mapping[Input, np.ndarray] = field(default_factory=dict)
+    constant: Mapping[Parameter, np.ndarray] = field(default_factory=dict)
 
-    def at(self, k: int) -> dict[Any, Any]:
+    def at(self, k: int) -> dict[Parameter, Any]:
         """Values at one time, as `Parametrized.values` takes them."""
         rows = ((u, value[k]) for u, value in self.values.items())
         return {**self.constant, **{u: row if row.ndim else float(row) for u, row in rows}}
@@ -193,7 +195,7 @@ class InputTrajectory:
 
 
 def as_trajectory(
-    model: Any, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
+    model: Parametrized, inputs: Inputs | None, count: int, batch: tuple[int, ...] = ()
 ) -> InputTrajectory:
     """Inputs of a model on a grid of times, checked, and what is bound to a number of each path.
 
@@ -229,7 +231,7 @@ def input_values(
     bound: Iterable[Parameter],
     count: int,
     batch: tuple[int, ...] = (),
-) -> dict[Any, np.ndarray]:
+) -> dict[Input, np.ndarray]:
     """Values of the wanted inputs, (count,) or (count, *batch); those that are bound may lack.
 
     Raises

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import MaybeArray, Seed, align
 from seedslib.base.blocks import BLOCK, in_blocks
 from seedslib.base.checks import as_real, as_whole, optional
 from seedslib.base.clock import when
@@ -214,7 +214,10 @@ def as_modes(
 
 
 def as_indicators(
-    indicators: Any, system: AnySystem, shape: tuple[int, ...], name: str = "indicators"
+    indicators: ArrayLike | None,
+    system: AnySystem,
+    shape: tuple[int, ...],
+    name: str = "indicators",
 ) -> np.ndarray | None:
     """Indicators of a switching system, whole numbers in the shape; -1 is missing.
 
@@ -482,7 +485,7 @@ class Filter(Pickled):
         loglik, diverged = parts["loglik"], np.asarray(False)
         return Estimates(parts["mean"], cov, parts.get("prob"), loglik, diverged, modes)
 
-    def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> Any:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> Any:
         """State before any measurement, for batch axes such as (paths,).
 
         A filter that draws nothing does not look at the seed; one that does takes None for 0.
@@ -761,7 +764,7 @@ class Filter(Pickled):
     ) -> Estimates:
         """Estimates by ``work(record, stream)`` in each block of records, on threads."""
 
-        def block(start: int, stop: int, stream: Any) -> Estimates:
+        def block(start: int, stop: int, stream: np.random.SeedSequence) -> Estimates:
             return work(record.of(slice(start, stop)), stream)
 
         paths = record.y[0, 0].size

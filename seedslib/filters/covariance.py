@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import Seed, align
 from seedslib.base.blocks import BLOCK
 from seedslib.base.checks import as_count, as_positive
 from seedslib.base.clock import MOST_STEPS, SAME, step_count
@@ -188,7 +188,7 @@ class CovarianceFilter(Filter):
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.system!r}, {self.linearization})"
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> FilterState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> FilterState:
         """State before any measurement: the moments of the initial distribution.
 
         Parameters
@@ -248,7 +248,7 @@ class CovarianceFilter(Filter):
         return state._replace(mean=mean, cov=cov), cross
 
     @cached_property
-    def _flow(self) -> Any:
+    def _flow(self) -> Callable[..., Moments]:
         return self.linearization.flow(self.system)
 
     def _integrate(self, rate: Callable[..., Any], parts: list, start: float, stop: float) -> list:
@@ -354,7 +354,7 @@ class CovarianceFilter(Filter):
         return self
 
     def update(
-        self, state: FilterState, y: np.ndarray, p: Values, indicator: Any = None
+        self, state: FilterState, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
     ) -> FilterState:
         """See `Filter.update`."""
         with np.errstate(over="ignore", invalid="ignore", divide="ignore"):

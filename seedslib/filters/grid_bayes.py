@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import Seed, align
 from seedslib.base.checks import outside
 from seedslib.base.clock import lengths_alike
 from seedslib.base.tables import Axis, Grid, Nodes, as_grids
@@ -107,7 +107,7 @@ class GridBayesFilter(Filter):
         x = self.chain.values[: len(self.axes), : self._count]
         self._ends: np.ndarray = ((x == x.min(1)[:, None]) | (x == x.max(1)[:, None])).any(axis=0)
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> GridState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> GridState:
         """State before any measurement; see `Filter`."""
         shape = (self._modes, self._count)
         node_prob = align(self.chain.initial.reshape(shape), 2, len(batch))

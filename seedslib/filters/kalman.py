@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import Seed, align
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
 from seedslib.base.objects import changed
@@ -61,6 +61,9 @@ class DiffuseState(NamedTuple):
         return bool((root > UNKNOWN * np.sqrt(variances(self.information))).all())
 
 
+State = FilterState | DiffuseState
+
+
 class KalmanFilter(CovarianceFilter):
     """Kalman filter of a `LinearSystem`; diffuse components are treated exactly.
 
@@ -97,7 +100,7 @@ class KalmanFilter(CovarianceFilter):
         _ = self._single  # recorded once for both
         return changed(self, _marginalizes=False)
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> State:
         """State before any measurement; see `CovarianceFilter.initial`."""
         state, diffuse = super().initial(batch), self._diffuse
         if not diffuse:
@@ -110,13 +113,13 @@ class KalmanFilter(CovarianceFilter):
         effect[diffuse, range(q)] = 1.0
         return DiffuseState(*state, effect, np.zeros((q, *batch)), np.zeros((q, q, *batch)))
 
-    def propagate(self, state: Any, t: float, p: Values) -> Any:
+    def propagate(self, state: State, t: float, p: Values) -> State:
         """See `CovarianceFilter.propagate`; given what is unknown."""
         if isinstance(state, DiffuseState):
             return self.propagate_jointly(state, t, p)[0]
         return super().propagate(state, t, p)
 
-    def propagate_jointly(self, state: Any, t: float, p: Values) -> tuple[Any, np.ndarray]:
+    def propagate_jointly(self, state: State, t: float, p: Values) -> tuple[State, np.ndarray]:
         """See `CovarianceFilter.propagate_jointly`; both given what is unknown."""
         later, cross = super().propagate_jointly(state, t, p)
         if isinstance(state, DiffuseState):
@@ -125,7 +128,9 @@ class KalmanFilter(CovarianceFilter):
             later = later._replace(effect=effect)
         return later, cross
 
-    def update(self, state: Any, y: np.ndarray, p: Values, indicator: Any = None) -> Any:
+    def update(
+        self, state: State, y: np.ndarray, p: Values, indicator: np.ndarray | None = None
+    ) -> State:
         """See `Filter.update`."""
         if not isinstance(state, DiffuseState):
             return super().update(state, y, p)

@@ -18,8 +18,9 @@ from seedslib.filters.program import Program, any_of
 from seedslib.linearization.moments import Linearization
 from seedslib.linearization.points import PointRule
 from seedslib.models.codegen import compile_components
+from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.linear import LinearMap
-from seedslib.models.maps import StochasticMap
+from seedslib.models.maps import Noise, StochasticMap
 from seedslib.tape.tape import Number, Scalar, Tape, choose, isnan, stacked
 
 MOST_UNROLLED = 300
@@ -116,7 +117,7 @@ def without_rounding(tape: Tape, cov: np.ndarray, before: np.ndarray) -> np.ndar
     return choose(singular, root @ root.T, cov)
 
 
-def _at_points(map: StochasticMap) -> tuple[Sequence[Any], np.ndarray, Any]:
+def _at_points(map: StochasticMap) -> tuple[Sequence[sympy.Expr], np.ndarray, Noise | None]:
     """What is evaluated at a point: mean and covariance of y there, and the noise points cover."""
     try:
         mean, cov, _ = map.conditional_expressions
@@ -215,7 +216,7 @@ def _alike(row: Sequence[Number]) -> bool:
 
 
 def moment_rates(
-    tape: Tape, rule: PointRule, system: Any, p: Values
+    tape: Tape, rule: PointRule, system: JumpDiffusion, p: Values
 ) -> Callable[[Scalar, Sequence[Any]], Sequence[Any]]:
     """Rates of mean and covariance by points, ``f(t, components) -> components``."""
     n = system.state_size
@@ -234,7 +235,7 @@ def correct(
     step: Program,
     mean: np.ndarray,
     cov: np.ndarray,
-    moments: Any,
+    moments: tuple[np.ndarray, np.ndarray, np.ndarray],
     sensor: StochasticMap,
     rows: int | None = None,
 ) -> tuple[np.ndarray, np.ndarray, Number, np.ndarray]:

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import align
+from seedslib.base.arrays import Seed, align
 from seedslib.base.values import Values, of_paths
 from seedslib.filters.base import Estimates, Filter, as_modes
 from seedslib.filters.covariance import SensorUpdate
@@ -56,7 +56,7 @@ class KnownModeFilter(Filter):
 
     takes: ClassVar[tuple[str, ...]] = ("indicators", "modes")
 
-    def __init__(self, system: AnySystem, linearization: Any = None) -> None:
+    def __init__(self, system: AnySystem, linearization: Linearization | None = None) -> None:
         as_system("system", system, "SwitchingSystem")
         if linearization is None:
             from seedslib.linearization.taylor_and_exact import Taylor
@@ -101,7 +101,7 @@ class KnownModeFilter(Filter):
         return lambda t, mean, cov, p: weighted(t, mean, cov, p).value
 
     def initial(
-        self, batch: tuple[int, ...] = (), seed: Any = None, *, mode: ArrayLike = 0
+        self, batch: tuple[int, ...] = (), seed: Seed | None = None, *, mode: ArrayLike = 0
     ) -> KnownModeState:
         """State before any measurement, for known modes of shape (*batch) or one for all.
 

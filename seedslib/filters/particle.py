@@ -7,12 +7,12 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import Count, MaybeArray
+from seedslib.base.arrays import Count, MaybeArray, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, child
 from seedslib.base.checks import as_count, outside
 from seedslib.base.circle import Periods, nearest, wrapped
 from seedslib.base.clock import when
-from seedslib.base.values import Values
+from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, clean
 from seedslib.filters.weights import relative
 from seedslib.models.kinds import AnySystem, as_system, switches
@@ -85,7 +85,7 @@ class ParticleFilter(Filter):
                 "got one whose likelihood has no closed form"
             )
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> ParticleState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> ParticleState:
         """Particles of the initial distribution for data sets of the given batch shape."""
         seed = as_seed_sequence(0 if seed is None else seed)
         count = self.particles * int(np.prod(batch, dtype=int))
@@ -136,7 +136,9 @@ class ParticleFilter(Filter):
         estimate = {"mean": mean, "cov": cov, "mode_prob": prob, "loglik": loglik}
         return state._replace(particles=x, draws=state.draws + 1, diverged=diverged, **estimate)
 
-    def forecast(self, state: ParticleState, t: float, *, inputs: Any = None) -> Estimates:
+    def forecast(
+        self, state: ParticleState, t: float, *, inputs: Inputs | None = None
+    ) -> Estimates:
         """Mean (n, *batch), covariance (and mode probabilities) of particles at a later time."""
         x = self.predict(state, t, inputs=inputs).particles
         return Estimates(*self.estimate(x, np.full(x.shape[1:], 1.0 / self.particles)))
@@ -164,7 +166,7 @@ class ParticleFilter(Filter):
         return *_moments(x[:-1], weight), prob
 
 
-def stream(seed: Any, draw: Any) -> np.random.Generator:
+def stream(seed: np.random.SeedSequence, draw: int) -> np.random.Generator:
     """Generator of one draw, found from its number alone."""
     return np.random.default_rng(child(seed, draw))
 

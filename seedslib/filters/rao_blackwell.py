@@ -7,7 +7,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import Count, align
+from seedslib.base.arrays import Count, Seed, align
 from seedslib.base.blocks import BLOCK, as_seed_sequence
 from seedslib.base.checks import as_count
 from seedslib.base.values import Values, of_paths
@@ -88,7 +88,7 @@ class RaoBlackwellFilter(Filter):
 
         return [SensorUpdate(map, Taylor()) for map in self.system.sensors]
 
-    def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> RaoBlackwellState:
+    def initial(self, batch: tuple[int, ...] = (), seed: Seed | None = None) -> RaoBlackwellState:
         """State before any measurement: one history for each mode of the start."""
         seed = as_seed_sequence(0 if seed is None else seed)
         prob = logarithm(self.system.initial_probabilities)

@@ -20,6 +20,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import sympy as sp
+from sympy.printing.codeprinter import CodePrinter
 
 from seedslib.base.symbols import as_expression, as_symbols, require_known, require_number
 
@@ -29,10 +30,10 @@ class Coded(sp.Function):
 
     is_real = True
 
-    def _eval_rewrite_as_erf(self, *args: Any, **options: Any) -> Any:
+    def _eval_rewrite_as_erf(self, *args: sp.Expr, **options: object) -> sp.Expr:
         return self.plain(*args)
 
-    def _eval_evalf(self, prec: int) -> Any:
+    def _eval_evalf(self, prec: int) -> sp.Expr:
         return self.plain(*self.args)._eval_evalf(prec)
 
 
@@ -45,23 +46,23 @@ class NormalCDF(Coded):
     nargs = 1
 
     @classmethod
-    def eval(cls, z: Any) -> Any:
+    def eval(cls, z: sp.Expr) -> sp.Expr | None:
         """Value at zero; nothing else is evaluated by itself."""
         return sp.S.Half if z.is_zero else None
 
-    def fdiff(self, argindex: int = 1) -> Any:
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
         """Derivative: the normal density."""
         return sp.exp(-(self.args[0] ** 2) / 2) / sp.sqrt(2 * sp.pi)
 
     @staticmethod
-    def plain(z: Any) -> Any:
+    def plain(z: sp.Expr) -> sp.Expr:
         """In terms of the error function."""
         return (1 + sp.erf(z / sp.sqrt(2))) / 2
 
-    def _eval_evalf(self, prec: int) -> Any:
+    def _eval_evalf(self, prec: int) -> sp.Expr:
         return (sp.erfc(-self.args[0] / sp.sqrt(2)) / 2)._eval_evalf(prec)
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: CodePrinter) -> str:
         erfc = printer._module_format("scipy.special.erfc")
         argument = printer._print(sp.Float(-(0.5**0.5)) * self.args[0])
         return f"(0.5*{erfc}({argument}))"
@@ -76,16 +77,16 @@ class Divisor(Coded):
     nargs = 1
     is_positive = True
 
-    def fdiff(self, argindex: int = 1) -> Any:
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
         """Derivative: that of the variance."""
         return sp.S.One
 
     @staticmethod
-    def plain(variance: Any) -> Any:
+    def plain(variance: sp.Expr) -> sp.Expr:
         """The variance itself."""
         return variance
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: CodePrinter) -> str:
         return f"(abs({printer._print(self.args[0])}) + 1e-100)"
 
 
@@ -100,16 +101,16 @@ class Difference(Coded):
 
     nargs = 3
 
-    def fdiff(self, argindex: int = 1) -> Any:
+    def fdiff(self, argindex: int = 1) -> sp.Expr:
         """Derivatives of the difference."""
         return sp.S.One if argindex == 1 else sp.S.NegativeOne
 
     @staticmethod
-    def plain(first: Any, second: Any, rest: Any) -> Any:
+    def plain(first: sp.Expr, second: sp.Expr, rest: sp.Expr) -> sp.Expr:
         """The difference itself."""
         return first - second - rest
 
-    def _numpycode(self, printer: Any) -> str:
+    def _numpycode(self, printer: CodePrinter) -> str:
         return f"difference({', '.join(map(printer._print, self.args))})"
 
 
@@ -288,7 +289,9 @@ def components_of(f: object) -> tuple[tuple[sp.Expr, ...], bool]:
     return (as_expression("f", f),), True
 
 
-def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence[Any] = ()) -> Parsed:
+def parse(
+    f: object, variables: Sequence[sp.Symbol], parameters: Sequence[sp.Symbol] = ()
+) -> Parsed:
     """Read a scalar or vector function of `variables`; cached by (expressions, symbols).
 
     Raises
@@ -308,7 +311,7 @@ def parse(f: object, variables: Sequence[sp.Symbol], parameters: Sequence[Any] =
 def check_symbols(
     expressions: Sequence[sp.Expr],
     variables: tuple[sp.Symbol, ...],
-    parameters: tuple[Any, ...] = (),
+    parameters: tuple[sp.Symbol, ...] = (),
 ) -> None:
     """Refuse repeated or missing variables, unknown symbols and values that are not real."""
     known = (*variables, *parameters)
@@ -352,9 +355,9 @@ class Reader:
     """
 
     def __init__(self, symbols: Sequence[sp.Symbol], names: Mapping[sp.Symbol, sp.Symbol]) -> None:
-        self.symbols: tuple[Any, ...] = tuple(symbols)
+        self.symbols: tuple[sp.Symbol, ...] = tuple(symbols)
         self.names = names
-        self.one: Any = self.constant(sp.S.One)
+        self.one: Terms = self.constant(sp.S.One)
 
     def refuse(self, node: sp.Expr, why: str) -> NoClosedForm:
         """Exception that names the term."""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 import sympy as sp
@@ -25,11 +24,11 @@ from seedslib.gaussian.means import monomial_means, predecessors
 def expectation(
     f: object,
     variables: Sequence[sp.Symbol],
-    mean: Sequence[Any],
-    cov: sp.MatrixBase | Sequence[Any],
+    mean: Sequence[sp.Expr | float],
+    cov: sp.MatrixBase | Sequence[Sequence[sp.Expr | float]],
     *,
     parameters: Sequence[sp.Symbol] = (),
-) -> Any:
+) -> sp.Expr | sp.Matrix:
     """Mean of f(x) for x ~ N(mean, cov), as a SymPy expression.
 
     Polynomials (equation (3.2) of Choi, Song, Shin 2019, for any degree), times exponentials of
@@ -77,8 +76,8 @@ def expectation(
 def mean_expression(
     f: object,
     variables: Sequence[sp.Symbol],
-    mean: Sequence[Any],
-    cov: sp.MatrixBase | Sequence[Any],
+    mean: Sequence[sp.Expr | float],
+    cov: sp.MatrixBase | Sequence[Sequence[sp.Expr | float]],
     *,
     parameters: Sequence[sp.Symbol] = (),
 ) -> sp.Expr | sp.Matrix:
@@ -107,7 +106,7 @@ def covariance_expression(
     f: sp.Expr,
     g: sp.Expr,
     variables: Sequence[sp.Symbol],
-    mean: Sequence[Any],
+    mean: Sequence[sp.Expr | float],
     cov: sp.MatrixBase,
     *,
     parameters: Sequence[sp.Symbol] = (),

@@ -329,8 +329,8 @@ def _log_det(kernel: np.ndarray) -> np.ndarray:
 
 
 def half_space_means(
-    indices: tuple[Any, ...], plane: HalfSpace, mean: np.ndarray, cov: np.ndarray
-) -> tuple[dict[Any, Any], np.ndarray]:
+    indices: tuple[Index, ...], plane: HalfSpace, mean: np.ndarray, cov: np.ndarray
+) -> tuple[dict[Index, object], np.ndarray]:
     """``E x^alpha 1{u > 0}``, u = normal . x + offset, for the wanted and visited indices.
 
     The Stein recursion gains a boundary term ``cov(x_i, u) E x^beta delta(u)``, a polynomial

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.random import Generator
@@ -19,8 +19,13 @@ from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order, of_paths, require_no_step
 from seedslib.models.first_state import Started
-from seedslib.models.maps import StochasticMap, named_noise, warn_of_angles
+from seedslib.models.maps import Noise, StochasticMap, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
+
+if TYPE_CHECKING:
+    import sympy
+
+    from seedslib.base.symbols import Parameter
 
 Rate = Callable[..., np.ndarray]
 
@@ -82,29 +87,29 @@ class JumpDiffusion(Started, Pickled):
     """
 
     indicators: int = 0
-    state: Any
-    time: Any
+    state: tuple[sympy.Symbol, ...]
+    time: sympy.Symbol
     state_size: int
     wiener_size: int
     measurement_size: int
 
     def __init__(
         self,
-        state: Any,
+        state: Sequence[Any],
         drift: Any,
         diffusion: Any,
         sensor: Any,
-        noise: Any,
+        noise: Noise,
         mean0: ArrayLike,
         cov0: ArrayLike,
         *,
         intensity: Any = 0,
         jump: Any = None,
-        marks: Any = None,
-        parameters: Any = None,
-        initial: Any = None,
+        marks: Noise | None = None,
+        parameters: Mapping[sympy.Symbol, Any] | None = None,
+        initial: Callable[[np.random.Generator, int], np.ndarray] | None = None,
         step: float = 0.01,
-        time: Any = None,
+        time: sympy.Symbol | None = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
         from seedslib.base.symbols import named_model, parameters_of
@@ -124,9 +129,9 @@ class JumpDiffusion(Started, Pickled):
             return StochasticMap(self.state, value, source, time=self.time, period=period)
 
         n = len(self.state)
-        self.drift_expressions: Any = expressions("drift", drift, (n,))
-        self.diffusion_expressions: Any = expressions("diffusion", diffusion, (n, None))
-        self.intensity_expression: Any = expressions("intensity", intensity, ())[()]
+        self.drift_expressions: np.ndarray = expressions("drift", drift, (n,))
+        self.diffusion_expressions: np.ndarray = expressions("diffusion", diffusion, (n, None))
+        self.intensity_expression: sympy.Expr = expressions("intensity", intensity, ())[()]
         if (jump is None) != (self.intensity_expression == 0):
             raise ValueError("jump, intensity: wanted both or neither, got one")
         self.jump: StochasticMap | None = None if jump is None else mapped("jump", jump, n, marks)
@@ -139,7 +144,7 @@ class JumpDiffusion(Started, Pickled):
         named = [*parameters_of(rates), *self._start(mean0, cov0, initial, n)]
         self.parameters = in_order([*named, *(p for map in maps for p in map.mentions)])
         require_no_step("system", self.parameters)
-        self.numbers: Mapping[Any, Any] = {}
+        self.numbers: Mapping[Parameter, ArrayLike] = {}
         self.sensor = self.sensor.taking(self.parameters)
         self.jump = self.jump and self.jump.taking(self.parameters)
         self.step: float = as_positive("step", step)

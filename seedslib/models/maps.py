@@ -11,7 +11,7 @@ import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
@@ -24,6 +24,11 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order
 from seedslib.gaussian.quadrature import rule_of_rank
+
+if TYPE_CHECKING:
+    import sympy
+
+    from seedslib.base.symbols import Parameter
 
 HERMITE_ORDER = 9
 
@@ -57,8 +62,8 @@ class Noise:
     symbols: Sequence[Any] | Any = ()
     mean: Array = 0.0
     cov: Array = None
-    sample: Callable[..., Any] | None = None
-    log_density: Callable[..., Any] | None = None
+    sample: Callable[[np.random.Generator, int], np.ndarray] | None = None
+    log_density: Callable[..., np.ndarray] | None = None
     size: int = field(init=False)
     root: np.ndarray = field(init=False, repr=False)
 
@@ -134,7 +139,7 @@ class Noise:
         v = np.broadcast_to(align(v, v.ndim, x.ndim - 1), (self.size, *batch))
         return np.broadcast_to(x[:, None], (len(x), *batch)), v, weights
 
-    def expectation(self, expression: Any) -> Any:
+    def expectation(self, expression: sympy.Expr) -> sympy.Expr:
         """Mean of a SymPy expression over the noise.
 
         Raises
@@ -277,16 +282,16 @@ class StochasticMap(Pickled):
     time: Any
     state_size: int
     size: int
-    parameters: tuple[Any, ...]
+    parameters: tuple[Parameter, ...]
 
     def __init__(
         self,
-        state: Any,
+        state: Sequence[Any],
         value: Any,
-        noise: Any = None,
-        weight: Any = 1,
+        noise: Noise | None = None,
+        weight: sympy.Expr | float = 1,
         *,
-        time: Any = None,
+        time: sympy.Symbol | None = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
         from seedslib.base.symbols import as_expression, named_model, require_number
@@ -312,15 +317,15 @@ class StochasticMap(Pickled):
         cls,
         state_size: int,
         size: int,
-        value: Callable[..., Any],
+        value: Callable[..., np.ndarray],
         noise: Noise | None = None,
         *,
-        weight: Callable[..., Any] | None = None,
-        mean: Callable[..., Any] | None = None,
-        cov: Callable[..., Any] | None = None,
-        log_density: Callable[..., Any] | None = None,
+        weight: Callable[..., np.ndarray] | None = None,
+        mean: Callable[..., np.ndarray] | None = None,
+        cov: Callable[..., np.ndarray] | None = None,
+        log_density: Callable[..., np.ndarray] | None = None,
         period: Mapping[int, float] | None = None,
-        parameters: Sequence[Any] = (),
+        parameters: Sequence[Parameter] = (),
     ) -> StochasticMap:
         """Make a map of array functions; it takes the sigma-point and quadrature approximations.
 
@@ -387,7 +392,7 @@ class StochasticMap(Pickled):
         return self._functions.weight is not None
 
     @property
-    def mentions(self) -> tuple[Any, ...]:
+    def mentions(self) -> tuple[Parameter, ...]:
         """Parameters, inputs and elapsed time that the map itself depends on."""
         if not self.symbolic:
             return in_order(self._functions.parameters)
@@ -395,11 +400,11 @@ class StochasticMap(Pickled):
 
         return parameters_of([self.weight_expression, *self.expressions])
 
-    def taking(self, parameters: tuple[Any, ...]) -> StochasticMap:
+    def taking(self, parameters: tuple[Parameter, ...]) -> StochasticMap:
         """The same map in a system with these parameters, all of which its functions take."""
         return self if parameters == self.parameters else self.remade(parameters=parameters)
 
-    def with_weight(self, weight: Any) -> StochasticMap:
+    def with_weight(self, weight: sympy.Expr | float) -> StochasticMap:
         """The same map of formulas as a branch of another probability; 1 for always.
 
         Parameters
@@ -410,13 +415,15 @@ class StochasticMap(Pickled):
         made = StochasticMap(self.state, self.expressions, self.noise, weight, **options)
         return made.taking(self.parameters) if weight == 1 else made
 
-    def _compiled(self, arguments: Sequence[Any], expressions: Any) -> Callable[..., Any]:
+    def _compiled(self, arguments: Sequence[Any], expressions: object) -> Callable[..., np.ndarray]:
         """Code of expressions in the time, the arguments and the parameters."""
         from seedslib.models.codegen import compile_array
 
         return compile_array((self.time, *arguments, self.parameters), expressions)
 
-    def _given(self, function: Callable[..., Any] | None) -> Callable[..., Any] | None:
+    def _given(
+        self, function: Callable[..., np.ndarray] | None
+    ) -> Callable[..., np.ndarray] | None:
         """A given function as one of p, that takes its own of them."""
         if function is None:
             return None
@@ -424,13 +431,13 @@ class StochasticMap(Pickled):
         return partial(picked, function, places)
 
     @cached_property
-    def _value(self) -> Callable[..., Any]:
+    def _value(self) -> Callable[..., np.ndarray]:
         if not self.symbolic:
             return self._given(self._functions.value)
         return self._compiled((self.state, self.noise.symbols), self.expressions)
 
     @cached_property
-    def _weight(self) -> Callable[..., Any] | None:
+    def _weight(self) -> Callable[..., np.ndarray] | None:
         if not self.symbolic:
             return self._given(self._functions.weight)
         return self._compiled((self.state, self.noise.symbols), self.weight_expression)
@@ -553,7 +560,7 @@ class StochasticMap(Pickled):
         return self.symbolic and self.has_log_density and self.noise.gaussian
 
     @cached_property
-    def solved_noise(self) -> Callable[..., Any] | None:
+    def solved_noise(self) -> Callable[..., np.ndarray] | None:
         """The noise that makes y of x, and the determinant of dy/dv, of a map affine in the noise.
 
         A function of (t, x, y, p), shape (size + 1, *batch); None where y does not determine the
@@ -602,12 +609,12 @@ class StochasticMap(Pickled):
 class Functions(NamedTuple):
     """The array functions that a map was given, and the parameters that each of them takes last."""
 
-    value: Callable[..., Any]
-    weight: Callable[..., Any] | None
-    mean: Callable[..., Any] | None
-    cov: Callable[..., Any] | None
-    log_density: Callable[..., Any] | None
-    parameters: tuple[Any, ...]
+    value: Callable[..., np.ndarray]
+    weight: Callable[..., np.ndarray] | None
+    mean: Callable[..., np.ndarray] | None
+    cov: Callable[..., np.ndarray] | None
+    log_density: Callable[..., np.ndarray] | None
+    parameters: tuple[Parameter, ...]
 
 
 def picked(function: Callable[..., Any], places: tuple[int, ...], *given: Any) -> Any:

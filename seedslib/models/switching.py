@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.random import Generator
@@ -27,6 +27,11 @@ from seedslib.base.values import Parametrized, Values, in_order, of_paths, requi
 from seedslib.models.kinds import as_grid
 from seedslib.models.maps import Noise, StochasticMap, lower_times, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
+
+if TYPE_CHECKING:
+    import sympy
+
+    from seedslib.base.symbols import Parameter
 
 CLOSE = 1e-9
 """Probabilities may miss their sum or their range by this much."""
@@ -76,7 +81,7 @@ class Branch(Pickled):
         return not self.depends_on_noise or self.map.solved_noise is not None
 
     @cached_property
-    def probability_expression(self) -> Any:
+    def probability_expression(self) -> sympy.Expr:
         """SymPy probability of the branch given the state.
 
         Raises
@@ -149,13 +154,16 @@ class Branch(Pickled):
             return joint
 
 
+Table = tuple[tuple[Branch | None, ...], ...]
+
+
 def branch_table(
     name: str,
     maps: Sequence[Sequence[StochasticMap]],
     x: np.ndarray,
     p: Values,
     new: bool = False,
-) -> tuple[tuple[Branch | None, ...], ...]:
+) -> Table:
     """Branches without those of probability zero; all probabilities are looked at first.
 
     Parameters
@@ -292,8 +300,8 @@ class SwitchingSystem(Parametrized, Pickled):
         a switch that depend on the noise where the new mode drives the step.
     """
 
-    state: Any
-    time: Any
+    state: tuple[sympy.Symbol, ...]
+    time: sympy.Symbol
     modes: int
     state_size: int
     measurement_size: int
@@ -305,17 +313,17 @@ class SwitchingSystem(Parametrized, Pickled):
 
     def __init__(
         self,
-        state: Any,
+        state: Sequence[Any],
         dynamics: Any,
-        noise: Any,
+        noise: Noise,
         switching: Any,
         sensor: Any,
-        sensor_noise: Any,
-        initial: Any,
+        sensor_noise: Noise,
+        initial: Sequence[tuple[float, ArrayLike, ArrayLike]],
         *,
         indicator: Any = None,
-        parameters: Mapping[Any, Any] | None = None,
-        time: Any = None,
+        parameters: Mapping[sympy.Symbol, Any] | None = None,
+        time: sympy.Symbol | None = None,
         drives: str = "old",
         period: Mapping[int, float] | None = None,
     ) -> None:
@@ -352,7 +360,7 @@ class SwitchingSystem(Parametrized, Pickled):
         dynamics: Sequence[StochasticMap],
         switching: Any,
         sensors: Sequence[StochasticMap],
-        initial: Any,
+        initial: Sequence[tuple[float, ArrayLike, ArrayLike]],
         *,
         indicator: Any = None,
         drives: str = "old",
@@ -386,7 +394,7 @@ class SwitchingSystem(Parametrized, Pickled):
         dynamics: Sequence[StochasticMap],
         switching: Any,
         sensors: Sequence[StochasticMap],
-        initial: Any,
+        initial: Sequence[tuple[float, ArrayLike, ArrayLike]],
         indicator: Any,
         drives: str,
     ) -> None:
@@ -422,7 +430,7 @@ class SwitchingSystem(Parametrized, Pickled):
         mentions = [[p for row in table for m in row for p in m.mentions] for table in tables]
         require_no_step("sensor", mentions[1])
         self.parameters = in_order(p for part in mentions for p in part)
-        self.numbers: Mapping[Any, Any] = {}
+        self.numbers: Mapping[Parameter, ArrayLike] = {}
         moves, readings, (self.dynamics,), (self.sensors,) = (
             [tuple(m.taking(self.parameters) for m in row) for row in table] for table in tables
         )
@@ -470,7 +478,13 @@ class SwitchingSystem(Parametrized, Pickled):
         return Hybrid(self)
 
     def simulate(
-        self, times: ArrayLike, paths: Count, seed: Seed, *, modes: Any = None, **options: Any
+        self,
+        times: ArrayLike,
+        paths: Count,
+        seed: Seed,
+        *,
+        modes: ArrayLike | None = None,
+        **options: Any,
     ) -> Simulation:
         """Simulate paths, modes, measurements and indicators.
 
@@ -546,7 +560,9 @@ class Hybrid(Parametrized):
         self.mean0: np.ndarray = np.append(
             likely.mean, float(np.argmax(system.initial_probabilities))
         )
-        self.initial_laws: list[Any] = [(part.mean, cholesky(part.cov)) for part in system.initial]
+        self.initial_laws: list[tuple[np.ndarray, np.ndarray]] = [
+            (part.mean, cholesky(part.cov)) for part in system.initial
+        ]
 
     def initial_sample(
         self, rng: Source, count: int, modes: np.ndarray | None = None
