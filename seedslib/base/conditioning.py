@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import reduce
-from operator import add, or_, sub
+from operator import add, mul, or_
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import align, batch_shape
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.linalg import (
+    ABSOLUTE,
     Reciprocals,
     cholesky,
     eliminate,
@@ -29,6 +30,12 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 WIDE = 1e-8
 """A variance that falls below this fraction of itself has lost half of its digits."""
+
+LEVEL = 1e-6
+"""An innovation without variance up to this fraction of what it is a difference of is rounding."""
+
+FAINT = 1e-5
+"""The same as a fraction of a deviation: what `RELATIVE` counts as zero has deviations of 3e-7."""
 
 UNEXPLAINED = 1e-13
 """What slope and noise leave unexplained of cov y is rounding up to this fraction of it."""
@@ -42,6 +49,7 @@ def update(
     *,
     noise: Callable[[], np.ndarray] | None = None,
     periods: Periods = (),
+    exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean and covariance given a measurement, and the logarithm of its density.
 
@@ -65,6 +73,9 @@ def update(
         a variance falls below 1e-8 of itself: there rounding has taken the noise out of cov y.
     periods : tuple
         Components of y on a circle, from `as_periods`: the innovation is the shortest way round.
+    exact : bool
+        Whether the moments are those of the model, so that an innovation out of the range of
+        cov y has density zero; fitted moments may leave some variance out.
 
     Returns
     -------
@@ -83,7 +94,7 @@ def update(
     -----
     Batch axes come last, broadcast against each other and may be absent.
     A component of y that the ones before it determine, up to 1e-13 of its variance, is left out:
-    the likelihood is the density of the others. Items in which a variance
+    the likelihood is the density of the others (-inf where impossible). Items in which a variance
     given the components before falls below -1e-9 of itself, or with a NaN but in `y`, become NaN.
     """
     mean, y, expected, cross, innovation_cov = map(np.asarray, (mean, y, *moments))
@@ -125,8 +136,15 @@ def update(
         new_mean[k] = component
     new_cov = None if cov is None else _filled(lists[1], cov_full)
 
-    count = reduce(sub, reciprocals.redundant, len(pivots) - missing)
-    terms += [*map(np.log, pivots), count * LOG_2PI]
+    terms.append(_log_product(pivots, depth))
+    count = len(pivots) - missing
+    for j, (left_out, variance) in reciprocals.redundant.items():
+        count = count - left_out
+        if exact:  # what is left of the innovation must be rounding of the numbers it is made of
+            size = np.abs(y[j]) + np.abs(expected[j]) + np.abs(mean).max(axis=0)
+            least = LEVEL * size + FAINT * np.sqrt(np.abs(variance))
+            terms.append(np.where(left_out & (np.abs(lists[2][j]) > least), np.inf, 0.0))
+    terms.append(count * LOG_2PI)
     loglik = np.empty(full)
     loglik[...] = -0.5 * reduce(add, terms)
 
@@ -204,6 +222,18 @@ def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
         return cov
     identity = align(np.eye(len(observed)), 2, observed.ndim - 1)
     return np.where(observed & observed[:, None], cov, identity)
+
+
+def _log_product(pivots: list[Any], depth: int) -> Any:
+    """Logarithm of the determinant: one of the product of the pivots where that is a number."""
+    if depth:
+        with np.errstate(over="ignore"):
+            product = reduce(mul, pivots, 1.0)
+    else:
+        product = reduce(mul, pivots, 1.0)
+    if np.all((product > ABSOLUTE) & (product < np.inf)):
+        return np.log(product)
+    return reduce(add, [np.log(pivot) for pivot in pivots])
 
 
 def _update_by_roots(

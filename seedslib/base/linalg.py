@@ -129,13 +129,14 @@ class Reciprocals:
 
     Attributes
     ----------
-    redundant : list
-        Where a component is redundant, of each that is so somewhere.
+    redundant : dict
+        Components that are redundant somewhere: where, and their variances.
     """
 
     def __init__(self, batched: bool) -> None:
         self.everywhere: Callable[[Any], bool] = np.ndarray.all if batched else bool
-        self.redundant: list[np.ndarray] = []
+        self.count = 0
+        self.redundant: dict[int, tuple[Any, Any]] = {}
 
     def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
         # the first pivot is its variance, so no difference of variances has lost its digits
@@ -143,10 +144,11 @@ class Reciprocals:
         if self.everywhere(regular):
             inverse = 1.0 / pivot
         else:
-            self.redundant.append(np.logical_not(regular))
+            self.redundant[self.count] = np.logical_not(regular), variance
             broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
             pivot = np.where(regular, pivot, 1.0)
             inverse = np.where(broken, np.nan, regular / pivot)
+        self.count += 1
         return inverse, pivot
 
 

@@ -110,6 +110,7 @@ class SensorUpdate:
             moments,
             noise=lambda: self.moments(t, mean, np.zeros_like(cov), p).cov,
             periods=self._periods,
+            exact=True,
         )
         if self._by_points:
             new_cov = without_rounding(new_cov, cov)
@@ -294,7 +295,9 @@ class CovarianceFilter(Filter):
                 moving.store([*mean, *kernels.lower_of(cov)])
         mean, cov = kernels.unpacked(moving.all, n)
         moments = kernels.map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
-        mean, after, loglik, _ = kernels.correct(step, mean, cov, moments, system.sensor)
+        mean, after, loglik, _ = kernels.correct(
+            step, mean, cov, moments, system.sensor, exact=True
+        )
         step.cov.store(kernels.without_rounding(step, after, cov) if by_points else after)
         step.mean.store(mean)
         step.loglik.store(loglik)

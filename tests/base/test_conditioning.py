@@ -162,6 +162,17 @@ def test_a_variance_below_the_normal_numbers_is_none(copies):
         assert loglik == pytest.approx(wanted)
 
 
+def test_an_innovation_out_of_the_range_is_impossible_where_that_is_exact():
+    moments = Moments(np.zeros(2), np.eye(2), np.ones((2, 2)))
+    for y, possible in (([1.0, 1.0], True), ([1.0, 1.5], False), ([1.0, 1.0 + 1e-9], True)):
+        for exact in (False, True):
+            loglik = update(np.zeros(2), np.eye(2), y, moments, exact=exact)[2]
+            assert np.isfinite(loglik) == (possible or not exact)
+    batch = np.array([[1.0, 2.0, np.nan], [1.0, 2.5, 1.0]])
+    loglik = update(np.zeros(2), np.eye(2), batch, moments, exact=True)[2]
+    assert np.isneginf(loglik).tolist() == [False, True, False]
+
+
 def test_a_component_on_a_circle_takes_the_shortest_way():
     y, moments = np.array([1.0, 3.9]), Moments(np.zeros(2), np.eye(2), 2 * np.eye(2))
     for periods, wanted in (((), [0.5, 1.95]), (((1, 4.0),), [0.5, -0.05])):
