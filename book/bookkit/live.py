@@ -144,7 +144,7 @@ def memory() -> dict[str, Any]:
     rows = [
         ("position of an oscillator", "Kalman", _oscillator(), {}),
         ("two modes, ambiguous sensor", "Bayes", *_table("scalar", "A2", "grid Bayes")),
-        ("manoeuvring target", "Kalman told the modes", *_table("order", "B noisy", "known modes")),
+        ("position of a target", "Kalman told the modes", *_table("order", "B noisy", "known modes")),
     ]
     keys = ("name", "reference", "found", "best")
     return {"systems": [dict(zip(keys, row, strict=True)) for row in rows]}
