@@ -141,10 +141,11 @@ def growth_filter() -> Any:
 
 def memory() -> dict[str, Any]:
     """Errors of filters with several memories above a reference, in per cent of the mean square."""
+    told = "Kalman told the modes"
     rows = [
         ("position of an oscillator", "Kalman", _oscillator(), {}),
         ("two modes, ambiguous sensor", "Bayes", *_table("scalar", "A2", "grid Bayes")),
-        ("position of a target", "Kalman told the modes", *_table("order", "B noisy", "known modes")),
+        ("position of a target", told, *_table("order", "B noisy", "known modes")),
     ]
     keys = ("name", "reference", "found", "best")
     return {"systems": [dict(zip(keys, row, strict=True)) for row in rows]}
