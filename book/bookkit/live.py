@@ -92,7 +92,7 @@ def flip_filters() -> dict[str, Any]:
     system, memory, times = zoo.flip_process(), Memory(estimates=1), TIMES[:9]
     axes = {"x": NODES, "z": (-2.4, 2.4, 33), "y": (-4.0, 4.0, 41)}
     wide = {"x": NODES, "z": (-4, 4, 81), "y": (-8, 8, 81)}
-    table = grid_synthesis(system, memory, times, **axes, nodes=0)
+    table = grid_synthesis(system, memory, times, **axes)
     line, _ = affine_synthesis(system, memory, ExactGaussian(), times, **wide)
     lasting = {"tolerance": 1.0, "paths": 200, "transient": 2}
     made = {"table": stationary(table, **lasting), "line": stationary(line, **lasting)}
@@ -141,10 +141,11 @@ def growth_filter() -> Any:
 
 def memory() -> dict[str, Any]:
     """Errors of filters with several memories above a reference, in per cent of the mean square."""
+    told = "Kalman told the modes"
     rows = [
         ("position of an oscillator", "Kalman", _oscillator(), {}),
         ("two modes, ambiguous sensor", "Bayes", *_table("scalar", "A2", "grid Bayes")),
-        ("manoeuvring target", "Kalman told the modes", *_table("order", "B noisy", "known modes")),
+        ("position of a target", told, *_table("order", "B noisy", "known modes")),
     ]
     keys = ("name", "reference", "found", "best")
     return {"systems": [dict(zip(keys, row, strict=True)) for row in rows]}
