@@ -24,20 +24,18 @@ from seedslib.designed import large_order
 TIMES = 0.25 * np.arange(13)
 FINE = {"x": (-3.5, 3.5, 281), "z": (-3, 3, 601), "y": (-8, 8, 241)}
 COARSE = {"x": (-3.5, 3.5, 141), "z": (-2.5, 2.5, 101), "y": (-8, 8, 97)}
-TABLES = {"z": (-2, 2, 81), "y": (-8, 8, 97), "nodes": 0, "seed": 1}
+TABLES = {"z": (-2, 2, 81), "y": (-8, 8, 97), "seed": 1}
 
 
 def main() -> None:
     system = zoo.flip_process()
     works: dict[tuple[str, int, int], Callable[[], object]] = {
-        ("densities", 1, 281 * 601): lambda: grid_synthesis(
-            system, large_order(1), TIMES, **FINE, nodes=0
-        ),
+        ("densities", 1, 281 * 601): lambda: grid_synthesis(system, large_order(1), TIMES, **FINE),
         ("densities", 1, 141 * 101): lambda: grid_synthesis(
-            system, large_order(1), TIMES, **COARSE, nodes=0
+            system, large_order(1), TIMES, **COARSE
         ),
         ("densities", 2, 141 * 101**2): lambda: grid_synthesis(
-            system, large_order(2), TIMES, **COARSE, nodes=0
+            system, large_order(2), TIMES, **COARSE
         ),
         ("paths", 1, 2 * 16_000): lambda: simulated_synthesis(
             system, large_order(1), TIMES, paths=16_000, **TABLES

@@ -77,7 +77,7 @@ def main() -> None:
     threadpool_limits(1)
     one, rows = large_order(1), []
     for example, (system, times, part, axes) in EXAMPLES.items():
-        own = {"paths": DESIGN if part == 1 else DESIGN // 2, "seed": SEED, "nodes": 0}
+        own = {"paths": DESIGN if part == 1 else DESIGN // 2, "seed": SEED}
         filters: dict[str, Filter] = {
             "assumed density": assumed_density(system, step=0.02),
             "table": simulated_synthesis(system, one, times, **own, **axes),

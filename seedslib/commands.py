@@ -168,7 +168,9 @@ def run_filter(options: argparse.Namespace) -> int:
             written = json.load(file)
         values = {p: written[str(p)] for p in _parameters(names) if str(p) in written}
     if options.source.endswith(".npz"):
-        filter = designed.load(options.source, names.get("system"))
+        if path is None:
+            raise ValueError(f"{options.source}: wanted its model too, as --system")
+        filter = designed.load(options.source, names["system"])
     else:
         filter = _filter(arguments, names)
     if not hasattr(filter, "run"):  # a function of the values that makes one

@@ -113,7 +113,10 @@ globalThis.live ??= (() => {
         draw(begin);
       };
       const owner = event.currentTarget, ends = ["pointerup", "pointercancel"];
-      const end = () => { owner.removeEventListener("pointermove", drag); ends.forEach((name) => owner.removeEventListener(name, end)); };
+      const end = () => {
+        owner.removeEventListener("pointermove", drag); ends.forEach((name) => owner.removeEventListener(name, end));
+        if (view.handles[i].drop) { view.handles[i].drop(); draw(); }
+      };
       owner.addEventListener("pointermove", drag);
       ends.forEach((name) => owner.addEventListener(name, end));
     }
@@ -155,4 +158,12 @@ globalThis.live ??= (() => {
   }
   return { pictures, num, clamp, path, line, text, marks, choose, floats, filter, erf, bisect, still, attach };
 })();
-if (typeof module === "object") module.exports = globalThis.live;
+if (typeof module === "object") {
+  module.exports = globalThis.live;
+  if (require.main === module) { // node live.js: the still pictures of one script, as JSON
+    const { name, script, data, label, widths } = JSON.parse(require("fs").readFileSync(0, "utf8"));
+    new Function("live", "document", script)({ ...live, attach() {} }, { currentScript: { closest() {} } });
+    const drawn = Object.entries(widths).map(([key, W]) => [key, live.still(live.pictures[name](data), W, label)]);
+    console.log(JSON.stringify(Object.fromEntries(drawn)));
+  }
+}

@@ -95,7 +95,7 @@ def _parser() -> argparse.ArgumentParser:
     argument("--scheduler", help="address of a running Dask scheduler")
     argument("--workers", type=int, default=2, help="local worker processes")
     command("claims", _claims, "compare the ledger with the notebooks")
-    command("live", _live, "design the filters that run in pages, write figures")
+    command("live", _live, "write the pictures that can be dragged, with their filters")
     argument = command("programs", _programs, "write the pages' programs, for a type checker")
     argument("folder", help="a new folder")
     argument = command("check-html", _check_html, "check that pages load nothing from outside")

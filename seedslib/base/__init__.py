@@ -13,9 +13,9 @@ from seedslib.base.lazy import lazy_names
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from seedslib.base.conditioning import update as update
-    from seedslib.base.parameters import ELAPSED as ELAPSED
-    from seedslib.base.parameters import Input as Input
-    from seedslib.base.parameters import Parameter as Parameter
+    from seedslib.base.symbols import ELAPSED as ELAPSED
+    from seedslib.base.symbols import Input as Input
+    from seedslib.base.symbols import Parameter as Parameter
     from seedslib.base.tables import Axis as Axis
     from seedslib.base.tables import Nodes as Nodes
     from seedslib.base.tables import interpolate as interpolate

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import reduce
-from operator import add, mul, or_
+from operator import add, or_, sub
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,6 @@ from numpy.typing import ArrayLike
 from seedslib.base.arrays import align, batch_shape
 from seedslib.base.circle import Periods, nearest
 from seedslib.base.linalg import (
-    ABSOLUTE,
     Reciprocals,
     cholesky,
     eliminate,
@@ -30,12 +29,6 @@ LOG_2PI = math.log(2.0 * math.pi)
 
 WIDE = 1e-8
 """A variance that falls below this fraction of itself has lost half of its digits."""
-
-LEVEL = 1e-6
-"""An innovation without variance up to this fraction of what it is a difference of is rounding."""
-
-FAINT = 1e-5
-"""The same as a fraction of a deviation: what `RELATIVE` counts as zero has deviations of 3e-7."""
 
 UNEXPLAINED = 1e-13
 """What slope and noise leave unexplained of cov y is rounding up to this fraction of it."""
@@ -49,7 +42,6 @@ def update(
     *,
     noise: Callable[[], np.ndarray] | None = None,
     periods: Periods = (),
-    exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean and covariance given a measurement, and the logarithm of its density.
 
@@ -73,9 +65,6 @@ def update(
         a variance falls below 1e-8 of itself: there rounding has taken the noise out of cov y.
     periods : tuple
         Components of y on a circle, from `as_periods`: the innovation is the shortest way round.
-    exact : bool
-        Whether the moments are those of the model, so that an innovation out of the range of
-        cov y has density zero; fitted moments may leave some variance out.
 
     Returns
     -------
@@ -92,19 +81,15 @@ def update(
 
     Notes
     -----
-    Batch axes come last, broadcast against each other and may be absent. Arrays of SymPy
-    expressions (dtype object) go through the same elimination.
+    Batch axes come last, broadcast against each other and may be absent.
     A component of y that the ones before it determine, up to 1e-13 of its variance, is left out:
-    the likelihood is the density of the others (-inf where impossible). Items in which a variance
+    the likelihood is the density of the others. Items in which a variance
     given the components before falls below -1e-9 of itself, or with a NaN but in `y`, become NaN.
     """
     mean, y, expected, cross, innovation_cov = map(np.asarray, (mean, y, *moments))
     cov = None if cov is None else np.asarray(cov)
     if len(y) != len(expected):
         raise ValueError(f"y: wanted shape ({len(expected)}, *batch), got {y.shape}")
-    if object in (mean.dtype, y.dtype, expected.dtype, cross.dtype, innovation_cov.dtype):
-        return _update_symbols(mean, cov, y - expected, cross, innovation_cov)
-
     gain_batch = batch_shape(cross.shape[2:], innovation_cov.shape[2:])
     batch = batch_shape(mean.shape[1:], y.shape[1:], expected.shape[1:], gain_batch)
     cov_batch = () if cov is None else batch_shape(cov.shape[2:], gain_batch)
@@ -138,17 +123,10 @@ def update(
     new_mean = np.empty((len(mean), *full))
     for k, component in enumerate(lists[0]):
         new_mean[k] = component
-    new_cov = None if cov is None else _filled(lists[1], cov_full, float)
+    new_cov = None if cov is None else _filled(lists[1], cov_full)
 
-    terms.append(_log_product(pivots, depth))
-    count = len(pivots) - missing
-    for j, (left_out, variance) in reciprocals.redundant.items():
-        count = count - left_out
-        if exact:  # what is left of the innovation must be rounding of the numbers it is made of
-            size = np.abs(y[j]) + np.abs(expected[j]) + np.abs(mean).max(axis=0)
-            least = LEVEL * size + FAINT * np.sqrt(np.abs(variance))
-            terms.append(np.where(left_out & (np.abs(lists[2][j]) > least), np.inf, 0.0))
-    terms.append(count * LOG_2PI)
+    count = reduce(sub, reciprocals.redundant, len(pivots) - missing)
+    terms += [*map(np.log, pivots), count * LOG_2PI]
     loglik = np.empty(full)
     loglik[...] = -0.5 * reduce(add, terms)
 
@@ -196,17 +174,6 @@ def gaussian_logpdf(
     return update(np.empty(0), None, y, moments, periods=periods)[2]
 
 
-def _update_symbols(mean, cov, innovation, cross, innovation_cov):
-    import sympy
-
-    given = mean, cov, innovation, cross, innovation_cov
-    lists = [None if part is None else part.tolist() for part in given]
-    squares, pivots = eliminate(*lists, lambda pivot, variance: (1 / pivot, pivot))
-    logs = [sympy.log(2 * sympy.pi * pivot) for pivot in pivots]
-    cov = None if cov is None else _filled(lists[1], (), object)
-    return np.array(lists[0], dtype=object), cov, -sum(squares + logs) / 2
-
-
 def _components(array: np.ndarray, depth: int) -> list:
     """Components of a vector or a matrix with `depth` batch axes.
 
@@ -217,9 +184,9 @@ def _components(array: np.ndarray, depth: int) -> list:
     return list(array) if array.ndim == 1 + depth else [list(row) for row in array]
 
 
-def _filled(lower: list[list[Any]], batch: tuple[int, ...], dtype: type) -> np.ndarray:
+def _filled(lower: list[list[Any]], batch: tuple[int, ...]) -> np.ndarray:
     """Symmetric array of the component lists on and below the diagonal."""
-    full = np.empty((len(lower), len(lower), *batch), dtype=dtype)
+    full = np.empty((len(lower), len(lower), *batch))
     for k, row in enumerate(lower):
         for q in range(k + 1):
             full[k, q] = full[q, k] = row[q]
@@ -237,18 +204,6 @@ def _without_missing(cov: np.ndarray, observed: np.ndarray) -> np.ndarray:
         return cov
     identity = align(np.eye(len(observed)), 2, observed.ndim - 1)
     return np.where(observed & observed[:, None], cov, identity)
-
-
-def _log_product(pivots: list[Any], depth: int) -> Any:
-    """Logarithm of the determinant: one of the product of the pivots where that is a number."""
-    if depth:
-        with np.errstate(over="ignore"):
-            product = reduce(mul, pivots, 1.0)
-    else:
-        product = reduce(mul, pivots, 1.0)
-    if np.all((product > ABSOLUTE) & (product < np.inf)):
-        return np.log(product)
-    return reduce(add, [np.log(pivot) for pivot in pivots])
 
 
 def _update_by_roots(

@@ -20,17 +20,9 @@ def lazy_names(package: str) -> tuple[Callable[[str], object], Callable[[], list
     ----------
     package : str
         Name of the package, its ``__name__``, while it is being imported.
-
-    Raises
-    ------
-    ImportError
-        The source of the package cannot be read.
     """
     owner = sys.modules[package]
-    try:
-        source = owner.__spec__.loader.get_data(owner.__file__).decode()
-    except OSError as error:
-        raise ImportError(f"{package}: its source is wanted, it lists the public names") from error
+    source = owner.__spec__.loader.get_data(owner.__file__).decode()
     block = source.partition("\nif TYPE_CHECKING:\n")[2].partition("\nelse:\n")[0]
     homes = {}
     # read as text: parsing would cost more than all else that importing the library does

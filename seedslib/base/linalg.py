@@ -129,14 +129,13 @@ class Reciprocals:
 
     Attributes
     ----------
-    redundant : dict
-        Components that are redundant somewhere: where, and their variances.
+    redundant : list
+        Where a component is redundant, of each that is so somewhere.
     """
 
     def __init__(self, batched: bool) -> None:
         self.everywhere: Callable[[Any], bool] = np.ndarray.all if batched else bool
-        self.count = 0
-        self.redundant: dict[int, tuple[Any, Any]] = {}
+        self.redundant: list[np.ndarray] = []
 
     def __call__(self, pivot: Any, variance: Any) -> tuple[Any, Any]:
         # the first pivot is its variance, so no difference of variances has lost its digits
@@ -144,11 +143,10 @@ class Reciprocals:
         if self.everywhere(regular):
             inverse = 1.0 / pivot
         else:
-            self.redundant[self.count] = np.logical_not(regular), variance
+            self.redundant.append(np.logical_not(regular))
             broken = ~(pivot >= -(INDEFINITE * np.abs(variance) + ABSOLUTE))
             pivot = np.where(regular, pivot, 1.0)
             inverse = np.where(broken, np.nan, regular / pivot)
-        self.count += 1
         return inverse, pivot
 
 
@@ -216,7 +214,7 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
     n = len(P)
     L = np.zeros_like(P)
     # lists of components: for few of them and many items faster than slices
-    rest = [[P[k, q] for q in range(k + 1)] for k in range(n)]
+    rest = P.tolist() if P.ndim == 2 else [[P[k, q] for q in range(k + 1)] for k in range(n)]
     for j in range(n):
         pivot, variance = rest[j][j], np.abs(P[j, j])
         regular = pivot > RELATIVE * variance + ABSOLUTE
@@ -230,10 +228,11 @@ def cholesky(P: ArrayLike, scale: np.ndarray | None = None) -> np.ndarray:
             root = np.where(broken, np.nan, np.sqrt(np.where(regular, pivot, 0.0)))
             inverse = np.where(broken, np.nan, regular / np.where(regular, root, 1.0))
         L[j, j] = root
+        column = [None] * (j + 1) + [rest[k][j] * inverse for k in range(j + 1, n)]
         for k in range(j + 1, n):
-            L[k, j] = rest[k][j] * inverse
+            L[k, j] = column[k]
             for q in range(j + 1, k + 1):
-                rest[k][q] = rest[k][q] - L[k, j] * L[q, j]
+                rest[k][q] = rest[k][q] - column[k] * column[q]
     return L
 
 

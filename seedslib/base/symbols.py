@@ -1,19 +1,109 @@
-"""Checks of SymPy input: symbols with one meaning each, and expressions that mean a number.
+"""Symbols of a model: parameters, whose numbers can change without compiling again, and checks.
 
-No text is ever evaluated: SymPy would run a string as a program.
+Some parameters have no value of their own: inputs come with the data, and a map in discrete time is
+given the length of its step. In which order functions take the numbers of all is in
+`seedslib.base.values`.
+
+What comes from outside has one meaning for each symbol, and expressions that mean a number. No text
+is ever evaluated: SymPy would run a string as a program.
 """
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import sympy
 from sympy.core.function import AppliedUndef
 
 from seedslib.base.checks import brief
-from seedslib.base.parameters import Parameter
+from seedslib.base.values import in_order
+
+if TYPE_CHECKING:
+    from typing import Self
+
+
+class Parameter(sympy.Symbol):
+    """A real number with a name, for use in the formulas of any model.
+
+    Parameters
+    ----------
+    name : str
+    value : float
+        Its number unless a model or a filter is bound to another, see `bind` there.
+    **assumptions : bool
+        As of SymPy, such as ``positive=True``.
+    """
+
+    __slots__ = ("value",)
+    role: ClassVar[str] = "parameter"
+    value: float
+
+    def __new__(cls, name: str, value: float, **assumptions: bool) -> Self:
+        """One parameter for each name, value and set of assumptions."""
+        if isinstance(value, str | bytes):
+            raise TypeError(f"value: wanted a number, got {value!r}")
+        self = super().__xnew__(cls, name, real=True, **assumptions)
+        self.value = float(value)
+        return self
+
+    def _hashable_content(self) -> tuple[Any, ...]:
+        return (*super()._hashable_content(), self.value)
+
+    def __getnewargs_ex__(self) -> tuple[tuple[Any, ...], dict[str, bool]]:
+        given = {"positive", "nonnegative", "negative"} & set(self.assumptions0)
+        return (self.name, self.value), {name: self.assumptions0[name] for name in given}
+
+
+class Input(Parameter):
+    """A number that comes with the data: a control, a known disturbance, a last measurement.
+
+    It has no value of its own: records, and single steps, have it in ``inputs=``; a model may be
+    bound to one. Where a model is only looked at, to check its probabilities or to know it again,
+    an input is 0.37.
+
+    Parameters
+    ----------
+    name : str
+    **assumptions : bool
+        As of SymPy, such as ``positive=True``.
+    """
+
+    __slots__ = ()
+    role = "input"
+
+    def __new__(cls, name: str, **assumptions: bool) -> Self:
+        """One input for each name and set of assumptions."""
+        return super().__new__(cls, name, 0.37, **assumptions)
+
+    def __getnewargs_ex__(self) -> Any:
+        return (self.name,), super().__getnewargs_ex__()[1]
+
+
+class Elapsed(Input):
+    """The length of the step that a map in discrete time makes; `ELAPSED` is the only one."""
+
+    __slots__ = ()
+    role = "elapsed"
+
+    def __new__(cls) -> Self:
+        """The one there is, written ``dt``; where a model is only looked at it is 1/1000."""
+        return Parameter.__new__(cls, "dt", 1e-3, positive=True)
+
+    def __getnewargs_ex__(self) -> Any:
+        return (), {}
+
+
+ELAPSED: Elapsed = Elapsed()
+"""Time that passes in a step of a map in discrete time; a sensor has none."""
+
+
+def parameters_of(expressions: Iterable[Any]) -> tuple[Parameter, ...]:
+    """The parameters that expressions mention, in the order in which functions take them."""
+    symbols = set().union(*(e.free_symbols for e in expressions))
+    return in_order(s for s in symbols if isinstance(s, Parameter))
+
 
 # without `doit()` these are names of a value, which generated code cannot compute
 UNFINISHED = (
@@ -149,23 +239,12 @@ def named_model(
         A name that is no symbol, a value that is no expression, or one symbol with two meanings;
         `noises` are the symbols of each noise, by role.
     """
-    state, values = as_symbols("state", state), parameter_values(parameters)
+    state, values = as_symbols("state", state), {} if parameters is None else dict(parameters)
+    as_symbols("parameters", values.keys())
+    values = {s: as_expression(f"parameters[{s}]", value) for s, value in values.items()}
     time = sympy.Symbol("t") if time is None else time
     require_distinct(state=state, **noises, time=(time,), parameters=values)
     return state, time, values
-
-
-def parameter_values(values: Mapping[Any, Any] | None) -> dict[Any, Any]:
-    """Values of parameters as expressions by symbol; None means none.
-
-    Raises
-    ------
-    TypeError
-        A key that is no symbol, or a value that is no expression.
-    """
-    table = {} if values is None else dict(values)
-    as_symbols("parameters", table.keys())
-    return {s: as_expression(f"parameters[{s}]", value) for s, value in table.items()}
 
 
 def real_part(expression: sympy.Expr) -> sympy.Expr:

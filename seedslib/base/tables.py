@@ -52,10 +52,7 @@ class Axis:
             raise TypeError(
                 f"{name}: wanted an Axis or (low, high, count), got {brief(given)}"
             ) from None
-        try:
-            return cls(low, high, count)
-        except (TypeError, ValueError) as error:
-            raise type(error)(f"{name}: {error}") from None
+        return cls(low, high, count)
 
     @cached_property
     def nodes(self) -> np.ndarray:
@@ -304,8 +301,6 @@ def interpolate(
     """
     axes = tuple(axes)
     table = as_real("table", table, (-1, *(axis.count for axis in axes)), infinite=True)
-    if not len(table):
-        raise ValueError("table: wanted at least one, got none")
     given = [as_real(f"points[{k}]", point) for k, point in enumerate(points)]
     if len(given) != len(axes):
         raise ValueError(f"points: wanted one for each of {len(axes)} axes, got {len(given)}")

@@ -21,7 +21,7 @@ from seedslib.base.objects import changed
 if TYPE_CHECKING:
     from typing import Self
 
-    from seedslib.base.parameters import Input, Parameter
+    from seedslib.base.symbols import Input, Parameter
 
 Inputs: TypeAlias = "Mapping[Input, ArrayLike]"
 

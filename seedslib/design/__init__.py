@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from seedslib.design.steady_state import stationary as stationary
     from seedslib.design.switching import cells_from_moments as cells_from_moments
     from seedslib.design.tables import simulated_synthesis as simulated_synthesis
-    from seedslib.design.tables import tabulated as tabulated
     from seedslib.designed.minimax import BoundedPolynomial as BoundedPolynomial
     from seedslib.designed.predictors import Affine as Affine
     from seedslib.designed.predictors import Continuous as Continuous

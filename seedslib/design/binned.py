@@ -132,7 +132,7 @@ def binned_synthesis(
     if system.measurement_size != 1:
         raise ValueError("system: wanted one measured component for a histogram")
     bins = as_count("bins", bins, 2)
-    samples, steps = MemoryPaths(system, memory, times, paths, 1, 0, seed, workers), []
+    samples, steps = MemoryPaths(system, memory, times, paths, 1, seed, workers), []
     for k in followed(range(len(samples.times)), "design of tables"):
         sample = samples.sample()
         axes = step_axes(system, memory, (None,), (None,) * system.state_size, k)

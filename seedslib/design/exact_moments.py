@@ -7,7 +7,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from seedslib.base.conditioning import kalman_gain
-from seedslib.base.values import InputTrajectory
 from seedslib.design.regression import regress
 from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.finite_order import Rules, Start
@@ -15,7 +14,7 @@ from seedslib.designed.memory import Past
 from seedslib.designed.predictors import AffineFit
 from seedslib.linearization.moments import Moments
 from seedslib.models.jump_diffusion import JumpDiffusion
-from seedslib.models.propagation import integrated, stepped
+from seedslib.models.linear import integrated, stepped
 
 
 def linear_design(
@@ -24,7 +23,6 @@ def linear_design(
     times: np.ndarray,
     grid: tuple[np.ndarray, ...],
     measured: np.ndarray,
-    inputs: InputTrajectory,
 ) -> dict[str, Any]:
     """Forecasts and predicted errors by the covariance recursion of state and memory.
 
@@ -41,8 +39,6 @@ def linear_design(
         Node times.
     measured : ndarray of bool, shape (K+1, m)
         Components that are measured at each time.
-    inputs : InputTrajectory
-        At the measurement times.
 
     Returns
     -------
@@ -56,7 +52,7 @@ def linear_design(
     """
     linear = _Linear(system)
     joint = _Joint(rules, system.mean0, system.cov0)
-    p = system.values(inputs.at(0))
+    p = system.values()
     start = joint.start(measured[0], linear.sensor(times[0], p))
     scores = [(times[0], joint.error)]
     fits, node_fits = [], []
@@ -69,7 +65,6 @@ def linear_design(
             t = node
         joint.move(*linear.transition(t, times[k + 1], p))
         node_fits.append(tuple(between))
-        p = system.values(inputs.at(k + 1))
         fits.append(joint.correct(measured[k + 1], linear.sensor(times[k + 1], p)))
         scores.append((times[k + 1], joint.error))
     stamps, squares = (np.array(part) for part in zip(*scores, strict=True))

@@ -18,11 +18,10 @@ from seedslib.base.arrays import Count, Seed
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, as_positive, outside
 from seedslib.base.clock import step_count
-from seedslib.base.values import Inputs, as_trajectory
 from seedslib.design.forward_pass import ForwardPass
 from seedslib.design.held_out import with_held_out
 from seedslib.design.histories import certain
-from seedslib.design.paths import Executor, PathSimulator, executor, require_range
+from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import coefficients_of
 from seedslib.designed.accuracy import Design
 from seedslib.designed.finite_order import FiniteOrderFilter, Rules
@@ -117,7 +116,6 @@ def synthesize(
     normalisation: str = "consistent",
     measured: ArrayLike | None = None,
     availability: ArrayLike | None = None,
-    inputs: Inputs | None = None,
 ) -> Any:
     """Design a filter of finite order for a system.
 
@@ -128,8 +126,8 @@ def synthesize(
     Parameters
     ----------
     system : JumpDiffusion, DiscreteSystem or SwitchingSystem
-        A switching system takes `paths`, `seed`, `workers`, `inputs` and `normalisation` and gives
-        a `SwitchingFilter`; see `seedslib.design.switching.synthesize_switching`.
+        A switching system takes `paths`, `seed`, `workers` and `normalisation` and gives a
+        `SwitchingFilter`; see `seedslib.design.switching.synthesize_switching`.
     memory : Memory
     linearization : Linearization
         How the moments of the sensor are taken.
@@ -168,9 +166,6 @@ def synthesize(
         of what has arrived, by classes of histories, see `seedslib.design.histories`: errors,
         likelihoods and what is expected are known after gaps too, likely or not. The work is that
         of a design for each class, and up to 64 of them.
-    inputs : mapping of Input to array_like, shape (K+1,), optional
-        Values of the inputs that the system mentions, each held until the next measurement. They
-        are in the numbers of the forecasts; a run is given them again, for the correction.
 
     Returns
     -------
@@ -198,7 +193,6 @@ def synthesize(
     if not isinstance(memory, Memory):
         raise TypeError(f"memory: wanted a Memory, got {memory!r}")
     as_linearization(linearization)
-    require_range(system)
     if switches(system):
         from seedslib.design.switching import synthesize_switching
 
@@ -222,7 +216,6 @@ def synthesize(
             seed=seed,
             workers=workers,
             normalisation=normalisation,
-            inputs=inputs,
         )
     if normalisation != "consistent":
         raise ValueError("normalisation: wanted for a switching system only")
@@ -230,7 +223,6 @@ def synthesize(
     schedule = Schedule.of(measured, availability, len(times), system.sensor.size)
     mask, availability = certain(schedule)
     check_kinds(memory, predictor, exact_moments, availability is not None)
-    trajectory = as_trajectory(system, inputs, len(times))
     n = system.state_size
     components = n if components is None else as_count("components", components, 1, n)
     nodes, options, size = as_count("nodes", nodes, 0), {}, None
@@ -258,16 +250,16 @@ def synthesize(
     if exact_moments:
         from seedslib.design.exact_moments import linear_design
 
-        return filter(**linear_design(system, rules, times, grid, mask, trajectory))
+        return filter(**linear_design(system, rules, times, grid, mask))
     paths = as_count("paths", paths)
     check_paths(paths, coefficients_of(predictor, memory.order(components, system.sensor.size)))
     root = as_seed_sequence(seed)
     stops = len(times) + sum(map(len, grid))
     with executor(workers) as each:
         simulator = PathSimulator(system, paths, root, stops, each, options)
-        forward = ForwardPass(simulator, rules, predictor, mask, availability, trajectory)
+        forward = ForwardPass(simulator, rules, predictor, mask, availability)
         parts = forward.design(times, grid)
         design = Design(paths, BLOCK, *seed_record(root), simulator.warn_of_diverged())
     del simulator, forward  # their paths are not needed any more
     designed = filter(**parts, design=design)
-    return with_held_out(designed, root, paths, workers, inputs=trajectory.values, **options)
+    return with_held_out(designed, root, paths, workers, **options)

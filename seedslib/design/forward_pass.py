@@ -20,7 +20,6 @@ from seedslib.base.checks import outside
 from seedslib.base.clock import when
 from seedslib.base.linalg import lower_triangle, symmetric
 from seedslib.base.progress import followed
-from seedslib.base.values import InputTrajectory
 from seedslib.design.histories import Histories, patterns, shares
 from seedslib.design.paths import PathSimulator
 from seedslib.design.regression import ABSOLUTE, DOMINATED, fit_forecast, root_mean_squares
@@ -48,8 +47,6 @@ class ForwardPass:
         Components that are measured at each time.
     availability : ndarray, shape (m,), or None
         Probability that a component that is measured arrives; None where all do.
-    inputs : InputTrajectory
-        At the measurement times.
     """
 
     def __init__(
@@ -59,10 +56,9 @@ class ForwardPass:
         predictor: Affine | Polynomial | Continuous,
         measured: np.ndarray,
         availability: np.ndarray | None,
-        inputs: InputTrajectory,
     ) -> None:
         self.simulator, self.predictor = simulator, predictor
-        self.measured, self.inputs = measured, inputs
+        self.measured = measured
         self.memory, self.components = rules.memory, rules.components
         self.continuous: bool = rules.velocity is not None
         self.rules: Any = simulator.executor.share(rules)
@@ -82,16 +78,16 @@ class ForwardPass:
         grid : tuple of ndarray, length K
             Node times.
         """
-        start = self._start(times[0], self.inputs.at(0))
+        start = self._start(times[0])
         for k in followed(range(len(grid)), "design"):
-            t, stop, inputs = times[k], times[k + 1], self.inputs.at(k)
+            t, stop = times[k], times[k + 1]
             if self.continuous:
-                fits, memories = self._steps(t, [*grid[k], stop], inputs)
+                fits, memories = self._steps(t, [*grid[k], stop])
             else:
-                fits, memories = self._nodes(k, t, grid[k], inputs)
-            self.simulator.advance(self.scores[-1][0], stop, inputs)
+                fits, memories = self._nodes(k, t, grid[k])
+            self.simulator.advance(self.scores[-1][0], stop)
             self.node_fits.append(tuple(fits))
-            self._measurement(k + 1, stop, memories, self.inputs.at(k + 1))
+            self._measurement(k + 1, stop, memories)
         scores = (np.array(part) for part in zip(*self.scores, strict=True))
         return {
             "start": start,
@@ -100,11 +96,11 @@ class ForwardPass:
             "predicted": Accuracy(*scores, in_sample=True),
         }
 
-    def _start(self, t, inputs) -> Start:
+    def _start(self, t) -> Start:
         """Moments of the first state and measurement, and the first estimates."""
         simulator, n = self.simulator, self.simulator.n
         simulator.begin()
-        y, p = simulator.measure(t, inputs), simulator.system.values(inputs)
+        y, p = simulator.measure(t), simulator.system.values()
         joint = simulator.gather(lambda x, y: np.concatenate([x, y]), y)
         mean, cov = joint.mean, joint.cov
         start = Start(mean[:n], cov[:n, :n], Moments(mean[n:], cov[:n, n:], cov[n:, n:]))
@@ -134,13 +130,13 @@ class ForwardPass:
             return fits[0]
         return ClassFits.of(self.histories.classes.table, self.histories.prob, fits)
 
-    def _nodes(self, k, t, nodes, inputs):
+    def _nodes(self, k, t, nodes):
         """Fits of the discrete forecasts; also what the next measurement is forecast from."""
         simulator, n, node_fits = self.simulator, self.components, []
         memories = [simulator.executor(_memory, state) for state in self.states]
         size = self._sizes(k)
         for node in nodes:
-            simulator.advance(t, node, inputs)
+            simulator.advance(t, node)
             t = node
             fits = [self._fit(Affine(), u, n, size) for u in memories]
             node_fits.append(self._of_classes(fits))
@@ -148,24 +144,24 @@ class ForwardPass:
             self._score(t, *(simulator.finite(fit.mean, u) for fit, u in pairs))
         return node_fits, memories
 
-    def _steps(self, t, stops, inputs):
+    def _steps(self, t, stops):
         """Fits of the continuous forecast at each integration step, and where it leads."""
         simulator, fits = self.simulator, []
-        (state,), p = self.states, simulator.system.values(inputs)
+        (state,), p = self.states, simulator.system.values()
         z = simulator.executor(_estimate, state)
         for stop in stops:
             fits.append(self._fit(self.predictor, z, simulator.n, self.size))
             z = simulator.finite(_euler_step(fits[-1], t, stop - t, p), self.rules, z)
             if stop != stops[-1]:
-                simulator.advance(t, stop, inputs)
+                simulator.advance(t, stop)
                 self._score(stop, z)
                 t = stop
         return fits, [z]
 
-    def _measurement(self, k, t, memories, inputs):
+    def _measurement(self, k, t, memories):
         """Fit the forecasts for a measurement, and correct them."""
         simulator, size = self.simulator, self._sizes(k - 1)
-        p = simulator.system.values(inputs)
+        p = simulator.system.values()
         fits = [self._fit(self.predictor, u, simulator.n, size) for u in memories]
         self.fits.append(self._of_classes(fits))
 
@@ -180,7 +176,7 @@ class ForwardPass:
             simulator.executor(partial(forecast, fit=fit), *pair)
             for fit, *pair in zip(fits, self.states, memories, strict=True)
         ]
-        self._correct(k, t, simulator.measure(t, inputs), forecasts, correct)
+        self._correct(k, t, simulator.measure(t), forecasts, correct)
 
     def _correct(self, k, t, y, forecasts, correct):
         """Correct each class with each pattern, and find the classes that this makes."""

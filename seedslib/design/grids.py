@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import Count, MaybeArray
-from seedslib.base.checks import as_count
+from seedslib.base.arrays import MaybeArray
 from seedslib.base.conditioning import update
 from seedslib.base.tables import AxesLike, AxisLike, Labels, NodesLike
 from seedslib.design.law import BY_GRID, GridRisk, JointLaw, conditional, likelihood_of
@@ -21,7 +19,7 @@ from seedslib.designed.predictors import Affine
 from seedslib.designed.switching import SwitchingFilter
 from seedslib.designed.tables import Output, OutputFilter, Step, Table, TableFilter, prior, recalled
 from seedslib.linearization.moments import Linearization, Moments, as_linearization
-from seedslib.models.kinds import AnySystem, in_steps
+from seedslib.models.kinds import AnySystem
 
 METHOD = "density recursion"
 
@@ -34,7 +32,6 @@ def grid_synthesis(
     x: NodesLike,
     z: AxesLike | None = None,
     y: AxesLike | None = None,
-    nodes: Count = 4,
 ) -> TableFilter:
     """Optimal filter of finite order by the density recursion of theorem 1.
 
@@ -66,9 +63,6 @@ def grid_synthesis(
         Nodes for each component of a measurement. By default 6.5 deviations of the sensor
         beyond its means at the ends of `x`, four nodes to its smallest deviation. The step
         should move an estimate by less than the step of `z`.
-    nodes : int
-        Number of evenly spaced forecasts inside each interval; a system in discrete time
-        has none.
 
     Returns
     -------
@@ -86,17 +80,12 @@ def grid_synthesis(
     UserWarning
         Probability at or beyond the ends of an axis, or between its nodes: once, the worst.
     """
-    if nodes != 0:
-        as_count("nodes", nodes)
     law = JointLaw(system, memory, times, x, z, y)
-    nodes = 0 if in_steps(system) else nodes
-    steps, changes, node_fits, before = [], [], [], None
-    for k, optimal in enumerate(optimal_steps(law, nodes)):
+    steps, changes, before = [], [], None
+    for k, optimal in enumerate(optimal_steps(law)):
         changes.append(_change(before, optimal))
         steps.append(_tables(law, k, optimal))
-        node_fits.append(optimal.between)
         before = optimal
-    stops = [np.linspace(a, b, nodes + 2)[1:-1] for a, b in pairwise(law.times)]
     return TableFilter(
         system=law.system,
         memory=law.memory,
@@ -106,8 +95,6 @@ def grid_synthesis(
         predicted=law.prediction(),
         covariances=law.covariances(),
         design=BY_GRID,
-        node_times=tuple(stops),
-        node_fits=tuple(node_fits[1:]),
         changes=np.array(changes).T,
     )
 
@@ -125,8 +112,6 @@ class Optimal(NamedTuple):
     modes : ndarray of int8, shape (Y, cells), or None
     mass : ndarray, shape (Y, cells)
         Probability of measurement and memory.
-    between : tuple of Table
-        Forecasts at the nodes since the measurement before.
     """
 
     blocks: int
@@ -134,28 +119,25 @@ class Optimal(NamedTuple):
     means: np.ndarray
     modes: MaybeArray
     mass: np.ndarray
-    between: tuple[Table, ...]
 
 
-def optimal_steps(law: JointLaw, nodes: int = 0) -> Iterator[Optimal]:
+def optimal_steps(law: JointLaw) -> Iterator[Optimal]:
     """The alternation of theorems 1 and 2: what is optimal at a measurement, then the joint law.
 
     Parameters
     ----------
     law : JointLaw
         Of a system of either kind; it is moved on.
-    nodes : int
-        Number of evenly spaced forecasts inside each interval.
 
     Yields
     ------
     Optimal
     """
-    for k, _, likelihood, between in law.steps(nodes):
+    for k, _, likelihood in law.steps():
         blocks, given = law.filled, conditional(law.joint)
         output = law.posterior(likelihood.relative, given)
         mass = law.take(k, output.mean, likelihood, output.mode)
-        yield Optimal(blocks, given, *output, mass, between)
+        yield Optimal(blocks, given, *output, mass)
 
 
 def _change(before, now):
@@ -252,7 +234,7 @@ def affine_synthesis(
     as_linearization(linearization)
     law = JointLaw(system, memory, times, x, z, y)
     sensor, start, fits = linearization.moments(system.sensor), None, []
-    for k, t, likelihood, _ in law.steps():
+    for k, t, likelihood in law.steps():
         if k == 0:
             start = _start(law, t)
             mean, cov, moments = start
@@ -354,7 +336,7 @@ def grid_risk(
             "filter: wanted one whose measurements all arrive, got one with a schedule"
         )
     law = JointLaw(filter.system, filter.memory, filter.times, x, z, y)
-    for k, _, likelihood, _ in law.steps():
+    for k, _, likelihood in law.steps():
         output = _output(filter, law, k)
         law.take(k, output.mean, likelihood, output.mode)
     return law.risk()

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,7 +16,7 @@ from seedslib.base.progress import followed
 from seedslib.base.tables import AxesLike, Axis, Labels, NodesLike, as_axes, as_grids, mesh
 from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.memory import Memory
-from seedslib.designed.tables import Output, Table, block_labels, require_like_blocks
+from seedslib.designed.tables import Output, block_labels, require_like_blocks
 from seedslib.filters.weights import most_probable
 from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_grid, as_system, switches
@@ -338,7 +337,6 @@ class JointLaw:
             )
         self.joint: np.ndarray = self.chain.initial[None]
         self.errors: list[tuple] = []  # mse, bias, clamped, wrong at each measurement
-        self.scores: list[tuple[float, float]] = []  # time and mse, nodes included
         self._worst: dict[str, tuple[float, float]] = {}  # by sentence: probability and time
         self._note(ENDS, self.chain.missed, self.times[0])
 
@@ -352,20 +350,12 @@ class JointLaw:
         """The memory at each cell, (d, cells)."""
         return mesh(self.memory_axes)
 
-    def steps(self, nodes: int = 0) -> Iterator[tuple[int, float, Likelihood, tuple[Table, ...]]]:
-        """Number, time and likelihoods of each measurement, and the forecasts at nodes before it.
-
-        Between measurements the state moves; `take` is the caller's.
-        """
-        between: list[Table] = []
+    def steps(self) -> Iterator[tuple[int, float, Likelihood]]:
+        """Number, time and likelihoods of each measurement; `take` is the caller's."""
         for k, t in enumerate(followed(self.times, "design on a grid")):
-            yield k, t, self.likelihood(t), tuple(between)
+            yield k, t, self.likelihood(t)
             if k + 1 < len(self.times):
-                stops, between = np.linspace(t, self.times[k + 1], nodes + 2), []
-                for a, b in pairwise(stops):
-                    self.move(a, b)
-                    if b != stops[-1]:
-                        between.append(self._forecast(b))
+                self.move(t, self.times[k + 1])
         self._warn()
 
     def likelihood(self, t: float) -> Likelihood:
@@ -447,7 +437,6 @@ class JointLaw:
             self.joint = remember(joint, of_blocks, dropped)
         self._note(CLAMPED, float(clamped), self.times[k])
         self.errors.append((mse, bias, clamped, wrong))
-        self.scores.append((self.times[k], mse))
         self.filled = min(self.filled + 1, self.depth)
         return mass
 
@@ -458,24 +447,12 @@ class JointLaw:
         self._note(LOST, float(loss), start)
         self.joint = self.joint @ self.chain.transition(float(start), float(stop)).T
 
-    def _forecast(self, t: float) -> Table:
-        """g(u) = M[X | u], (4.3), as a table; its error is noted."""
-        means = conditional(self.joint) @ self.values[0]
-        mass = self.joint.sum(axis=1)
-        square = self.joint.sum(axis=0) @ self.values[0] ** 2
-        self.scores.append((t, square - mass @ means**2))
-        return Table.of(self.memory_axes, Output(means))
-
     def prediction(self) -> Accuracy:
-        """Root-mean-square errors at measurements and nodes, without sampling error."""
-        times, squares = (np.array(part) for part in zip(*self.scores, strict=True))
-        rms = np.sqrt(np.maximum(squares, 0.0))[:, None]
-        if not self.switching:
-            return Accuracy(times, rms, np.zeros_like(rms))
-        wrong = self.risk().mode_error
-        return Accuracy(
-            times, rms, np.zeros_like(rms), mode_rate=wrong, mode_error=np.zeros(len(rms))
-        )
+        """Root-mean-square errors at the measurements, without sampling error."""
+        risk = self.risk()
+        rms = np.sqrt(np.maximum(risk.mse, 0.0))[:, None]
+        exact = None if risk.mode_error is None else np.zeros(len(rms))
+        return Accuracy(self.times, rms, np.zeros_like(rms), False, risk.mode_error, exact)
 
     def covariances(self) -> np.ndarray:
         """Error covariances (K+1, 1, 1) after each measurement."""

@@ -84,7 +84,7 @@ def minimax_synthesis(
     """
     as_system("system", system, "DiscreteSystem")
     method, fits = Minimax(prediction, correction), []
-    samples = MemoryPaths(system, memory, times, paths, 2, 0, seed, workers)
+    samples = MemoryPaths(system, memory, times, paths, 2, seed, workers)
     for k in followed(range(len(samples.times)), "regressions"):
         basics = Basics.of(system, memory, method, samples.times, k)
         fits.append(_fitted(basics, samples.sample()))

@@ -20,24 +20,6 @@ from seedslib.models.kinds import AnySystem
 LARGEST = 1e100
 """A state beyond this has no square worth averaging."""
 
-REACH = 6.0
-"""How many deviations of the first state have to be below it."""
-
-
-def require_range(system: AnySystem) -> None:
-    """Refuse a first distribution of which paths would be left out as too far.
-
-    Raises
-    ------
-    ValueError
-        It reaches beyond 1e100.
-    """
-    reach = np.abs(system.mean0) + REACH * np.sqrt(np.diagonal(system.cov0))
-    if not (reach < LARGEST).all():
-        raise ValueError(
-            f"mean0, cov0: wanted units of the state below {LARGEST:g}, got {reach.max():.3g}"
-        )
-
 
 class Executor:
     """Map over the bundles of a design. This one works here; another may work elsewhere.
@@ -165,16 +147,16 @@ class PathSimulator:
         self.alive = [np.ones(size, dtype=bool) for size in sizes]
         self._go(lambda system, rng, size: system.initial_sample(rng, size), sizes)
 
-    def advance(self, start: float, stop: float, inputs: Mapping[Any, Any] | None = None) -> None:
+    def advance(self, start: float, stop: float) -> None:
         """Move all paths to a later time."""
-        options, p = self.options, self.system.values(inputs, stop - start)
+        options, p = self.options, self.system.values(dt=stop - start)
         self._go(
             lambda system, rng, x: system.advance(x, start, stop, rng, p, **options), self.states
         )
 
-    def measure(self, t: float, inputs: Mapping[Any, Any] | None = None) -> list[Any]:
+    def measure(self, t: float) -> list[Any]:
         """Measurements, (m, paths) for each bundle; once at a stop."""
-        p = self.system.values(inputs)
+        p = self.system.values()
 
         def sampled(system, streams, counts, x):
             return system.sensor.sample(t, x, _generator(streams, counts), p)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Callable, Sequence
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -18,7 +17,7 @@ from seedslib.design.regression import root_mean_squares, scatter
 from seedslib.designed.accuracy import Accuracy, Design
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.tables import Output, OutputFunction, arguments, require_like_blocks
-from seedslib.models.kinds import AnySystem, as_grid, in_steps, switches
+from seedslib.models.kinds import AnySystem, as_grid, switches
 
 LARGEST = 1e50
 """A state beyond this has no fourth power worth averaging."""
@@ -54,7 +53,7 @@ class Sample(NamedTuple):
 
     def arguments(self, system: AnySystem, measured: bool = True) -> list[np.ndarray]:
         """Arguments of an output function, see `seedslib.designed.tables.arguments`."""
-        y = self.measurements if measured and self.measurements is not None else ()
+        y = self.measurements if measured else ()
         return arguments(system, y, self.indicators, self.past)
 
     def output(self, system: AnySystem, function: OutputFunction) -> Output:
@@ -63,9 +62,9 @@ class Sample(NamedTuple):
 
 
 class _Paths(NamedTuple):
-    """One set of paths: states by time, measurements (K+1, m, N), modes, indicators (K+1, N)."""
+    """One set: states (K+1, n, N), measurements (K+1, m, N), modes and indicators (K+1, N)."""
 
-    states: dict[float, np.ndarray]
+    states: np.ndarray
     measurements: np.ndarray
     modes: MaybeArray = None
     indicators: MaybeArray = None
@@ -88,16 +87,12 @@ class MemoryPaths:
     paths : int
         In each set.
     sets : int
-    nodes : int
-        Number of evenly spaced times inside each interval.
     seed : int, SeedSequence or Generator
     workers : int
 
     Attributes
     ----------
     times : ndarray, shape (K+1,)
-    stops : tuple of ndarray
-        Nodes and end of each interval.
     spare : SeedSequence
         A stream that no path has.
 
@@ -114,7 +109,6 @@ class MemoryPaths:
         times: ArrayLike,
         paths: Count,
         sets: int,
-        nodes: Count,
         seed: Seed,
         workers: int,
     ) -> None:
@@ -127,11 +121,6 @@ class MemoryPaths:
         self.system, self.memory, self.workers = system, memory, workers
         self.times, self._root = as_grid("times", times, system), as_seed_sequence(seed)
         self.paths, self.diverged = as_count("paths", paths), 0
-        # a system in discrete time has no states between
-        parts = 1 if nodes == 0 or in_steps(system) else as_count("nodes", nodes) + 1
-        self.stops: tuple[np.ndarray, ...] = tuple(
-            np.append(a + (b - a) * np.arange(1, parts) / parts, b) for a, b in pairwise(self.times)
-        )
         streams = [self._root] if sets == 1 else self._root.spawn(sets + 1)
         self.spare: np.random.SeedSequence = streams[-1]
         self.sets: list[_Paths] = [self._simulated(stream) for stream in streams[:sets]]
@@ -144,10 +133,8 @@ class MemoryPaths:
         self._scores, self._errors, self._wrong = [], [], []
 
     def _simulated(self, stream):
-        grid = np.concatenate([self.times[:1], *self.stops])
-        at = np.searchsorted(grid, self.times)
-        data = self.system.simulate(grid, self.paths, stream, measured=at, workers=self.workers)
-        y = data.measurements[at]
+        data = self.system.simulate(self.times, self.paths, stream, workers=self.workers)
+        y = data.measurements
         with np.errstate(invalid="ignore"):
             good = (np.abs(data.states) <= LARGEST).all(axis=(0, 1))
         good &= np.isfinite(y).all(axis=(0, 1))
@@ -156,24 +143,18 @@ class MemoryPaths:
             raise ValueError("paths: wanted some that stay finite, got none")
         self.diverged += diverged
         good = good if diverged else slice(None)
-        states = {float(t): x[:, good] for t, x in zip(grid, data.states, strict=True)}
-        labels = (
-            None if part is None else part[at][:, good] for part in (data.modes, data.indicators)
-        )
-        return _Paths(states, y[..., good], *labels)
+        labels = (None if part is None else part[:, good] for part in (data.modes, data.indicators))
+        return _Paths(data.states[..., good], y[..., good], *labels)
 
-    def sample(self, t: float | None = None) -> Sample:
-        """What functions are fitted to: for the next measurement, or for a time t before it."""
-        return self._sample(self._k, t)
+    def sample(self) -> Sample:
+        """What the function of the next measurement is fitted to."""
+        return self._sample(self._k % len(self.sets))
 
-    def _sample(self, number: int, t: float | None = None) -> Sample:
-        """Of one of the sets, counted on and on."""
-        k, number = self._k, number % len(self.sets)
-        paths, past = self.sets[number], self._pasts[number]
-        if t is not None:
-            return Sample(paths.states[float(t)], None, past)
+    def _sample(self, number: int) -> Sample:
+        """Of one of the sets."""
+        k, paths = self._k, self.sets[number]
         labels = (None if part is None else part[k] for part in (paths.modes, paths.indicators))
-        return Sample(paths.states[float(self.times[k])], paths.measurements[k], past, *labels)
+        return Sample(paths.states[k], paths.measurements[k], self._pasts[number], *labels)
 
     def apply(self, function: OutputFunction) -> None:
         """Apply the function of the next measurement on all paths, and note its errors."""
@@ -194,12 +175,6 @@ class MemoryPaths:
                 indicator=sample.indicators,
             )
         self._k += 1
-
-    def score(self, t: float, forecast: OutputFunction) -> None:
-        """Note the errors of a forecast, a function of the memory, at a node."""
-        sample = self._sample(self._k + 1, t)
-        output = forecast(sample.arguments(self.system))
-        self._scores.append((float(t), (sample.states - output.mean) ** 2))
 
     def designed(self, kind: Callable[..., Any], **fields: Any) -> Any:
         """The filter of the functions, with its errors on the paths and on held-out ones."""

@@ -9,11 +9,8 @@ import numpy as np
 
 from seedslib.base.arrays import Count, Seed
 from seedslib.base.checks import as_count, as_positive
-from seedslib.design.samples import prediction_of
-from seedslib.designed.accuracy import Accuracy
 from seedslib.designed.base import DesignedFilter
 from seedslib.filters.base import Estimates
-from seedslib.models.kinds import UnknownModel
 from seedslib.models.simulation import Simulation
 
 SURE = 4.0
@@ -64,7 +61,7 @@ def stationary(
     Raises
     ------
     TypeError, ValueError
-        No designed filter, one that was loaded without its model, arguments that do not fit; a
+        No designed filter, arguments that do not fit; a
         design that has not converged, or a filter that does not keep its error: the message has the
         numbers.
     """
@@ -72,8 +69,6 @@ def stationary(
         raise TypeError(f"filter: wanted a filter with a design, got {filter!r}")
     if filter.availability is not None:
         raise ValueError("filter: wanted one without an availability, whose classes have an end")
-    if isinstance(filter.system, UnknownModel):
-        raise ValueError("filter: wanted one with its model, got one that was loaded without")
     tolerance = as_positive("tolerance", tolerance, infinite=True)
     last, depth = len(filter.times) - 1, max(1, filter.memory.depth)
     cycle, paths = as_count("cycle", cycle), as_count("paths", paths, 2)
@@ -115,7 +110,6 @@ def stationary(
                 f"since the schedule goes on in turn, got {transient}"
             )
         estimates = _run(endless, data)
-        endless = replace(endless, held_out=_held_out(endless, estimates, data))
     square = _errors(estimates, data) ** 2
     growth = square[last + 1 :].mean(axis=0) - square[end].mean(axis=0)
     growth /= 2.0 * scale[:, None] ** 2
@@ -142,11 +136,3 @@ def _run(filter: DesignedFilter, data: Simulation) -> Estimates:
 
 def _errors(estimates: Estimates, data: Simulation) -> np.ndarray:
     return estimates.mean - data.states[:, : estimates.mean.shape[1]]
-
-
-def _held_out(filter: DesignedFilter, estimates: Estimates, data: Simulation) -> Accuracy:
-    """Accuracy at the filter's own times."""
-    squares = _errors(estimates, data) ** 2
-    wrong = () if data.modes is None else (estimates.modes != data.modes)[: len(filter.times)]
-    accuracy = prediction_of(list(zip(filter.times, squares, strict=False)), wrong)
-    return accuracy._replace(times=filter.times, paths=data.states.shape[2])

@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike
 from seedslib.base.blocks import BLOCK, as_seed_sequence, seed_record
 from seedslib.base.checks import as_count, outside
 from seedslib.base.progress import followed
-from seedslib.base.values import Inputs, InputTrajectory, as_trajectory
 from seedslib.design.held_out import with_held_out
 from seedslib.design.paths import Executor, PathSimulator, executor
 from seedslib.design.regression import (
@@ -160,7 +159,6 @@ def synthesize_switching(
     seed: object,
     workers: int | Executor = 1,
     normalisation: str = "consistent",
-    inputs: Inputs | None = None,
 ) -> SwitchingFilter:
     """Design a filter of finite order for a switching system: theorem 3 of the switching paper.
 
@@ -183,8 +181,6 @@ def synthesize_switching(
         on it, bit by bit.
     normalisation
         As `SwitchingFilter`.
-    inputs : mapping of Input to array_like, shape (K+1,), optional
-        As `seedslib.design.synthesize`.
 
     Returns
     -------
@@ -211,12 +207,11 @@ def synthesize_switching(
     paths = as_count("paths", paths)
     if paths < n + order + 2:
         raise ValueError(f"paths: wanted at least {n + order + 2}, got {paths}")
-    trajectory = as_trajectory(system, inputs, len(times))
     rules = compiled_rules(system, linearization, normalisation)
     root = as_seed_sequence(seed)
     with executor(workers) as each:
         simulator = PathSimulator(system.hybrid, paths, root, len(times), each, {})
-        forward = SwitchingPass(simulator, system, memory, rules, trajectory)
+        forward = SwitchingPass(simulator, system, memory, rules)
         forward.design(times)
         pooled, pairs = forward.pooled, forward.pairs
         if pooled > OFTEN * pairs:
@@ -245,7 +240,7 @@ def synthesize_switching(
             ),
         )
     del simulator, forward  # their paths are not needed any more
-    return with_held_out(designed, root, paths, workers, inputs=trajectory.values)
+    return with_held_out(designed, root, paths, workers)
 
 
 class SwitchingPass:
@@ -257,8 +252,6 @@ class SwitchingPass:
     system : SwitchingSystem
     memory : Memory
     rules : SwitchingRules
-    inputs : InputTrajectory
-        At the measurement times.
 
     Attributes
     ----------
@@ -274,10 +267,9 @@ class SwitchingPass:
         system: SwitchingSystem,
         memory: Memory,
         rules: SwitchingRules,
-        inputs: InputTrajectory,
     ) -> None:
         self.simulator, self.system, self.memory = simulator, system, memory
-        self.rules, self.inputs = rules, inputs
+        self.rules = rules
         self.states: Any = []
         self.fits, self.scores = [], []
         self.pooled = self.pairs = 0
@@ -291,33 +283,33 @@ class SwitchingPass:
                     partial(_start, self.rules), self.simulator.states
                 )
             else:
-                self._predict(times[k - 1], t, self.inputs.at(k - 1))
-            self._correct(k, t, self.inputs.at(k))
+                self._predict(times[k - 1], t)
+            self._correct(k, t)
             self._score()
             if k + 1 < len(times):
                 self._fit(k)
 
-    def _predict(self, old, t, inputs):
+    def _predict(self, old, t):
         rules, system, fit = self.rules, self.system, self.fits[-1]
-        p = system.values(inputs, t - old)
+        p = system.values(dt=t - old)
 
         def predict(state):
             cell = cell_number(state.past, system.modes, system.indicators, state.mode.shape)
             law = rules.predict(old, fit.forecast(cell, state.past.vector), p)
             return state._replace(law=law, corrected=False)
 
-        self.simulator.advance(old, t, inputs)
+        self.simulator.advance(old, t)
         self.states = self.simulator.executor(predict, self.states)
 
-    def _correct(self, k, t, inputs):
+    def _correct(self, k, t):
         rules, memory, m = self.rules, self.memory, self.system.measurement_size
-        with_indicator, p = self.system.indicators > 0, self.system.values(inputs)
+        with_indicator, p = self.system.indicators > 0, self.system.values()
 
         def correct(state, y):
             indicator = y[m].astype(int) if with_indicator else None
             return rules.correct(state._replace(index=k, time=t), y[:m], indicator, memory, p)
 
-        y = self.simulator.measure(t, inputs)
+        y = self.simulator.measure(t)
         self.states = self.simulator.finite(correct, self.states, y, array=lambda state: state.mean)
 
     def _fit(self, k):

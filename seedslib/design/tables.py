@@ -14,7 +14,7 @@ from seedslib.base.tables import AxesLike, Axis, as_axes, mesh
 from seedslib.design.kernels import METHODS, histogram_table, likelihood_table
 from seedslib.design.samples import MemoryPaths, Sample
 from seedslib.designed.memory import Memory
-from seedslib.designed.tables import OutputFilter, Step, Table, TableFilter, prior, step_axes
+from seedslib.designed.tables import Step, Table, TableFilter, prior, step_axes
 from seedslib.filters.weights import most_probable
 from seedslib.models.kinds import KINDS, AnySystem, as_system, switches
 
@@ -35,7 +35,6 @@ def simulated_synthesis(
     y: AxesLike,
     z: AxesLike | None = None,
     method: str = "likelihood",
-    nodes: Count = 4,
     workers: int = 1,
 ) -> TableFilter:
     """Optimal filter of finite order by regression on simulated paths, measurement by measurement.
@@ -62,8 +61,6 @@ def simulated_synthesis(
     method : {"likelihood", "histogram"}
         Smooth in the memory only and weight by the known likelihood of y (Rao-Blackwellised), or
         count simulated measurements too (the paper's method).
-    nodes : int
-        Number of evenly spaced forecasts inside each interval; a switching system has none.
     workers : int
         Threads of the simulation.
 
@@ -89,9 +86,9 @@ def simulated_synthesis(
     likelihood = method == "likelihood"
     if likelihood and not all(b is None or b.has_log_density for b in _readings(system)):
         raise ValueError("method: likelihood wants a sensor with a log-density; use histogram")
-    samples = MemoryPaths(system, memory, times, paths, 2, nodes, seed, workers)
+    samples = MemoryPaths(system, memory, times, paths, 2, seed, workers)
     axes_y, axes_z = _axes(system, memory, system.state_size, y, z)
-    steps, node_fits = [], []
+    steps = []
     for k, t in enumerate(followed(samples.times, "design of tables")):
         axes, memory_axes = step_axes(system, memory, axes_y, axes_z, k)
         sample = samples.sample()
@@ -104,19 +101,7 @@ def simulated_synthesis(
             forecast = _by_histogram(samples, sample, memory_axes, measured=False)
         steps.append(Step(update, forecast))
         samples.apply(update)
-        if k + 1 < len(samples.times):
-            axes, fits = step_axes(system, memory, axes_y, axes_z, k + 1)[1], []
-            for stop in samples.stops[k][:-1]:
-                fits.append(_by_histogram(samples, samples.sample(stop), axes))
-                samples.score(stop, fits[-1])
-            node_fits.append(tuple(fits))
-    return samples.designed(
-        TableFilter,
-        steps=tuple(steps),
-        method=METHODS[method],
-        node_times=tuple(stops[:-1] for stops in samples.stops),
-        node_fits=tuple(node_fits),
-    )
+    return samples.designed(TableFilter, steps=tuple(steps), method=METHODS[method])
 
 
 def _by_histogram(paths: MemoryPaths, sample: Sample, axes: Any, measured: bool = True) -> Table:
@@ -207,54 +192,3 @@ def _axes(
             f"at most {LARGEST_TABLE}: fewer nodes, a shorter memory, or seedslib.extra.learned"
         )
     return axes_y, axes_z
-
-
-def tabulated(filter: OutputFilter, *, y: Any, z: AxesLike | None = None) -> TableFilter:
-    """The same filter with its functions as tables over the nodes of axes.
-
-    The table runs without the model, so it may be handed on as a file alone.
-
-    Parameters
-    ----------
-    filter : OutputFilter
-        Learned, or of functions of one's own.
-    y, z : sequence of Axis or (low, high, count)
-        Nodes for each component of a measurement and of an estimate; one alone where there is
-        one component. A memory of measurements alone takes no `z`.
-
-    Raises
-    ------
-    TypeError, ValueError
-        Another filter, axes that are none, tables that would be too large.
-    """
-    if not isinstance(filter, OutputFilter) or switches(filter.system):
-        raise TypeError(f"filter: wanted output functions, got a {type(filter).__name__}")
-    system, memory = filter.system, filter.memory
-    axes_y, axes_z = _axes(system, memory, filter.components, y, z)
-    axes = [step_axes(system, memory, axes_y, axes_z, k) for k in range(len(filter.times))]
-    steps = [Step(*map(_sampled, *pair)) for pair in zip(filter.steps, axes, strict=True)]
-    node_fits = [
-        tuple(_sampled(fit, memory_axes) for fit in fits)
-        for fits, (_, memory_axes) in zip(filter.node_fits, axes[1:], strict=False)
-    ]
-    return TableFilter(
-        system=system,
-        memory=memory,
-        times=filter.times,
-        steps=tuple(steps),
-        method=f"read off {filter.method}",
-        predicted=filter.predicted,
-        covariances=filter.covariances,
-        design=filter.design,
-        node_times=filter.node_times,
-        node_fits=tuple(node_fits),
-        between=filter.between,
-    )
-
-
-def _sampled(function, axes) -> Table:
-    """Table of a function at the nodes of the axes."""
-    points = mesh(axes)
-    parts = [points[:, a : a + AT_ONCE] for a in range(0, points.shape[1], AT_ONCE)]
-    values = [function([*part]).on(part.shape[1:]).mean for part in parts]
-    return Table(axes, np.concatenate(values, axis=1).reshape(-1, *(a.count for a in axes)))

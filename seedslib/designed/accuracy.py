@@ -42,11 +42,6 @@ class Accuracy(NamedTuple):
     paths: int = 0
     diverged: int = 0
 
-    def of(self, rows: np.ndarray, times: np.ndarray) -> Accuracy:
-        """Some rows, at other times."""
-        rate, error = (p if p is None else p[rows] for p in (self.mode_rate, self.mode_error))
-        return Accuracy(times, self.rms[rows], self.error[rows], self.in_sample, rate, error)
-
 
 class Design(NamedTuple):
     """How a filter was designed: paths, paths per block, seed.

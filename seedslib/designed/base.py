@@ -5,7 +5,6 @@ from __future__ import annotations
 import warnings
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -26,7 +25,7 @@ from seedslib.filters.base import (
     stacked,
     with_divergence,
 )
-from seedslib.models.kinds import inputs_of, switches
+from seedslib.models.kinds import switches
 from seedslib.models.simulation import Schedule
 
 if TYPE_CHECKING:
@@ -178,9 +177,9 @@ class DesignedFilter(Filter):
         """The filter of some steps of the design, by their numbers, which are then the only ones.
 
         Each comes as long after the one before it as it did in the design. What was predicted of
-        the steps is kept, as if the steps between had been there; nothing was held out.
+        the whole design is left out.
         """
-        times, tolerance = np.asarray(self.times), self.clock.tolerance
+        times = np.asarray(self.times)
         shift = times[0] + np.cumsum(np.diff(times, prepend=times[0])[chosen]) - times[chosen]
         changed: dict[str, Any] = {}
         for name, first in self.per_step.items():
@@ -189,17 +188,12 @@ class DesignedFilter(Filter):
             changed[name] = part[rows] if of_rows else tuple(part[k] for k in rows)
         if self.measured is not None:
             changed["measured"] = self.measured[chosen]
-        if self.predicted is not None:
-            old = self.predicted.times
-            leads_to = np.searchsorted(times, old - tolerance)
-            rows, by = np.flatnonzero(np.isin(leads_to, chosen)), np.zeros(len(times))
-            by[chosen] = shift
-            changed["predicted"] = self.predicted.of(rows, old[rows] + by[leads_to[rows]])
         if self.node_times:
             intervals = [(k - 1, by) for k, by in zip(chosen[1:], shift[1:], strict=True)]
             changed["node_times"] = tuple(self.node_times[k] + by for k, by in intervals)
             changed["node_fits"] = tuple(self.node_fits[k] for k, _ in intervals)
-        return replace(self, times=times[chosen] + shift, held_out=None, cycle=0, **changed)
+        changed |= {"times": times[chosen] + shift, "predicted": None, "held_out": None}
+        return replace(self, cycle=0, **changed)
 
     def check(self) -> None:
         """Make the times an array; refuse steps that do not fit them.
@@ -241,21 +235,6 @@ class DesignedFilter(Filter):
                 )
 
     # Step by step
-
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """Inputs in the maps that a step evaluates; the others are in the design's own numbers."""
-        return inputs_of(self.system)
-
-    @cached_property
-    def _unused(self) -> dict[Any, float]:
-        return dict.fromkeys(inputs_of(self.system) - self.evaluated, np.nan)
-
-    def values(self, inputs: Mapping[Any, Any] | None = None, dt: float = np.nan) -> Values:
-        """Numbers of the parameters; inputs that no step evaluates may be missing."""
-        if self._unused:
-            inputs = {**self._unused, **(inputs or {})}
-        return super().values(inputs, dt)
 
     def propagate(self, state: Any, t: float, p: Values, interval: Interval | None = None) -> Any:
         """The forecast for the next measurement, at t; `interval` is the one before, if known."""
@@ -538,9 +517,7 @@ class DesignedFilter(Filter):
         wanted = np.array(clock.times)
         wanted = wanted[wanted <= times[-1] + clock.tolerance]
         if not clock.same(times[0], clock.times[0]):
-            raise ValueError(
-                f"times: wanted to begin at {when(clock.times[0])}, got {when(times[0])}"
-            )
+            raise ValueError(f"times: wanted {when(clock.times[0])} first, got {when(times[0])}")
         if times[-1] > self.horizon + clock.tolerance:
             raise ValueError(
                 f"times: wanted at most {when(self.horizon)}, where the design ends, got "
@@ -591,8 +568,7 @@ class DesignedFilter(Filter):
         indicators : array_like of int, shape (J+1, *batch), optional
             -1 marks a missing one; wanted where the system has an indicator.
         inputs : mapping of Input to array_like, shape (J+1,) or (J+1, *batch), optional
-            Values of the inputs that the model mentions. Those of the design are wanted: its
-            forecasts have them in their numbers.
+            Values of the inputs that the model mentions, of a filter without a design.
         covariances : bool
             Whether `cov` is wanted.
         workers : int

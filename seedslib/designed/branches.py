@@ -7,12 +7,10 @@ forecast; None where the mode never switches there.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from typing import Any
 
 import numpy as np
 
-from seedslib.designed.identity import probe_points
 from seedslib.linearization.moments import Gaussian, Linearization, Moments, Weighted
 from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import Branch, SwitchingSystem
@@ -108,46 +106,21 @@ def constant_moments(
 
 
 def _with_indicator(system, branch, reading):
-    """Move to the next state together with the indicator's value there."""
+    """The moved state, weighted by the probabilities of the branch and of its reading then.
+
+    Raises ValueError where that is no expression of the moved state alone.
+    """
     if reading is None:
         return None
-    move, sensor, probability = branch.map, reading.map, None
-    if move.symbolic:
-        with suppress(ValueError):  # none has a closed form where the noise decides
-            probability = reading.probability_expression
-    symbols = sensor.mentions if probability is None else probability.free_symbols
-    if any(getattr(symbol, "role", None) == "input" for symbol in symbols):
+    move, sensor = branch.map, reading.map
+    if not move.symbolic:
+        raise ValueError("indicator: wanted expressions, got array functions")
+    probability = reading.probability_expression
+    if any(getattr(symbol, "role", None) == "input" for symbol in probability.free_symbols):
         raise ValueError("indicator: its probability depends on an input of another time")
-    if _depends_on_time(system, reading) if probability is None else probability.has(sensor.time):
+    if probability.has(sensor.time):
         raise ValueError("indicator: its probability depends on state and time")
-    if probability is None:
-        return StochasticMap.from_functions(
-            move.state_size,
-            move.size,
-            lambda t, x, v, *p: move.value(t, x, v, p),
-            move.noise,
-            weight=lambda t, x, v, *p: (
-                move.weight(t, x, v, p) * reading.probability(t, move.value(t, x, v, p), p)
-            ),
-            parameters=move.parameters,
-        )
     next_state = dict(zip(sensor.state, move.expressions, strict=True))
     weight = move.weight_expression * probability.subs(next_state, simultaneous=True)
     both = StochasticMap(move.state, move.expressions, move.noise, weight, time=move.time)
     return both.taking(move.parameters)
-
-
-def _depends_on_time(system, reading):
-    """Whether a probability without a formula changes with time, at states about the first ones.
-
-    One that is not defined at all times depends on them.
-    """
-    states, p = probe_points(system, 0.0, 1.0)[1:], system.nominal_values()
-    try:
-        with np.errstate(all="ignore"):
-            first, *others = (
-                reading.probability(t, states, p) for t in (0.0, 1e-3, 0.37, 1.0, 7.3, 100.0)
-            )
-    except Exception:
-        return True
-    return not all(np.array_equal(first, other, equal_nan=True) for other in others)

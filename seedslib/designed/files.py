@@ -37,11 +37,11 @@ from seedslib.designed import (
     tables,
 )
 from seedslib.designed.base import DesignedFilter
-from seedslib.designed.identity import difference, model_text, probe, probe_points
-from seedslib.designed.tables import OutputFilter, TableFilter
-from seedslib.models.kinds import AnySystem, UnknownModel, switches
+from seedslib.designed.identity import difference, probe, probe_points
+from seedslib.designed.tables import TableFilter
+from seedslib.models.kinds import KINDS, AnySystem, as_system
 
-FORMAT, VERSION = "seedslib designed filter", 6
+FORMAT, VERSION = "seedslib designed filter", 7
 FILTERS = (
     finite_order.FiniteOrderFilter,
     TableFilter,
@@ -53,7 +53,7 @@ KNOWN = {
     for module in (arrivals, cells, finite_order, minimax, predictors, switching, tables)
     for name, kind in vars(module).items()
     if isinstance(kind, type) and (hasattr(kind, "_fields") or dataclasses.is_dataclass(kind))
-} | {"UnknownModel": UnknownModel}
+}
 """NamedTuples and dataclasses that filters consist of; linearizations come beside them."""
 
 LINEARIZATIONS = ("Taylor", "ExactGaussian", "Unscented", "Cubature", "GaussHermite")
@@ -73,25 +73,19 @@ def save(filter: DesignedFilter, path: str | PathLike[str]) -> None:
     ------
     TypeError
         Something that is no designed filter, or one with functions or a linearization of one's
-        own, which are programs; one of output functions is tabulated first.
-    ValueError
-        A filter that was itself loaded without its model.
+        own, which are programs.
     """
     if type(filter) not in FILTERS:
         raise TypeError(f"filter: wanted a FiniteOrderFilter, got {type(filter).__name__}")
     if filter.memory is None:
         raise TypeError("filter: wanted a designed filter, got one without a memory")
-    if isinstance(filter.system, UnknownModel):
-        raise ValueError("filter: wanted one with its model, got one that was loaded without")
     numbers, points = _Numbers(), probe_points(filter.system, *filter.reach)
-    values = probe(filter.system, points, isinstance(filter, OutputFilter))
+    values = probe(filter.system, points)
     header = {
         "format": FORMAT,
         "version": VERSION,
         "versions": {"seedslib": seedslib.__version__, "numpy": np.__version__},
         "filter": numbers.packed(filter, "", leave=("system",)),
-        "model": model_text(filter.system),
-        "sizes": numbers.packed(UnknownModel.of(filter.system), "sizes"),
         "points": numbers.packed(points, "points"),
         "values": {name: numbers.packed(value, name) for name, value in values.items()},
     }
@@ -101,47 +95,41 @@ def save(filter: DesignedFilter, path: str | PathLike[str]) -> None:
     write_whole(path, file.getvalue())
 
 
-def load(path: str | PathLike[str], system: AnySystem | None = None) -> Any:
+def load(path: str | PathLike[str], system: AnySystem) -> Any:
     """Read a designed filter for a model.
 
     Parameters
     ----------
     path : path-like
-    system : JumpDiffusion, DiscreteSystem or SwitchingSystem, optional
-        The model that the filter was designed for, however it is written. A filter of tables
-        runs without it, then nothing is compared; any other evaluates the model's sensor.
+    system : JumpDiffusion, DiscreteSystem or SwitchingSystem
+        The model that the filter was designed for, however it is written.
 
     Raises
     ------
     FileNotFoundError
         There is no such file.
-    ValueError
-        A file that is damaged or cut short, that contains something else, that was written by
-        another version, or that was designed for another model; the message says which. No model
-        for a filter that needs one.
+    TypeError, ValueError
+        No model; a file that is damaged or cut short, that contains something else, that was
+        written by another version, or that was designed for another model; the message says which.
     """
+    as_system("system", system, *KINDS)
     path = Path(path)
     header, vectors = _read(path)
-    reason, known = "", system is not None
     with _consistent(path):
-        tree = header["filter"]
-        kind, sizes = KNOWN[tree["class"]], _unpacked(header["sizes"], vectors)
-        if known:
-            values = {name: _unpacked(part, vectors) for name, part in header["values"].items()}
-            points, likelihood = (
-                _unpacked(header["points"], vectors),
-                issubclass(kind, OutputFilter),
-            )
-            reason = _difference(system, sizes, points, values, likelihood)
+        points = _unpacked(header["points"], vectors)
+        values = {name: _unpacked(part, vectors) for name, part in header["values"].items()}
+        size = len(points) - 1
+        if size != system.state_size:
+            reason = f"it has {size} state components, not {system.state_size}"
+        else:
+            reason = difference(values, probe(system, points))
     if reason:
-        raise ValueError(f"{path.name}: designed for another model{reason}")
-    if not known and kind is not TableFilter:
-        raise ValueError(
-            f"{path.name}: this filter evaluates its model; wanted the model too, on the command "
-            "line --system (only a filter of tables runs without)"
-        )
+        raise ValueError(f"{path.name}: designed for another model: {reason}")
     with _consistent(path):
-        return _unpacked(tree, vectors, system=system if known else sizes.bounded())
+        filter = _unpacked(header["filter"], vectors, system=system)
+        if type(filter) not in FILTERS:
+            raise TypeError(f"a {type(filter).__name__} is no filter")
+    return filter
 
 
 @contextmanager
@@ -169,17 +157,6 @@ def _read(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
     if stated != (FORMAT, VERSION):
         raise ValueError(f"{path.name}: wanted {FORMAT!r}, version {VERSION}, got {stated}")
     return header, vectors
-
-
-def _difference(system, sizes, points, values, likelihood) -> str:
-    """How the model of a file differs from another, in words; empty where it does not."""
-    if switches(system) != switches(sizes):
-        return ", one that has modes" if sizes.modes else ", one without modes"
-    if other_size := sizes.difference(UnknownModel.of(system)):
-        word, one, two = other_size
-        return f": it has {one} {word}, not {two}"
-    reason = difference(values, probe(system, points, likelihood))
-    return reason and f": {reason}"
 
 
 def _class_of(name: str) -> type | None:

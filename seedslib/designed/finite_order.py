@@ -232,13 +232,6 @@ class FiniteOrderFilter(DesignedFilter):
         freeze((self.times, self.node_times, self.measured, self.availability, self.start))
         freeze((self.predicted, self.held_out, self.fits, self.node_fits))
 
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """See `DesignedFilter.evaluated`."""
-        continuous = isinstance(self.predictor, Continuous)
-        maps = (self.system.sensor, *((self.system.drift_map,) if continuous else ()))
-        return frozenset(p for map in maps for p in map.mentions)
-
     @cached_property
     def rules(self) -> Rules:
         """The compiled steps."""

@@ -6,7 +6,6 @@ import numpy as np
 
 from seedslib.base.values import Values
 from seedslib.models.kinds import AnySystem, in_steps, switches
-from seedslib.models.maps import StochasticMap
 from seedslib.models.switching import SwitchingSystem
 
 SAME = 1e-9
@@ -36,7 +35,7 @@ def probe_points(system: AnySystem, start: float, stop: float) -> np.ndarray:
 
 
 @np.errstate(all="ignore")  # a model may have no value at a point
-def probe(system: AnySystem, points: np.ndarray, likelihood: bool = False) -> dict[str, np.ndarray]:
+def probe(system: AnySystem, points: np.ndarray) -> dict[str, np.ndarray]:
     """Values of the model's functions at the points, by name; the first axis is over points.
 
     Diffusions are compared by B Bᵀ and noises by their effect, so that equal distributions are
@@ -53,14 +52,14 @@ def probe(system: AnySystem, points: np.ndarray, likelihood: bool = False) -> di
     p = system.nominal_values()
     if switches(system):
         return _branches(system, points, p)
-    rows = [_values(system, t, np.array(x)[:, None], p, likelihood) for t, *x in points.T]
+    rows = [_values(system, t, np.array(x)[:, None], p) for t, *x in points.T]
     values = {name: np.stack([row[name] for row in rows]) for name in rows[0]}
     for part in ("mean", "cov"):
         values[f"mean0, cov0 ({part})"] = np.array([getattr(system, f"{part}0")])
     return values
 
 
-def _values(system, t, x, p, likelihood):
+def _values(system, t, x, p):
     """Values of one that does not switch at one time and state (n, 1)."""
     maps, values = {"sensor": system.sensor}, {}
     if in_steps(system):
@@ -76,18 +75,7 @@ def _values(system, t, x, p, likelihood):
         mean, cov = map.conditional_moments(t, x, p)
         values[f"{name} (mean)"] = np.reshape(mean, map.size)
         values[f"{name} (cov)"] = np.reshape(cov, (map.size, map.size))
-    if likelihood and system.sensor.has_log_density:
-        values["likelihood"] = _likelihood(system.sensor, t, x, p)
     return {name: np.asarray(value, dtype=float) for name, value in values.items()}
-
-
-def _likelihood(sensor: StochasticMap, t: float, x: np.ndarray, p: Values) -> np.ndarray:
-    """Log-densities of measurements up to two deviations from their mean at a state (n, 1)."""
-    mean, cov = sensor.conditional_moments(t, x, p)
-    mean = np.reshape(mean, (-1, 1))
-    deviation = np.sqrt(np.diagonal(np.reshape(cov, (len(mean), len(mean)))))[:, None]
-    y = mean + deviation * np.array([-2.0, -1.0, 0.0, 1.0, 2.0])
-    return sensor.log_density(t, y, np.broadcast_to(x, (len(x), 5)), p)
 
 
 def _branches(system: SwitchingSystem, points: np.ndarray, p: Values) -> dict[str, np.ndarray]:
@@ -160,35 +148,3 @@ def _units(name: str, values: dict[str, np.ndarray]) -> np.ndarray:
 def _largest(values: np.ndarray) -> np.ndarray:
     """Largest finite size over the points."""
     return np.where(np.isfinite(values), np.abs(values), 0.0).max(axis=0, initial=0.0)
-
-
-def model_text(system: AnySystem) -> dict[str, str]:
-    """The model in words, a label for people: nothing of it is ever read back."""
-    if in_steps(system) and not switches(system):
-        maps = {"dynamics": system.dynamics, "sensor": system.sensor}
-        return {
-            name: _lines(map.expressions) if map.symbolic else "array functions"
-            for name, map in maps.items()
-        }
-    if switches(system):
-        tables = {"switching": system.branches, "readings": system.readings}
-        return {name: str([list(map(_branch, row)) for row in t]) for name, t in tables.items()}
-    text = {
-        "state": ", ".join(map(str, system.state)),
-        "drift": _lines(system.drift_expressions),
-        "diffusion": _lines(system.diffusion_expressions),
-        "sensor": _lines(system.sensor.expressions),
-    }
-    if system.jump is not None:
-        text["intensity"] = str(system.intensity_expression)
-        text["jump"] = _lines(system.jump.expressions)
-    return text
-
-
-def _lines(expressions: object) -> str:
-    return str(expressions.tolist())
-
-
-def _branch(branch):
-    """Weight and value of a branch, None where there is none."""
-    return branch and [str(branch.map.weight_expression), *map(str, branch.map.expressions)]

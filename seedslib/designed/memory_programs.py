@@ -42,7 +42,7 @@ def finite_order(step: DesignedProgram) -> None:
     Raises
     ------
     TypeError, ValueError
-        Forecasts of another kind than affine and polynomial; inputs in what is evaluated.
+        Forecasts of another kind than affine and polynomial.
     """
     from seedslib.filters.kernels import correct, map_moments
 
@@ -82,13 +82,6 @@ def _check_finite_order(filter: Any) -> None:
         raise TypeError(
             "predictor: wanted affine or polynomial forecasts for at least two measurements, got "
             f"{filter.predictor}, {len(filter.fits)} forecasts"
-        )
-    maps = [filter.system.sensor]
-    maps += [filter.system.drift_map] if isinstance(filter.predictor, Continuous) else []
-    if any(p.role == "input" for map in maps for p in map.mentions):
-        raise ValueError(
-            "filter: wanted a design whose inputs are in its forecasts alone, got some in what is "
-            "evaluated: C has none there"
         )
 
 

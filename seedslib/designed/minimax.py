@@ -208,8 +208,7 @@ def _update(basics: Basics, fit: MinimaxFit, points: Sequence[np.ndarray]) -> Ou
 class MinimaxFilter(OutputFilter):
     """Conditionally minimax filter; `minimax_synthesis` makes it.
 
-    With functions of one's own it is not written to files, since they are programs; `tabulated`
-    makes a filter of it that is, where there is one component.
+    With functions of one's own it is not written to files, since they are programs.
 
     Attributes
     ----------

@@ -20,7 +20,6 @@ from seedslib.filters.program import Program, any_of
 from seedslib.filters.weights import TIE, logarithm
 from seedslib.linearization.formulas import Formulas
 from seedslib.linearization.moments import Weighted
-from seedslib.models.kinds import inputs_of
 from seedslib.tape.tape import Array, Number, Scalar, choose, isfinite, isnan, stacked
 
 Gaussian: TypeAlias = tuple[np.ndarray, np.ndarray]
@@ -62,7 +61,7 @@ def switching(step: Any) -> None:
     Raises
     ------
     TypeError, ValueError
-        Moments without formulas, fits that are no `CellFit`, inputs of a design.
+        Moments without formulas, fits that are no `CellFit`.
     """
     filter, system, n, modes = step.filter, step.filter.system, step.n, step.modes
     _check(filter)
@@ -138,7 +137,7 @@ def switching(step: Any) -> None:
 
 
 def _check(filter: Any) -> None:
-    system, fits = filter.system, filter.fits
+    fits = filter.fits
     if not isinstance(filter.linearization, Formulas):
         raise TypeError(
             "linearization: wanted formulas, Taylor or ExactGaussian, to write modes in C, got "
@@ -152,8 +151,6 @@ def _check(filter: Any) -> None:
         raise TypeError(
             "fits: wanted distributions in cells, for at least two measurements, to write in C"
         )
-    if inputs_of(system):
-        raise ValueError("filter: wanted a model without inputs, C has none of a design with modes")
 
 
 # Weights and mixtures, from logarithms of weights

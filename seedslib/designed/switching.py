@@ -267,14 +267,6 @@ class SwitchingFilter(DesignedFilter):
             before.repaired,
         )
 
-    def smoother(self) -> Any:
-        """See `Filter.smoother`: of the posterior, which a filter with a memory does not carry."""
-        if self.memory is not None:
-            return super().smoother()
-        from seedslib.designed.switching_smoother import SwitchingSmoother
-
-        return SwitchingSmoother(self)
-
     def __repr__(self) -> str:
         carried = "laws of all modes" if self.memory is None else str(self.memory)
         return f"<SwitchingFilter: {carried}; {self.linearization}>"

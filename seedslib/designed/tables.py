@@ -17,7 +17,7 @@ from seedslib.base.tables import Axis, Labels, locate
 from seedslib.base.values import Values
 from seedslib.designed.accuracy import Accuracy, Design, measurement_line, page
 from seedslib.designed.base import DesignedFilter, FilterState, freeze
-from seedslib.designed.between import Interval, require_kind
+from seedslib.designed.between import Interval
 from seedslib.designed.memory import Memory, Past
 from seedslib.designed.program import DesignedProgram
 from seedslib.filters.base import Estimates
@@ -225,10 +225,10 @@ def arguments(
 class OutputFilter(DesignedFilter):
     """Filter whose estimate is any function of measurement and memory.
 
-    Z_k = f_k(Y_k, U_{k-1}) and Z_k^i = g_k^i(U_k), theorem 1 of the jump-diffusion paper; with
-    modes also the decided mode, iota_k(j, y, z) and g_k(j, y, z) of (3.1), (3.2) of the switching
-    paper. There is no likelihood, and the covariance is the unconditional one that the design
-    found, NaN from a missing measurement on.
+    Z_k = f_k(Y_k, U_{k-1}), theorem 1 of the jump-diffusion paper; with modes also the decided
+    mode, iota_k(j, y, z) and g_k(j, y, z) of (3.1), (3.2) of the switching paper. There is no
+    likelihood, and the covariance is the unconditional one that the design found, NaN from a
+    missing measurement on.
 
     A missing measurement or indicator is left out, exactly for that step given the memory, by
     functions of its own. The result is remembered like any other estimate.
@@ -249,24 +249,19 @@ class OutputFilter(DesignedFilter):
     covariances : ndarray, shape (K+1, n', n')
         Error covariances that the design found.
     design : Design
-    node_times : tuple of ndarray, length K or 0
-        Nodes within each interval.
-    node_fits : tuple of tuple of callable
-        Forecasts Z_k^i, functions of the memory.
     changes : ndarray, shape (2, K+1), or None
         Of a design on a grid: how far each function is from the one before, root mean square of
         the difference of the estimates, probability of another mode; NaN where the memory was
         still filling. They are those of arguments that are rounded to the nodes at random, as the
         design has them. Between the nodes a run interpolates, so it finds less by the convexity
         of the square: a tenth where the difference moves as much from node to node as it is large.
-    between : str
-        Kind of the forecasts between measurements, see `seedslib.designed.between.at`.
     cycle : int
         See `DesignedFilter`.
     held_out : Accuracy, optional
         Errors on paths that the design has not seen; none where it took no paths.
     """
 
+    node_times = node_fits = ()  # between measurements, an interpolation to the next forecast
     system: object
     memory: Memory
     times: np.ndarray
@@ -275,19 +270,15 @@ class OutputFilter(DesignedFilter):
     predicted: Accuracy
     covariances: np.ndarray
     design: Design
-    node_times: tuple[np.ndarray, ...] = ()
-    node_fits: tuple[tuple[OutputFunction, ...], ...] = ()
     changes: MaybeArray = None
-    between: str = "interpolated"
     cycle: int = 0
     held_out: Accuracy | None = None
     per_step: ClassVar[Mapping[str, int]] = {"steps": 0, "covariances": 0}
 
     def __post_init__(self) -> None:
-        require_kind("between", self.between)
         self.check()
         vars(self).update(clock=Clock(self.times))
-        freeze((self.times, self.steps, self.changes, self.node_times, self.node_fits))
+        freeze((self.times, self.steps, self.changes))
         freeze((self.covariances, self.predicted, self.held_out))
 
     def check(self) -> None:
@@ -334,11 +325,6 @@ class OutputFilter(DesignedFilter):
         return self.steps[k].update([*y, *u])
 
     # Step by step
-
-    @property
-    def evaluated(self) -> frozenset[Any]:
-        """See `DesignedFilter.evaluated`: the functions take measurement and memory alone."""
-        return frozenset()
 
     def initial(self, batch: tuple[int, ...] = (), seed: object = None) -> FilterState:
         """State before any measurement; the filter draws nothing from `seed`."""
@@ -406,11 +392,10 @@ class OutputFilter(DesignedFilter):
         return Output(*(None if a is None else np.where(absent, b, a) for a, b in pairs))
 
     def ahead(self, state: FilterState, row: int, p: Values) -> list[np.ndarray]:
-        """Estimates at the nodes of an interval and at its end."""
+        """The forecast at the end of an interval."""
         points = arguments(self.system, (), None, state.past)
-        functions = [*(self.node_fits[row] if self.node_fits else ())]
-        functions.append(self.steps[self.served(state.index + 1)].forecast)
-        return [function(points).on(state.mean.shape[1:]).mean for function in functions]
+        forecast = self.steps[self.served(state.index + 1)].forecast
+        return [forecast(points).on(state.mean.shape[1:]).mean]
 
     def forecast(
         self,
@@ -498,7 +483,7 @@ class TableFilter(OutputFilter):
     @property
     def bytes(self) -> int:
         """Memory of the tables."""
-        tables = [table for row in (*self.steps, *self.node_fits) for table in row]
+        tables = [table for row in self.steps for table in row]
         return sum(part.nbytes for table in tables for part in table[1:] if part is not None)
 
     @property

@@ -12,8 +12,8 @@ from numpy.typing import ArrayLike
 from scipy.special import ndtri
 
 from seedslib.base.checks import brief
-from seedslib.base.parameters import Parameter
 from seedslib.base.progress import LOG, followed
+from seedslib.base.symbols import Parameter
 from seedslib.base.values import Inputs
 from seedslib.filters.base import Filter
 

@@ -13,12 +13,10 @@ from typing import Any, ClassVar
 import numpy as np
 
 from seedslib.base.atomic import write_whole
-from seedslib.designed.identity import model_text
 from seedslib.designed.tables import TableFilter
 from seedslib.export.programs import recorded
 from seedslib.filters.covariance import CovarianceFilter
 from seedslib.filters.program import Program
-from seedslib.models.kinds import switches
 from seedslib.tape.tape import Array, Loop, Number, Scalar, When
 from seedslib.tape.writer import Writer
 
@@ -177,8 +175,7 @@ def to_c(filter: Any, path: str | os.PathLike[str] | None = None, name: str = "f
     Parameters
     ----------
     filter : FiniteOrderFilter, TableFilter, SwitchingFilter or CovarianceFilter
-        With `Taylor`, `ExactGaussian`, or with one mode a rule with points. A learned filter is
-        read off as tables first, by its `tabulated`.
+        With `Taylor`, `ExactGaussian`, or with one mode a rule with points.
     path : path_like, optional
         Where to write the header as well.
     name : str
@@ -322,7 +319,7 @@ def about(step: Program, language: str) -> str:
         described = f"Filter that carries mean and covariance: {filter.linearization}"
         if filter.continuous:
             described += f"\n  {filter.integrator}, steps of {filter.integration_step:g}"
-    return comment([described, model_lines(filter.system), *(notes[name] for name in chosen)])
+    return comment([described, *(notes[name] for name in chosen)])
 
 
 def carries_cov(step: Program) -> bool:
@@ -342,14 +339,3 @@ def comment(paragraphs: list[str]) -> str:
     text = "\n".join(f" * {line}".rstrip() for line in lines[:-1])
     text = text.replace("*/", "* /").replace("/*", "/ *").replace("??", "? ?")
     return "/*\n" + text.encode("ascii", "replace").decode() + "\n */\n"
-
-
-def model_lines(system: Any) -> str:
-    """The model in words."""
-    parts = {**model_text(system), "initial mean": system.mean0.tolist()}
-    parts["initial covariance"] = system.cov0.tolist()
-    noise = system.sensor_noise if switches(system) else system.sensor.noise
-    if noise.size:
-        names = noise.size if noise.symbols is None else ", ".join(map(str, noise.symbols))
-        parts["sensor noise"] = f"{names}: mean {noise.mean.tolist()}, cov {noise.cov.tolist()}"
-    return "Model:\n" + "\n".join(f"  {key:18s} {value}" for key, value in parts.items())

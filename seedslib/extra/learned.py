@@ -14,10 +14,9 @@ from seedslib.base.checks import as_count, optional
 from seedslib.base.progress import followed
 from seedslib.design.regression import ABSOLUTE, fit_forecast, scatter
 from seedslib.design.samples import MemoryPaths, Sample
-from seedslib.design.tables import tabulated
 from seedslib.designed.memory import Memory
 from seedslib.designed.predictors import Polynomial, PolynomialFit
-from seedslib.designed.tables import Output, OutputFilter, Step, TableFilter, prior
+from seedslib.designed.tables import Output, OutputFilter, Step, prior
 from seedslib.models.discrete import DiscreteSystem
 from seedslib.models.jump_diffusion import JumpDiffusion
 from seedslib.models.kinds import as_system
@@ -89,25 +88,8 @@ class LearnedForecast(NamedTuple):
 class LearnedFilter(OutputFilter):
     """Filter of finite order whose output functions were learned; `learn` makes it.
 
-    It is not written to files, since a regressor is a program; `tabulated` makes a filter of it
-    that is, and that `seedslib.export.to_c` writes as C.
+    It is not written to files or as C, since a regressor is a program.
     """
-
-    def tabulated(self, *, y: Sequence[Any], z: Sequence[Any]) -> TableFilter:
-        """The same filter with its functions read off at the nodes of axes.
-
-        Parameters
-        ----------
-        y, z : sequence of Axis or (low, high, count)
-            Nodes for each component of a measurement and of an estimate; one alone where there
-            is one component.
-
-        Raises
-        ------
-        TypeError, ValueError
-            Axes that are none, or tables that would be too large.
-        """
-        return tabulated(self, y=y, z=z)
 
 
 def learn(
@@ -121,7 +103,6 @@ def learn(
     draws: int = 1,
     sets: int = 4,
     joint: bool = False,
-    nodes: int = 4,
     workers: int = 1,
 ) -> LearnedFilter:
     """Learn the optimal output functions from simulated paths, one measurement after another.
@@ -150,8 +131,6 @@ def learn(
         Sets of paths, at least 2.
     joint : bool
         Fit one regressor to all components together; it must take several targets.
-    nodes : int
-        Number of evenly spaced forecasts inside each interval; they are cubic in the memory.
     workers : int
         Threads of the simulation.
 
@@ -173,31 +152,19 @@ def learn(
     if not (hasattr(regressor, "fit") and hasattr(regressor, "predict")):
         raise TypeError(f"regressor: wanted something with fit and predict, got {regressor!r}")
     sets = as_count("sets", sets, 2)
-    samples = MemoryPaths(system, memory, times, paths, sets, nodes, seed, workers)
+    samples = MemoryPaths(system, memory, times, paths, sets, seed, workers)
     sensing, fitting = samples.spare.spawn(2)
     sensing = [np.random.default_rng(s) for s in sensing.spawn(len(samples.times))]
     fitting = np.random.default_rng(fitting)
-    steps, node_fits, forecast = [], [], prior(system, system.state_size)
+    steps = []
     for k, t in enumerate(followed(samples.times, "learning")):
         sample = samples.sample()
+        forecast = _forecast(sample) if k else prior(system, system.state_size)
         update = _output(regressor, system.sensor, t, sample, draws, joint, sensing[k], fitting)
         steps.append(Step(update, forecast))
         samples.apply(update)
-        if k + 1 < len(samples.times):
-            stops, fits = samples.stops[k], []
-            for stop in stops:
-                fits.append(_forecast(samples.sample(stop)))
-                if stop != stops[-1]:
-                    samples.score(stop, fits[-1])
-            *fits, forecast = fits
-            node_fits.append(tuple(fits))
-    return samples.designed(
-        LearnedFilter,
-        steps=tuple(steps),
-        method=Learned(type(regressor).__name__, draws),
-        node_times=tuple(stops[:-1] for stops in samples.stops),
-        node_fits=tuple(node_fits),
-    )
+    method = Learned(type(regressor).__name__, draws)
+    return samples.designed(LearnedFilter, steps=tuple(steps), method=method)
 
 
 def _output(

@@ -440,10 +440,9 @@ class Filter(Pickled):
         TypeError, ValueError
             A kind of filter that has none; a part of the filter without formulas.
         """
-        tables = "; read it off as tables first: filter.tabulated(y=..., z=...)"
         raise TypeError(
             "filter: wanted a FiniteOrderFilter, a TableFilter, a SwitchingFilter or a "
-            f"CovarianceFilter, got {type(self).__name__}" + tables * hasattr(self, "tabulated")
+            f"CovarianceFilter, got {type(self).__name__}"
         )
 
     def steps_alone(self, state: Any, t: float) -> bool:
@@ -455,6 +454,10 @@ class Filter(Pickled):
             A time that `predict` refuses.
         """
         raise NotImplementedError
+
+    def carries(self, state: Any) -> bool:
+        """Whether the program can go on from a state of one record."""
+        return True
 
     def numbers_of(self, state: Any) -> dict[str, Any]:
         """The arrays of the program's state, by their names; zero where they lack or are None."""
@@ -651,14 +654,17 @@ class Filter(Pickled):
         """
         raise TypeError(
             "filter: wanted one that can be smoothed (extended_kalman and other covariance "
-            "filters, GridBayesFilter, SwitchingFilter without a memory), got "
-            f"{type(self).__name__}"
+            f"filters, GridBayesFilter), got {type(self).__name__}"
         )
 
     def record(self, times: ArrayLike, measurements: ArrayLike) -> tuple[np.ndarray, np.ndarray]:
         """Times (K+1,) and measurements (K+1, m, *batch) of a run, checked."""
         times = as_grid("times", times, self.system)
         return times, as_record(measurements, len(times), self.system.measurement_size)
+
+    def at_once(self, record: Record) -> Estimates | None:
+        """Estimates of one record by a way of the filter's own that is quicker, if it has one."""
+        return None
 
     def block(self, times: np.ndarray, paths: int, workers: int) -> int:
         """Number of records that are worked on together."""
@@ -713,6 +719,11 @@ class Filter(Pickled):
         alone = not batch and self._single.of(self)
 
         def work(record: Record, stream: Any) -> Estimates:
+            one = record.y[0, 0].size == 1
+            if one and (whole := self.at_once(record)) is not None:
+                axes = record.y.shape[2:]
+                parts = (None if p is None else np.reshape(p, (*np.shape(p), *axes)) for p in whole)
+                return with_divergence(Estimates(*parts))
             if alone:
                 return with_divergence(self.estimates_of(self._single.run(self, record)))
             reports = (self.report(state) for state in walk(self, record, stream))

@@ -110,7 +110,6 @@ class SensorUpdate:
             moments,
             noise=lambda: self.moments(t, mean, np.zeros_like(cov), p).cov,
             periods=self._periods,
-            exact=True,
         )
         if self._by_points:
             new_cov = without_rounding(new_cov, cov)
@@ -295,9 +294,7 @@ class CovarianceFilter(Filter):
                 moving.store([*mean, *kernels.lower_of(cov)])
         mean, cov = kernels.unpacked(moving.all, n)
         moments = kernels.map_moments(step, rule, system.sensor, t, mean, cov, step.at_time())
-        mean, after, loglik, _ = kernels.correct(
-            step, mean, cov, moments, system.sensor, exact=True
-        )
+        mean, after, loglik, _ = kernels.correct(step, mean, cov, moments, system.sensor)
         step.cov.store(kernels.without_rounding(step, after, cov) if by_points else after)
         step.mean.store(mean)
         step.loglik.store(loglik)
@@ -347,6 +344,10 @@ class CovarianceFilter(Filter):
         from seedslib.filters.smoothing import RauchTungStriebel
 
         return RauchTungStriebel(self)
+
+    def settled(self, state: Any) -> Any:
+        """A state with unknown numbers integrated out, if it has any that can be."""
+        return state
 
     def for_smoothing(self) -> CovarianceFilter:
         """The filter whose states `smooth` goes back through."""

@@ -7,15 +7,19 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import align
 from seedslib.base.checks import outside
+from seedslib.base.clock import lengths_alike
 from seedslib.base.tables import Axis, Grid, Nodes, as_grids
 from seedslib.base.values import Values
-from seedslib.filters.base import Estimates, Filter, clean
+from seedslib.filters.base import Estimates, Filter, Record, clean
 from seedslib.filters.smoothing import Smoother
 from seedslib.filters.weights import logarithm, most_probable, normalised, relative
 from seedslib.models.chains import GridChain, grid_chain, require_few
 from seedslib.models.kinds import AnySystem, as_system, switches
+
+LARGEST = 20_000_000
+"""Numbers, a node for each time, that may be in memory at once."""
 
 FAINT = -460.0
 """Logarithm of a sum of weights, relative to the largest weight, that is formed again by itself."""
@@ -168,6 +172,43 @@ class GridBayesFilter(Filter):
         estimate = self._estimate(**parts)
         return state._replace(loglik=loglik, diverged=diverged, **parts, **estimate)
 
+    def at_once(self, record: Record) -> Estimates | None:
+        """See `Filter.at_once`: of a system without modes that does not change with time."""
+        if switches(self.system) or type(self).update is not GridBayesFilter.update:
+            return None
+        chain, times, count = self.chain, record.times, len(record.times)
+        steady = chain.steady and self.system.sensor.timeless and not record.inputs.values
+        if not steady or count * self._count > LARGEST:
+            return None
+        p, y = self.values(), record.y.reshape(count, -1).T
+        with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
+            score = chain.log_likelihood(times[0], y, p).T
+        weight, highest, impossible = relative(np.where(np.isfinite(score), score, -np.inf), 0)
+        if impossible.any():
+            return None
+        prob, before, total = chain.initial, np.empty((count, self._count)), np.empty(count)
+        lengths, last, parts = lengths_alike(np.diff(times)), None, []
+        for k in range(count):
+            if k:
+                if lengths[k - 1] != last:
+                    last = lengths[k - 1]
+                    given = times[k - 1], times[k], self.values(dt=times[k] - times[k - 1])
+                    transition, loss = chain.transition(*given), chain.loss(*given)
+                parts.append(loss @ prob)
+                prob = transition @ prob
+            before[k] = weight[:, k] * prob
+            total[k] = before[k].sum()
+            if not total[k] > 0:
+                return None
+            prob = before[k] = before[k] / total[k]
+        self._warn_of_loss(max([chain.missed, *parts]))
+        log_prob, node_prob = np.zeros((1, count)), before.T[None]
+        measured = ~np.isnan(y).all(axis=0)
+        diverged = (self._at_ends(log_prob, node_prob) & measured).any()
+        found = self._estimate(log_prob, node_prob)
+        mean, cov = found["mean"].T, np.moveaxis(found["cov"], -1, 0)
+        return Estimates(mean, cov, None, highest + np.log(total), diverged)
+
     def _at_ends(self, log_prob: np.ndarray, node_prob: np.ndarray) -> np.ndarray:
         """Where nearly all that is left of the probability is on the outermost nodes, (*batch)."""
         prob = np.exp(log_prob)
@@ -229,9 +270,7 @@ class GridSmoother(Smoother):
         joint = np.exp(state.log_prob)[:, None] * state.node_prob
         return joint.reshape(joint.shape[0] * joint.shape[1], -1)
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """See `Smoother.back`."""
         now = self.last(state)
         predicted = link @ now

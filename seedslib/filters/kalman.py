@@ -9,6 +9,7 @@ import numpy as np
 from seedslib.base.arrays import align
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import RELATIVE, cholesky, solve_psd, variances
+from seedslib.base.objects import changed
 from seedslib.base.values import Values
 from seedslib.filters.base import Estimates
 from seedslib.filters.covariance import CovarianceFilter, FilterState
@@ -92,10 +93,9 @@ class KalmanFilter(CovarianceFilter):
         self._marginalizes = True
 
     def for_smoothing(self) -> KalmanFilter:
-        """The same filter, which carries unknown numbers on when they are known."""
-        other = KalmanFilter(self.system, bound=self.bound)
-        other._marginalizes = False
-        return other
+        """The same filter, which leaves it to the smoother to integrate unknown numbers out."""
+        _ = self._single  # recorded once for both
+        return changed(self, _marginalizes=False)
 
     def initial(self, batch: tuple[int, ...] = (), seed: Any = None) -> Any:
         """State before any measurement; see `CovarianceFilter.initial`."""
@@ -156,20 +156,32 @@ class KalmanFilter(CovarianceFilter):
         density -= 0.5 * np.einsum("p...,pq...,q...->...", change, state.information, change)
         loglik = density + state.half_log_determinant() - now.half_log_determinant()
         now = now._replace(loglik=loglik)
-        if not self._marginalizes or not now.determined():
-            return now
-        mean, cov = marginalized(now.mean, now.cov, now.effect, now, self.scale)
+        return self.settled(now) if self._marginalizes else now
+
+    def settled(self, state: Any) -> Any:
+        """The state with unknown numbers integrated out, once measurements determine them all."""
+        if not isinstance(state, DiffuseState) or not state.determined():
+            return state
+        mean, cov = marginalized(state.mean, state.cov, state.effect, state, self.scale)
         if np.isnan(cov).any():  # known by rounding only
-            return now
-        return FilterState(now.time, mean, cov, now.loglik, now.interval)
+            return state
+        return FilterState(state.time, mean, cov, state.loglik, state.interval)
 
     def program(self, **options: Any) -> Program:
         """See `Filter.program`; the first state must have a distribution."""
-        if self._diffuse:
+        if self._diffuse and not options.get("floats"):
             raise ValueError(
                 "system: wanted a first state with a distribution to write in C, got a diffuse one"
             )
         return super().program(**options)
+
+    def carries(self, state: Any) -> bool:
+        """See `Filter.carries`: once everything unknown is determined."""
+        return not isinstance(state, DiffuseState)
+
+    def steps_alone(self, state: Any, t: float) -> bool:
+        """See `Filter.steps_alone`."""
+        return self.carries(state) and super().steps_alone(state, t)
 
     def expected(self, state: Any, p: Values) -> Any:
         """Moments of the measurement that the filter expects, given what is unknown."""
@@ -240,7 +252,8 @@ def marginalized(
         its covariances are NaN.
     """
     inverse, depth = posterior.inverse(), effect.ndim - 2
-    mean = mean + np.einsum("nq...,q...->n...", effect, posterior.estimate())
+    estimate = np.einsum("pq...,q...->p...", inverse, posterior.score)
+    mean = mean + np.einsum("nq...,q...->n...", effect, estimate)
     cov = align(cov, 2, depth) + np.einsum("np...,pq...,kq...->nk...", effect, inverse, effect)
     determined = np.einsum("pk...,kq...->pq...", inverse, posterior.information)
     rest = effect - np.einsum("np...,pq...->nq...", effect, determined)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import reduce
-from operator import add, mul
+from operator import add
 from typing import Any
 
 import numpy as np
 import sympy
 
 from seedslib.base.circle import around
-from seedslib.base.conditioning import FAINT, LEVEL, LOG_2PI, WIDE
+from seedslib.base.conditioning import LOG_2PI, WIDE
 from seedslib.base.linalg import ABSOLUTE, INDEFINITE, RELATIVE, eliminate, symmetric
 from seedslib.base.values import Values
 from seedslib.filters.program import Program, any_of
@@ -237,15 +237,13 @@ def correct(
     moments: Any,
     sensor: StochasticMap,
     rows: int | None = None,
-    exact: bool = False,
 ) -> tuple[np.ndarray, np.ndarray, Number, np.ndarray]:
     """Correct the leading rows by a measurement of which components may be missing (NaN).
 
     A missing component has a zero innovation and a unit pivot, which leaves it out exactly. A
     component that those before it determine has the gain zero; one whose variance given them is
-    clearly negative gives NaN. Where it is `exact` that there is no other noise, a determined
-    component with another value has the log-likelihood minus infinity. Where the noise is lost
-    beside a variance the filter's arrays have it apart: the step is left to them.
+    clearly negative gives NaN. Where the noise is lost beside a variance the filter's arrays have
+    it apart: the step is left to them.
 
     Returns
     -------
@@ -273,49 +271,14 @@ def correct(
         redundant = choose(pivot >= -(INDEFINITE * variance + ABSOLUTE), 0.0, np.nan)
         return choose(regular[-1], 1.0 / pivot, redundant), choose(regular[-1], pivot, 1.0)
 
-    prior, variances = mean, [spread[j][j] for j in range(m)]
     mean, lower = list(mean[:rows]), [list(cov[k, : k + 1]) for k in range(rows)]
     terms, pivots = eliminate(mean, lower, innovation, cross, spread, reciprocal)
     if np.any(sensor.noise.cov):
         step.defer(any_of([lower[k][k] < WIDE * cov[k, k] for k in range(rows)]))
     counted = [choose(a & b, 1.0, 0.0) for a, b in zip(observed, regular, strict=True)]
-    terms += [_log_product(step, pivots), reduce(add, counted) * LOG_2PI]
-    if exact:
-        redundant = [a & ~b for a, b in zip(observed, regular, strict=True)]
-        components = zip(redundant, innovation, y, predicted, variances, strict=True)
-        terms.append(_impossible(step, prior, list(components)))
+    terms += [*map(np.log, pivots), reduce(add, counted) * LOG_2PI]
     cov = symmetric(stacked([e for row in lower for e in row]), rows)
     return stacked(mean), cov, -0.5 * reduce(add, terms), choose(observed, y, predicted)
-
-
-def _impossible(tape: Tape, mean: np.ndarray, components: Sequence[Sequence[Number]]) -> Number:
-    """Infinity where a redundant component is not what those before it say, zero elsewhere.
-
-    Of each component whether it is redundant, its innovation, value, prediction and variance.
-    """
-    any_redundant = any_of([redundant for redundant, *_ in components])
-    result = tape.array(f"impossible_{any_redundant.name}")
-    with tape.when(any_redundant):  # which is rare
-        largest, parts = reduce(np.maximum, [abs(x) for x in mean]), []
-        for redundant, innovation, y, predicted, variance in components:
-            beyond = abs(innovation) - LEVEL * (abs(y) + abs(predicted) + largest)
-            # beyond > FAINT times the deviation, without a root
-            impossible = (beyond > 0.0) & (beyond * beyond > FAINT**2 * abs(variance))
-            parts.append(choose(redundant & impossible, np.inf, 0.0))
-        result.store(reduce(add, parts))
-    return result.all
-
-
-def _log_product(tape: Tape, pivots: Sequence[Number]) -> Number:
-    """Logarithm of a product; of its factors one by one where it is out of range, which is rare."""
-    product = reduce(mul, pivots)
-    if len(pivots) == 1 or type(product) is not Scalar:
-        return np.log(product)
-    result = tape.array(f"log_{product.name}")
-    result.store(np.log(product))
-    with tape.when(~((product > ABSOLUTE) & (product < np.inf))):
-        result.store(reduce(add, [np.log(p) for p in pivots]))
-    return result.all
 
 
 def unpacked(components: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:

@@ -115,8 +115,19 @@ class Single:
             return None
         return None if type(later) is str else later
 
-    def run(self, filter: Filter, record: Record) -> dict[str, np.ndarray]:
-        """What the states of a record have by name, (K+1, ...)."""
+    def run(
+        self, filter: Filter, record: Record, state: Any = None, begin: int = 0
+    ) -> dict[str, np.ndarray]:
+        """What the states of a record have by name, (K+1, ...).
+
+        Parameters
+        ----------
+        filter : Filter
+        record : Record
+        state : NamedTuple, optional
+            Of the time before the row `begin`, from which on the record is run.
+        begin : int
+        """
         times, y = record.times, record.y.reshape(record.y.shape[:2])
         columns = [times, *y.T] if self._timed else [*y.T]
         if self._inputs or self._parameters:
@@ -125,21 +136,22 @@ class Single:
         indicators = record.indicators
         if self._indicators:
             columns.append(indicators := record.indicators.reshape(-1))
-        state, rows = filter.initial(), []
-        numbers = self._flat(filter.numbers_of(state))
-        for k, given in enumerate(np.column_stack(columns).tolist()):
-            later = self._later(numbers, given)
+        state, rows = filter.initial() if state is None else state, []
+        numbers, arrays = self._flat(filter.numbers_of(state)), not filter.carries(state)
+        for k, given in enumerate(np.column_stack(columns).tolist()[begin:], begin):
+            later = None if arrays else self._later(numbers, given)
             if later is None:
-                if k:
+                if k > begin and not arrays:
                     state = filter.state_of(self._parts(numbers), times[k - 1], state)
                 indicator = () if indicators is None else (indicators[k],)
                 state = filter.predict(state, times[k], inputs=record.inputs.at(max(k - 1, 0)))
                 state = filter.correct(state, y[k], *indicator, inputs=record.inputs.at(k))
+                arrays = not filter.carries(state)
                 later = self._flat(filter.numbers_of(state) | _results(filter.report(state)))
             rows.append(numbers := later)
         array = np.array(rows)
         return {
-            name: array[:, part].reshape(len(times), *shape)
+            name: array[:, part].reshape(len(array), *shape)
             for name, (part, shape) in self._fields.items()
         }
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from seedslib.base.arrays import MaybeArray, align
+from seedslib.base.arrays import align
 from seedslib.base.checks import as_count
 from seedslib.base.conditioning import kalman_gain
-from seedslib.base.linalg import symmetrized
+from seedslib.base.linalg import solve_psd, symmetrized
 from seedslib.base.values import Inputs, Values
 from seedslib.filters.base import Estimates, Filter, Record, stacked, walk
+from seedslib.filters.covariance import FilterState
 
 
 def smooth(
@@ -32,15 +34,12 @@ def smooth(
     systems; otherwise it is the smoother of the filter's linearization: of `extended_kalman` the
     extended, of `unscented_kalman` the unscented one, and so on.
 
-    A `SwitchingFilter` without a memory is smoothed in mode and state, by Gaussian moments in each
-    mode; what that neglects stands in `seedslib.designed.switching_smoother`. A
-    `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
+    A `GridBayesFilter` is smoothed exactly on its nodes, in mode and state.
 
     Parameters
     ----------
     filter : Filter
-        A covariance filter of continuous dynamics and jumps or of discrete ones, or one of those
-        named above.
+        A covariance filter of continuous dynamics and jumps or of discrete ones, or one on a grid.
     times : array_like, shape (K+1,)
     measurements : array_like, shape (K+1, m, *batch)
         NaN marks a missing component.
@@ -70,21 +69,13 @@ def smooth(
     batch, record = filter.records_of(times, measurements, indicators, None, inputs)
 
     def work(record: Record, stream: object) -> Estimates:
-        links: list[Any] = []
-
-        def predict(state: Any, t: float, inputs: Any) -> Any:
-            state, link = smoother.forecast(state, t, inputs)
-            links.append(link)
-            return state
-
-        states = list(walk(filter, record, None, predict))
+        states, links = smoother.forward(record)
         last, times = len(states) - 1, record.times
 
         def back(k: int, later: Any) -> Any:
             """The smoothed state at time k from that at the next."""
-            indicator = () if record.indicators is None else (record.indicators[k + 1],)
             p = filter.values(record.inputs.at(k), times[k + 1] - times[k])
-            return smoother.back(states[k], later, links[k + 1], p, *indicator)
+            return smoother.back(states[k], later, links[k + 1], p)
 
         smoothed: list[Any] = []  # from the last time to the first
         for k in range(last, -1, -1):
@@ -124,13 +115,26 @@ class Smoother:
         """The filter's prediction, as by `predict`, and what `back` has to know of the step."""
         return self.filter.predict(state, t, inputs=inputs), None
 
+    def forward(self, record: Record) -> tuple[list[Any], list[Any]]:
+        """The filter's states after each measurement, and the links of the steps to them."""
+        links: list[Any] = []
+        return list(self.walk(record, links)), links
+
+    def walk(self, record: Record, links: list[Any]) -> Iterator[Any]:
+        """The filter's states one after the other; links are put into a list on the way."""
+
+        def predict(state: Any, t: float, inputs: Any) -> Any:
+            state, link = self.forecast(state, t, inputs)
+            links.append(link)
+            return state
+
+        return walk(self.filter, record, None, predict)
+
     def last(self, state: Any) -> Any:
         """Smoothed state at the time of a state without later measurements."""
         raise NotImplementedError
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """Smoothed state at the time of a state, from that at the next time.
 
         Parameters
@@ -143,8 +147,6 @@ class Smoother:
             From `forecast` of the step between them.
         p : tuple
             Numbers of the parameters in that step.
-        indicator : ndarray of int, optional
-            At the next time.
         """
         raise NotImplementedError
 
@@ -157,7 +159,8 @@ class RauchTungStriebel(Smoother):
     """The smoother of Rauch, Tung and Striebel, of a filter that carries a covariance.
 
     A smoothed state is the mean, with what unknown numbers add to it as further columns, the
-    covariance, and the last state, by which the measurements determine those numbers.
+    covariance, and a state by which all measurements determine those numbers. They are there up to
+    the time at which the measurements until then have determined them all.
 
     Differences are taken between two estimates of one time only. They are counted from the same
     turn of a circle, so circular components need no care.
@@ -171,22 +174,57 @@ class RauchTungStriebel(Smoother):
         if state.time is None:
             return super().forecast(state, t, inputs)
         p = self.filter.values(inputs, t - state.time)
-        later, cross = self.filter.propagate_jointly(state, t, p)
+        settled = self.filter.settled(state)
+        later, cross = self.filter.propagate_jointly(settled, t, p)
         depth = state.mean.ndim - 1
         cov = align(later.cov, 2, depth)
-        link = _columns(later), cov, kalman_gain(align(cross, 2, depth), cov)
+        link = settled, _columns(later), cov, kalman_gain(align(cross, 2, depth), cov)
         return later._replace(time=float(t)), link
+
+    def forward(self, record: Record) -> tuple[list[Any], list[Any]]:
+        """See `Smoother.forward`.
+
+        Of one record, once nothing is unknown, the states are those of the filter's program, and
+        all steps between them are taken at once, as a batch, where the dynamics do not change.
+        """
+        filter = self.filter
+        alone = record.y.ndim == 2 and not filter.continuous and filter._single.of(filter)
+        if not (alone and filter.system.dynamics.timeless):
+            return super().forward(record)
+        states: list[Any] = []
+        links: list[Any] = []
+        for state in self.walk(record, links):
+            states.append(state)
+            if filter.carries(settled := filter.settled(state)):
+                break
+        k, last = len(states) - 1, len(record.times) - 1
+        if k == last:
+            return states, links
+        parts = filter._single.run(filter, record, settled, k + 1)
+        times, rows = record.times.tolist(), (parts["mean"], parts["cov"], parts["loglik"])
+        later = [FilterState(*row) for row in zip(times[k + 1 :], *rows, strict=True)]
+        before = [settled, *later[:-1]]
+        steps = zip(range(k, last), np.diff(times[k:]).tolist(), strict=True)
+        numbers = zip(*(filter.values(record.inputs.at(j), dt) for j, dt in steps), strict=True)
+        p = tuple(column[0] if len({*column}) == 1 else np.array(column) for column in numbers)
+        mean, cov = (np.stack([getattr(s, name) for s in before], -1) for name in ("mean", "cov"))
+        ahead, cross = filter.propagate_jointly(FilterState(times[k], mean, cov), times[k + 1], p)
+        gains = np.moveaxis(kalman_gain(cross, ahead.cov), -1, 0)
+        forecasts = ahead.mean.T[:, :, None], np.moveaxis(ahead.cov, -1, 0)
+        return states + later, links + list(zip(before, *forecasts, gains, strict=True))
 
     def last(self, state: Any) -> Any:
         """See `Smoother.last`."""
         return _columns(state), align(state.cov, 2, state.mean.ndim - 1), state
 
-    def back(
-        self, state: Any, later: Any, link: Any, p: Values, indicator: MaybeArray = None
-    ) -> Any:
+    def back(self, state: Any, later: Any, link: Any, p: Values) -> Any:
         """See `Smoother.back`."""
-        cov = align(state.cov, 2, state.mean.ndim - 1)
-        return *rts_step(_columns(state), cov, *link, *later[:2]), later[2]
+        settled, *forecast = link
+        cov = align(settled.cov, 2, settled.mean.ndim - 1)
+        columns, smoothed = rts_step(_columns(settled), cov, *forecast, *later[:2])
+        if settled is state:
+            return columns, smoothed, later[2]
+        return _unsettled(state, settled, columns[:, 0], smoothed)
 
     def report(self, smoothed: Any) -> Estimates:
         """Mean and covariance, over what the measurements say of unknown numbers."""
@@ -195,6 +233,36 @@ class RauchTungStriebel(Smoother):
         if effect.shape[1]:
             return self.filter.report(last._replace(mean=mean, cov=cov, effect=effect))
         return Estimates(mean, cov.reshape(n, n) if cov.size == n * n else cov)
+
+
+def _unsettled(state: Any, settled: Any, mean: np.ndarray, cov: np.ndarray) -> tuple[Any, ...]:
+    """A smoothed state again as one that depends on unknown numbers.
+
+    At the time of the states the measurements have just determined them. Of the numbers d and the
+    state x the covariance there is known; what later measurements say of x says the rest of d.
+
+    Parameters
+    ----------
+    state : DiffuseState
+    settled : FilterState
+        The same with d integrated out.
+    mean, cov : ndarray, shapes (n, *batch) and (n, n, *batch)
+        Smoothed moments of x.
+    """
+    depth = mean.ndim - 1
+    inverse = state.inverse()
+    cross = np.einsum("pq...,nq...->pn...", inverse, state.effect)
+    filtered = align(settled.cov, 2, depth)
+    gain = kalman_gain(cross, filtered)
+    number = state.estimate() + np.einsum("pn...,n...->p...", gain, mean - settled.mean)
+    spread = inverse + np.einsum("pn...,nk...,qk...->pq...", gain, cov - filtered, gain)
+    information = solve_psd(spread, align(np.eye(len(spread)), 2, depth))
+    effect = np.einsum("nk...,pk...,pq...->nq...", cov, gain, information)
+    rest = cov - np.einsum("np...,pq...,kq...->nk...", effect, spread, effect)
+    mean = mean - np.einsum("np...,p...->n...", effect, number)
+    score = np.einsum("pq...,q...->p...", information, number)
+    last = state._replace(score=score, information=symmetrized(information))
+    return np.concatenate([mean[:, None], effect], axis=1), symmetrized(rest), last
 
 
 def rts_step(columns, cov, forecast, forecast_cov, gain, later, later_cov):
@@ -208,6 +276,9 @@ def rts_step(columns, cov, forecast, forecast_cov, gain, later, later_cov):
     gain : ndarray, shape (n, n, *batch)
         From `kalman_gain`.
     """
+    if gain.ndim == 2:
+        columns = columns + gain @ (later - forecast)
+        return columns, cov + symmetrized(gain @ (later_cov - forecast_cov) @ gain.T)
     columns = columns + np.einsum("ij...,jc...->ic...", gain, later - forecast)
     change = np.einsum("ij...,jk...,lk...->il...", gain, later_cov - forecast_cov, gain)
     return columns, cov + symmetrized(change)

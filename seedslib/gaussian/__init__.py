@@ -1,7 +1,7 @@
 """Means of functions of a Gaussian vector.
 
-Closed forms of E f(x) from symbols (`algebra`, `formulas`) to numbers (`means`, `kernels`,
-`polynomial`, `functions`, `forms`), exact mean-square errors of estimates of f (`errors`,
+Closed forms of E f(x) from symbols (`algebra`, `formulas`) to numbers (`means`,
+`functions`, `forms`), exact mean-square errors of estimates of f (`errors`,
 `hermite`), moments over intervals and polygons (`regions`, `polygons`) and `quadrature`. No system
 and no time; what a filter does with a mean is decided elsewhere.
 

@@ -34,20 +34,24 @@ from seedslib.gaussian.hermite import (
     plugin_excess,
     polynomial_expansion,
 )
-from seedslib.gaussian.kernels import HalfSpace, half_space_means, inner_product, times
-from seedslib.gaussian.means import Compiled, FunctionClass, compile_terms, expectation_function
-from seedslib.gaussian.polynomial import (
+from seedslib.gaussian.means import (
     Coefficients,
+    Compiled,
+    FunctionClass,
+    HalfSpace,
     Index,
+    compile_terms,
+    expectation_function,
+    half_space_means,
+    inner_product,
     monomial_means,
     polynomial_value,
     taylor_coefficients,
+    times,
 )
 from seedslib.gaussian.quadrature import fifth_degree, rule_of_rank
 
-# Shares of the second moments below which a difference of them has lost too many digits: an error
-# is asked for thirteen of them, a variance, which is taken for whole batches, for twelve.
-CANCELLED_ERROR, CANCELLED_VARIANCE = 1e-2, 1e-3
+CANCELLED = 1e-3  # share of a second moment below which a difference has lost too many digits
 ENTRIES = 2_000_000  # of the moment matrices of a block: they stay below the memory of a batch
 NEGLIGIBLE = 4e-16  # an estimate's share of the variance across a plane: it is a point
 ALMOST_LINEAR = 1e-5  # trace of the covariance beside the squared distance: see `NormErrors`
@@ -206,30 +210,14 @@ class _Engine:
     """Errors of a function of p values and n variables that belongs to one class.
 
     An engine has ``errors(mean, cov, error_cov)``, the two error matrices (p, p), and
-    ``refined(mean, cov)``, the conditional variance (p, p, K) where the second moments cancel.
+    ``variance(mean, cov)``, the conditional variance (p, p, K) for means (n, K) and covariances
+    (n, n) or (n, n, K).
     """
 
     def __init__(
         self, expressions: Sequence[sp.Expr], variables: Sequence[sp.Symbol], function: Compiled
     ) -> None:
         self.expressions, self.variables, self.function = expressions, variables, function
-
-    @cached_property
-    def square(self) -> Compiled:
-        """``f f'``, p p values."""
-        return outer_product(self.expressions, self.expressions, self.variables)
-
-    def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Conditional variance (p, p, K) for means (n, K) and covariances (n, n) or (n, n, K)."""
-        average = self.function.mean(mean, cov)
-        moment = self.square.mean(mean, cov).reshape(*average.shape[:1] * 2, -1)
-        value = moment - average[:, None] * average
-        small = np.einsum("iik->ik", value) < CANCELLED_VARIANCE * np.einsum("iik->ik", moment)
-        cancelled = small.any(axis=0)
-        if cancelled.any():
-            part = cov if cov.ndim == 2 else cov[..., cancelled]
-            value[..., cancelled] = self.refined(mean[:, cancelled], part)
-        return value
 
 
 def outer_product(
@@ -263,8 +251,8 @@ class PolynomialErrors(_Engine):
         optimal = polynomial_expansion(polynomial, mean, cov, error_cov).optimal_error()
         return optimal, optimal + plugin_excess(polynomial, mean, cov, error_cov)
 
-    def refined(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Conditional variance where the second moments cancel."""
+    def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Conditional variance (p, p, K)."""
         return self.moments(mean, cov)[0]
 
     @cached_property
@@ -369,10 +357,6 @@ class PiecewiseErrors(PolynomialErrors):
     it it is a Gauss-Hermite rule, which is exact.
     """
 
-    def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Conditional variance (p, p, K) for means (n, K) and covariances (n, n) or (n, n, K)."""
-        return self.moments(mean, cov)[0]
-
     def errors(
         self, mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
@@ -407,16 +391,16 @@ class ExponentialErrors(_Engine):
     """Exponentials, sines and tilts, from two correlated copies x and x' of the state.
 
     If both have covariance C and cross-covariance X, then ``E f(x) f(x')'`` is the second moment
-    of the optimal estimate for ``X = C - P`` and that of f for ``X = C``. Their difference is the
-    optimal error. Where it cancels it is the integral, over 0 < s < 1, of its derivative
+    of the optimal estimate for ``X = C - P`` and that of f for ``X = C``. Their difference, the
+    optimal error, is the integral, over 0 < s < 1, of its derivative
     ``E grad f(x) P grad f(x')'`` at ``X = C - s P``; likewise the plug-in's excess is a double
     integral of second derivatives. Every mean is one of the same class in 2n variables.
     """
 
     @cached_property
-    def pair(self) -> Compiled:
-        """``f(x) f(x')'``."""
-        return self._of_two_copies(self.expressions)
+    def square(self) -> Compiled:
+        """``f f'``, p p values."""
+        return outer_product(self.expressions, self.expressions, self.variables)
 
     @cached_property
     def gradients(self) -> Compiled:
@@ -438,27 +422,20 @@ class ExponentialErrors(_Engine):
         self, mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Optimal and plug-in error matrices (p, p)."""
-        rest, twice, shape = cov - error_cov, np.tile(mean, 2), (self.function.size,) * 2
-        moment, plugin = (self.square.mean(mean, c).reshape(shape) for c in (cov, rest))
-        between, mixed = (
-            self.pair.mean(twice, pair_cov(cov, c, rest)).reshape(shape) for c in (cov, rest)
-        )
-        optimal = moment - between
-        if (np.diag(optimal) < CANCELLED_ERROR * np.diag(moment)).any():
-            optimal = self._integrated(mean[:, None], cov, error_cov)[..., 0]
-        excess = between - mixed - mixed.T + plugin
-        scale = np.abs(np.diag(between)) + np.abs(np.diag(plugin))
-        if (np.diag(excess) < CANCELLED_ERROR * scale).any():
-            excess = self._integrated_excess(mean, cov, error_cov)
-        return optimal, optimal + excess
+        optimal = self._integrated(mean[:, None], cov, error_cov)[..., 0]
+        return optimal, optimal + self._integrated_excess(mean, cov, error_cov)
 
-    def refined(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
-        """Conditional variance where the second moments cancel: the error without measurement."""
-        (value,) = blockwise(
-            lambda k: (self._integrated(mean[:, k], *[cov if cov.ndim == 2 else cov[..., k]] * 2),),
-            mean.shape[1],
-            1024,  # members of the batch, each with tens of nodes
-        )
+    def variance(self, mean: np.ndarray, cov: np.ndarray) -> np.ndarray:
+        """Conditional variance (p, p, K); where moments cancel, the error with no measurement."""
+        average = self.function.mean(mean, cov)
+        moment = self.square.mean(mean, cov).reshape(*average.shape[:1] * 2, -1)
+        value = moment - average[:, None] * average
+        small = np.einsum("iik->ik", value) < CANCELLED * np.einsum("iik->ik", moment)
+        cancelled = np.flatnonzero(small.any(axis=0))
+        for start in range(0, len(cancelled), 1024):  # members, each with tens of nodes
+            k = cancelled[start : start + 1024]
+            part = cov if cov.ndim == 2 else cov[..., k]
+            value[..., k] = self._integrated(mean[:, k], part, part)
         return value
 
     def _integrated(self, mean: np.ndarray, cov: np.ndarray, error_cov: np.ndarray) -> np.ndarray:

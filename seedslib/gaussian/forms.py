@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.checks import as_real
 from seedslib.gaussian.arguments import gaussian_arguments
-from seedslib.gaussian.kernels import inner_product, times
+from seedslib.gaussian.means import inner_product, times
 
 
 def linear_mean(A: ArrayLike, mean: ArrayLike, cov: ArrayLike) -> np.ndarray:

@@ -10,9 +10,16 @@ import numpy as np
 import sympy as sp
 
 from seedslib.base.symbols import as_expression, as_symbols, real_part
-from seedslib.gaussian.algebra import Key, NoClosedForm, components_of, parse
-from seedslib.gaussian.polynomial import monomial_means, predecessors
-from seedslib.gaussian.special import Difference, Divisor, NormalCDF
+from seedslib.gaussian.algebra import (
+    Difference,
+    Divisor,
+    Key,
+    NoClosedForm,
+    NormalCDF,
+    components_of,
+    parse,
+)
+from seedslib.gaussian.means import monomial_means, predecessors
 
 
 def expectation(

@@ -22,8 +22,14 @@ from seedslib.base.linalg import symmetrized
 from seedslib.base.symbols import as_symbols
 from seedslib.gaussian.algebra import check_symbols, components_of
 from seedslib.gaussian.arguments import estimate_arguments
-from seedslib.gaussian.means import FunctionClass, expectation_function
-from seedslib.gaussian.polynomial import Index, factorial_of, mean_derivatives, smoothing_bias
+from seedslib.gaussian.means import (
+    FunctionClass,
+    Index,
+    expectation_function,
+    factorial_of,
+    mean_derivatives,
+    smoothing_bias,
+)
 from seedslib.gaussian.quadrature import rule_of_rank
 
 LARGEST_TENSOR = 3_000_000  # entries, tens of megabytes

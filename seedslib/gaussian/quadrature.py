@@ -35,13 +35,10 @@ class Rule:
         Shape (n, L).
     weights : ndarray
         Shape (L,), sum one.
-    degree : int
-        Total degree up to which means of polynomials are exact.
     """
 
     points: np.ndarray
     weights: np.ndarray
-    degree: int
 
     def __post_init__(self) -> None:
         for array in (self.points, self.weights):
@@ -57,7 +54,7 @@ def gauss_hermite(n: int, order: int) -> Rule:
         Not positive integers, or more than two million points.
     """
     n, order = as_count("n", n), as_count("order", order)
-    return Rule(*rule_of_rank(n, order), 2 * order - 1)
+    return Rule(*rule_of_rank(n, order))
 
 
 @cache
@@ -86,7 +83,7 @@ def cubature(n: int) -> Rule:
     """
     n = as_count("n", n)
     eye = np.sqrt(n) * np.eye(n)
-    return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n), 3)
+    return Rule(np.hstack([eye, -eye]), np.full(2 * n, 0.5 / n))
 
 
 def unscented(n: int, kappa: float) -> Rule:
@@ -110,7 +107,7 @@ def unscented(n: int, kappa: float) -> Rule:
     eye = np.sqrt(n + kappa) * np.eye(n)
     side = 0.5 / (n + kappa)
     weights = np.concatenate([[kappa / (n + kappa)], np.full(2 * n, side)])
-    return Rule(np.hstack([np.zeros((n, 1)), eye, -eye]), weights, 3)
+    return Rule(np.hstack([np.zeros((n, 1)), eye, -eye]), weights)
 
 
 def fifth_degree(n: int) -> Rule:
@@ -128,7 +125,7 @@ def fifth_degree(n: int) -> Rule:
         points += [a * one + b * other for a, b in product(sides, repeat=2)]
     shares = [1.0 + (n * n - 7.0 * n) / 18.0, (4.0 - n) / 18.0, 1.0 / 36.0]
     weights = np.repeat(shares, [1, 2 * n, 2 * n * (n - 1)])
-    return Rule(np.stack(points, axis=1), weights, 5)
+    return Rule(np.stack(points, axis=1), weights)
 
 
 def mean_of(f: Callable[..., Any], mean: ArrayLike, cov: ArrayLike, rule: Rule) -> np.ndarray:

@@ -23,8 +23,7 @@ from seedslib.linearization.moments import (
     Weighted,
     refuse_weight,
 )
-from seedslib.models.maps import Conditional, StochasticMap
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Conditional, Noise, StochasticMap
 
 SMALL = 1e-150
 """Points of a smaller weight count for nothing: its square is out of the range of numbers."""

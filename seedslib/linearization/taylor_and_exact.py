@@ -15,8 +15,7 @@ from seedslib.gaussian.algebra import NoClosedForm
 from seedslib.gaussian.formulas import covariance_expression, mean_expression
 from seedslib.linearization.formulas import BranchFormulas, Formulas, Parts, mentions
 from seedslib.models.codegen import fold
-from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import tidy
+from seedslib.models.maps import StochasticMap, tidy
 
 POINTS = "GaussHermite, Unscented and Cubature take this map"
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
     from seedslib.models.kinds import System as System
     from seedslib.models.kinds import inputs_of as inputs_of
     from seedslib.models.linear import LinearSystem as LinearSystem
+    from seedslib.models.linear import van_loan as van_loan
+    from seedslib.models.maps import Noise as Noise
     from seedslib.models.maps import StochasticMap as StochasticMap
-    from seedslib.models.noise import Noise as Noise
-    from seedslib.models.propagation import van_loan as van_loan
     from seedslib.models.structural import Structural as Structural
     from seedslib.models.structural import level as level
     from seedslib.models.structural import regression as regression

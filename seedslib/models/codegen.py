@@ -21,7 +21,7 @@ from sympy.printing.numpy import SciPyPrinter
 from seedslib.base.arrays import batch_shape
 from seedslib.base.checks import brief, require_shape
 from seedslib.base.symbols import as_expression, require_distinct, require_known, require_number
-from seedslib.gaussian.special import difference
+from seedslib.gaussian.algebra import difference
 
 LARGEST_POWER = 40
 TERMS = 14

@@ -13,8 +13,7 @@ from seedslib.base.blocks import Source
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order, require_no_step
 from seedslib.models.first_state import Started
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise, StochasticMap, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 

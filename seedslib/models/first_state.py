@@ -13,7 +13,7 @@ from seedslib.base.blocks import Source
 from seedslib.base.checks import NEGATIVE_EIGENVALUE, as_covariance, as_real
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise
 
 if TYPE_CHECKING:
     from typing import Self
@@ -34,7 +34,7 @@ class FormulasOfMoments(Pickled):
     """
 
     def __init__(self, mean0: Any, cov0: Any, n: int) -> None:
-        from seedslib.base.parameters import parameters_of
+        from seedslib.base.symbols import parameters_of
         from seedslib.models.codegen import known_expressions
 
         self.mean0: np.ndarray = known_expressions("mean0", mean0, (n,), {}, set())

@@ -19,8 +19,7 @@ from seedslib.base.clock import step_count, when
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order, of_paths, require_no_step
 from seedslib.models.first_state import Started
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import named_noise
+from seedslib.models.maps import StochasticMap, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 Rate = Callable[..., np.ndarray]
@@ -108,8 +107,7 @@ class JumpDiffusion(Started, Pickled):
         time: Any = None,
         period: Mapping[int, float] | None = None,
     ) -> None:
-        from seedslib.base.parameters import parameters_of
-        from seedslib.base.symbols import named_model
+        from seedslib.base.symbols import named_model, parameters_of
         from seedslib.models.codegen import known_expressions
 
         noise, marks = named_noise("noise", noise), named_noise("marks", marks)
@@ -200,14 +198,16 @@ class JumpDiffusion(Started, Pickled):
 
     @cached_property
     def drift_map(self) -> StochasticMap:
-        """Mean velocity b(t, x) as a map without noise; array functions without a closed form."""
-        return rate_map(self, 0, ..., self.state_size)
+        """Mean velocity b(t, x) as a map without noise."""
+        return self._without_noise(self.moment_expressions[0])
 
     @cached_property
     def spread_map(self) -> StochasticMap:
         """Sigma(t, x) on and below the diagonal as a map without noise."""
-        lower = np.tril_indices(self.state_size)
-        return rate_map(self, 1, lower, len(lower[0]))
+        return self._without_noise(self.moment_expressions[1][np.tril_indices(self.state_size)])
+
+    def _without_noise(self, value: np.ndarray) -> StochasticMap:
+        return StochasticMap(self.state, value, time=self.time).taking(self.parameters)
 
     @cached_property
     def _euler(self) -> Callable[..., Any]:
@@ -304,41 +304,6 @@ class JumpDiffusion(Started, Pickled):
         Options are those of that function, and `step` and `scheme` of `advance`.
         """
         return simulate(self, times, paths, seed, **options)
-
-
-def numeric_rates(
-    system: JumpDiffusion, t: float, x: np.ndarray, p: Values
-) -> tuple[np.ndarray, np.ndarray]:
-    """The same as arrays (n, *batch) and (n, n, *batch), the jump averaged over its marks."""
-    x = np.asarray(x)
-    velocity, diffusion = system.drift(t, x, p), system.diffusion(t, x, p)
-    spread = np.einsum("ik...,jk...->ij...", diffusion, diffusion)
-    if system.jump is not None:
-        rate = system.intensity(t, x, p)
-        mean, cov = system.jump.conditional_moments(t, x, p)
-        velocity = velocity + rate * mean
-        spread = spread + rate * (cov + mean[:, None] * mean[None, :])
-    return velocity, spread
-
-
-def rate_map(system: JumpDiffusion, part: int, chosen: object, size: int) -> StochasticMap:
-    """Map without noise of b (`part` 0) or Sigma (1): its `chosen` entries, `size` in number.
-
-    The closed form where there is one, array functions otherwise.
-    """
-    from seedslib.gaussian.algebra import NoClosedForm
-
-    try:
-        value = system.moment_expressions[part][chosen]
-        return StochasticMap(system.state, value, time=system.time).taking(system.parameters)
-    except NoClosedForm:
-        pass
-    return StochasticMap.from_functions(
-        system.state_size,
-        size,
-        lambda t, x, v, *p: numeric_rates(system, t, x, p)[part][chosen],
-        parameters=system.parameters,
-    )
 
 
 SCHEMES = ("euler", "heun")

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import MISSING, dataclass, fields
-from types import SimpleNamespace
 from typing import TYPE_CHECKING, Any, Protocol, TypeAlias, runtime_checkable
 
 import numpy as np
 
 from seedslib.base.checks import as_count, as_times, is_whole, outside
 from seedslib.base.clock import when
-from seedslib.base.values import Parametrized, Values
+from seedslib.base.values import Values
 
 
 @runtime_checkable
@@ -49,7 +47,7 @@ class System(Protocol):
 
 
 if TYPE_CHECKING:
-    from seedslib.base.parameters import Input
+    from seedslib.base.symbols import Input
     from seedslib.models.discrete import DiscreteSystem
     from seedslib.models.jump_diffusion import JumpDiffusion
     from seedslib.models.switching import SwitchingSystem
@@ -177,70 +175,3 @@ def as_steps(times: object) -> np.ndarray:
     if times.size < 2:
         raise ValueError(f"times: wanted at least two times, got {times.size}")
     return times
-
-
-MOST = 128
-"""Modes, values of an indicator and components of a model that is known from a file only."""
-
-SIZES = {
-    "modes": "modes",
-    "state_size": "state components",
-    "measurement_size": "measured components",
-    "indicators": "values of an indicator",
-}
-"""Sizes of a model and their names, for messages."""
-
-
-@dataclass(frozen=True)
-class UnknownModel(Parametrized):
-    """The sizes of a model; stands for it where a filter was loaded without it.
-
-    Attributes
-    ----------
-    state_size, measurement_size : int
-    modes : int
-        Zero for a system without modes.
-    indicators : int
-        Values of the indicator; zero where there is none.
-    """
-
-    state_size: int
-    measurement_size: int
-    modes: int = 0
-    indicators: int = 0
-
-    def __post_init__(self) -> None:
-        for part in fields(self):
-            as_count(part.name, getattr(self, part.name), int(part.default is MISSING))
-
-    def bounded(self) -> UnknownModel:
-        """These sizes, where tables can have them.
-
-        Raises
-        ------
-        ValueError
-            More than 128 of something.
-        """
-        # tables hold the decided mode in a byte, and no table has as many arguments
-        for part in fields(self):
-            as_count(part.name, getattr(self, part.name), 0, MOST)
-        return self
-
-    @classmethod
-    def of(cls, system: object) -> UnknownModel:
-        """The sizes of a model."""
-        modes = getattr(system, "modes", 0)
-        return cls(system.state_size, system.measurement_size, modes, system.indicators)
-
-    @property
-    def sensor(self) -> SimpleNamespace:
-        """What is known of the sensor: the size of a measurement."""
-        return SimpleNamespace(size=self.measurement_size)
-
-    def difference(self, other: UnknownModel) -> tuple[str, int, int] | None:
-        """First size that differs: its name, what it is here and there."""
-        for name, word in SIZES.items():
-            one, two = getattr(self, name), getattr(other, name)
-            if one != two:
-                return word, one, two
-        return None

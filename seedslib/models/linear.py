@@ -8,7 +8,8 @@ from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.linalg import expm
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm, matrix_balance
 
 from seedslib.base.arrays import align
 from seedslib.base.checks import (
@@ -19,14 +20,17 @@ from seedslib.base.checks import (
     is_whole,
     require_shape,
 )
-from seedslib.base.clock import lengths_alike
+from seedslib.base.clock import lengths_alike, when
 from seedslib.base.conditioning import gaussian_logpdf
 from seedslib.base.linalg import cholesky
 from seedslib.base.values import Values, in_order, require_no_step
 from seedslib.models.discrete import DiscreteSystem
-from seedslib.models.maps import Conditional, Functions, StochasticMap
-from seedslib.models.noise import Noise, tidy
-from seedslib.models.propagation import stepped
+from seedslib.models.maps import Conditional, Functions, Noise, StochasticMap, tidy
+
+RTOL = 1e-11
+ATOL = 1e-14
+
+Pair = tuple[np.ndarray, np.ndarray]
 
 Matrix: TypeAlias = Any
 """An array of numbers or of SymPy expressions, or a function of time that gives one."""
@@ -80,11 +84,36 @@ class LinearMap(StochasticMap):
             M if isinstance(M, np.ndarray) else M.compiled(self.parameters) for M in self._matrices
         ]
 
+    @cached_property
+    def _last(self) -> list[Any]:
+        """Of A, S and b the places in p that they depend on, the last numbers, and the values."""
+        places = [
+            [self.parameters.index(p) for p in getattr(M, "mentions", ())] for M in self._matrices
+        ]
+        return [(part, (), None) for part in places]
+
+    @property
+    def timeless(self) -> bool:
+        """See `StochasticMap.timeless`."""
+        return all(
+            isinstance(M, np.ndarray) or (isinstance(M, Entries) and not M.timed)
+            for M in self._matrices
+        )
+
     def _matrix(self, k: int, t: float, p: Values, shape: tuple[int, ...]) -> np.ndarray:
         matrix = self._at[k]
-        if callable(matrix):
-            return as_real(("slope", "cov", "offset")[k], matrix(t, p), (*shape, ...))
-        return matrix
+        if not callable(matrix):
+            return matrix
+        places, known, value = self._last[k]
+        given = (*(p[i] for i in places), t if getattr(self._matrices[k], "timed", True) else None)
+        if len(given) == len(known) and all(map(_same, given, known)):
+            return value
+        name = ("slope", "cov", "offset")[k]
+        value = as_real(name, matrix(t, p), (*shape, ...))
+        if k == 1 and value.ndim == 2:
+            value = as_covariance(name, value)
+        self._last[k] = places, given, value
+        return value
 
     def slope_at(self, t: float, p: Values = ()) -> np.ndarray:
         """A at a time, shape (m, n); with axes of paths where parameters have them."""
@@ -92,10 +121,7 @@ class LinearMap(StochasticMap):
 
     def cov_at(self, t: float, p: Values = ()) -> np.ndarray:
         """S at a time, shape (m, m); with axes of paths where parameters have them."""
-        cov = self._matrix(1, t, p, (self.size, self.size))
-        if cov.ndim > 2 or cov is self._at[1]:
-            return cov
-        return as_covariance("cov", cov)
+        return self._matrix(1, t, p, (self.size, self.size))
 
     def offset_at(self, t: float, p: Values = ()) -> np.ndarray:
         """Offset b at a time, shape (m,); with axes of paths where inputs have them."""
@@ -178,7 +204,10 @@ class LinearSystem(DiscreteSystem):
         d: Matrix = None,
         diffuse: tuple[int, ...] = (),
     ) -> None:
-        n = np.array(mean0, dtype=object, ndmin=1).shape[0]
+        start = np.array(mean0, dtype=object, ndmin=1)
+        if not any(hasattr(entry, "free_symbols") for entry in start.flat):
+            start = np.atleast_1d(as_real("mean0", mean0))
+        n = len(start)
         known = next((M for M in (R, H) if not callable(M)), None)
         m = len(np.atleast_2d(R(0.0) if known is None else np.array(known, dtype=object)))
         b, d = np.zeros(n) if b is None else b, np.zeros(m) if d is None else d
@@ -269,6 +298,12 @@ class LinearSystem(DiscreteSystem):
         return cls(F, Q, H, R, mean0, cov0, b=b, **options)
 
 
+def _same(one: Any, two: Any) -> bool:
+    """Whether two numbers are equal, or are one array."""
+    numbers = isinstance(one, float | int) and isinstance(two, float | int)
+    return one is two or (numbers and one == two)
+
+
 def _entries(name: str, matrix: Any, shape: tuple[int, ...]) -> Any:
     """A matrix of numbers, or what changes with time or has parameters."""
     if isinstance(matrix, SteppedMatrix):
@@ -303,12 +338,13 @@ class Entries:
     def __init__(self, name: str, entries: np.ndarray, shape: tuple[int, ...]) -> None:
         import sympy
 
-        from seedslib.base.parameters import parameters_of
+        from seedslib.base.symbols import parameters_of
         from seedslib.models.codegen import known_expressions
 
         self.time: Any = sympy.Symbol("t")
         self.expressions: np.ndarray = known_expressions(name, entries, shape, {}, {self.time})
         self.mentions: tuple[Any, ...] = parameters_of(self.expressions.flat)
+        self.timed: bool = any(self.time in entry.free_symbols for entry in self.expressions.flat)
 
     def compiled(self, parameters: tuple[Any, ...]) -> Callable[..., np.ndarray]:
         """The matrix as a function (t, p)."""
@@ -345,13 +381,10 @@ class Discretised:
     """
 
     def __init__(self, drift: Any, diffusion: Any, rate: Any, step: float | None) -> None:
-        from seedslib.base.parameters import ELAPSED
+        from seedslib.base.symbols import ELAPSED
 
         for name, M in (("drift", drift), ("diffusion", diffusion)):
-            symbols = {
-                s for e in getattr(M, "expressions", np.empty(0)).flat for s in e.free_symbols
-            }
-            if isinstance(M, OfTime) or getattr(M, "time", None) in symbols:
+            if isinstance(M, OfTime) or getattr(M, "timed", False):
                 raise ValueError(f"{name}: wanted constants and parameters, got a function of time")
             require_no_step(name, getattr(M, "mentions", ()))
         self.drift, self.diffusion, self.rate, self.step = drift, diffusion, rate, step
@@ -446,3 +479,178 @@ def _integral(drift: np.ndarray, step: float) -> np.ndarray:
     """The integral of exp(F s) over a step."""
     n = len(drift)
     return expm(step * np.block([[drift, np.eye(n)], [np.zeros((n, 2 * n))]]))[:n, n:]
+
+
+RTOL = 1e-11
+ATOL = 1e-14
+
+
+def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
+    """Transition matrix and noise covariance of a step, constant coefficients.
+
+    The matrix exponential of Van Loan (1978) is taken on a step so short that ``|F| h <= 1``;
+    doubling ``A <- A A``, ``Q <- A Q Aᵀ + Q`` then reaches the wanted step as a sum of
+    nonnegative terms. One long exponential of a stable system would overflow and cancel.
+
+    Parameters
+    ----------
+    drift, diffusion : ndarray
+        F and G Q Gᵀ, both (n, n).
+    step : float
+        Length of the step, nonnegative.
+
+    Returns
+    -------
+    A, Qd : ndarray
+        Both (n, n).
+
+    Raises
+    ------
+    TypeError, ValueError
+        No numbers, other shapes, no covariance, no such step; the moments overflow.
+    """
+    diffusion = as_covariance("diffusion", diffusion)
+    drift = as_real("drift", drift, diffusion.shape)
+    return stepped(drift, diffusion, as_positive("step", step, zero=True))
+
+
+def stepped(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
+    """`van_loan` of arrays that were checked when their system was made."""
+    n = len(drift)
+    unit, drift, _, diffusion = balanced(drift, np.zeros((n, n)), diffusion)
+    doublings = halvings(np.linalg.norm(drift, 1) * step)
+    short = step / 2**doublings
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n] = -drift
+    block[:n, n:] = diffusion
+    block[n:, n:] = drift.T
+    power = expm(short * block)
+    move = power[n:, n:].T
+    spread = move @ power[:n, n:]
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(doublings):
+            spread = move @ spread @ move.T + spread
+            move = move @ move
+        column = unit[:, None]
+        move, spread = move * (column / unit), 0.5 * (spread + spread.T) * column * unit
+    return bounded(step, move, spread)
+
+
+def balanced(
+    drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Units of the state in which the Hamiltonian matrix is small, and the three matrices in them.
+
+    Noise and information are given in units of the state squared and of its inverse: in badly
+    chosen units a step would be halved until the drift is lost to rounding. The units are powers
+    of two, so that changing to them and back is exact.
+
+    Parameters
+    ----------
+    drift, information, diffusion : ndarray
+        F, HᵀR⁻¹H and GQGᵀ, all (n, n).
+
+    Returns
+    -------
+    unit : ndarray
+        d, shape (n,); x is measured in units of d.
+    drift, information, diffusion : ndarray
+        ``D⁻¹FD``, ``D HᵀR⁻¹H D`` and ``D⁻¹GQGᵀD⁻¹``.
+    """
+    n = drift.shape[0]
+    rate = np.abs(drift).max() or 1.0
+    gain, noise = np.abs(information).max(), np.abs(diffusion).max()
+    if gain > 0 and noise > 0:
+        square = np.sqrt(noise) / np.sqrt(gain)
+    else:
+        square = noise / rate if noise > 0 else rate / gain if gain > 0 else 1.0
+    common = np.ldexp(1.0, np.frexp(np.sqrt(square))[1])
+    upper, lower = information * common * common, diffusion / common / common
+    matrix = np.block([[-drift.T, upper], [lower, drift]])
+    with np.errstate(invalid="ignore"):  # of the permutation, which is not asked for
+        scale = np.log2(matrix_balance(np.abs(matrix), permute=False, separate=True)[1][0])
+    unit = common * 2.0 ** np.round(0.5 * (scale[n:] - scale[:n]))
+    column = unit[:, None]
+    return unit, drift * (unit / column), information * column * unit, diffusion / column / unit
+
+
+def bounded(step: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The values, all finite.
+
+    Raises
+    ------
+    ValueError
+        An unstable system has left the range of floating-point numbers.
+    """
+    if not all(np.isfinite(value).all() for value in values):
+        raise ValueError(f"times: the moments overflow over a time of {step:g}: unstable system")
+    return values
+
+
+def halvings(size: float) -> int:
+    """How often a step of scaled length `size` is halved until its length is at most one."""
+    return max(0, int(np.ceil(np.log2(size)))) if size > 0 else 0
+
+
+def integrated(coefficients: Callable[[float], Pair], start: float, stop: float) -> Pair:
+    """Transition matrix and noise covariance of a step, coefficients that depend on time.
+
+    Integrates ``A' = F A`` and ``Q' = F Q + Q Fᵀ + G Q Gᵀ`` with DOP853.
+
+    Parameters
+    ----------
+    coefficients : callable
+        Time to (F, G Q Gᵀ).
+    start, stop : float
+        The step, ``start <= stop``.
+
+    Returns
+    -------
+    A, Qd : ndarray
+
+    Raises
+    ------
+    ValueError
+        The integration failed, for instance because the solution grows without bound.
+    """
+    n = coefficients(start)[0].shape[0]
+    start_pair = np.stack([np.eye(n), np.zeros((n, n))])
+    if stop == start:
+        return start_pair[0], start_pair[1]
+
+    def slope(t: float, y: np.ndarray) -> np.ndarray:
+        drift, diffusion = coefficients(t)
+        move, spread = y.reshape(2, n, n)
+        return np.stack([drift @ move, drift @ spread + spread @ drift.T + diffusion]).ravel()
+
+    y0 = start_pair.ravel()
+    # An absolute tolerance far below the size of the data keeps components that start at zero
+    # accurate relative to what they become.
+    size = max(1.0, np.abs(slope(start, y0)).max() * (stop - start))
+    with np.errstate(over="ignore", invalid="ignore"):
+        result = solve_ivp(slope, (start, stop), y0, "DOP853", rtol=RTOL, atol=ATOL * size)
+    if not result.success:
+        raise ValueError(
+            f"times: the equations of the moments could not be integrated from {when(start)} to "
+            f"{when(stop)}: {result.message}"
+        )
+    move, spread = result.y[:, -1].reshape(2, n, n)
+    return move, 0.5 * (spread + spread.T)
+
+
+def distinct_steps(times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths of steps that differ by more than rounding, and the index of each step's length.
+
+    The steps of a uniform grid differ in the last digits; lengths equal to 1e-12 relative are
+    taken as one, so that a uniform grid needs one matrix exponential.
+
+    Returns
+    -------
+    lengths : ndarray
+        Shape (J,).
+    index : ndarray
+        Shape (K,), ``lengths[index]`` are the steps.
+    """
+    steps = np.diff(times)
+    _, first, index = np.unique(lengths_alike(steps), return_index=True, return_inverse=True)
+    return steps[first], index

@@ -25,8 +25,7 @@ from seedslib.base.linalg import cholesky
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Parametrized, Values, in_order, of_paths, require_no_step
 from seedslib.models.kinds import as_grid
-from seedslib.models.maps import StochasticMap, warn_of_angles
-from seedslib.models.noise import Noise, lower_times, named_noise
+from seedslib.models.maps import Noise, StochasticMap, lower_times, named_noise, warn_of_angles
 from seedslib.models.simulation import Simulation, simulate
 
 CLOSE = 1e-9
@@ -239,6 +238,9 @@ class SwitchingSystem(Parametrized, Pickled):
     probability A_il(t_k, X_k), and then X_{k+1} = a_l(t_k, X_k, V_k). Each step is a switch during
     which the state stands still, and a move of each mode without a switch; the noise comes after
     the switch, so the probabilities cannot depend on it.
+
+    The elapsed time `seedslib.base.ELAPSED` may stand in dynamics and in probabilities: then steps
+    may be of any length, as with ``1 - exp(-rate * ELAPSED)`` for a switch of constant rate.
 
     Parameters
     ----------

@@ -19,7 +19,7 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_times
 from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.filters.base import Estimates
-from seedslib.models.propagation import balanced, bounded, distinct_steps, halvings, stepped
+from seedslib.models.linear import balanced, bounded, distinct_steps, halvings, stepped
 
 
 class LinearMoments(NamedTuple):

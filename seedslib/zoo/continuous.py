@@ -5,7 +5,7 @@ from __future__ import annotations
 import sympy
 
 from seedslib.models.jump_diffusion import JumpDiffusion
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise
 
 Pair = tuple[float, float]
 

@@ -7,7 +7,7 @@ from typing import Any
 import sympy
 
 from seedslib.base.checks import as_positive
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise
 from seedslib.models.switching import SwitchingSystem
 
 SCALAR_SENSORS = {"A1H": 2.0, "A1L": 0.5, "A2": 1.0}

@@ -162,48 +162,11 @@ def test_a_variance_below_the_normal_numbers_is_none(copies):
         assert loglik == pytest.approx(wanted)
 
 
-def test_an_innovation_out_of_the_range_is_impossible_where_that_is_exact():
-    moments = Moments(np.zeros(2), np.eye(2), np.ones((2, 2)))
-    for y, possible in (([1.0, 1.0], True), ([1.0, 1.5], False), ([1.0, 1.0 + 1e-9], True)):
-        for exact in (False, True):
-            loglik = update(np.zeros(2), np.eye(2), y, moments, exact=exact)[2]
-            assert np.isfinite(loglik) == (possible or not exact)
-    batch = np.array([[1.0, 2.0, np.nan], [1.0, 2.5, 1.0]])
-    loglik = update(np.zeros(2), np.eye(2), batch, moments, exact=True)[2]
-    assert np.isneginf(loglik).tolist() == [False, True, False]
-
-
 def test_a_component_on_a_circle_takes_the_shortest_way():
     y, moments = np.array([1.0, 3.9]), Moments(np.zeros(2), np.eye(2), 2 * np.eye(2))
     for periods, wanted in (((), [0.5, 1.95]), (((1, 4.0),), [0.5, -0.05])):
         mean = update(np.zeros(2), np.eye(2), y, moments, periods=periods)[0]
         np.testing.assert_allclose(mean, wanted)
-
-
-def test_symbols_go_through_the_same_lines():
-    names = sympy.symbols("m1 m2 p11 p12 p22 h1 h2 y1 y2 c11 c12 c21 c22 s11 s12 s22")
-    m1, m2, p11, p12, p22, h1, h2, y1, y2, c11, c12, c21, c22, s11, s12, s22 = names
-    P, C, S = (
-        sympy.Matrix(part)
-        for part in (
-            [[p11, p12], [p12, p22]],
-            [[c11, c12], [c21, c22]],
-            [[s11, s12], [s12, s22]],
-        )
-    )
-    moments = [h1, h2], C.tolist(), S.tolist()
-    mean, cov, loglik = update([m1, m2], P.tolist(), [y1, y2], moments)
-    e = sympy.Matrix([y1 - h1, y2 - h2])
-    apart = sympy.Matrix(mean) - (sympy.Matrix([m1, m2]) + C * S.inv() * e)
-    assert apart.applyfunc(sympy.simplify).is_zero_matrix
-    apart = sympy.Matrix(cov.tolist()) - (P - C * S.inv() * C.T)
-    assert apart.applyfunc(sympy.simplify).is_zero_matrix
-    one = case()
-    lower = np.tril_indices(2)
-    values = [*one[0], *one[1][lower], *one[3].mean, *one[2], *one[3].cross.ravel()]
-    values += list(one[3].cov[lower])
-    found = float(loglik.subs(dict(zip(names, values, strict=True))))
-    assert found == pytest.approx(float(update(*one)[2]), rel=1e-12)
 
 
 # Priors so wide that cov y has lost the noise: against the formulas in rational numbers

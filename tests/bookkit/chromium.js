@@ -1,5 +1,5 @@
 // Headless Chromium through a pipe: node chromium.js PROGRAM, JSON {url, width, height, steps} from stdin.
-// Each step is an expression that the page evaluates, or {drag: [[x, y], ...]}, {shot: file}; prints values.
+// Each step is an expression that the page evaluates or {drag: [[x, y], ...]}; prints the values.
 const { spawn } = require("child_process"), fs = require("fs"), os = require("os"), path = require("path");
 const { url, width, height, steps } = JSON.parse(fs.readFileSync(0, "utf8"));
 const home = fs.mkdtempSync(path.join(os.tmpdir(), "chromium-"));
@@ -31,10 +31,7 @@ const send = (method, params = {}, sessionId) => new Promise((done) => {
   await new Promise((done) => setTimeout(done, 300));
   const found = [];
   for (const step of steps) {
-    if (step.shot) {
-      const { data } = await call("Page.captureScreenshot", { format: "png", captureBeyondViewport: true });
-      fs.writeFileSync(step.shot, Buffer.from(data, "base64"));
-    } else if (step.drag) {
+    if (step.drag) {
       const mouse = (type, [x, y]) => call("Input.dispatchMouseEvent", { type, x, y, button: "left", buttons: 1, clickCount: 1 });
       await mouse("mousePressed", step.drag[0]);
       for (const at of step.drag) await mouse("mouseMoved", at);

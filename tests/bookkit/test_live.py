@@ -1,5 +1,6 @@
-"""Figures that can be moved: their scripts say what the library says, and load nothing."""
+"""Pictures that can be dragged: they say what the library says, at once, and load nothing."""
 
+import base64
 import json
 import re
 import shutil
@@ -8,131 +9,275 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import sympy
+from scipy.interpolate import interpn
 
 from bookkit import live
 from seedslib import zoo
-from seedslib.export import to_js
+from seedslib.filters import extended_kalman
+from seedslib.models import grid_chain
+from seedslib.piecewise import PiecewiseLinearFilter
+from seedslib.two_step import LinearDiffusion, TwoStepEstimator
 
-ROOT = Path(__file__).resolve().parents[2]
-NODE = shutil.which("node")
+NODE, CHROMIUM = shutil.which("node"), shutil.which("chromium")
 NUMBER = re.compile(r"-?\d+\.\d+(?:e[-+]?\d+)?|-?\d+e[-+]?\d+|(?<=[\[,])-?0(?=[\],])")
 """Numbers with a fraction or an exponent, and zeros in lists: rounding may have left something."""
-pytestmark = pytest.mark.filterwarnings("ignore::UserWarning")
-needs_node = pytest.mark.skipif(NODE is None, reason="no node")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore::UserWarning"),
+    pytest.mark.skipif(NODE is None, reason="no node"),
+]
+PATHS = {name: live.BOOK / "live" / f"{name}.html" for name in live.PICTURES}
 
 
 def data_of(name):
-    """The data of a committed figure."""
-    text = (ROOT / "book" / "live" / f"{name}.html").read_text(encoding="utf-8")
-    return json.loads(re.search(r'<script type="application/json">(.*?)</script>', text)[1])
+    """The data of a committed picture."""
+    text = PATHS[name].read_text()
+    found = re.search(r'<script type="application/json">(.*?)</script>', text)
+    return json.loads(found[1]) if found else {}
 
 
-def module(data, name):
-    """The text of a filter in a figure's data: runs of lines, each a first line and a number."""
-    lines, runs = data["lines"], data["modules"][name]
-    pairs = zip(runs[::2], runs[1::2], strict=True)
-    return "\n".join(line for at, count in pairs for line in lines[at : at + count])
-
-
-def node(script, given):
-    """What a script prints, which knows the page's scripts and `given`."""
-    script = f"""
-const {{ paths }} = require({json.dumps(str(live.STATIC / "live_filters.js"))});
-const given = JSON.parse(require('fs').readFileSync(0, 'utf8'));
+def node(name, given, script):
+    """What `script` gives, which knows a committed picture as `picture` and `given`."""
+    shared = json.dumps(str(live.BOOK / "_static" / "live.js"))
+    program = f"""
+const live = require({shared});
+const {{ source, data, given }} = JSON.parse(require('fs').readFileSync(0, 'utf8'));
+const page = {{ currentScript: {{ closest() {{}} }} }};
+new Function('live', 'document', source)({{ ...live, attach() {{}} }}, page);
+const picture = live.pictures.{name}(data), plain = (x) => Array.from(x);
 console.log(JSON.stringify({script}));"""
+    told = {"source": live.script_of(PATHS[name].read_text()), "data": data_of(name)}
     done = subprocess.run(
-        [NODE, "-e", script], input=json.dumps(given), capture_output=True, text=True
+        [NODE, "-e", program],
+        input=json.dumps(told | {"given": given}),
+        capture_output=True,
+        text=True,
     )
     assert done.returncode == 0, done.stderr
     return json.loads(done.stdout)
 
 
-def assert_same(found, wanted):
-    """Equal words, and equal numbers to the rounding of another processor."""
+def texts(data):
+    """The data as text, its packed numbers written out."""
+
+    def plain(value):
+        if isinstance(value, str) and len(value) > 200 and " " not in value:
+            return np.frombuffer(base64.b64decode(value), "<f4").astype(float).tolist()
+        return value
+
+    return json.dumps({key: plain(value) for key, value in data.items()})
+
+
+@pytest.mark.parametrize("name", live.PICTURES)
+def test_committed_data_are_those_of_the_library(name):
+    found, wanted = texts(data_of(name)), texts(live.PICTURES[name]())
     assert NUMBER.sub("#", found) == NUMBER.sub("#", wanted)
     pairs = [[float(x) for x in NUMBER.findall(text)] for text in (found, wanted)]
     np.testing.assert_allclose(*pairs, rtol=1e-6, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def made():
-    """Filters of two figures, made today."""
-    return {"dropouts": live.linear_filters(), "van_der_pol": live.van_der_pol_filters(2)}
+@pytest.mark.parametrize("name", live.PICTURES)
+def test_committed_pages_are_made_of_their_sources(name):
+    text = PATHS[name].read_text()
+    assert live.fragment(name, data_of(name)) == text
+    ids = re.findall(r'\bid="(.*?)"', text)
+    assert len(set(ids)) == len(ids)
+    assert all(each.startswith(f"live-{name}") for each in ids)
+    assert text.count('role="img"') == 2  # the still pictures, wide and narrow
+    assert "<!--" not in text
 
 
-def test_filters_of_the_figures_are_those_of_the_library(made):
-    for name, filters in made.items():
-        for key, filter in filters.items():
-            assert_same(module(data_of(name), key), to_js(filter))
+def test_filters_of_the_flip_process_say_what_python_says():
+    times, y = live.TIMES, np.random.default_rng(5).uniform(-2.9, 2.9, 25)
+    script = """({ exact: plain(picture.bayes(given)),
+      belief: plain(picture.beliefs.slice(-picture.nodes.length)),
+      ...Object.fromEntries(["table", "line", "ekf"].map((name) =>
+        [name, plain(picture.run(name, given).mean)])) })"""
+    found = node("flip", y.tolist(), script)
+    for name, made in live.flip_filters().items():
+        wanted = made.run(times, y[:, None]).mean[:, 0]
+        np.testing.assert_allclose(found[name], wanted, rtol=1e-6, atol=1e-8)
+    chain, means = grid_chain(zoo.flip_process(), live.NODES), []
+    belief = chain.initial
+    for k, t in enumerate(times):
+        belief = chain.transition(0.0, 0.25) @ belief if k else belief
+        belief = belief * np.exp(chain.log_likelihood(t, y[k : k + 1, None]))[0]
+        belief /= belief.sum()
+        means.append(chain.nodes[0] @ belief)
+    np.testing.assert_allclose(found["exact"], means, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(found["belief"], belief, rtol=0, atol=1e-6)
 
 
-@needs_node
-def test_a_figure_has_its_data_and_a_first_picture(made):
-    slider = live.Slider("missing", "share", live.MISSING, 3)
-    data = data_of("dropouts") | live.pooled({"kf": to_js(made["dropouts"]["kf"])})
-    data["filters"] = [{"key": "kf", "label": "Kalman < all"}]
-    text = live.fragment(live.Figure("x", slider, "a caption", data))
-    assert text.count("<svg") == 2
-    assert "Kalman &lt; all" in text
-    assert 'aria-valuetext="0.3"' in text
+def test_nodes_of_the_flip_process_are_enough():
+    """The belief on the page against one on 4.6 times as many nodes, over the first run."""
+    data, means = data_of("flip"), []
+    y = np.array(data["runs"][0]["y"])
+    for nodes in (live.NODES, (-3.5, 3.5, 561)):
+        chain = grid_chain(zoo.flip_process(), nodes)
+        belief, found = chain.initial, []
+        for k, t in enumerate(live.TIMES):
+            belief = chain.transition(0.0, 0.25) @ belief if k else belief
+            belief = belief * np.exp(chain.log_likelihood(t, y[k : k + 1, None]))[0]
+            belief /= belief.sum()
+            found.append(chain.nodes[0] @ belief)
+        means.append(found)
+    assert np.abs(np.subtract(*means)).max() < 2e-3
 
 
-ESTIMATES = """Object.fromEntries(Object.entries(given).map(([name, { data, keys, options }]) => {
-  const drawn = paths.simulate(data, { ...data.options, ...options }, 3, paths.source(7));
-  const mean = Object.fromEntries(keys.map((key) => [key, drawn.y.map((y) => {
-    const made = paths.module(data, key), state = made.init();
-    const all = data.timed.includes(key) ? made.run(state, data.times, y) : made.run(state, y);
-    return Array.from(all.mean);
-  })]));
-  const plain = (x) => Number.isNaN(x) ? null : x;
-  return [name, { y: drawn.y.map((y) => Array.from(y, plain)), mean }];
-}))"""
+def test_answer_of_the_flip_process_is_that_of_the_table():
+    """Where the estimate changes sides, by the library's filter on both sides of it."""
+    y = np.array(data_of("flip")["runs"][0]["y"])
+    at = node("flip", y.tolist(), 'picture.crossing(given, 5, "table")')
+    assert f"At −{-at:.2f}." in PATHS["flip"].read_text()
+    table = live.flip_filters()["table"]
+    for reading, side in ((at - 1e-4, -1), (at + 1e-4, 1)):
+        y[5] = reading
+        assert np.sign(table.run(live.TIMES, y[:, None]).mean[5, 0]) == side
 
 
-@needs_node
-def test_estimates_of_a_page_are_those_of_python(made):
-    """From the page's own measurements, gaps among them."""
-    given = {
-        name: {"data": data_of(name), "keys": list(made[name]), "options": options}
-        for name, options in (("dropouts", {"missing": 0.4}), ("van_der_pol", {"noise": 1.0}))
-    }
-    found = node(ESTIMATES, given)
-    for name, by_key in made.items():
-        times = np.array(given[name]["data"]["times"])
-        y = np.array(found[name]["y"], dtype=float).reshape(3, len(times), -1)
-        assert np.isnan(y).any() == (name == "dropouts")
-        for key, filter in by_key.items():
-            own = np.arange(len(times)) if key == "kf" else times
-            for track, mean in zip(y, found[name]["mean"][key], strict=True):
-                wanted = filter.run(own, track).mean.ravel()
-                np.testing.assert_allclose(mean, wanted, rtol=1e-7, atol=1e-8)
+@pytest.mark.parametrize("curve", ["square", "abs", "sin", "exp"])
+def test_means_and_losses_of_the_square_are_those_of_the_two_step_estimator(curve):
+    x, ratios = sympy.Symbol("x", real=True), [0.05, 1.0, 5.0, 300.0]
+    function = {"square": x**2, "abs": sympy.Abs(x), "sin": sympy.sin(x), "exp": sympy.exp(x)}
+    script = f"""given.map((s) => {{ const c = picture.curves.{curve}, v = picture.varianceOf(s);
+      const summed = picture.mean(c.f, 0.7, v, 20000);
+      return [v, c.mean(0.7, v), summed, picture.loss(c, v, 20000)]; }})"""
+    found = node("square", ratios, script)
+    for ratio, (variance, exact, summed, loss) in zip(ratios, found, strict=True):
+        signal = LinearDiffusion(
+            drift=-1.0,
+            noise_intensity=2.0,
+            sensor=1,
+            sensor_intensity=2.0 / ratio,
+            mean0=0,
+            cov0=1,
+        )
+        made = TwoStepEstimator(signal, function[curve], variables=[x])
+        best, plug = made.steady_errors()
+        steady = float(signal.steady_moments().error_cov[0, 0, 0])
+        wanted = float(np.squeeze(made.estimate([0.7], [[steady]])))
+        assert variance == pytest.approx(steady, rel=1e-9)
+        assert exact == pytest.approx(wanted, rel=1e-9)
+        assert summed == pytest.approx(wanted, rel=1e-6)
+        assert loss == pytest.approx(float(plug / best - 1), abs=1e-6)
 
 
-SIMULATED = """paths.simulate({ plant: given.plant, times: given.times }, given.options, 1500,
-  paths.source(3)).y.map((y) => Array.from(y))"""
+@pytest.mark.parametrize("range_", [4.0, 12.0, 50.0])
+def test_filters_of_the_falling_body_say_what_python_says(range_):
+    data, times = data_of("body"), np.arange(11.0)
+    angles = 0.1 - 0.005 * times**2 / range_ + 1e-3 * np.append(0.0, data["noise"][2])
+    angles[0] = np.nan
+    script = """(() => { const y = picture.measured(given, data.noise[2]);
+      const seen = (all) => all.map((one) => [one.mean, one.cov]);
+      const probs = (n) => picture.windows(y, n)[10].pieces.map((piece) => piece.prob);
+      const count = (n) => [n, seen(picture.windows(y, n)), probs(n)];
+      return { y, ekf: seen(picture.extended(y)), counts: [2, 12, 100].map(count) }; })()"""
+    found = node("body", range_, script)
+    np.testing.assert_allclose(found["y"][1:], angles[1:], rtol=1e-12)
+    ekf = extended_kalman(zoo.falling_body().discrete()).run(times, angles[:, None])
+    for row, mean, cov in zip(found["ekf"], ekf.mean[:, 0], ekf.cov[:, 0, 0], strict=True):
+        assert row == pytest.approx([mean, cov], rel=1e-6)
+    for count, rows, probs in found["counts"]:
+        filter = PiecewiseLinearFilter(zoo.falling_body(count))
+        states = list(filter.states(10, angles[:, None]))
+        wanted = [[state.mean[0], state.cov[0, 0]] for state in states]
+        np.testing.assert_allclose(rows, wanted, rtol=1e-6)
+        np.testing.assert_allclose(probs, states[-1].mode_prob, rtol=1e-6, atol=1e-9)
 
 
-@needs_node
-@pytest.mark.parametrize(
-    ("name", "options", "right"),
-    [
-        ("flip", {}, True),
-        ("van_der_pol", {"noise": 1.0}, True),
-        ("van_der_pol", {"noise": 1.5}, False),
-        ("switching", {"rate": 1.6}, True),
-        ("switching", {"rate": 0.4}, False),
-    ],
-)
-def test_measurements_of_a_page_have_the_moments_of_the_zoo(name, options, right):
-    """Means and variances, within 4.5 standard errors everywhere."""
-    systems = {"flip": zoo.flip_process(), "van_der_pol": zoo.van_der_pol()}
-    system = systems.get(name, zoo.scalar_switching(rate=1.6))
-    times = np.arange(6.0) if name == "switching" else 0.25 * np.arange(4)
-    page = node(SIMULATED, {"plant": name, "times": times.tolist(), "options": options})
-    page = np.array(page).reshape(1500, len(times), -1)[..., 0].T
-    own = system.simulate(times, 1500, 5).measurements[:, 0]
-    centre, worst = own.mean(axis=1, keepdims=True), 0.0
-    for one, two in ((page, own), ((page - centre) ** 2, (own - centre) ** 2)):
-        error = np.sqrt((one.var(axis=1) + two.var(axis=1)) / 1500)
-        worst = max(worst, np.max(np.abs(one.mean(axis=1) - two.mean(axis=1)) / error))
-    assert (worst < 4.5) == right
+def test_runs_of_the_design_are_those_of_the_growth_model():
+    """The library's best function makes the predicted error on the page's runs at each step."""
+    script = """(() => { const runs = picture.simulate(given, 10000);
+      return [runs.x.map(plain), runs.y.map(plain)]; })()"""
+    x, y = np.array(node("design", 5, script))
+    best = live.growth_filter()
+    square = (best.run(np.arange(6), y[:, None]).mean[:, 0] - x) ** 2
+    error = square.std(axis=1) / 100
+    apart = square.mean(axis=1) - best.predicted.rms[:, 0] ** 2
+    assert np.abs(apart / error).max() < 4
+    assert data_of("design")["best"] == pytest.approx(best.predicted.rms[5, 0])
+
+
+def test_design_takes_local_means_and_tries_them_on_new_runs():
+    """The errors of the page from its tables, interpolated here by another routine."""
+    script = """(() => { const runs = picture.simulate(3, 400), made = picture.design(runs, 400);
+      return { x: runs.x.map(plain), y: runs.y.map(plain), tables: made.tables.map(plain),
+        own: made.error, tried: picture.tried(made.tables, runs),
+        few: picture.design(runs, 30).error }; })()"""
+    found = node("design", 0, script)
+    x, y = np.array(found["x"]), np.array(found["y"])
+    centres = (np.arange(20) + 0.5) / 10 - 1
+    u = y[0] * 4 / 29
+    for k, table in enumerate(found["tables"], 1):
+        values = np.reshape(table, (20, 20))
+        inside = [np.clip(y[k], *(25 * centres)[[0, -1]]), np.clip(u, *(15 * centres)[[0, -1]])]
+        u = interpn((25 * centres, 15 * centres), values, np.transpose(inside))
+    assert found["own"] == pytest.approx(np.sqrt(np.mean((u - x[5]) ** 2)), rel=1e-9)
+    assert found["tried"] == pytest.approx(found["own"], rel=1e-9)
+    assert found["few"] < found["own"]  # few runs are fitted too well
+
+
+def test_best_function_of_the_design_is_that_of_the_library():
+    """At the cell next to a node of the library's table, and odd, as the model is."""
+    surface = np.frombuffer(base64.b64decode(data_of("design")["surface"]), "<f4")
+    best = live.growth_filter()
+    table, axes = best.steps[5].update.estimate[0], best.steps[5].update.axes
+    i, j = (np.abs(axis.nodes - at).argmin() for axis, at in zip(axes, (3.75, -5.25), strict=True))
+    near = [table[i, j], surface.reshape(20, 20)[11, 6]]
+    assert near[1] == pytest.approx(near[0], abs=0.5)
+    assert np.abs(surface + surface[::-1]).max() < 1e-5  # the model has no side
+
+
+def test_errors_of_the_memories_are_those_of_the_tables():
+    """As the chapters print them: root-mean-square errors of the switching systems, squared."""
+    oscillator, scalar, target = data_of("memory")["systems"]
+    text = (live.BOOK.parent / "notebooks" / "jump_diffusion_linear.ipynb").read_text()
+    for l, row in enumerate(("1", "2", "3", "4"), 1):
+        printed = re.search(rf'"{row} +\d\.\d+ +(\S+) +\d\.\d+ +([\d.]+)\\n"', text).groups()
+        for letter, value in zip("ey", printed, strict=True):
+            key = " ".join(f"{letter}{k + 1}" for k in range(l))
+            assert oscillator["found"][key][0] == pytest.approx(float(value), abs=2e-5)
+    assert target["found"]["e1 c"][0] == pytest.approx(100 * ((1.1106 / 0.956302) ** 2 - 1))
+    assert target["found"]["e1 j"][0] == pytest.approx(100 * ((1.12534 / 0.956302) ** 2 - 1))
+    assert scalar["found"]["y1 y2"][0] == pytest.approx(100 * ((1.63912 / 1.24205) ** 2 - 1))
+    assert scalar["best"]["e1"] == pytest.approx(100 * ((1.28347 / 1.24205) ** 2 - 1))
+    assert "e1 y1" not in scalar["found"] | target["found"] | oscillator["found"]
+
+
+HANDLES = {"flip": 5, "square": 0, "body": 0, "design": 0, "memory": 8}
+"""The handle that is dragged, to the right and upwards, and then moved by a key."""
+
+
+def chromium(page, steps):
+    """What headless Chromium says to each step, on a page as narrow as a telephone."""
+    given = json.dumps({"url": page.as_uri(), "width": 390, "height": 3000, "steps": steps})
+    command = [NODE, str(Path(__file__).with_name("chromium.js")), CHROMIUM]
+    done = subprocess.run(command, input=given, capture_output=True, text=True, timeout=120)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="no Chromium")
+@pytest.mark.parametrize("name", live.PICTURES)
+def test_a_drag_is_answered_at_once(name, tmp_path):
+    """All pictures on one page from a folder: the drag, a key, the width, the size of the text."""
+    (tmp_path / "_static").mkdir()
+    (tmp_path / "book").mkdir()
+    for file in ("claims.css", "live.css", "live.js"):
+        shutil.copy(live.BOOK / "_static" / file, tmp_path / "_static" / file)
+    page = tmp_path / "book" / "page.html"
+    pictures = "".join(path.read_text() for path in PATHS.values())
+    head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width">'
+    page.write_text(f"<!doctype html><html><head>{head}</head><body>{pictures}</body></html>")
+    program = Path(__file__).with_name("drag.js").read_text()
+    own = [f"{program}; {call}('live-{name}', {HANDLES[name]})" for call in ("watch", "read")]
+    ((x, y),) = chromium(page, own[:1])
+    drag = [[x + 2 * k, y - 4 * k] for k in range(20)]
+    _, found = chromium(page, [own[0], {"drag": drag}, own[1]])
+    assert len(found["tooks"]) >= 10
+    assert np.median(found["tooks"]) < 50
+    assert found["after"] != found["before"]
+    assert found["words"]
+    assert found["wide"] <= 390
+    assert found["ids"] == found["different"]
+    assert found["least"] >= 12  # pixels: nine points

@@ -89,9 +89,6 @@ def test_periodic_schedule_goes_on_in_turn(pair):
         stationary(made, cycle=3, transient=5)
     short = stationary(made, cycle=3, transient=4)
     np.testing.assert_array_equal(short.measured, mask[[0, 1, 2, 3, 22, 23, 24]])
-    held = short.held_out
-    np.testing.assert_allclose(held.rms[:4], made.held_out.rms[:4], rtol=0.1)
-    np.testing.assert_allclose(held.error, held.rms / np.sqrt(2 * 2048), rtol=0.2)
 
 
 def test_steps_are_the_run_and_forecasts_go_on_after_the_design():
@@ -125,20 +122,15 @@ def test_a_short_transient_keeps_few_tables_and_the_predicted_error(tmp_path):
     small = stationary(made, 0.05, transient=3, paths=2000)
     assert (len(small.steps), small.cycle) == (4, 1)
     assert small.bytes < made.bytes / 4
-    np.testing.assert_array_equal(small.predicted.rms[-1], made.predicted.rms[-1])
     np.testing.assert_array_equal(small.times, np.arange(4.0))
-    rate = made.predicted.mode_rate[:3]
-    np.testing.assert_allclose(small.held_out.mode_rate[:3], rate, atol=4 * np.sqrt(0.25 / 2000))
     save(small, tmp_path / "small.npz")
     data = system.simulate(np.arange(100.0), 600, 7)
-    again = load(tmp_path / "small.npz")
+    again = load(tmp_path / "small.npz", system)
     found = again.run(data.times, data.measurements).mean
     np.testing.assert_array_equal(small.run(data.times, data.measurements).mean, found)
     square = ((found - data.states)[20:, 0] ** 2).mean(axis=0)
     doubt = square.std() / len(square) ** 0.5
     assert abs(square.mean() - made.predicted.rms[-1, 0] ** 2) < 4 * doubt
-    with pytest.raises(ValueError, match="filter"):
-        stationary(again)
 
 
 def test_what_does_not_settle_or_runs_away_is_refused():

@@ -83,7 +83,7 @@ def made():
     return SimpleNamespace(
         affine=affine(),
         modes=modes(),
-        table=tables(zoo.flip_process(), nodes=1),
+        table=tables(zoo.flip_process()),
         mode_table=tables(zoo.dependent_switching(), Memory(1, 0, 1)),
         minimax=minimax(correction=BoundedPolynomial(2)),
     )
@@ -245,15 +245,13 @@ REFUSED = [
     ),
     (lambda m: m.minimax.run([0.0], [[1.0, np.nan]]), ValueError, "y"),
     (
-        lambda _: tables(zoo.flip_process(), Memory(0, 1), nodes=0).run([0.0], [[np.nan]]),
+        lambda _: tables(zoo.flip_process(), Memory(0, 1)).run([0.0], [[np.nan]]),
         ValueError,
         "y",
     ),
     (lambda m: replace(m.table, steps=m.table.steps[:2]), ValueError, "steps"),
-    (lambda m: replace(m.table, between="cubic"), ValueError, "between"),
     (lambda m: replace(m.table, memory=Memory(2)), ValueError, "steps"),
     (lambda m: replace(m.mode_table, memory=Memory(1)), ValueError, "steps"),
-    (lambda m: replace(m.table, node_fits=((),)), ValueError, "node_times, node_fits"),
     (lambda m: minimax(correction=3), TypeError, "correction"),
     (lambda m: minimax(prediction=3), TypeError, "prediction"),
     (lambda m: minimax(correction=lambda t, m, y: np.zeros(3)), ValueError, "correction"),
@@ -261,7 +259,8 @@ REFUSED = [
     # files
     (lambda _: save({}, "x.npz"), TypeError, "filter"),
     (lambda _: save(bank(), "x.npz"), TypeError, "filter"),
-    (lambda _: load("no such file.npz"), FileNotFoundError, ""),
+    (lambda _: load("x", None), TypeError, "system"),
+    (lambda _: load("no such file.npz", zoo.flip_process()), FileNotFoundError, ""),
 ]
 
 

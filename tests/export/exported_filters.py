@@ -43,7 +43,6 @@ a, b, t = sympy.symbols("a b t", real=True)
 v, w = sympy.symbols("v1:3", real=True), sympy.symbols("w1:3", real=True)
 z = sympy.Symbol("z", real=True)
 FORCE, BIAS = Input("force"), Input("bias")
-PUSHED = {FORCE: systems.INPUTS[systems.U]}
 NOISE = Noise(v, [0.1, -0.2], [[0.1, 0.03], [0.03, 0.2]])
 COV = [[0.5, 0.1], [0.1, 0.8]]
 SENSOR_NOISE = Noise(w, [0.2, -0.1], [[0.2, 0.05], [0.05, 0.1]])
@@ -150,15 +149,15 @@ def design(system, memory, rule, *, lasting=None, **options):
     return found
 
 
-def tables(system, memory, *, steps=4, lasting=None, nodes=2):
+def tables(system, memory, *, steps=4, lasting=None):
     axes = {"x": (-3.5, 3.5, 61), "z": (-2.5, 2.5, 9), "y": (-8, 8, 25)}
-    found = grid_synthesis(system, memory, 0.25 * np.arange(steps), nodes=nodes, **axes)
+    found = grid_synthesis(system, memory, 0.25 * np.arange(steps), **axes)
     return found if lasting is None else stationary(found, paths=50, **lasting)
 
 
 def mode_tables(system, memory, **options):
     axes = {"y": (-12, 12, 9), "z": [(-8, 8, 7)] * system.state_size}
-    options = {"paths": 2000, "seed": 1, "nodes": 0, **options, **axes}
+    options = {"paths": 2000, "seed": 1, **options, **axes}
     return simulated_synthesis(system, memory, np.arange(6.0), **options)
 
 
@@ -208,7 +207,6 @@ FILTERS = {
     "continuous": (design, kicked, Memory(1), ExactGaussian(), CONTINUOUS),
     "continuous, points": (design, kicked, Memory(1), Cubature(), CONTINUOUS),
     "schedule": (design, cart, Memory(1, 1), Taylor(), SCHEDULE),
-    "affine, inputs": (design, partial(cart, "smooth"), Memory(1), Taylor(), {"inputs": PUSHED}),
     "stationary": (design, tide, Memory(2), Taylor(), ENDLESS),
     "stationary, short": (design, tide, Memory(1, 1), Taylor(), SHORT),
     "stationary, continuous": (design, tide, Memory(1), Taylor(), ENDLESS | CONTINUOUS),
@@ -276,8 +274,6 @@ def case(name):
     if name.endswith("inputs"):
         told = systems.INPUTS if "Kalman" in name else (FORCE, BIAS)
         inputs = {p: rng.normal(size=(len(times), PATHS)) for p in told}
-    if name == "affine, inputs":  # those of the design
-        inputs = {p: np.tile(x[:, None], PATHS) for p, x in PUSHED.items()}
     data = system.simulate(times, PATHS, 3, **({"inputs": inputs} if inputs else {}))
     y, indicators = data.measurements.copy(), data.indicators
     whole = memory is not None and "table" in name

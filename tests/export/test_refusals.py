@@ -7,7 +7,7 @@ import pytest
 import sympy
 from sklearn.tree import DecisionTreeRegressor
 
-from export.exported_filters import BIAS, FORCE, cart, case, shrinking
+from export.exported_filters import case, shrinking
 from seedslib.design import synthesize
 from seedslib.designed import Memory, SwitchingFilter
 from seedslib.export import compiled, to_c, to_js
@@ -55,12 +55,11 @@ def design(times=range(3), memory=None, system=None, **options):
 def learned():
     """A filter whose functions are trees."""
     tree = DecisionTreeRegressor(max_depth=2)
-    return learn(growth(), Memory(1), range(2), paths=60, seed=1, nodes=0, regressor=tree)
+    return learn(growth(), Memory(1), range(2), paths=60, seed=1, regressor=tree)
 
 
 EKF = extended_kalman(growth())
 PRINTED = {"normalisation": "printed"}
-TOLD = {"system": cart("bearing", inputs=True), "inputs": {FORCE: np.zeros(7), BIAS: np.zeros(7)}}
 EXPORTS = [
     (lambda: to_c(growth()), TypeError, "filter"),
     (lambda: to_c(EKF, name="2nd"), ValueError, "name"),
@@ -73,7 +72,6 @@ EXPORTS = [
     (lambda: to_c(kalman(lambda t: np.eye(2), cov0=np.eye(2))), ValueError, "system"),
     (lambda: to_c(design(times=[0.0])), TypeError, "predictor"),
     (lambda: to_c(design(memory=Late(1))), TypeError, "memory"),
-    (lambda: to_c(design(TIMES, **TOLD)), ValueError, "filter"),
     (lambda: to_c(learned()), TypeError, "filter"),
     (lambda: to_c(design(availability=0.8)), ValueError, "filter"),
     (lambda: to_js(cubature_kalman(scalar(sympy.loggamma(3 + x**2)))), ValueError, "formulas"),

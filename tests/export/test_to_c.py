@@ -89,22 +89,6 @@ def test_a_redundant_component_gets_no_gain_and_is_not_counted(make, quick):
         assert np.abs(known.cov[:, 0]).max() < 1e-15
 
 
-def test_what_is_impossible_after_an_exact_measurement_is_so_in_python_too(quick):
-    """Two sensors without noise, twice at one time: what they said first is all that can be."""
-    shows = StochasticMap((a, b), [a, b + a / 5], Noise(()))
-    move = StochasticMap((a, b), [a + b / 3 + v, 0.9 * b + w / 2], Noise((v, w)))
-    filter = extended_kalman(DiscreteSystem(move, shows, [0.3, -0.2], [[0.5, 0.1], [0.1, 0.8]]))
-    twin, first = compiled(filter), np.array([0.7, 0.2])
-    before, other_before = (each.step(each.initial(), 0.0, first) for each in (filter, twin))
-    for y, possible in ((first, True), (first + np.array([0.0, 1e-3]), False)):
-        state, other = filter.step(before, 0.0, y), twin.step(other_before, 0.0, y)
-        assert np.isfinite(other.loglik) == np.isfinite(state.loglik) == possible
-        for part in ("mean", "cov", "loglik"):
-            np.testing.assert_allclose(getattr(other, part), getattr(state, part), atol=1e-15)
-        state, other = filter.step(state, 1.0, [0.9, 0.3]), twin.step(other, 1.0, [0.9, 0.3])
-        np.testing.assert_allclose(other.loglik, state.loglik, rtol=1e-13)
-
-
 @pytest.mark.parametrize("order", [(0, 1, 2), (2, 1, 0), (1, 0, 2)])
 def test_a_known_position_that_is_driven_through_its_velocity_is_followed_in_c(order, quick):
     """In the first stages of a step it covaries with what it has no variance beside."""

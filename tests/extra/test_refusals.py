@@ -19,7 +19,7 @@ CONSTANT = DecisionTreeRegressor(max_depth=2)
 
 
 def learned(regressor=CONSTANT, times=range(2), memory=None, **options):
-    options = {"paths": 60, "seed": 1, "nodes": 0, "regressor": regressor, **options}
+    options = {"paths": 60, "seed": 1, "regressor": regressor, **options}
     return learn(growth(), memory or Memory(1), times, **options)
 
 

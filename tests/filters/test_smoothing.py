@@ -8,8 +8,6 @@ import pytest
 import sympy as sp
 
 from oracles.linear import Linear, Regression, discretised, kalman, moments
-from seedslib.base import ELAPSED
-from seedslib.designed import SwitchingFilter
 from seedslib.filters import (
     CovarianceFilter,
     KalmanFilter,
@@ -19,8 +17,8 @@ from seedslib.filters import (
     smooth,
     unscented_kalman,
 )
-from seedslib.linearization import GaussHermite, Taylor
-from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap, SwitchingSystem
+from seedslib.linearization import GaussHermite
+from seedslib.models import DiscreteSystem, JumpDiffusion, Noise, StochasticMap
 from systems import (
     EVEN,
     INPUTS,
@@ -171,26 +169,3 @@ def test_unscented_smoothing_of_an_oscillator_equals_the_extended_one():
     one, other = (smooth(make(system), times, y) for make in (extended_kalman, unscented_kalman))
     np.testing.assert_allclose(other.mean, one.mean, atol=1e-9)
     np.testing.assert_allclose(np.broadcast_to(other.cov, one.cov.shape), one.cov, atol=1e-9)
-
-
-def test_step_back_over_modes_takes_the_elapsed_time_and_the_input_of_its_step():
-    """Two modes that move alike, over steps of unequal length, are one linear system."""
-    x, v, w = sp.symbols("x v w", real=True)
-    move, see = sp.exp(-0.3 * ELAPSED) * x + U * ELAPSED + v, x + w
-    noises = Noise((v,), cov=[[0.4]]), Noise((w,), cov=[[0.3]])
-    one = DiscreteSystem(
-        StochasticMap((x,), [move], noises[0]),
-        StochasticMap((x,), [see], noises[1]),
-        [0.5],
-        [[1.0]],
-    )
-    start = [(0.5, [0.5], [[1.0]])] * 2
-    two = SwitchingSystem(
-        (x,), [[move]] * 2, noises[0], [[0.9, 0.1]] * 2, [[see]] * 2, noises[1], start
-    )
-    times, y = np.array([0.0, 0.4, 1.5, 1.7, 3.0]), np.array([[0.2], [1.0], [-2.0], [0.7], [1.4]])
-    given = {"inputs": {U: np.array([1.0, -2.0, 0.5, 3.0, 0.0])}}
-    wanted = smooth(extended_kalman(one), times, y, **given)
-    found = smooth(SwitchingFilter(two, Taylor()), times, y, **given)
-    np.testing.assert_allclose(found.mean, wanted.mean, atol=1e-9)
-    np.testing.assert_allclose(found.cov, wanted.cov, atol=1e-9)

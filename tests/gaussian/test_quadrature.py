@@ -41,7 +41,6 @@ def test_rule_is_exact_to_its_degree_and_not_beyond(kind, arguments, degree):
     rule = kind(*arguments)
     n = arguments[0]
     assert rule.points.shape[0] == n
-    assert rule.degree == degree
 
     def mean(powers):
         return rule.weights @ np.prod(rule.points ** np.array(powers)[:, None], axis=0)
@@ -87,7 +86,7 @@ def test_rules_cannot_be_changed(make):
 def test_mean_by_a_rule_without_symmetry():
     """Two points of unlike weights: they lie at mean + root times point, not minus."""
     points, weights = np.array([[-0.5, 2.0], [0.3, -1.2]]), np.array([0.8, 0.2])
-    rule = replace(cubature(2), points=points, weights=weights, degree=1)
+    rule = replace(cubature(2), points=points, weights=weights)
     mean, root = np.array([0.7, -1.1]), np.array([[2.0, 0.0], [0.6, 1.5]])
     at = mean[:, None] + root @ points
     found = mean_of(lambda p: p[0] ** 3 + p[1], mean, root @ root.T, rule)

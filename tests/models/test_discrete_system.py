@@ -12,8 +12,7 @@ from oracles.linear import Regression
 from seedslib.base import ELAPSED, Input
 from seedslib.filters import KalmanFilter, extended_kalman
 from seedslib.models import DiscreteSystem, LinearSystem, Noise, StochasticMap
-from seedslib.models.linear import _integral
-from seedslib.models.propagation import stepped
+from seedslib.models.linear import _integral, stepped
 from systems import EVEN, INPUTS, TIMES, U, discrete_system, linear_numbers, linear_system
 
 x, v, w, t = sympy.symbols("x v w t")

@@ -33,8 +33,7 @@ from seedslib.gaussian import (
     sine_moments,
 )
 from seedslib.linearization import ExactGaussian
-from seedslib.models.maps import StochasticMap
-from seedslib.models.noise import Noise
+from seedslib.models.maps import Noise, StochasticMap
 
 x, y, z = sympy.symbols("x y z", real=True)
 NAMES = (x, y, z)
