@@ -42,7 +42,7 @@ class Parameter(sympy.Symbol):
 
     def __new__(cls, name: str, value: float, **assumptions: bool) -> Self:
         """One parameter for each name, value and set of assumptions."""
-        if isinstance(value, str | bytes):
+        if value is None or isinstance(value, str | bytes):
             raise TypeError(f"value: wanted a number, got {value!r}")
         self = super().__xnew__(cls, name, real=True, **assumptions)
         self.value = float(value)

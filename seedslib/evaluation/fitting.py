@@ -192,6 +192,8 @@ class _Likelihood:
         self.batch = isinstance(filter, Filter)
         self.positive = np.array([bool(p.is_positive) for p in parameters])
         y = np.asarray(measurements, dtype=float)
+        if y.ndim < 2:
+            raise ValueError(f"measurements: wanted shape (K+1, m), got {y.shape}")
         self.y = y[..., None] if y.ndim == 2 else y
         self.indicators = indicators
         if indicators is not None:

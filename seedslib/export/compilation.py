@@ -276,7 +276,7 @@ def compiled(filter: Any) -> Any:
     >>> state.mean.shape
     (2,)
     """
-    if getattr(filter.system, "first", None) is not None:
+    if getattr(getattr(filter, "system", None), "first", None) is not None:
         raise ValueError("filter: wanted numbers in mean0 and cov0, got formulas of parameters")
     step = recorded(filter, parameters=True)
     path = library(source(step))

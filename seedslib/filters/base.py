@@ -73,8 +73,8 @@ class Estimates(NamedTuple):
         """
         from scipy.special import ndtri
 
-        if not 0 < level < 1:
-            raise ValueError(f"level: wanted a number between 0 and 1, got {level}")
+        if isinstance(level, str) or not 0 < level < 1:
+            raise ValueError(f"level: wanted a number between 0 and 1, got {level!r}")
         if self.cov is None:
             raise ValueError("interval: wanted covariances, which this filter does not claim")
         width = ndtri(0.5 + 0.5 * level) * np.sqrt(self._variances())
@@ -552,7 +552,7 @@ class Filter(Pickled):
             out of range; a measurement of another size; an input without a value.
         """
         require_time(state)
-        y = np.asarray(y, dtype=float)
+        y = as_real("y", y, (self.system.measurement_size, ...), nan=True, infinite=True)
         indicator = as_indicators(indicator, self.system, y.shape[1:], "indicator")
         p = self.values(inputs)
         if indicator is None:

@@ -197,9 +197,9 @@ class KalmanFilter(CovarianceFilter):
         mean, cov = super().predictive(state, p)
         if not isinstance(state, DiffuseState):
             return mean, cov
-        sensor = self.system.sensor.slope_at(state.time, p)
-        effect = np.einsum("ij...,jq...->iq...", sensor, state.effect)
-        return marginalized(mean, cov, effect, state, self._measured_scale(sensor))
+        slope = self.system.sensor.slope_at(state.time, p)
+        effect = np.einsum("ij...,jq...->iq...", slope, state.effect)
+        return marginalized(mean, cov, effect, state, self._measured_scale(slope))
 
     def _measured_scale(self, sensor: np.ndarray) -> np.ndarray:
         """Units of the measurement in those of the unknown numbers, (m, q); one for none."""

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from seedslib.base.arrays import Array, Count, Seed
 from seedslib.base.blocks import Source
+from seedslib.base.checks import brief
 from seedslib.base.objects import Pickled
 from seedslib.base.values import Values, in_order, require_no_step
 from seedslib.models.first_state import Started
@@ -54,6 +55,9 @@ class DiscreteSystem(Started, Pickled):
     indicators = 0
 
     def __post_init__(self) -> None:
+        for name, map in (("dynamics", self.dynamics), ("sensor", self.sensor)):
+            if not isinstance(map, StochasticMap):
+                raise TypeError(f"{name}: wanted a StochasticMap, got {brief(map)}")
         n = self.dynamics.size
         if self.dynamics.state_size != n or self.sensor.state_size != n:
             raise ValueError(

@@ -208,6 +208,8 @@ class LinearSystem(DiscreteSystem):
         if not any(hasattr(entry, "free_symbols") for entry in start.flat):
             start = np.atleast_1d(as_real("mean0", mean0))
         n = len(start)
+        if R is None:
+            raise TypeError("R: wanted a covariance, or a function of time, got None")
         known = next((M for M in (R, H) if not callable(M)), None)
         m = len(np.atleast_2d(R(0.0) if known is None else np.array(known, dtype=object)))
         b, d = np.zeros(n) if b is None else b, np.zeros(m) if d is None else d
@@ -284,6 +286,9 @@ class LinearSystem(DiscreteSystem):
         noise = _entries("diffusion", diffusion, (n, n))
         drift = _entries("drift", drift, (n, n))
         b = None if b is None else _entries("b", b, (n,))
+        for name, M in (("drift", drift), ("diffusion", noise)):
+            if isinstance(M, OfTime):
+                raise ValueError(f"{name}: wanted numbers or formulas, got a function of time")
         if isinstance(noise, np.ndarray):
             as_covariance("diffusion", noise)
         if step is not None:
@@ -384,7 +389,7 @@ class Discretised:
         from seedslib.base.symbols import ELAPSED
 
         for name, M in (("drift", drift), ("diffusion", diffusion)):
-            if isinstance(M, OfTime) or getattr(M, "timed", False):
+            if getattr(M, "timed", False):
                 raise ValueError(f"{name}: wanted constants and parameters, got a function of time")
             require_no_step(name, getattr(M, "mentions", ()))
         self.drift, self.diffusion, self.rate, self.step = drift, diffusion, rate, step

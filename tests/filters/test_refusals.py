@@ -151,6 +151,9 @@ ROWS = [
     # estimates
     (lambda: ESTIMATES.interval(95), ValueError, "level"),
     (lambda: ESTIMATES.interval(0.0), ValueError, "level"),
+    (lambda: ESTIMATES.interval("95%"), ValueError, "level"),
+    (lambda: KALMAN.correct(STATE, "a"), TypeError, "y"),
+    (lambda: KALMAN.smooth(TWO, Y), AttributeError, "smooth"),
     (lambda: Estimates(np.zeros((3, 1))).interval(), ValueError, "interval"),
     (lambda: ESTIMATES.to_dataframe([0, 1, 2]), ValueError, "times"),
     (lambda: ESTIMATES.to_dataframe([0, 1], ["a", "b"]), ValueError, "names"),
