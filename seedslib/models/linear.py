@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm
+from scipy.linalg import expm, matrix_balance
 
 from seedslib.base.arrays import align
 from seedslib.base.blocks import Source
@@ -69,6 +69,7 @@ def van_loan(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
 def stepped(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
     """`van_loan` of arrays that were checked when their system was made."""
     n = len(drift)
+    unit, drift, _, diffusion = balanced(drift, np.zeros((n, n)), diffusion)
     doublings = halvings(np.linalg.norm(drift, 1) * step)
     short = step / 2**doublings
     block = np.zeros((2 * n, 2 * n))
@@ -82,7 +83,47 @@ def stepped(drift: np.ndarray, diffusion: np.ndarray, step: float) -> Pair:
         for _ in range(doublings):
             spread = move @ spread @ move.T + spread
             move = move @ move
-    return bounded(step, move, 0.5 * (spread + spread.T))
+        column = unit[:, None]
+        move, spread = move * (column / unit), 0.5 * (spread + spread.T) * column * unit
+    return bounded(step, move, spread)
+
+
+def balanced(
+    drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Units of the state in which the Hamiltonian matrix is small, and the three matrices in them.
+
+    Noise and information are given in units of the state squared and of its inverse: in badly
+    chosen units a step would be halved until the drift is lost to rounding. The units are powers
+    of two, so that changing to them and back is exact.
+
+    Parameters
+    ----------
+    drift, information, diffusion : ndarray
+        F, HᵀR⁻¹H and GQGᵀ, all (n, n).
+
+    Returns
+    -------
+    unit : ndarray
+        d, shape (n,); x is measured in units of d.
+    drift, information, diffusion : ndarray
+        ``D⁻¹FD``, ``D HᵀR⁻¹H D`` and ``D⁻¹GQGᵀD⁻¹``.
+    """
+    n = drift.shape[0]
+    rate = np.abs(drift).max() or 1.0
+    gain, noise = np.abs(information).max(), np.abs(diffusion).max()
+    if gain > 0 and noise > 0:
+        square = np.sqrt(noise) / np.sqrt(gain)
+    else:
+        square = noise / rate if noise > 0 else rate / gain if gain > 0 else 1.0
+    common = np.ldexp(1.0, np.frexp(np.sqrt(square))[1])
+    upper, lower = information * common * common, diffusion / common / common
+    matrix = np.block([[-drift.T, upper], [lower, drift]])
+    with np.errstate(invalid="ignore"):  # of the permutation, which is not asked for
+        scale = np.log2(matrix_balance(np.abs(matrix), permute=False, separate=True)[1][0])
+    unit = common * 2.0 ** np.round(0.5 * (scale[n:] - scale[:n]))
+    column = unit[:, None]
+    return unit, drift * (unit / column), information * column * unit, diffusion / column / unit
 
 
 def bounded(step: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:

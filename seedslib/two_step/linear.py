@@ -19,7 +19,7 @@ from seedslib.base.blocks import in_blocks
 from seedslib.base.checks import as_count, as_covariance, as_real, as_times
 from seedslib.base.linalg import cholesky, symmetrized
 from seedslib.filters.base import Estimates
-from seedslib.models.linear import bounded, distinct_steps, halvings, stepped
+from seedslib.models.linear import balanced, bounded, distinct_steps, halvings, stepped
 
 
 class LinearMoments(NamedTuple):
@@ -219,18 +219,21 @@ class LinearDiffusion:
             There is none: the sensor does not see an unstable mode, or no noise reaches one that
             is not damped.
         """
-        given = self.drift.T, self.sensor.T, self.diffusion, self.sensor_intensity
+        unit, drift, information, diffusion = balanced(self.drift, self.information, self.diffusion)
+        whitened = np.linalg.solve(np.linalg.cholesky(self.sensor_intensity), self.sensor) * unit
         try:
-            cov = solve_continuous_are(*given)
+            cov = solve_continuous_are(
+                drift.T, whitened.T, diffusion, np.eye(len(whitened)), balanced=False
+            )
         except LinAlgError:
-            cov = np.zeros_like(self.drift)
-        rates = np.linalg.eigvals(self.drift - cov @ self.information).real
+            cov = np.zeros_like(drift)
+        rates = np.linalg.eigvals(drift - cov @ information).real
         if rates.max() >= -UNDAMPED * np.abs(rates).max():
             raise ValueError(
                 "system: wanted every mode that is not damped observed by the sensor and driven by "
                 "noise, for a steady error covariance"
             )
-        return symmetrized(cov)
+        return symmetrized(cov) * unit[:, None] * unit
 
     def steady_moments(self) -> LinearMoments:
         """Steady mean (zero), prior covariance and error covariance, arrays (1, ...).
@@ -246,7 +249,8 @@ class LinearDiffusion:
                 "drift: wanted eigenvalues with negative real parts (Hurwitz) for a steady "
                 f"covariance of the state, got a real part of {rates.max():.4g}"
             )
-        cov = symmetrized(solve_continuous_lyapunov(self.drift, -self.diffusion))
+        unit, drift, _, diffusion = balanced(self.drift, self.information, self.diffusion)
+        cov = symmetrized(solve_continuous_lyapunov(drift, -diffusion)) * unit[:, None] * unit
         error_cov = self.steady_error_cov()
         return LinearMoments(np.zeros((1, len(cov))), cov[None], error_cov[None])
 
@@ -383,6 +387,7 @@ class _RiccatiStep(NamedTuple):
         cls, drift: np.ndarray, information: np.ndarray, diffusion: np.ndarray, step: float
     ) -> _RiccatiStep:
         """The step of a system, from the exponential over a part of it and doublings."""
+        unit, drift, information, diffusion = balanced(drift, information, diffusion)
         matrix, n = np.block([[-drift.T, information], [diffusion, drift]]), len(drift)
         rate = np.abs(np.linalg.eigvals(matrix).real).max()
         doublings = halvings(np.linalg.norm(matrix, 1) * step)
@@ -405,7 +410,15 @@ class _RiccatiStep(NamedTuple):
             information = symmetrized(information + move.T @ inward)
             noise = symmetrized(noise + ahead.T @ noise @ move.T)
             move = ahead.T @ move
-        return cls(move, noise, information, forward, backward, rate)
+        column = unit[:, None]
+        return cls(
+            move * (column / unit),
+            noise * column * unit,
+            information / column / unit,
+            forward * column * unit,
+            backward / column * unit,
+            rate,
+        )
 
     def at(self, cov: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Transition of the estimate, its gain on u, and the next error covariance."""
